@@ -3,12 +3,11 @@
     pip install -r scripts/requirements-torch.txt
 
 Reads the weights and batches that the benchmark wrote into a folder, writes its own output for the first batch beside them, says
-what it runs on, and then answers each line of stdin (`forward BATCH`, `train BATCH`, `sample FUTURES STEPS`, each after `f32` or
-`bf16`, which is autocast) with the seconds that this took, on the clock and of the processor.
+what it runs on, and then answers each line of stdin (`forward BATCH`, `train BATCH`, `sample FUTURES STEPS`) with the
+seconds that this took, on the clock and of the processor.
 """
 
 import argparse
-import contextlib
 import pathlib
 import sys
 import time
@@ -63,30 +62,29 @@ def main():
     weights = [weight.requires_grad_() for weight in named.values()]
     adam = torch.optim.Adam(weights, lr=3e-4, fused=True)
 
-    def forward(precision, batch):
-        with torch.inference_mode(), precision:
+    def forward(batch):
+        with torch.inference_mode():
             return bind(spec, named, batches[batch])(batches[batch]["x"], batches[batch]["sigma"])
 
-    def train(precision, batch):
+    def train(batch):
         adam.zero_grad()
-        with precision:
-            error = loss(bind(spec, named, batches[batch]), batches[batch])
+        error = loss(bind(spec, named, batches[batch]), batches[batch])
         error.backward()
         torch.nn.utils.clip_grad_norm_(weights, 5.0)
         adam.step()
 
-    def sample(precision, n_futures, n_steps):
-        with torch.inference_mode(), precision:
+    def sample(n_futures, n_steps):
+        with torch.inference_mode():
             bound = bind(spec, named, batches["scene"], int(n_futures))
             return heun(spec["edm"], bound, batches["scene"], int(n_futures), int(n_steps))
 
-    save_file({"output": forward(contextlib.nullcontext(), "0").contiguous()}, arguments.folder / "outputs.safetensors")
+    save_file({"output": forward("0").contiguous()}, arguments.folder / "outputs.safetensors")
     print(f"PyTorch {torch.__version__}, {torch.get_num_threads()} threads, {torch.backends.cpu.get_cpu_capability()}", flush=True)
     for line in sys.stdin:
-        precision, name, *values = line.split()
+        name, *values = line.split()
         call = {"forward": forward, "train": train, "sample": sample}[name]
         wall, cpu = time.perf_counter(), time.process_time()
-        call(torch.autocast("cpu", dtype=torch.bfloat16, enabled=precision == "bf16"), *values)
+        call(*values)
         print(time.perf_counter() - wall, time.process_time() - cpu, flush=True)
 
 

@@ -1,7 +1,7 @@
 """Checks a JobSet that `djinn submit --engine kubernetes --dry-run` printed, without a cluster.
 
     pip install kubernetes-validate
-    python scripts/check_jobset.py tests/golden/jobset.yaml [--crd FILE]
+    python scripts/check_jobset.py tests/golden/jobset.json [--crd FILE]
 
 Each job is compared with Kubernetes' own schema, strictly: unknown keys are errors. FILE is the definition of JobSet
 (config/components/crd/bases/jobset.x-k8s.io_jobsets.yaml of kubernetes-sigs/jobset, 0.8 or later), with whose schema the
@@ -10,6 +10,7 @@ Kubernetes and of JobSet that the documents of the fields state, and on which th
 """
 
 import argparse
+import json
 import re
 import sys
 
@@ -23,12 +24,12 @@ POD_SUFFIX = "-abcde"
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("jobset", help="the JobSet as YAML; - for the standard input")
+    parser.add_argument("jobset", help="the JobSet as JSON; - for the standard input")
     parser.add_argument("--crd", help="the definition of JobSet")
     parser.add_argument("--kubernetes", default="1.34", help="the version of Kubernetes [default: %(default)s]")
     args = parser.parse_args()
     with sys.stdin if args.jobset == "-" else open(args.jobset, encoding="utf-8") as file:
-        jobset = yaml.safe_load(file)
+        jobset = json.load(file)
     problems = list(against_kubernetes(jobset, args.kubernetes))
     if args.crd:
         with open(args.crd, encoding="utf-8") as file:

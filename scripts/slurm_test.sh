@@ -130,34 +130,3 @@ same() { diff -r --exclude=timings.json --exclude=log.txt --exclude=.lock --excl
 completed "$last"
 "$djinn" status "$run"
 same "$folder/alone/$name/main" "$run"
-
-# The nodes have no addresses of their own, so that ranks meet at that of the machine itself.
-scontrol update NodeName=two State=RESUME
-cat > "$folder/ranks.toml" << END
-[ingest]
-dataset = "interaction"
-inputs = ["$PWD/tests/fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
-limit = 40
-[train.denoiser]
-preset = "tiny"
-steps = 60
-batch_size = 4
-parts = 4
-evaluate_every = 20
-n_eval_scenes = 2
-[cluster]
-ranks = 2
-cpus = 1
-lines = ["export MASTER_ADDR=127.0.0.1"]
-END
-for stage in ingest train_denoiser; do
-    "$djinn" run "$folder/ranks.toml" --threads 1 --output "$folder/alone" --stage $stage --quiet
-done
-"$djinn" submit "$folder/ranks.toml" --output "$out" --engine slurm > "$folder/jobs"
-cat "$folder/jobs"
-run="$out/ranks/main"
-for _ in $(seq 1200); do [ -s "$run/train_denoiser.partial/denoiser/statistics.jsonl" ] && break; sleep 0.1; done
-kill -9 "$(pgrep -f -- "^$djinn run .*--output $out .*--stage train_denoiser" | tail -n 1)" && echo "killed a rank"
-completed "$(awk '$1 == "denoiser" { print $2 }' "$folder/jobs")"
-grep "queued again" "$run"/slurm/denoiser-*.txt
-same "$folder/alone/ranks/main" "$run"

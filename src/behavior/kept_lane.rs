@@ -134,15 +134,6 @@ impl KeptLane {
     }
 }
 
-/// The center line of the lane that an agent keeps, as far as its past and the map say, in the scene's frame; for one in no
-/// lane the straight line ahead of it. `None` if it is not tracked at present.
-pub fn observed_line(scene: &Scene, agent_idx: usize) -> Option<Polyline> {
-    let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-    let lanes = SceneLanes::new(&scene.lanes);
-    let kept = KeptLane::as_observed(scene, &lanes, agent_idx);
-    Some(kept.unwrap_or_else(|| KeptLane::straight_on(state)).center)
-}
-
 fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<Vec2> {
     let states = timesteps.filter_map(|timestep| trajectory.get(timestep));
     states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()

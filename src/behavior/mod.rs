@@ -48,7 +48,6 @@ pub use cut_out::{CutOut, CutOutConfig};
 pub use event::{BehaviorEvent, EventLabel};
 pub use failure_to_yield::{FailureToYield, FailureToYieldConfig};
 pub use hard_brake::{HardBrake, HardBrakeConfig};
-pub use kept_lane::observed_line;
 pub use lane_change::{LaneChange, LaneChangeConfig};
 pub use left_turn::LeftTurn;
 pub use maneuver::Maneuver;

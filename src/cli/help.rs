@@ -24,8 +24,8 @@ A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [
 [train.baseline], [generate], [evaluate], [report]. Stages with a section run, in this order. Relative paths are \
 relative to the current directory. Results go to <output>/<pipeline>/<run>/. A stage runs again only if its \
 configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section \
-changed, or with --redo; the old model is moved aside. Several workers can share generation and evaluation, and \
-several processes a training: they are told by RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. Recordings and the output \
+changed, or with --redo; the old model is moved aside. Several workers can share generation and evaluation. \
+Recordings and the output \
 may be in object stores (s3://, gs://, az://), whose credentials come from the environment (pipelines/CLUSTER.md).
 
 Examples:
@@ -41,15 +41,13 @@ Examples:
 pub(super) const SUBMIT: &str = "\
 The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, `work` samples shards, \
 `seal` publishes the samples. With several workers, `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same for \
-evaluation. With cluster.ranks, a model that is trained in `parts` has a job of several processes. `finish` runs the \
+evaluation. `finish` runs the \
 remaining stages. Each job checks for itself that its inputs exist. \
-Submitting again fills in what is missing. [cluster] sets what jobs need: ranks, partition, time, cpus, gpus, memory, \
+Submitting again fills in what is missing. [cluster] sets what jobs need: partition, time, cpus, gpus, memory, \
 container, retries, further lines of the scripts; image and volumes for Kubernetes (pipelines/CLUSTER.md).
 
 Examples:
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run
-  djinn submit pipelines/cut_in_corpus.toml --engine slurm --dry-run \\
-    --set train.denoiser.parts=8 --set cluster.ranks=4
   djinn submit pipelines/quickstart.toml --engine kubernetes --dry-run \\
     --set cluster.image=registry.example.org/djinn:0.1 --set 'cluster.volumes={ traffic = \"/data\" }'
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
@@ -85,9 +83,8 @@ Examples:
 
 /// Of `train distill`.
 pub(super) const TRAIN_DISTILL: &str = "\
-The distilled network has the same architecture and samples in one to three evaluations. To use it in a sweep, set \
-model = \"distilled\" and the sampler of train.distill.method: { kind = \"euler\", n_steps = 2, grid = … } for \
-{ kind = \"steps\", n_steps = 2, grid = … }, otherwise { kind = \"consistency\", levels = [0.8] }.
+The distilled network has the same architecture and samples in few evaluations. To use it in a sweep, set \
+model = \"distilled\" and sampler = { kind = \"euler\", n_steps = 2, grid = … } as in train.distill.method.
 
 Examples:
   djinn train distill --config pipelines/few_evaluations.toml --output output/try

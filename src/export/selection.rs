@@ -47,7 +47,7 @@ impl Selection {
     }
 }
 
-/// Whether a scenario was accepted; in corpora of older versions without assessments, none was.
+/// Whether a scenario was accepted.
 pub(super) fn is_accepted(record: &ScenarioRecord) -> bool {
     record.assessment.as_ref().is_some_and(|assessment| assessment.accepted)
 }

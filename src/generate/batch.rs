@@ -3,7 +3,6 @@
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
 use super::guide::{Guided, Wishes};
 use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep};
-use crate::diffusion::sampler::Going;
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
 use crate::progress::Progress;
@@ -87,7 +86,7 @@ impl Generator<'_> {
             samples: batch.samples.clone(),
             places_without_road: &self.metric_settings.validity.places_without_road,
         };
-        let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, (denoiser, &bound), progress);
+        let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, denoiser, progress);
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
@@ -152,15 +151,10 @@ impl Generator<'_> {
         }
     }
 
-    /// Diffused states (B, A, T, D) of all samples of a batch, by a denoiser and the same without guidance.
-    fn denoise(
-        &self,
-        guided: &Guided<'_>,
-        (denoiser, unguided): (&dyn Denoiser, &dyn Denoiser),
-        progress: &dyn Progress,
-    ) -> Result<Tensor, Error> {
+    /// Diffused states (B, A, T, D) of all samples of a batch.
+    fn denoise(&self, guided: &Guided<'_>, denoiser: &dyn Denoiser, progress: &dyn Progress) -> Result<Tensor, Error> {
         let seeds = guided.cells.iter().flat_map(|(cell, _)| {
-            let scene_seed = self.scene_seed(cell);
+            let scene_seed = self.seed().derive_named("noise", &cell.scene_id.0);
             guided.samples.clone().map(move |sample_idx| sample_seed(scene_seed, sample_idx))
         });
         let mut noise = NoiseSource::new(seeds.collect());
@@ -168,29 +162,11 @@ impl Generator<'_> {
         let mut observer = |step: &Step<'_>| progress.note(&format!("step {} of {}", step.step_idx + 1, step.n_steps));
         let edm = &self.spec().edm;
         let Diffusion { sampler, edit, .. } = guided.diffusion;
-        let (x, sigmas) = match edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
-            Some(edit) => (noisy_guide(edit, like, &mut noise)?, edit.schedule(edm, sampler)),
-            None => {
-                let sigma_start = sampler.sigma_start(edm);
-                let sigmas = sampler.schedule(edm, sigma_start);
-                let z = noise.draw(&like.dims()[1..], like.dtype(), like.device())?;
-                let z = self.optimized(guided, unguided, &sigmas, z)?;
-                ((z * sigma_start)?, sigmas)
-            }
-        };
-        let context = guided.diffusion.particles.map(|_| guided.objective_context()).transpose()?;
-        let wished = context.as_ref().map(|context| guided.objectives(&guided.diffusion.guidance.objectives, context));
-        let mut particles = wished.as_ref().and_then(|wished| self.particles(guided, wished));
-        let mut resampler = |going: &Going<'_>| match &mut particles {
-            Some(particles) => particles.step(going),
-            None => Ok(None),
-        };
-        Ok(sampler.integrate_resampled(&sigmas, denoiser, x, &mut noise, &mut resampler, &mut observer)?)
-    }
-
-    /// The seed of the noise of a cell's scene.
-    pub(super) fn scene_seed(&self, cell: &Cell) -> Seed {
-        self.seed().derive_named("noise", &cell.scene_id.0)
+        if let Some(edit) = edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
+            let x = noisy_guide(edit, like, &mut noise)?;
+            return Ok(sampler.integrate(&edit.schedule(edm, sampler), denoiser, x, &mut noise, &mut observer)?);
+        }
+        Ok(sampler.sample(edm, denoiser, &like.dims()[1..], like, &mut noise, &mut observer)?)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The `[generate]` section: how many scenarios of what kind, from which scenes.
 
-use super::{ArmConfig, Error, ModelConfig, RequestConfig, ResolvedGeneration, SamplingConfig, SweepConfig};
+use super::{Error, RequestConfig, ResolvedGeneration, SweepConfig};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::diffusion::sampler::HeunConfig;
@@ -39,9 +39,9 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
-    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs` and
-    /// `select`, which the request decides.
-    pub arms: Vec<ArmConfig>,
+    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs`, `aim`,
+    /// `select` and `stop_after_verified`, which the request decides.
+    pub arms: Vec<SweepConfig>,
     /// Events requested by their parameters, generated after the sweeps.
     pub requests: Vec<RequestConfig>,
 }
@@ -101,8 +101,8 @@ impl Default for PairSelectionConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PairRanking {
-    /// Those with the highest probability by the classifier of noisy states, from their history; without one, those that
-    /// can show the behavior with the least effort.
+    /// Those with the highest probability by the classifier, from their history; without a classifier, those that can
+    /// show the behavior with the least effort.
     #[default]
     Classifier,
     /// Those that can show it with the least effort, by the limits of driving; if that is undefined, the closest.
@@ -141,23 +141,10 @@ impl GenerateConfig {
             resolved.sweeps.push(sweep.resolve(self, behaviors).map_err(within(format!("generate.sweeps.{i}")))?);
         }
         for (i, arm) in self.arms.iter().enumerate() {
-            arm.check().map_err(within(format!("generate.arms.{i}")))?;
+            arm.validate_arm().map_err(within(format!("generate.arms.{i}")))?;
         }
         self.resolve_requests(behaviors, &mut resolved)?;
         Ok(resolved)
-    }
-
-    /// The most evaluations of the network through which noise is optimized at once; 0 if none is.
-    pub fn n_differentiated(&self) -> usize {
-        let samplings = self.sweeps.iter().map(|sweep| &sweep.sampling);
-        let samplings = samplings.chain(self.arms.iter().map(|arm| &arm.sampling));
-        let of_sampling = |sampling: &SamplingConfig| match &sampling.model {
-            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => {
-                diffusion.noise_optimization.map(|_| diffusion.sampler.as_ref().unwrap_or(&self.sampler).n_steps())
-            }
-            ModelConfig::Baseline => None,
-        };
-        samplings.filter_map(of_sampling).max().unwrap_or(0)
     }
 
     /// Whether sweeps select, or requests accept, by metrics for which `is_such` holds.

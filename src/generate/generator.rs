@@ -3,7 +3,7 @@
 use super::{Diffusion, Error, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::metrics::MetricSettings;
-use crate::model::{DenoiserSpec, Distillation, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
+use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
 use crate::seed::Seed;
@@ -133,10 +133,11 @@ impl<'a> Generator<'a> {
             )));
         }
         match (sweep.uses_distilled(), &own.distillation) {
-            (true, distillation) => {
-                let distillation = distillation.as_ref().unwrap_or(&Distillation::Consistency);
-                sweep.check_distillation(distillation, &own.edm)
-            }
+            (true, Some(distillation)) => sweep.check_distillation(distillation, &own.edm),
+            (true, None) => Err(Error::Config(format!(
+                "sweep {}: train.distill.checkpoint is an ordinary denoiser; pass a distilled one, or set the sweep's model = \"denoiser\"",
+                sweep.name
+            ))),
             (false, None) => Ok(()),
             (false, Some(_)) => Err(Error::Config(format!(
                 "sweep {}: the denoiser is distilled; pass it as train.distill.checkpoint, and set the sweep's model = \"distilled\"",
@@ -181,18 +182,11 @@ impl<'a> Generator<'a> {
         };
         let (own, denoiser) = (&classifier.spec, self.spec());
         let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });
-        if (own.n_history, own.n_timesteps) != (denoiser.n_history, denoiser.n_timesteps) {
-            return differs("number of timesteps");
-        }
-        if !own.input.is_noisy() {
-            return if (own.dt_s - denoiser.dt_s).abs() < 1e-6 {
-                sweep.check_clean_classifier()
-            } else {
-                differs("timestep")
-            };
-        }
         if own.edm != denoiser.edm {
             return differs("diffusion");
+        }
+        if (own.n_history, own.n_timesteps) != (denoiser.n_history, denoiser.n_timesteps) {
+            return differs("number of timesteps");
         }
         if !same_scales(&own.normalizer, &denoiser.normalizer) {
             return differs("normalization");

@@ -1,23 +1,23 @@
 //! Guides the denoiser of a batch as its sweep says: by the classifier and the objectives, nested.
 
-use super::pairs::{possible_pairs, slots};
-use super::{Cell, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig};
+use super::pairs::slots;
+use super::{
+    Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig,
+};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
-    AgentSelector, AnyPairGuidance, ClassifierGuidance, ClassifierPotential, CleanGuidedDenoiser, CleanPotential,
-    ContextRow, EstimatePotential, FutureGuidance, Guidance, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision,
-    ObjectiveConfig, ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, SlipLimit, StayOnRoad,
+    AgentSelector, ClassifierGuidance, ClassifierPotential, CleanGuidedDenoiser, CleanPotential, ContextRow,
+    EstimatePotential, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig,
+    ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, SlipLimit, StayOnRoad,
 };
-use crate::model::{ClassifierInput, TrainedClassifier};
+use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
-use crate::tensor::{FutureFeatures, FutureValidity, SceneBatch, ScenePair, SceneView};
+use crate::tensor::{FutureValidity, SceneBatch, SceneView};
 use candle_core::{DType, Tensor};
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// Number of pairs per scene that guidance toward any pair considers: those that can show the behavior most easily.
-const MAX_ANY_PAIRS: usize = 32;
 /// The noise level at which a classifier sees clean estimates: low enough to preserve a maneuver, but within its
 /// training range.
 const ESTIMATE_SIGMA: f64 = 0.1;
@@ -27,10 +27,10 @@ pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further off
 /// the road than they are, vehicles that point where they drive. Agents that are asked to collide may touch each other.
-pub(super) fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
+fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
-    let may_collide = may_collide.filter(|_| sweep.asks_for_collision() && !sweep.asks_anybody());
+    let may_collide = may_collide.filter(|_| sweep.asks_for_collision());
     let agents = AgentSelector::default();
     [
         ObjectiveConfig::NoCollision(NoCollision {
@@ -81,14 +81,11 @@ struct Classified {
 
 impl Guided<'_> {
     /// The context of the sampled batch for objectives.
-    pub(super) fn objective_context(&self) -> Result<SceneContext, Error> {
+    fn objective_context(&self) -> Result<SceneContext, Error> {
         let rows: Vec<ContextRow<'_>> = (self.cells.iter().zip(self.agents))
             .map(|((cell, scene), agents)| ContextRow { scene, ego_idx: agents.0, roles: &cell.roles })
             .collect();
-        // The particles of a group have one target.
-        let n = self.sweep.group_size();
-        let targets =
-            self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(move |sample| cell.target(sample / n)));
+        let targets = self.cells.iter().flat_map(|(cell, _)| self.samples.clone().map(|sample| cell.target(sample)));
         let shows_road = |row: usize| !self.places_without_road.contains(&self.cells[row].1.source.place);
         let context = SceneContext::new(self.batch, &rows)?.with_roads_where(shows_road);
         let context = context.repeated(self.samples.len())?;
@@ -121,12 +118,12 @@ impl<'g> Generator<'g> {
     }
 
     /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
-    /// `classifier:cut_in+no_collision`; `classifier_any_pair:cut_in` where no pair is requested; `classifier_free` where
-    /// samples lean toward states, and `event` where the denoiser is told of the requested event.
+    /// `classifier:cut_in+no_collision`; `classifier_free` where samples lean toward states, and `event` where the
+    /// denoiser is told of the requested event.
     pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
-        let scope = if sweep.asks_anybody() { "classifier_any_pair" } else { "classifier" };
         let classifier = self.guiding_classifier(sweep, level.strength);
-        let mut parts: Vec<String> = classifier.map(|c| format!("{scope}:{}", c.spec.behavior)).into_iter().collect();
+        let mut parts: Vec<String> =
+            classifier.map(|c| format!("classifier:{}", c.spec.behavior)).into_iter().collect();
         if level.strength != 0.0 {
             let objectives = &diffusion.guidance.objectives;
             parts.extend(objectives.iter().map(|objective| objective.kind().to_owned()));
@@ -134,12 +131,6 @@ impl<'g> Generator<'g> {
         if let Some(config) = diffusion.classifier_free.as_ref().filter(|_| level.weight != 0.0) {
             let named = [(!config.extra.is_empty(), "classifier_free"), (config.event, "event")];
             parts.extend(named.into_iter().filter(|(acts, _)| *acts).map(|(_, name)| name.to_owned()));
-        }
-        if diffusion.particles.is_some() {
-            parts.push("particles".to_owned());
-        }
-        if diffusion.noise_optimization.is_some() {
-            parts.push("noise_optimization".to_owned());
         }
         if sweep.uses_template() {
             parts.push("template".to_owned());
@@ -159,26 +150,18 @@ impl<'g> Generator<'g> {
         let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
         let asked = &diffusion.guidance;
         let classifier = self.guiding_classifier(sweep, strength);
-        if let Some(classifier) = classifier.filter(|classifier| !classifier.spec.input.is_noisy()) {
-            let potential = self.future_guidance(guided, classifier)?;
-            return self.guided_by_objectives(guided, &self.by_classifier(guided, inner, &potential), sample);
-        }
         let shown = classifier.map(|_| self.classified_batch(guided)).transpose()?.flatten();
         let guidance = match classifier {
-            Some(classifier) => Some(self.classifier_guidance(guided, classifier, shown.as_ref().map(|s| &s.batch))?),
+            Some(classifier) => Some(classifier_guidance(guided, classifier, shown.as_ref().map(|s| &s.batch))?),
             None => None,
         };
         let of_estimate = guidance.as_ref().map(|guidance| EstimatePotential {
-            guidance: guidance.as_ref(),
+            guidance,
             change: shown.as_ref().map(|shown| &shown.change),
             sigma: ESTIMATE_SIGMA,
         });
-        let of_noisy = guidance.as_ref().map(|guidance| GuidedDenoiser {
-            inner,
-            guidance: guidance.as_ref(),
-            strength,
-            config: asked.gate,
-        });
+        let of_noisy =
+            guidance.as_ref().map(|guidance| GuidedDenoiser { inner, guidance, strength, config: asked.gate });
         let of_estimate = of_estimate.as_ref().map(|potential| self.by_classifier(guided, inner, potential));
         let inner: &dyn Denoiser = match (asked.classifier_input, &of_noisy, &of_estimate) {
             (ClassifierInput::NoisyStates, Some(denoiser), _) => denoiser,
@@ -249,23 +232,6 @@ impl<'g> Generator<'g> {
         denoiser
     }
 
-    /// The guidance of a classifier of clean futures over the sampled states.
-    fn future_guidance<'a>(
-        &self,
-        guided: &Guided<'a>,
-        classifier: &'a TrainedClassifier,
-    ) -> Result<FutureGuidance<'a>, Error> {
-        let pair =
-            |((_, scene), agents): (&(&'a Cell, &'a Scene), &(usize, usize))| ScenePair { scene, agents: *agents };
-        let pairs: Vec<ScenePair<'_>> = guided.cells.iter().zip(guided.agents).map(pair).collect();
-        Ok(FutureGuidance {
-            classifier: classifier.network.of_clean_futures()?,
-            batch: guided.repeated,
-            pairs: FutureFeatures::new(guided.batch, &pairs)?.repeated(guided.samples.len())?,
-            potential: guided.diffusion.guidance.classifier_potential,
-        })
-    }
-
     /// The scenes as the classifier was trained on them, with only their histories observed, if the sweep observes
     /// other states.
     fn classified_batch(&self, guided: &Guided<'_>) -> Result<Option<Classified>, Error> {
@@ -283,37 +249,18 @@ impl<'g> Generator<'g> {
         let change = MaskChange::new(&batch, guided.repeated)?;
         Ok(Some(Classified { batch, change }))
     }
+}
 
-    /// The guidance of `classifier` over the states of `batch`, or over the sampled ones without it.
-    fn classifier_guidance<'a>(
-        &self,
-        guided: &Guided<'_>,
-        classifier: &'a TrainedClassifier,
-        batch: Option<&SceneBatch>,
-    ) -> Result<Box<dyn Guidance + 'a>, Error> {
-        let batch = batch.unwrap_or(guided.repeated);
-        let potential = guided.diffusion.guidance.classifier_potential;
-        let every = |row: usize| std::iter::repeat_n(row, guided.samples.len());
-        if guided.sweep.asks_anybody() {
-            let own: Vec<Vec<(usize, usize)>> =
-                (0..guided.cells.len()).map(|row| self.any_pairs(guided, row)).collect();
-            let pairs: Vec<_> = (0..own.len()).flat_map(every).map(|row| own[row].clone()).collect();
-            return Ok(Box::new(AnyPairGuidance::new(classifier, batch, &pairs, potential)?));
-        }
-        let agents: Vec<(usize, usize)> =
-            (0..guided.agents.len()).flat_map(every).map(|row| guided.agents[row]).collect();
-        let pairs = classifier.spec.features(batch, &slots(batch, &agents)?)?;
-        Ok(Box::new(ClassifierGuidance { classifier: classifier.network.of_noisy_states()?, pairs, potential }))
-    }
-
-    /// The pairs of a cell's scene that may perform the behavior, easiest first, as places on the agent axis of its
-    /// row.
-    fn any_pairs(&self, guided: &Guided<'_>, row: usize) -> Vec<(usize, usize)> {
-        let Some(behavior) = self.behavior(guided.sweep) else { return Vec::new() };
-        let mut candidates = possible_pairs(guided.sweep, behavior, guided.cells[row].1);
-        candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
-        let frame = &guided.batch.frames[row];
-        let places = candidates.iter().filter_map(|pair| frame.slot(pair.agents.0).zip(frame.slot(pair.agents.1)));
-        places.take(MAX_ANY_PAIRS).collect()
-    }
+/// The guidance of `classifier` over the states of `batch`, or over the sampled ones without it.
+fn classifier_guidance<'a>(
+    guided: &Guided<'_>,
+    classifier: &'a TrainedClassifier,
+    batch: Option<&SceneBatch>,
+) -> Result<ClassifierGuidance<'a>, Error> {
+    let batch = batch.unwrap_or(guided.repeated);
+    let agents: Vec<(usize, usize)> =
+        guided.agents.iter().flat_map(|agents| std::iter::repeat_n(*agents, guided.samples.len())).collect();
+    let pairs = classifier.spec.features(batch, &slots(batch, &agents)?)?;
+    let potential = guided.diffusion.guidance.classifier_potential;
+    Ok(ClassifierGuidance { classifier: &classifier.network, pairs, potential })
 }

@@ -26,7 +26,6 @@ mod regenerate;
 mod request;
 mod sample;
 mod select;
-mod steer;
 mod sweep;
 #[cfg(test)]
 mod testing;
@@ -53,7 +52,7 @@ pub use request::{
 pub use sample::{RejectedSample, ShardOutput};
 pub use select::SelectConfig;
 pub use sweep::{
-    Aim, ArmConfig, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep, SamplingConfig,
-    SweepConfig, SweepGuidance, SweepModel,
+    Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
+    SweepModel,
 };
 pub use verify::{Verification, verify};

@@ -45,8 +45,7 @@ impl Generator<'_> {
             scene.track_idx(track).is_some_and(|idx| proximity_rank(scene, pair.agents.0, idx) < max_agents)
         };
         candidates.retain(|pair| pair.roles.tracks().all(|track| is_seen(pair, track)));
-        let classifier = self.classifier(sweep).filter(|classifier| classifier.spec.input.is_noisy());
-        if let (PairRanking::Classifier, Some(classifier)) = (sweep.pairs.ranking, classifier) {
+        if let (PairRanking::Classifier, Some(classifier)) = (sweep.pairs.ranking, self.classifier(sweep)) {
             self.score(classifier, scene, &mut candidates)?;
         }
         // The sort is stable, and pairs come in the order of their tracks: equal scores keep a fixed order.
@@ -71,7 +70,6 @@ impl Generator<'_> {
         let collator = Collator { max_lanes: 0, sight: None, ..self.spec().sampling_collator() };
         let batch = collator.collate(&views, FutureValidity::Everything, self.device)?;
         let agents: Vec<(usize, usize)> = candidates.iter().map(|pair| pair.agents).collect();
-        let network = classifier.network.of_noisy_states()?;
         let features = classifier.spec.features(&batch, &slots(&batch, &agents)?)?;
         let sigma = Tensor::full(RANKING_SIGMA, candidates.len(), self.device)?.to_dtype(batch.x0.dtype())?;
         let mut total = vec![0.0; candidates.len()];
@@ -79,7 +77,7 @@ impl Generator<'_> {
             // All pairs of a scene see the same noise, so that it does not decide between them.
             let seed = self.seed().derive_named("ranking", &scene.id.0).derive("draw", &[draw]);
             let noise = NoiseSource::new(vec![seed; candidates.len()]).draw_like(&batch.x0)?;
-            let logits = network.logits(&features, &(noise * RANKING_SIGMA)?, &sigma)?;
+            let logits = classifier.network.logits(&features, &(noise * RANKING_SIGMA)?, &sigma)?;
             for (total, logit) in total.iter_mut().zip(logits.to_dtype(DType::F64)?.to_vec1::<f64>()?) {
                 *total += logit;
             }

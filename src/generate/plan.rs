@@ -212,9 +212,6 @@ impl Generator<'_> {
         let candidates = self.candidates(sweep, behavior, &scene)?;
         let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
         let score = *score;
-        if sweep.asks_anybody() {
-            return Ok(Some(RankedScene { score, cells: vec![listed.cell(Roles::default())] }));
-        }
         let asked = candidates.into_iter().take(sweep.pairs.per_scene);
         let cells = asked.map(|pair| {
             let targets = self.targets(sweep, &scene_id, &pair);

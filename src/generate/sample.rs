@@ -154,8 +154,6 @@ impl Generator<'_> {
             }
             return batches;
         }
-        // The particles of a group share a batch.
-        let batch_size = batch_size - batch_size % sweep.group_size();
         for members in order.chunks((batch_size / n_samples).max(1)) {
             for first in (0..n_samples).step_by(batch_size) {
                 batches.push((members.to_vec(), first..n_samples.min(first + batch_size)));

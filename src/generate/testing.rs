@@ -8,7 +8,7 @@ use crate::geometry::Vec2;
 use crate::guidance::testing::{denoiser_spec, scene};
 use crate::metrics::MetricSettings;
 use crate::model::{
-    BehaviorClassifierConfig, ClassifierInput, ClassifierKind, ClassifierSpec, DenoiserSpec, ModelSpec, SceneDenoiser,
+    BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec, ModelSpec, SceneDenoiser,
     TrainedClassifier, TrainedDenoiser,
 };
 use crate::nn::{Compute, Params};
@@ -102,7 +102,6 @@ pub(super) fn classifier() -> TrainedClassifier {
     let denoiser = denoiser_spec(StateParametrization::Residual);
     let spec = ClassifierSpec {
         kind: ClassifierKind::BehaviorClassifier,
-        input: ClassifierInput::default(),
         behavior: "drift".to_owned(),
         roles: vec!["ego".to_owned(), "other".to_owned()],
         network: BehaviorClassifierConfig::default(),
@@ -120,13 +119,6 @@ pub(super) fn classifier() -> TrainedClassifier {
     };
     let classifier = spec.build(&mut Params::new(&Compute::cpu()).frozen(), Seed(2)).unwrap();
     TrainedClassifier { network: classifier, spec, fingerprint: "classifier".to_owned() }
-}
-
-/// One of clean futures, as little trained.
-pub(super) fn classifier_of_estimates() -> TrainedClassifier {
-    let spec = ClassifierSpec { input: ClassifierInput::CleanEstimate, ..classifier().spec };
-    let network = spec.build(&mut Params::new(&Compute::cpu()).frozen(), Seed(2)).unwrap();
-    TrainedClassifier { network, spec, fingerprint: "of estimates".to_owned() }
 }
 
 pub(super) fn config(toml: &str) -> GenerateConfig {

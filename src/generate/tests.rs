@@ -2,7 +2,6 @@
 
 mod combined;
 mod guidance;
-mod steering;
 
 use super::testing::*;
 use super::*;
@@ -180,10 +179,9 @@ fn configurations_that_make_no_sense_are_refused() {
         (sweep("strenghts = [1.0]"), "strenghts"),
         (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
         (sweep("model = 'distilled'"), "expects a denoiser that predicts means"),
-        (format!("sampler = {{ kind = 'consistency', levels = [] }}\n{}", sweep("")), "an ordinary denoiser"),
         (
             format!(
-                "sampler = {{ kind = 'consistency', levels = [] }}\n{}",
+                "sampler = {{ kind = 'euler', n_steps = 2 }}\n{}",
                 sweep(
                     "model = 'distilled'\nstrengths = [1.0]\nobjectives = [{ kind = 'target_speed', speed_mps = 5.0 }]\n\
                      objective_guidance = { gradient = 'through_network' }"
@@ -224,21 +222,6 @@ fn models_must_fit_each_other_and_the_sweeps() {
     let mut foreign = classifier();
     foreign.spec.normalizer.lateral_unit_m *= 1.01;
     assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("different normalization"));
-    // A classifier of clean futures sees meters, whatever the scales, and no noisy states.
-    let with = |rest: &str| SWEEPS.replace("behavior = 'drift'", &format!("behavior = 'drift'\n{rest}"));
-    let clean = |toml: &str| {
-        let mut clean = classifier_of_estimates();
-        clean.spec.normalizer.lateral_unit_m *= 1.01;
-        refusal(toml, &[clean])
-    };
-    assert_eq!(clean(&with("classifier_input = 'clean_estimate'")), None);
-    assert_eq!(clean(&SWEEPS.replace("[0.0, 3.0]", "[0.0]")), None);
-    assert!(clean(SWEEPS).unwrap().contains("set classifier_input = \"clean_estimate\""));
-    let any_pair = clean(&with("classifier_input = 'clean_estimate'\nclassifier_scope = 'any_pair'"));
-    assert!(any_pair.unwrap().contains("classifier_scope is \"any_pair\", which needs a classifier of noisy states"));
-    let mut slower = classifier_of_estimates();
-    slower.spec.dt_s *= 2.0;
-    assert!(refusal(SWEEPS, &[slower]).unwrap().contains("different timestep"));
 }
 
 #[test]
@@ -256,13 +239,10 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     let euler = |last: f64| {
         format!("sampler = {{ kind = 'euler', n_steps = 2, grid = {{ sigma_max = 30, sigma_min = {last} }} }}")
     };
-    let jumps = "sampler = { kind = 'consistency', levels = [2.0] }";
     assert_eq!(refusal(steps(), &euler(2.0)), None);
-    assert_eq!(refusal(Some(Distillation::Consistency), jumps), None);
     for (distillation, sampler, part) in [
         (steps(), euler(3.0), "[30.0, 2.0, 0.0], the sweep through [30.0, 3.0, 0.0]"),
-        (steps(), jumps.to_owned(), "kind = \"euler\""),
-        (Some(Distillation::Consistency), euler(2.0), "kind = \"consistency\""),
+        (None, euler(2.0), "train.distill.checkpoint is an ordinary denoiser"),
     ] {
         let message = refusal(distillation, &sampler).unwrap();
         assert!(message.contains("sweep a") && message.contains(part), "{message}");

@@ -9,6 +9,9 @@ use candle_core::{Error, Result, Tensor, Var};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// What an evaluation of the network with its derivative counts as, in evaluations without: 2.5 of them were measured.
+pub const EVALUATIONS_PER_GRADIENT: usize = 3;
+
 /// A log potential of clean samples.
 pub trait CleanPotential {
     /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by row.

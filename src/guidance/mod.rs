@@ -3,18 +3,14 @@
 //! One objective a file. All share one sign convention: potentials are maximized.
 
 mod agent_selector;
-mod any_pair;
 mod classifier;
 mod classifier_free;
 mod clean_guided_denoiser;
 mod estimate_potential;
-mod future_guidance;
 mod guided_denoiser;
 mod lane_ways;
 mod mask_change;
-mod noise_optimization;
 mod objectives;
-mod particles;
 mod road_corridors;
 mod scene_context;
 #[cfg(test)]
@@ -26,23 +22,19 @@ mod tests;
 mod turning_way;
 
 pub use agent_selector::AgentSelector;
-pub use any_pair::AnyPairGuidance;
 pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{
-    CleanGradient, CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum,
+    CleanGradient, CleanGuidedDenoiser, CleanPotential, EVALUATIONS_PER_GRADIENT, ObjectiveGuidanceConfig, ObjectiveSum,
 };
 pub use estimate_potential::EstimatePotential;
-pub use future_guidance::FutureGuidance;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
-pub use noise_optimization::{EVALUATIONS_PER_GRADIENT, MOST_STEPS, NoiseOptimizationConfig};
 pub use objectives::{
-    AccelerationLimit, AdversarialTtc, Collision, CrossAhead, CutIn, CutOut, Goal, GoalFrame, HardBrake, KeepDistance,
-    LaneChange, NearMiss, NoCollision, ObjectiveConfig, PedestrianStepsOut, RoadPoints, SceneObjective, Side,
-    SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, Tailgating, TargetSpeed, Turn, WrongWay,
+    AccelerationLimit, Collision, CrossAhead, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, LaneChange, NoCollision,
+    ObjectiveConfig, RoadPoints, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+    Turn, WrongWay,
 };
-pub use particles::{ParticleConfig, Particles};
 pub use scene_context::{ContextRow, SceneContext, Target};
 
 use candle_core::{Result, Tensor};

@@ -1,12 +1,11 @@
 //! What the checkpoint of a behavior classifier says, beside the weights.
 
-use super::{BehaviorClassifier, BehaviorClassifierConfig, FutureClassifier, ModelSpec, TrainedModel};
+use super::{BehaviorClassifier, BehaviorClassifierConfig, ModelSpec, TrainedModel};
 use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, PairFeatures, SceneBatch};
-use candle_core::{Result, bail};
-use schemars::JsonSchema;
+use candle_core::Result;
 use serde::{Deserialize, Serialize};
 
 /// What a classifier is, beside its weights.
@@ -15,9 +14,6 @@ use serde::{Deserialize, Serialize};
 pub struct ClassifierSpec {
     /// Says that this is a behavior classifier, to readers of the file.
     pub kind: ClassifierKind,
-    /// What it sees. Checkpoints of classifiers of noisy states do not say it.
-    #[serde(default, skip_serializing_if = "ClassifierInput::is_noisy")]
-    pub input: ClassifierInput,
     /// Name of the behavior.
     pub behavior: String,
     /// The roles of the pair: one or two, in the behavior's order.
@@ -56,59 +52,8 @@ pub enum ClassifierKind {
     BehaviorClassifier,
 }
 
-/// What a classifier of a behavior sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ClassifierInput {
-    /// The diffused states of the pair with their noise, at every noise level (paper, section 5.2).
-    #[default]
-    NoisyStates,
-    /// The pair's clean future: in sampling the denoiser's estimate of it, in meters, as objectives see it.
-    CleanEstimate,
-}
-
-impl ClassifierInput {
-    /// Whether these are the paper's noisy states, which files need not name.
-    pub const fn is_noisy(&self) -> bool {
-        matches!(self, Self::NoisyStates)
-    }
-}
-
-/// The network of a classifier.
-#[derive(Debug, Clone)]
-pub enum ClassifierNetwork {
-    /// Of noisy states.
-    NoisyStates(BehaviorClassifier),
-    /// Of clean futures.
-    CleanEstimate(FutureClassifier),
-}
-
-impl ClassifierNetwork {
-    /// The classifier of noisy states.
-    ///
-    /// # Errors
-    /// When it sees clean futures.
-    pub fn of_noisy_states(&self) -> Result<&BehaviorClassifier> {
-        match self {
-            Self::NoisyStates(classifier) => Ok(classifier),
-            Self::CleanEstimate(_) => bail!("the classifier was trained on clean estimates, not on noisy states"),
-        }
-    }
-
-    /// The classifier of clean futures.
-    ///
-    /// # Errors
-    /// When it sees noisy states.
-    pub fn of_clean_futures(&self) -> Result<&FutureClassifier> {
-        match self {
-            Self::CleanEstimate(classifier) => Ok(classifier),
-            Self::NoisyStates(_) => bail!("the classifier was trained on noisy states, not on clean estimates"),
-        }
-    }
-}
-
 impl ClassifierSpec {
-    /// What a classifier of noisy states sees of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
+    /// What the classifier sees of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
     ///
     /// # Errors
     /// Fails when there is not one pair a row or a place lies outside the agent axis.
@@ -118,19 +63,11 @@ impl ClassifierSpec {
 }
 
 impl ModelSpec for ClassifierSpec {
-    type Network = ClassifierNetwork;
+    type Network = BehaviorClassifier;
 
-    fn build(&self, params: &mut Params, seed: Seed) -> Result<ClassifierNetwork> {
-        let (network, state_dim) = (&self.network, self.normalizer.state_dim);
-        Ok(match self.input {
-            ClassifierInput::NoisyStates => {
-                let classifier = BehaviorClassifier::new(params, network, self.n_timesteps, state_dim, self.edm, seed)?;
-                ClassifierNetwork::NoisyStates(classifier)
-            }
-            ClassifierInput::CleanEstimate => {
-                ClassifierNetwork::CleanEstimate(FutureClassifier::new(params, network, seed)?)
-            }
-        })
+    fn build(&self, params: &mut Params, seed: Seed) -> Result<BehaviorClassifier> {
+        let state_dim = self.normalizer.state_dim;
+        BehaviorClassifier::new(params, &self.network, self.n_timesteps, state_dim, self.edm, seed)
     }
 }
 

@@ -122,8 +122,6 @@ impl SceneChange {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Distillation {
-    /// Its answer is where the probability-flow equation ends, from any noise level.
-    Consistency,
     /// Its answer leads to the next of these noise levels in one Euler step.
     Steps {
         /// The noise levels at which it can be asked, and 0.

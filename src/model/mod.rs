@@ -6,7 +6,6 @@ mod denoiser_checkpoint;
 mod event_input;
 #[cfg(test)]
 mod event_tests;
-mod future_classifier;
 mod geometric_network;
 #[cfg(test)]
 mod geometric_tests;
@@ -25,13 +24,10 @@ mod trained;
 mod trunk;
 
 pub use behavior_classifier::{BehaviorClassifier, BehaviorClassifierConfig, log_sigmoid};
-pub use classifier_checkpoint::{
-    ClassifierInput, ClassifierKind, ClassifierNetwork, ClassifierSpec, TrainedClassifier,
-};
+pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifier};
 pub use denoiser_checkpoint::{
     ChangedLoss, DenoiserKind, DenoiserSpec, Distillation, PlaceLoss, SceneChange, TrainedDenoiser,
 };
-pub use future_classifier::FutureClassifier;
 pub use memory::{NumberCounts, SceneSize};
 pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};

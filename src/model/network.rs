@@ -225,6 +225,6 @@ impl SceneNetwork {
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
         let hidden = self.input_out.forward_valid(&hidden, valid)?;
         let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes, None)?;
-        self.output.forward_valid(&self.norm_out.forward_for_products(&h)?, &known.read)
+        self.output.forward_valid(&self.norm_out.forward(&h)?, &known.read)
     }
 }

@@ -152,7 +152,7 @@ impl Trunk {
         let mut lane_keys = lanes.keys.iter();
         let n_layers = self.layers.len();
         for (i, layer) in self.layers.iter().enumerate() {
-            let normed = layer.norm_mix.forward_for_products(&h)?;
+            let normed = layer.norm_mix.forward(&h)?;
             let mixed = match (&layer.mixing, lane_keys.as_slice().first()) {
                 (Mixing::Own(attention, axis), _) => match frames.filter(|_| *axis == Axis::Agent) {
                     Some(frames) => attention.forward_in_frames(&normed, valid, frames)?,
@@ -174,7 +174,7 @@ impl Trunk {
                 (Mixing::Map(_), None) => candle_core::bail!("the known inputs were encoded by another network"),
             };
             h = (h + mixed)?;
-            let normed = layer.norm_feed.forward_for_products(&h)?;
+            let normed = layer.norm_feed.forward(&h)?;
             let fed = if i + 1 == n_layers { read } else { valid };
             h = (&h + layer.feed_forward.forward_valid(&normed, fed)?)?;
         }

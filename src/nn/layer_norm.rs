@@ -4,7 +4,6 @@ use candle_core::{Result, Tensor};
 
 use super::ops;
 use super::params::{Init, Scope};
-use super::precision::Precision;
 
 /// Added to the variance, as in `torch.nn.LayerNorm`.
 const EPSILON: f64 = 1e-5;
@@ -14,7 +13,6 @@ const EPSILON: f64 = 1e-5;
 pub struct LayerNorm {
     weight: Tensor,
     bias: Tensor,
-    precision: Precision,
 }
 
 impl LayerNorm {
@@ -27,7 +25,6 @@ impl LayerNorm {
         Ok(Self {
             weight: scope.tensor("weight", &[dim], Init::Ones)?,
             bias: scope.tensor("bias", &[dim], Init::Zeros)?,
-            precision: scope.precision(),
         })
     }
 
@@ -36,15 +33,6 @@ impl LayerNorm {
     /// # Errors
     /// When the last dimension is not `dim`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        ops::layer_norm(x, &self.weight, &self.bias, EPSILON, Precision::F32)
-    }
-
-    /// As [`forward`](Self::forward), but in the precision of the factors of linear maps, which alone may read the
-    /// result.
-    ///
-    /// # Errors
-    /// When the last dimension is not `dim`.
-    pub fn forward_for_products(&self, x: &Tensor) -> Result<Tensor> {
-        ops::layer_norm(x, &self.weight, &self.bias, EPSILON, self.precision)
+        ops::layer_norm(x, &self.weight, &self.bias, EPSILON)
     }
 }

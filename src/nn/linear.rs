@@ -35,7 +35,7 @@ impl Linear {
         self.apply(x, Activation::None, None)
     }
 
-    /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`). Only other linear maps may read the result.
+    /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`).
     ///
     /// # Errors
     /// When the last dimension is not `n_in`.

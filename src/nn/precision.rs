@@ -16,11 +16,9 @@ pub enum Precision {
     /// 24 bits.
     #[default]
     F32,
-    /// Factors truncated to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere. Processors truncate in software,
-    /// which is slower.
+    /// Factors truncated to 11 bits, sums in `f32`: tensor cores of GPUs since Ampere.
     Tf32,
-    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs, and processors with AVX-512 BF16.
-    /// Other processors round in software, which is slower.
+    /// Factors and results rounded to 8 bits, sums in `f32`: tensor cores of GPUs.
     Bf16,
 }
 
@@ -50,7 +48,7 @@ impl Precision {
     /// When the device fails.
     pub(super) fn factor(self, x: &Tensor) -> Result<Tensor> {
         match self {
-            // The device and the fused products truncate for tensor cores.
+            // The device truncates for tensor cores.
             Self::F32 | Self::Tf32 => Ok(x.clone()),
             Self::Bf16 => x.to_dtype(DType::BF16),
         }

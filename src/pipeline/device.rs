@@ -2,7 +2,7 @@
 
 use super::failure::{Failure, Result};
 use crate::nn::{Compute, Precision};
-use crate::settings::Unreadable;
+use crate::settings::{self, Issue, Unreadable};
 use candle_core::Device;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -105,18 +105,36 @@ impl ComputeChoice {
     /// The device, ready to compute.
     ///
     /// # Errors
-    /// As [`DeviceChoice::open`].
+    /// As [`DeviceChoice::open`], and when the device has no products of this precision.
     pub fn open(self) -> Result<Compute> {
+        self.check().map_err(|issue| Failure::input(issue.within("run")))?;
         Ok(Compute { device: self.device.open()?, precision: self.precision })
     }
 }
 
 impl ComputeChoice {
+    /// Refuses precisions that only tensor cores of GPUs have.
+    ///
+    /// # Errors
+    /// Names the setting.
+    pub fn check(self) -> settings::Result {
+        match (self.device, self.precision) {
+            (DeviceChoice::Cpu, Precision::Tf32 | Precision::Bf16) => Err(Issue::new(
+                "precision",
+                format_args!(
+                    "is \"{}\", which needs the tensor cores of a GPU: set run.device = \"cuda\", or run.precision = \"f32\"",
+                    self.precision
+                ),
+            )),
+            _ => Ok(()),
+        }
+    }
+
     /// What decides the last digits of results: the kind of device and the precision of products. The kind of a
     /// processor is its widest vector instructions, the kind of a GPU its model as listed by the driver.
     pub fn class(self) -> String {
         let kind = match self.device {
-            DeviceChoice::Cpu => processor_class(self.precision),
+            DeviceChoice::Cpu => processor_class(),
             DeviceChoice::Cuda(_) => gpu_class(Path::new("/proc/driver/nvidia/gpus")),
         };
         format!("{kind}, {}", self.precision)
@@ -124,19 +142,18 @@ impl ComputeChoice {
 }
 
 #[cfg(target_arch = "x86_64")]
-fn processor_class(precision: Precision) -> String {
+fn processor_class() -> String {
     use std::arch::is_x86_feature_detected;
     let vectors = match () {
         () if is_x86_feature_detected!("avx512f") => "-v4",
         () if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") => "-v3",
         () => "",
     };
-    let rounds = if precision == Precision::Bf16 && is_x86_feature_detected!("avx512bf16") { " with bf16" } else { "" };
-    format!("cpu x86-64{vectors}{rounds}")
+    format!("cpu x86-64{vectors}")
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-fn processor_class(_precision: Precision) -> String {
+fn processor_class() -> String {
     format!("cpu {}", std::env::consts::ARCH)
 }
 

@@ -274,14 +274,6 @@ impl Progress for Named<'_> {
     }
 }
 
-/// Takes part in a stage that another process runs, and writes nothing.
-pub(super) fn assist(planned: &PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
-    let (stage, id) = (planned.stage.as_ref(), planned.stage.id());
-    let named = Named { stage: id, inner: context.progress };
-    let run = || check_inputs(stage).and_then(|()| stage.run(&StageContext { progress: &named, ..*context }));
-    run().map(drop).map_err(|failure| failure.of_stage(id))
-}
-
 fn run_stage(
     stage: &dyn Stage,
     expected: StageRecord,

@@ -6,7 +6,6 @@ use super::run::{RunFolder, TIMINGS_FILE, run_stages};
 use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::files::write_atomically;
 use crate::progress::Progress;
-use crate::train::Alone;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::Write;
@@ -134,7 +133,7 @@ impl Pipeline<'_> {
         let outcome = RunFolder::open(self.root).and_then(|folder| {
             let planned = plan(self.root, stages, self.redo)?;
             actions.extend(planned.iter().map(|stage| stage.action.clone()));
-            run_stages(&folder, None, ComputeChoice::default(), planned, &self.heard, &Alone).map(drop)
+            run_stages(&folder, None, ComputeChoice::default(), planned, &self.heard).map(drop)
         });
         (actions, ran.into_inner(), outcome)
     }

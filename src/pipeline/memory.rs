@@ -46,10 +46,8 @@ impl StageMemory {
         Self { stage, fixed, per_row: NUMBER * TRAINED_RESULTS * counts.activations, batch_size, scene }
     }
 
-    /// `n_kept` is the number of evaluations whose results are kept for a derivative; 0 without any.
-    fn sampled(counts: NumberCounts, batch_size: usize, scene: SceneSize, n_kept: usize) -> Self {
-        let kept = TRAINED_RESULTS * counts.activations * n_kept as f64;
-        let (fixed, per_row) = (BASE + NUMBER * counts.parameters, NUMBER * counts.alive.max(kept));
+    fn sampled(counts: NumberCounts, batch_size: usize, scene: SceneSize) -> Self {
+        let (fixed, per_row) = (BASE + NUMBER * counts.parameters, NUMBER * counts.alive);
         Self { stage: StageId::Generate, fixed, per_row, batch_size, scene }
     }
 
@@ -161,12 +159,7 @@ impl<'a> Sizes<'a> {
             },
             StageId::Generate => match &self.config.generate {
                 Some(section) => self.denoiser()?.map(|(network, scene)| {
-                    StageMemory::sampled(
-                        network.number_counts(scene),
-                        section.batch_size,
-                        scene,
-                        section.n_differentiated(),
-                    )
+                    StageMemory::sampled(network.number_counts(scene), section.batch_size, scene)
                 }),
                 None => None,
             },
@@ -314,24 +307,6 @@ mod tests {
         assert!(check(&text(fits), 8 << 30).is_ok() && check(&text(fits + 1), 8 << 30).is_err(), "{hint}");
         let failure = check(&text(1), 100 << 20).unwrap_err();
         assert!(failure.hint.unwrap().contains("not even a batch of one fits"));
-    }
-
-    #[test]
-    fn results_that_wait_for_a_derivative_count() {
-        let text = |optimization: &str| {
-            format!(
-                "[train.denoiser]\npreset = 'tiny'\n[generate]\n[[generate.sweeps]]\nname = 'plain'\nn_scenes = 1
-                objectives = [{{ kind = 'target_speed', speed_mps = 2.0 }}]\nstrengths = [1.0]
-                sampler = {{ kind = 'euler', n_steps = 2 }}\n{optimization}"
-            )
-        };
-        let takes = |optimization: &str| {
-            let config = config(&text(optimization));
-            let stages = [StageId::Generate];
-            estimate_memory(&config, &Layout::below(Path::new("/nowhere")), &stages).unwrap()[0].per_row
-        };
-        let (plain, differentiated) = (takes(""), takes("noise_optimization = {}"));
-        assert!(differentiated > 2.0 * plain, "{plain} and {differentiated} bytes a row");
     }
 
     #[test]

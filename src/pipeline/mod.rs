@@ -2,7 +2,7 @@
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
 //! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`parts`] lets several processes work on one
-//! stage, [`ranks`] several train one model, [`cluster`] hands them to an engine, [`status`] tells how far they are. Only this module (and the command line) uses `anyhow`.
+//! stage, [`cluster`] hands them to an engine, [`status`] tells how far they are. Only this module (and the command line) uses `anyhow`.
 
 mod claim;
 mod clock;
@@ -24,7 +24,6 @@ mod log;
 pub mod memory;
 mod older;
 pub mod parts;
-pub mod ranks;
 mod record;
 pub mod regenerate;
 pub mod run;

@@ -18,7 +18,6 @@ use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{read_json, write_atomically, write_json_atomically};
-use crate::train::Exchange;
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -100,15 +99,13 @@ pub struct StageTiming {
 }
 
 /// Runs planned stages in a folder, keeping its log and timings; with `config`, also its configuration and manifest.
-/// The stages must have been planned while the folder was open, so that no other process changed it since. `exchange` leads to the other
-/// ranks of a training.
+/// The stages must have been planned while the folder was open, so that no other process changed it since.
 pub fn run_stages(
     folder: &RunFolder,
     config: Option<&PipelineConfig>,
     compute: ComputeChoice,
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
-    exchange: &dyn Exchange,
 ) -> Result<Vec<StageRecord>> {
     // A machine without the device may run what does without it.
     let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.expected.stage.computes());
@@ -140,7 +137,7 @@ pub fn run_stages(
     };
     save(None)?;
     let clock = RefCell::new(StageClock::open(root));
-    let context = StageContext { root, compute: &compute, progress: &logged, exchange };
+    let context = StageContext { root, compute: &compute, progress: &logged };
     let is_new = Cell::new(false);
     let mut after = |record: &StageRecord| {
         clock.borrow_mut().keep_times(record)?;

@@ -4,7 +4,6 @@ use super::failure::Result;
 use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::settings::Unreadable;
-use crate::train::Exchange;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -126,6 +125,4 @@ pub struct StageContext<'a> {
     pub compute: &'a Compute,
     /// Receives the progress.
     pub progress: &'a dyn Progress,
-    /// The other processes that train the same model, if there are any.
-    pub exchange: &'a dyn Exchange,
 }

@@ -12,8 +12,6 @@ use std::path::{Path, PathBuf};
 
 /// Version of the manifest and the folder: tables in partitions.
 pub(crate) const CORPUS_SCHEMA: &str = "corpus.v2";
-/// The version before: one file a table.
-const FLAT_SCHEMA: &str = "corpus.v1";
 
 /// Notes of the writer in the manifest.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -33,7 +31,6 @@ pub struct FileEntry {
     /// Where it is in the corpus, with `/` between folders.
     pub path: String,
     /// What its rows have in common.
-    #[serde(default)]
     pub partition: Partition,
     /// Number of rows.
     pub n_rows: u64,
@@ -81,10 +78,8 @@ pub struct CorpusManifest {
     /// How many of them are verified.
     pub n_verified: u64,
     /// How many of the verified ones are not in the recording already.
-    #[serde(default)]
     pub n_new: u64,
     /// Number of recorded scenes that the scenarios continue and whose tracks are in the corpus.
-    #[serde(default)]
     pub n_recordings: u64,
     /// Number of maps.
     pub n_maps: u64,
@@ -93,7 +88,6 @@ pub struct CorpusManifest {
     /// Number of scenarios by sweep.
     pub scenarios_by_sweep: BTreeMap<String, u64>,
     /// Number of scenarios by behavior and place, sorted.
-    #[serde(default)]
     pub scenarios_by_partition: Vec<PartitionCount>,
     /// The tables, by name.
     pub tables: BTreeMap<String, TableEntry>,
@@ -102,10 +96,8 @@ pub struct CorpusManifest {
     /// Other notes of the writer.
     pub notes: BTreeMap<String, String>,
     /// What tools did to it since a pipeline wrote it, one line each.
-    #[serde(default)]
     pub history: Vec<String>,
     /// Sweep → reason why samples are not in the corpus → how many; each sample counts for its first reason.
-    #[serde(default)]
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
@@ -130,8 +122,7 @@ impl CorpusManifest {
         }
     }
 
-    /// Reads the manifest of a corpus, without opening its tables. The manifest of a corpus with one file a table
-    /// (`corpus.v1`) is upgraded; what it lacks (partitions, recordings) is empty.
+    /// Reads the manifest of a corpus, without opening its tables.
     ///
     /// # Errors
     /// [`Error::NoCorpus`] when the folder is not a corpus, [`Error::Unfinished`] when its writer did not finish,
@@ -147,7 +138,6 @@ impl CorpusManifest {
         let value: Value = read_json(&path)?;
         match value.get("schema").and_then(Value::as_str).unwrap_or_default() {
             CORPUS_SCHEMA => serde_json::from_value(value).map_err(Error::json(&path)),
-            FLAT_SCHEMA => serde_json::from_value(value).map(FlatManifest::upgrade).map_err(Error::json(&path)),
             "" => Err(no_corpus(dir)),
             found => {
                 let (expected, found) = (CORPUS_SCHEMA.to_owned(), found.to_owned());
@@ -177,15 +167,14 @@ impl CorpusManifest {
     }
 }
 
-/// Whether a corpus was begun here: there is a partition of a table, or a table that was one file in `corpus.v1`. Files
-/// and folders called `metrics` or `lanes` do not count: run folders and other programs have them, too.
+/// Whether a corpus was begun here: there is a partition of a table. Files and
+/// folders called `metrics` or `lanes` do not count: run folders and other programs have them, too.
 fn is_begun(dir: &Path) -> bool {
     CorpusTable::ALL.into_iter().any(|table| {
         let Some(key) = table.keys().first() else { return false };
         let is_partition = |name: &str| name.split_once('=').is_some_and(|(found, _)| found == *key);
         let entries = fs_err::read_dir(dir.join(table.name())).into_iter().flatten().flatten();
-        dir.join(format!("{}.parquet", table.name())).is_file()
-            || entries.into_iter().any(|entry| is_partition(&entry.file_name().to_string_lossy()))
+        entries.into_iter().any(|entry| is_partition(&entry.file_name().to_string_lossy()))
     })
 }
 
@@ -193,50 +182,6 @@ fn is_begun(dir: &Path) -> bool {
 fn no_corpus(dir: &Path) -> Error {
     let inside = Some(dir.join("corpus")).filter(|inside: &PathBuf| inside.join(MANIFEST_FILE).is_file());
     Error::NoCorpus { dir: dir.to_owned(), inside }
-}
-
-/// A manifest of `corpus.v1`.
-#[derive(Deserialize)]
-struct FlatManifest {
-    n_scenarios: u64,
-    n_verified: u64,
-    n_maps: u64,
-    scenarios_by_dataset: BTreeMap<String, u64>,
-    scenarios_by_sweep: BTreeMap<String, u64>,
-    tables: BTreeMap<String, FlatTable>,
-    sources: BTreeMap<String, String>,
-    notes: BTreeMap<String, String>,
-}
-
-/// A table of `corpus.v1`.
-#[derive(Deserialize)]
-struct FlatTable {
-    schema: String,
-    n_rows: u64,
-    stamp: FileStamp,
-}
-
-impl FlatManifest {
-    fn upgrade(self) -> CorpusManifest {
-        let table = |(path, FlatTable { schema, n_rows, stamp }): (String, FlatTable)| {
-            let name = path.trim_end_matches(".parquet").to_owned();
-            let n_bytes = stamp.n_bytes;
-            let files = vec![FileEntry { path, partition: Partition::default(), n_rows, stamp }];
-            (name, TableEntry { schema, n_rows, n_bytes, partitioned_by: Vec::new(), files })
-        };
-        CorpusManifest {
-            schema: FLAT_SCHEMA.to_owned(),
-            n_scenarios: self.n_scenarios,
-            n_verified: self.n_verified,
-            n_maps: self.n_maps,
-            scenarios_by_dataset: self.scenarios_by_dataset,
-            scenarios_by_sweep: self.scenarios_by_sweep,
-            tables: self.tables.into_iter().map(table).collect(),
-            sources: self.sources,
-            notes: self.notes,
-            ..CorpusManifest::empty()
-        }
-    }
 }
 
 #[cfg(test)]
@@ -261,12 +206,5 @@ mod tests {
         assert!(told.ends_with(&format!("the corpus in it is {}", inside.display())), "{told}");
         make("tracks/behavior=cut_in");
         assert!(matches!(why(), Error::Unfinished { .. }));
-    }
-
-    #[test]
-    fn a_corpus_of_single_files_without_a_manifest_is_unfinished() {
-        let dir = tempfile::tempdir().unwrap();
-        fs_err::write(dir.path().join("scenarios.parquet"), "").unwrap();
-        assert!(matches!(CorpusManifest::read(dir.path()), Err(Error::Unfinished { .. })));
     }
 }

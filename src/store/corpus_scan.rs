@@ -173,7 +173,7 @@ impl CorpusScan {
 pub(crate) struct PartBatches {
     path: PathBuf,
     batches: Batches,
-    /// Columns in the name of the folder, with their values. Files of earlier versions contain them, too.
+    /// Columns in the name of the folder, with their values.
     keys: Vec<(&'static str, String)>,
     /// All columns in their order; `None` if only some are read.
     schema: Option<TableSchema>,

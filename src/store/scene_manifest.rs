@@ -102,7 +102,7 @@ impl SceneManifest {
         let value: Value = read_json(&path)?;
         for (key, schema) in [("scene_schema", scene::schema()), ("lane_schema", lane::schema())] {
             let found = value.get(key).and_then(Value::as_str).unwrap_or_default();
-            if schema.readable_version(found).is_none() {
+            if found != schema.id() {
                 return Err(Error::SchemaVersion { path, expected: schema.id(), found: found.to_owned() });
             }
         }

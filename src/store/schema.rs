@@ -1,9 +1,10 @@
 //! The schemas of our tables: columns with unit and frame, and versions.
 
 use super::{Error, Result, tables};
-use arrow::array::{RecordBatch, new_null_array};
+use arrow::array::RecordBatch;
 use arrow::compute::cast;
 use arrow::datatypes::{DataType, Field, FieldRef, Fields, Schema, SchemaRef};
+use arrow::error::ArrowError;
 use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
@@ -84,54 +85,31 @@ impl TableSchema {
         self.fields.iter().any(|field| field.name() == name)
     }
 
-    /// The oldest version whose files are still read. A newer column is read as missing from such files, so it must be
-    /// nullable; if it is not, raise this version.
-    pub fn oldest_readable(&self) -> u32 {
-        match self.name {
-            "scene" | "metric" | "verdict" => 1,
-            "scenario" => 2,
-            _ => self.version,
-        }
-    }
-
-    /// The version in `id` (such as `scene.v2`), if it is a readable version of this table.
-    pub fn readable_version(&self, id: &str) -> Option<u32> {
-        let version = id.strip_prefix(self.name)?.strip_prefix(".v")?.parse().ok()?;
-        (self.oldest_readable()..=self.version).contains(&version).then_some(version)
-    }
-
-    /// Checks that `found`, read from `path`, is this schema in a version that can be read.
+    /// Checks that `found`, read from `path`, is this schema in this version.
     ///
     /// # Errors
     /// [`Error::SchemaVersion`] when the file names another schema or none, [`Error::Corrupt`] when it names this
     /// schema but has other columns.
     pub(crate) fn check(&self, path: &Path, found: &Schema) -> Result<()> {
         let found_id = found.metadata().get(SCHEMA_KEY).map_or("", |id| id.as_str());
-        let Some(version) = self.readable_version(found_id) else {
-            return Err(Error::SchemaVersion {
-                path: path.to_owned(),
-                expected: self.id(),
-                found: found_id.to_owned(),
-            });
-        };
+        if found_id != self.id() {
+            let (expected, found) = (self.id(), found_id.to_owned());
+            return Err(Error::SchemaVersion { path: path.to_owned(), expected, found });
+        }
         for field in &self.fields {
             let other = found.fields().iter().find(|other| other.name() == field.name());
-            let fits = match other {
-                Some(other) => other.data_type().equals_datatype(field.data_type()),
-                None => version < self.version && field.is_nullable(),
-            };
-            if !fits {
+            if !other.is_some_and(|other| other.data_type().equals_datatype(field.data_type())) {
                 return Err(Error::corrupt(path, format!("column {} is missing or has another type", field.name())));
             }
         }
         Ok(())
     }
 
-    /// The batch with the columns of this version in their order, then its open columns; columns newer than its file
-    /// are missing in every row. Call it on batches whose schema passed [`check`](Self::check).
+    /// The batch with the columns in their order and with their descriptions, then its open columns. Call it on batches
+    /// whose schema passed [`check`](Self::check).
     ///
     /// # Errors
-    /// [`Error::Corrupt`] when a required column is missing.
+    /// [`Error::Corrupt`] when a column is missing.
     pub(crate) fn conform(&self, path: &Path, batch: &RecordBatch) -> Result<RecordBatch> {
         let is_open = |field: &&FieldRef| !self.has(field.name());
         let open = || batch.schema_ref().fields().iter().filter(is_open);
@@ -140,7 +118,7 @@ impl TableSchema {
             Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
             // The same type with other descriptions of its members.
             Some(column) => cast(column, field.data_type()),
-            None => Ok(new_null_array(field.data_type(), batch.num_rows())),
+            None => Err(ArrowError::SchemaError(format!("column {} is missing", field.name()))),
         };
         let columns = schema.fields().iter().map(column).collect::<std::result::Result<Vec<_>, _>>();
         columns

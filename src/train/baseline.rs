@@ -6,8 +6,7 @@ use super::{Balance, BaselineTraining, Error, JointFuturesTask, TrainJob, TrainO
 use crate::model::{SceneTransformerKind, SceneTransformerSpec};
 
 /// Trains a Scene Transformer and writes it to `model.safetensors` in the job's folder. Scenes, masks and scales are
-/// drawn as for a denoiser: with the same seed and settings, they are the same. `None` on all ranks but the first,
-/// which writes the model.
+/// drawn as for a denoiser: with the same seed and settings, they are the same.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, or training fails.
@@ -15,7 +14,7 @@ pub fn train_baseline(
     training: &BaselineTraining,
     data: &TrainingData<'_>,
     job: TrainJob<'_>,
-) -> Result<Option<TrainOutcome<SceneTransformerSpec>>, Error> {
+) -> Result<TrainOutcome<SceneTransformerSpec>, Error> {
     let SceneConstants { normalizer, n_history, n_timesteps, dt_s } =
         SceneConstants::gather(data, training.parametrization, false, job)?;
     let spec = SceneTransformerSpec {
@@ -36,6 +35,6 @@ pub fn train_baseline(
     let draws = scenes.draws(false, None, job);
     let task =
         JointFuturesTask { network: &model.network, frozen: &model.frozen, mode_loss: training.mode_loss, draws };
-    let Some(outcome) = fit(&training.common.fit, &mut model.params, &task, job)? else { return Ok(None) };
-    model.finish(spec, outcome, job).map(Some)
+    let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
+    model.finish(spec, outcome, job)
 }

@@ -57,7 +57,6 @@ impl Default for BaselineTrainingConfig {
             n_eval_scenes: None,
             evaluate_every: None,
             save_every: None,
-            parts: None,
             checkpoint: None,
         }
     }

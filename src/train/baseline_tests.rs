@@ -1,6 +1,6 @@
 //! The joint loss has the values that it should have by hand, reaches every parameter, and finds both ways of a fork.
 
-use super::testing::{MadeScenes, ONLY_PREDICTIVE, assert_parts_agree, collator, draws_of_four, fork, job, one_source};
+use super::testing::{MadeScenes, ONLY_PREDICTIVE, collator, fork, job, one_source};
 use super::*;
 use crate::model::{JointFutures, SceneTransformer, SceneTransformerConfig, TrainedSceneTransformer};
 use crate::nn::testing::{assert_gradients, scalar};
@@ -8,7 +8,7 @@ use crate::nn::{Compute, Params};
 use crate::scene::Scene;
 use crate::scene::testing::{Drive, scene};
 use crate::seed::Seed;
-use crate::tensor::{FutureValidity, MaskSampler, SceneBatch, SceneTensors, StateParametrization, TaskWeights};
+use crate::tensor::{FutureValidity, SceneBatch, SceneTensors, StateParametrization};
 use candle_core::{Device, Tensor};
 
 /// Two cars: one drives on, and the other forks.
@@ -40,7 +40,7 @@ fn the_loss_is_that_of_the_best_future_by_hand() {
     };
     let x0 = Tensor::cat(&[moved(0, 1.0), moved(0, 2.0), moved(1, -3.0), moved(1, 0.0)], 0).unwrap();
     let logits = Tensor::new(&[[0.0f32, 3f32.ln()], [0.0, 3f32.ln()]], &Device::Cpu).unwrap();
-    let loss = JointLoss::new(&JointFutures { x0, logits }, &batch, None).unwrap();
+    let loss = JointLoss::new(&JointFutures { x0, logits }, &batch).unwrap();
     // Row 0: the first is best, √2 - 1, of probability 1/4. Row 1: the second, 0, of probability 3/4.
     assert!((scalar(&loss.regression) - (2f64.sqrt() - 1.0) / 2.0).abs() < 1e-4, "{}", loss.regression);
     assert!((scalar(&loss.mode) - (4f64.ln() + (4.0 / 3.0f64).ln()) / 2.0).abs() < 1e-5, "{}", loss.mode);
@@ -54,9 +54,9 @@ fn rows_without_hidden_states_do_not_count() {
     let partly = SceneBatch::new(SceneTensors { latent, ..SceneTensors::clone(&whole) }).unwrap();
     let x0 = (Tensor::ones((4, 2, 12, 3), candle_core::DType::F32, &Device::Cpu).unwrap() * 0.3).unwrap();
     let logits = Tensor::new(&[[0.5f32, 0.1], [9.0, -9.0]], &Device::Cpu).unwrap();
-    let found = JointLoss::new(&JointFutures { x0: x0.clone(), logits: logits.clone() }, &partly, None).unwrap();
+    let found = JointLoss::new(&JointFutures { x0: x0.clone(), logits: logits.clone() }, &partly).unwrap();
     let alone = JointFutures { x0: x0.narrow(0, 0, 2).unwrap(), logits: logits.narrow(0, 0, 1).unwrap() };
-    let expected = JointLoss::new(&alone, &batch(StateParametrization::Residual, 1), None).unwrap();
+    let expected = JointLoss::new(&alone, &batch(StateParametrization::Residual, 1)).unwrap();
     assert!((scalar(&found.regression) - scalar(&expected.regression)).abs() < 1e-5);
     assert!((scalar(&found.mode) - scalar(&expected.mode)).abs() < 1e-5);
 }
@@ -78,22 +78,8 @@ fn every_parameter_receives_a_gradient() {
     let mut params = Params::new(&Compute::cpu());
     let network = SceneTransformer::new(&mut params, &network(), 3, StateParametrization::Motion, Seed(1)).unwrap();
     let batch = batch(StateParametrization::Motion, 2);
-    let JointLoss { regression, mode } = JointLoss::new(&network.forward(&batch).unwrap(), &batch, None).unwrap();
+    let JointLoss { regression, mode } = JointLoss::new(&network.forward(&batch).unwrap(), &batch).unwrap();
     assert_gradients(&(regression + mode).unwrap(), &params, |_| true);
-}
-
-#[test]
-fn parts_of_a_batch_add_up_to_its_gradient() {
-    let mut params = Params::new(&Compute::cpu());
-    let network = &SceneTransformer::new(&mut params, &network(), 3, StateParametrization::Residual, Seed(1)).unwrap();
-    let dataset = forks(12);
-    let collator = collator(&dataset, StateParametrization::Residual);
-    // Rows with much to predict, and with nothing.
-    let masks = &MaskSampler::new(&TaskWeights::default()).unwrap();
-    let train = &[WeightedGroups::single((0..12).collect())];
-    let draws = SceneDraws { batch_size: 6, ..draws_of_four(&dataset, train, &collator, masks) };
-    let task = JointFuturesTask { network, frozen: network, mode_loss: 0.5, draws };
-    (0..3).for_each(|step| assert_parts_agree(&params, &task, step));
 }
 
 /// The loss of driving straight on: the best that a single future can do about a fork.
@@ -121,7 +107,7 @@ fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() 
     };
     let (dataset, dir) = (forks(40), tempfile::tempdir().unwrap());
     let data = one_source(&dataset);
-    let outcome = train_baseline(&config.resolve().unwrap(), &data, job(3, dir.path())).unwrap().unwrap();
+    let outcome = train_baseline(&config.resolve().unwrap(), &data, job(3, dir.path())).unwrap();
     let last = &outcome.statistics.last().unwrap().evaluation;
     let (error, bound) = (last["held_out_error_of_best"], straight_error());
     assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");

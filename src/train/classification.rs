@@ -1,53 +1,23 @@
 //! Training a behavior classifier: weighted cross-entropy on mined pairs.
 
-use super::{BatchPart, Error, Labels, NoiseLevelReport, TrainTask};
+use super::{Error, NoiseLevelReport, NoisyPairs, TrainTask};
 use crate::diffusion::rows_like;
-use crate::model::{ClassifierNetwork, log_sigmoid};
+use crate::model::{BehaviorClassifier, log_sigmoid};
 use crate::seed::Seed;
 use candle_core::{DType, Tensor};
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 /// The noise levels at which held-out figures are given, from fine detail to little more than the history.
 pub const REPORT_SIGMAS: [f64; 6] = [0.02, 0.1, 0.3, 1.0, 3.0, 10.0];
 
-/// Labeled pairs as a classifier is shown them.
-pub trait PairInputs: Sync {
-    /// Labels of the pairs to train on, of which there are both, and of the held-out pairs.
-    fn labels(&self) -> [&Labels; 2];
-
-    /// The logits (B) of these training pairs, each seen as its seed draws.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
-    fn training_logits(
-        &self,
-        classifier: &ClassifierNetwork,
-        pairs: &[usize],
-        seeds: Vec<Seed>,
-    ) -> Result<Tensor, Error>;
-
-    /// The logits (B) of held-out pairs at `level`, the index and value of one of [`REPORT_SIGMAS`], each seen as its seed draws.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
-    fn held_out_logits(
-        &self,
-        classifier: &ClassifierNetwork,
-        pairs: Range<usize>,
-        level: (usize, f64),
-        seeds: Vec<Seed>,
-    ) -> Result<Tensor, Error>;
-}
-
 /// Training of a classifier on pairs.
 pub struct ClassificationTask<'a> {
     /// The classifier with trainable parameters.
-    pub classifier: &'a ClassifierNetwork,
+    pub classifier: &'a BehaviorClassifier,
     /// The same parameters without gradients, for evaluation.
-    pub frozen: &'a ClassifierNetwork,
+    pub frozen: &'a BehaviorClassifier,
     /// The pairs.
-    pub inputs: &'a dyn PairInputs,
+    pub inputs: &'a NoisyPairs<'a>,
     /// How much more a positive pair counts than a negative one.
     pub pos_weight: f64,
     /// Pairs a step.
@@ -88,7 +58,7 @@ impl ClassificationTask<'_> {
                 let pairs = first..(first + self.batch_size).min(is_positive.len());
                 let seed = |i: usize| self.seed.derive("held-out", &[level as u64, i as u64]);
                 let seeds: Vec<Seed> = pairs.clone().map(seed).collect();
-                let chunk = self.inputs.held_out_logits(self.frozen, pairs, (level, sigma), seeds)?;
+                let chunk = self.inputs.held_out_logits(self.frozen, pairs, sigma, seeds)?;
                 logits.extend(chunk.to_dtype(DType::F64)?.to_vec1::<f64>()?);
             }
             Ok(NoiseLevelReport::new(sigma, &logits, is_positive, self.pos_weight))
@@ -98,15 +68,10 @@ impl ClassificationTask<'_> {
 }
 
 impl TrainTask for ClassificationTask<'_> {
-    fn batch_size(&self) -> usize {
-        self.batch_size
-    }
-
-    fn loss(&self, BatchPart { step, rows }: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
-        let (pairs, weights) = self.draw(*step);
-        let (pairs, weights) = (&pairs[rows.clone()], weights[rows.clone()].to_vec());
-        let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
-        let logits = self.inputs.training_logits(self.classifier, pairs, seeds)?;
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let (pairs, weights) = self.draw(step);
+        let seeds: Vec<Seed> = (0..self.batch_size).map(|row| self.seed.derive("row", &[step, row as u64])).collect();
+        let logits = self.inputs.training_logits(self.classifier, &pairs, seeds)?;
         // -ln p of the label: the sign of the logit is the label's.
         let is_positive = self.inputs.labels()[0].is_positive();
         let signs = pairs.iter().map(|i| if is_positive[*i] { 1.0 } else { -1.0 }).collect();

@@ -1,12 +1,12 @@
 //! Does the classifier learn what separates its examples, and does guidance by it push toward the behavior?
 
-use super::testing::{MadeScenes, assert_parts_agree, job};
+use super::testing::{MadeScenes, job};
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::diffusion::NoiseDistribution;
 use crate::guidance::testing::{N_HISTORY, denoiser_spec, is_positive, scene};
 use crate::guidance::{ClassifierGuidance, ClassifierPotential, Guidance, log_potential_gradient};
-use crate::model::{ClassifierInput, ClassifierSpec, DenoiserSpec, ModelSpec, TrainedClassifier, TrainedDenoiser};
+use crate::model::{DenoiserSpec, ModelSpec, TrainedClassifier};
 use crate::nn::testing::{scalar, values};
 use crate::nn::{Compute, Params};
 use crate::progress::{Progress, Silent};
@@ -46,23 +46,7 @@ fn examples(pairs: &[LabeledPair]) -> PairExamples {
     PairExamples::gather(&scenes(1000), pairs).unwrap()
 }
 
-/// A denoiser that has learned nothing.
-fn untrained(spec: DenoiserSpec) -> TrainedDenoiser {
-    let network = spec.build(&mut Params::new(&Compute::cpu()).frozen(), Seed(1)).unwrap();
-    TrainedDenoiser { network, spec, fingerprint: String::new() }
-}
-
 fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progress) -> Result<ClassifierReport, Error> {
-    train_with(ClassifierInput::NoisyStates, denoiser, steps, dir, progress)
-}
-
-fn train_with(
-    input: ClassifierInput,
-    denoiser: &DenoiserSpec,
-    steps: u64,
-    dir: &Path,
-    progress: &dyn Progress,
-) -> Result<ClassifierReport, Error> {
     let (train, held_out) = (pairs(0..240, 1000), pairs(240..400, 1000));
     let data = PairData {
         roles: vec!["ego".to_owned(), "other".to_owned()],
@@ -72,7 +56,6 @@ fn train_with(
         fingerprint: "events".to_owned(),
     };
     let config = ClassifierTrainingConfig {
-        input,
         seed: 4,
         steps,
         batch_size: 32,
@@ -82,7 +65,7 @@ fn train_with(
         ..ClassifierTrainingConfig::default()
     };
     let job = TrainJob { progress, ..job(4, dir) };
-    train_classifier(&config, &untrained(denoiser.clone()), &data, job).map(Option::unwrap)
+    train_classifier(&config, denoiser, &data, job)
 }
 
 #[test]
@@ -128,11 +111,8 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
             seed: Seed(6),
         };
         let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
-        let loss = scalar(&task.loss(&BatchPart::whole(0, 16), None).unwrap());
+        let loss = scalar(&task.loss(0).unwrap());
         assert!((loss - expected).abs() < 1e-5, "weight {pos_weight}: {loss}, expected {expected}");
-        let mut params = Params::new(&Compute::cpu());
-        let classifier = &spec.build(&mut params, Seed(1)).unwrap();
-        assert_parts_agree(&params, &ClassificationTask { classifier, ..task }, 0);
     }
 }
 
@@ -172,7 +152,7 @@ fn its_gradient_pushes_the_second_agent_toward_the_first() {
         let scenes = [401, 402, 403].map(|idx| Scene { ego_idx: 1, ..scene(idx) });
         let batch = denoiser.collator().predictive(&scenes.each_ref(), FutureValidity::Everything);
         let pairs = trained.spec.features(&batch, &[(1, 2); 3]).unwrap();
-        let classifier = trained.network.of_noisy_states().unwrap();
+        let classifier = &trained.network;
         let potential = ClassifierPotential::LogProbability;
         let guidance = ClassifierGuidance { classifier, pairs, potential };
         let sigma = Tensor::new(&[0.1f32; 3], &Device::Cpu).unwrap();
@@ -233,7 +213,7 @@ fn missing_examples_and_tracks_are_named() {
     };
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
-    let denoiser = untrained(denoiser_spec(StateParametrization::Residual));
+    let denoiser = denoiser_spec(StateParametrization::Residual);
     let error = train_classifier(&config, &denoiser, &data, job(0, dir.path())).unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 
@@ -242,24 +222,4 @@ fn missing_examples_and_tracks_are_named() {
     let mined = [MinedEvent { scene_idx: 1, event: &stranger }];
     let error = PairExamples::gather(&scenes(10), &LabeledPair::of_events(&mined, 10, Seed(0))).unwrap_err();
     assert!(error.to_string().contains("no track stranger"), "{error}");
-}
-
-#[test]
-fn clean_estimates_are_told_apart_the_same_way_every_time() {
-    let denoiser = denoiser_spec(StateParametrization::Motion);
-    let train = |dir: &Path| train_with(ClassifierInput::CleanEstimate, &denoiser, 120, dir, &Silent).unwrap();
-    let (dir, again) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let report = train(dir.path());
-    assert_eq!((report.spec.input, report.spec.n_positive), (ClassifierInput::CleanEstimate, 60));
-    assert_eq!(report.fingerprint, train(again.path()).fingerprint);
-    // An untrained denoiser returns what it is given where there is little noise, and nearly nothing where there is much.
-    let of = |level: usize| &report.by_noise_level[level];
-    assert!(of(0).auc.unwrap() > 0.97 && of(0).calibration_error.unwrap() < 0.15, "{:?}", of(0));
-    assert!(of(5).auc.unwrap() < of(0).auc.unwrap() - 0.1, "{:?}", of(5));
-    // The checkpoint says what it is; that of a classifier of noisy states reads as before.
-    let read = |dir: &Path| TrainedClassifier::read(&dir.join("model.safetensors"), &Compute::cpu()).unwrap();
-    let trained = read(dir.path());
-    assert!(trained.network.of_clean_futures().is_ok() && trained.network.of_noisy_states().is_err());
-    let noisy = serde_json::to_value(ClassifierSpec { input: ClassifierInput::NoisyStates, ..trained.spec }).unwrap();
-    assert_eq!(noisy.get("input"), None);
 }

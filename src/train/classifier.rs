@@ -2,14 +2,12 @@
 
 use super::section::{Own, training_section};
 use super::{
-    ClassificationTask, CleanPairs, Error, FitConfig, FitStatistics, LabeledPair, LearningRateDecay, NoiseLevelReport,
-    NoisyPairs, PairExamples, PairInputs, SceneDataset, TrainJob, TrainOutcome, Trainable, fit,
+    ClassificationTask, Error, FitConfig, FitStatistics, LabeledPair, LearningRateDecay, NoiseLevelReport, NoisyPairs,
+    PairExamples, SceneDataset, TrainJob, TrainOutcome, Trainable, fit,
 };
 use crate::diffusion::NoiseDistribution;
 use crate::files::write_atomically;
-use crate::model::{
-    BehaviorClassifierConfig, ClassifierInput, ClassifierKind, ClassifierSpec, DenoiserSpec, TrainedDenoiser,
-};
+use crate::model::{BehaviorClassifierConfig, ClassifierKind, ClassifierSpec, DenoiserSpec};
 use crate::seed::Seed;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -20,12 +18,6 @@ training_section! {
     pub struct ClassifierTrainingConfig in "train.classifier", each Own {
         /// Name of the behavior, which must be mined.
         pub behavior: String,
-        /// What the classifier sees: `noisy_states`, the paper's, or `clean_estimate`, for which it is trained on recorded
-        /// futures and the denoiser's estimates of them, with the sizes and lanes of the pair. The estimates are made before
-        /// the first step: three evaluations of the denoiser for each of `max_examples` and six for each of `max_held_out`,
-        /// which then take some 15 and 22 kilobytes of memory.
-        #[serde(skip_serializing_if = "ClassifierInput::is_noisy")]
-        pub input: ClassifierInput,
         /// The network.
         pub network: BehaviorClassifierConfig,
         /// Weight of a positive pair in the loss relative to a negative one. Left out: the number of negative pairs
@@ -49,7 +41,6 @@ impl Default for ClassifierTrainingConfig {
     fn default() -> Self {
         Self {
             behavior: "cut_in".to_owned(),
-            input: ClassifierInput::default(),
             network: BehaviorClassifierConfig::default(),
             pos_weight: None,
             noise: NoiseDistribution::default(),
@@ -65,7 +56,6 @@ impl Default for ClassifierTrainingConfig {
             clip_norm: 5.0,
             evaluate_every: 1_000,
             save_every: 500,
-            parts: None,
             checkpoint: None,
             seed: 0,
         }
@@ -79,7 +69,7 @@ impl ClassifierTrainingConfig {
     /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
-        self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }, self.batch_size)
+        Ok(self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }))
     }
 }
 
@@ -113,56 +103,38 @@ pub struct ClassifierReport {
 }
 
 /// Trains the classifier that guides `denoiser`, or resumes its training, and writes it to `model.safetensors` in the
-/// job's folder, and its report to `classifier.json`. `None` on all ranks but the first, which writes the model.
+/// job's folder, and its report to `classifier.json`.
 ///
 /// # Errors
 /// When there are no pairs of one of the labels, or training fails.
 pub fn train_classifier(
     config: &ClassifierTrainingConfig,
-    denoiser: &TrainedDenoiser,
+    denoiser: &DenoiserSpec,
     data: &PairData<'_>,
     job: TrainJob<'_>,
-) -> Result<Option<ClassifierReport>, Error> {
+) -> Result<ClassifierReport, Error> {
     let fit_config = config.resolve()?;
-    let spec = describe(config, &denoiser.spec, data, job.seed)?;
-    match config.input {
-        ClassifierInput::NoisyStates => {
-            let gather = |pairs| PairExamples::gather(data.dataset, pairs);
-            let (train, held_out) = (gather(data.train)?, gather(data.held_out)?);
-            let (noise, device) = (config.noise, &job.compute.device);
-            let inputs = NoisyPairs { spec: &spec, noise, train: &train, held_out: &held_out, device };
-            train_on(&inputs, config, &fit_config, spec.clone(), job)
-        }
-        ClassifierInput::CleanEstimate => {
-            let inputs = CleanPairs::gather(data.dataset, [data.train, data.held_out], denoiser, config.noise, job)?;
-            train_on(&inputs, config, &fit_config, spec, job)
-        }
-    }
-}
-
-fn train_on(
-    inputs: &dyn PairInputs,
-    config: &ClassifierTrainingConfig,
-    fit_config: &FitConfig,
-    spec: ClassifierSpec,
-    job: TrainJob<'_>,
-) -> Result<Option<ClassifierReport>, Error> {
+    let spec = describe(config, denoiser, data, job.seed)?;
+    let gather = |pairs| PairExamples::gather(data.dataset, pairs);
+    let (train, held_out) = (gather(data.train)?, gather(data.held_out)?);
+    let (noise, device) = (config.noise, &job.compute.device);
+    let inputs = NoisyPairs { spec: &spec, noise, train: &train, held_out: &held_out, device };
     let mut model = Trainable::new(&spec, None, job)?;
     let task = ClassificationTask {
         classifier: &model.network,
         frozen: &model.frozen,
-        inputs,
+        inputs: &inputs,
         pos_weight: spec.pos_weight,
         batch_size: config.batch_size,
         seed: job.seed,
     };
-    let Some(outcome) = fit(fit_config, &mut model.params, &task, job)? else { return Ok(None) };
+    let outcome = fit(&fit_config, &mut model.params, &task, job)?;
     let by_noise_level = task.report()?;
-    let TrainOutcome { fingerprint, spec, n_parameters, statistics } = model.finish(spec, outcome, job)?;
+    let TrainOutcome { fingerprint, spec, n_parameters, statistics } = model.finish(spec.clone(), outcome, job)?;
     let report = ClassifierReport { spec, fingerprint, n_parameters, by_noise_level, statistics };
     let text = serde_json::to_vec_pretty(&report).map_err(std::io::Error::from)?;
     write_atomically::<Error>(&job.dir.join("classifier.json"), |file| Ok(file.write_all(&text)?))?;
-    Ok(Some(report))
+    Ok(report)
 }
 
 fn describe(
@@ -178,7 +150,6 @@ fn describe(
     }
     Ok(ClassifierSpec {
         kind: ClassifierKind::BehaviorClassifier,
-        input: config.input,
         behavior: config.behavior.clone(),
         roles: data.roles.clone(),
         network: config.network.clone(),

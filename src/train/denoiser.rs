@@ -9,7 +9,7 @@ use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
-/// weights of that checkpoint and keeps its scales. `None` on all ranks but the first, which writes the model.
+/// weights of that checkpoint and keeps its scales.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -18,7 +18,7 @@ pub fn train_denoiser(
     data: &TrainingData<'_>,
     start: Option<&Checkpoint<DenoiserSpec>>,
     job: TrainJob<'_>,
-) -> Result<Option<TrainOutcome<DenoiserSpec>>, Error> {
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let mut spec = describe(training, data, job)?;
     let mut events = gather_events(training, data, &spec, job)?;
     spec.events = events.as_ref().map(|events| events.vocabulary.clone());
@@ -32,11 +32,11 @@ pub fn train_denoiser(
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
     let draws = scenes.draws(!training.objectives.is_empty(), events.as_ref(), job);
     let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
-    let Some(outcome) = fit(&training.common.fit, &mut model.params, &task, job)? else { return Ok(None) };
+    let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
     spec.changed_losses = changed_losses(&task)?;
     spec.losses_by_place = losses_by_place(&task)?;
     map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));
-    model.finish(spec, outcome, job).map(Some)
+    model.finish(spec, outcome, job)
 }
 
 /// The events of the training, if its section has them.

@@ -3,7 +3,7 @@
 use super::changed_losses::losses_of;
 use super::latent_error::squared_error;
 use super::objective_loss::{objective_costs, objective_loss};
-use super::{BatchPart, DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
 use crate::model::{SceneChange, SceneDenoiser};
 use crate::seed::{Seed, SeededRng};
@@ -34,39 +34,21 @@ pub struct DenoisingTask<'a> {
 
 impl DenoisingTask<'_> {
     /// D(x0 + σ ε; σ), one σ a row, with ε drawn from `seeds`.
-    pub(super) fn estimate(
-        denoiser: &SceneDenoiser,
-        batch: &SceneBatch,
-        sigmas: &[f64],
-        seeds: &[Seed],
-    ) -> Result<Tensor, Error> {
+    fn estimate(denoiser: &SceneDenoiser, batch: &SceneBatch, sigmas: &[f64], seeds: &[Seed]) -> Result<Tensor, Error> {
         let sigma_rows = rows_like(sigmas.to_vec(), &batch.x0)?;
         let noise = NoiseSource::new(seeds.to_vec()).draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?;
         let x = (&batch.x0 + noise)?.broadcast_mul(&batch.latent.unsqueeze(3)?)?;
         Ok(denoiser.bind(batch, 1)?.denoise(&x, &sigma_rows.flatten_all()?)?)
     }
 
-    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row. If `batch` is a part of one,
-    /// `n_scored` is their number in the whole batch.
-    fn weighted_error(
-        &self,
-        batch: &SceneBatch,
-        x0_hat: &Tensor,
-        sigmas: &[f64],
-        n_scored: Option<f64>,
-    ) -> Result<Tensor, Error> {
+    /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row.
+    fn weighted_error(&self, batch: &SceneBatch, x0_hat: &Tensor, sigmas: &[f64]) -> Result<Tensor, Error> {
         let edm = self.denoiser.edm();
         let weight: Vec<f64> = sigmas.iter().map(|s| edm.loss_weight(self.training.loss_weight, *s)).collect();
         let squared = squared_error(batch, x0_hat, &batch.x0, self.training.path_loss)?;
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
-        let n_scored =
-            n_scored.map_or_else(|| self.n_scored(batch), |n| Ok(Tensor::new(n as f32, batch.x0.device())?))?;
+        let n_scored = (batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?;
         Ok(weighted.sum_all()?.div(&n_scored.maximum(1.0)?)?)
-    }
-
-    /// Number of scored scalars.
-    fn n_scored(&self, batch: &SceneBatch) -> Result<Tensor, Error> {
-        Ok((batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?)
     }
 
     /// The noise levels of the rows, drawn from their generators.
@@ -99,38 +81,26 @@ impl DenoisingTask<'_> {
     /// The loss of the frozen denoiser with every row at noise level `sigma`.
     pub(super) fn held_out_loss(&self, batch: &SceneBatch, sigma: f64, seeds: &[Seed]) -> Result<Tensor, Error> {
         let sigmas = vec![sigma; seeds.len()];
-        self.weighted_error(batch, &Self::estimate(self.frozen, batch, &sigmas, seeds)?, &sigmas, None)
+        self.weighted_error(batch, &Self::estimate(self.frozen, batch, &sigmas, seeds)?, &sigmas)
     }
 }
 
 impl TrainTask for DenoisingTask<'_> {
-    fn batch_size(&self) -> usize {
-        self.draws.batch_size
-    }
-
-    fn divisors(&self, part: &BatchPart) -> Result<Vec<f64>, Error> {
-        let drawn = self.draws.training_batch(part)?;
-        let n_scored = f64::from(self.n_scored(&drawn.batch)?.to_scalar::<f32>()?);
-        let n_counted: f32 = self.counts(&self.draw_sigmas(&drawn.rngs)).iter().sum();
-        self.draws.keep(part, drawn);
-        Ok(vec![n_scored, f64::from(n_counted)])
-    }
-
-    fn loss(&self, part: &BatchPart, divisors: Option<&[f64]>) -> Result<Tensor, Error> {
-        let drawn = self.draws.training_batch(part)?;
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let drawn = self.draws.training_batch(step)?;
         let sigmas = self.draw_sigmas(&drawn.rngs);
         let x0_hat = Self::estimate(self.denoiser, &drawn.batch, &sigmas, &drawn.seeds)?;
-        let error = self.weighted_error(&drawn.batch, &x0_hat, &sigmas, divisors.map(|divisors| divisors[0]))?;
+        let error = self.weighted_error(&drawn.batch, &x0_hat, &sigmas)?;
         let counts = self.counts(&sigmas);
-        let n_counted = divisors.map_or_else(|| f64::from(counts.iter().sum::<f32>()), |divisors| divisors[1]);
+        let n_counted = f64::from(counts.iter().sum::<f32>());
         Ok(match objective_loss(&self.training.objectives, &x0_hat, &drawn, &counts, n_counted)? {
             Some(cost) => (error + cost)?,
             None => error,
         })
     }
 
-    fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
-        self.draws.prepare(part)
+    fn prepare(&self, step: u64) -> Result<(), Error> {
+        self.draws.prepare(step)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {

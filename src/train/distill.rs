@@ -3,8 +3,8 @@
 use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::{
-    Balance, ConsistencyTask, DistillMethod, DistillTraining, Error, LearnedEvents, StepDistillationTask, TrainJob,
-    TrainOutcome, Trainable, TrainingData, fit,
+    Balance, DistillTraining, Error, LearnedEvents, StepDistillationTask, TrainJob, TrainOutcome, Trainable,
+    TrainingData, fit,
 };
 use crate::model::{DenoiserSpec, ModelSpec};
 use crate::nn::{Checkpoint, Params};
@@ -20,8 +20,7 @@ pub struct DistillSource<'a> {
 }
 
 /// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same
-/// network, scales and limits that samples in few evaluations. `None` on all ranks but the first, which writes the
-/// model.
+/// network, scales and limits that samples in few evaluations.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
@@ -30,7 +29,7 @@ pub fn distill_denoiser(
     data: &TrainingData<'_>,
     DistillSource { teacher, start }: DistillSource<'_>,
     job: TrainJob<'_>,
-) -> Result<Option<TrainOutcome<DenoiserSpec>>, Error> {
+) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let mut objectives = teacher.metadata.objectives.clone();
     objectives.extend(described(&training.objectives)?);
     let DenoiserSpec { n_history, dt_s, .. } = teacher.metadata;
@@ -62,21 +61,13 @@ pub fn distill_denoiser(
     let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
     let scenes = ScenesOfFit::new(data, &training.common, balance, spec.collator(), job.seed)?;
     let draws = scenes.draws(!training.objectives.is_empty(), events.as_ref(), job);
-    let (params, denoiser, frozen) = (&mut model.params, &model.network, &model.frozen);
-    let outcome = match &training.method {
-        DistillMethod::Consistency(tuning) => {
-            let task = ConsistencyTask { denoiser, frozen, tuning: *tuning, training, draws };
-            fit(&training.common.fit, params, &task, job)?
-        }
-        DistillMethod::Steps(steps) => {
-            let mut kept = Params::new(job.compute).frozen();
-            let taught_by = spec.build(&mut kept, job.seed)?;
-            kept.load(&spec.with_event_inputs(teacher)?.tensors)?;
-            let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
-            fit(&training.common.fit, params, &task, job)?
-        }
-    };
-    outcome.map(|outcome| model.finish(spec, outcome, job)).transpose()
+    let mut kept = Params::new(job.compute).frozen();
+    let taught_by = spec.build(&mut kept, job.seed)?;
+    kept.load(&spec.with_event_inputs(teacher)?.tensors)?;
+    let (denoiser, frozen, steps) = (&model.network, &model.frozen, &training.method);
+    let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
+    let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
+    model.finish(spec, outcome, job)
 }
 
 /// Gives `events` the units of the teacher, which must know them.
@@ -100,10 +91,7 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
         (start.network != wanted.network, "has a different network than the denoiser"),
         (start.normalizer != wanted.normalizer, "has different scales than the denoiser"),
         (start.events.is_some() && start.events != wanted.events, "was trained on other events"),
-        (
-            start.distillation != wanted.distillation,
-            "was distilled by a different method, or onto different noise levels",
-        ),
+        (start.distillation != wanted.distillation, "was not distilled, or onto different noise levels"),
     ];
     match differs.iter().find(|(differs, _)| *differs) {
         Some((_, how)) => Err(Error::Config(format!(

@@ -2,7 +2,7 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{Own, SceneTraining, scene_training_section};
-use super::{ConsistencyTuning, Error, EventTraining, FitConfig, LearningRateDecay, StepDistillation};
+use super::{Error, EventTraining, FitConfig, LearningRateDecay, StepDistillation};
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
@@ -11,49 +11,19 @@ use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How to distill a denoiser into one that needs few evaluations.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum DistillMethod {
-    /// A consistency model, which jumps from any noise level to the end: for sweeps with `sampler = { kind = "consistency" }`.
-    Consistency(ConsistencyTuning),
-    /// A few large steps that match many small ones of the denoiser: for sweeps with `sampler = { kind = "euler" }` of
-    /// the same `n_steps` and `grid`.
-    Steps(StepDistillation),
-}
-
-impl Default for DistillMethod {
-    fn default() -> Self {
-        Self::Consistency(ConsistencyTuning::default())
-    }
-}
-
-impl DistillMethod {
+impl StepDistillation {
     /// The description in the checkpoint.
     pub fn distillation(&self, edm: &Edm) -> Distillation {
-        match self {
-            Self::Consistency(_) => Distillation::Consistency,
-            Self::Steps(steps) => Distillation::Steps { sigmas: steps.sigmas(edm) },
-        }
+        Distillation::Steps { sigmas: self.sigmas(edm) }
     }
 
-    /// Rejects methods that work with no denoiser.
-    fn validate(&self) -> Result<(), Error> {
-        let checked = match self {
-            Self::Consistency(tuning) => tuning.validate(),
-            Self::Steps(steps) => steps.validate(),
-        };
-        checked.map_err(refused)
-    }
-
-    /// Fails if the method does not fit the denoiser.
+    /// Fails if the steps do not fit the denoiser.
     pub(super) fn check(&self, teacher: &DenoiserSpec) -> Result<(), Error> {
-        let Self::Steps(steps) = self else { return Ok(()) };
         if teacher.distillation.is_some() {
             let why = "needs an ordinary denoiser, but this one is already distilled and does not predict means";
             return Err(DistillTrainingConfig::refusal(Issue::new("method", why)));
         }
-        steps.check_levels(&teacher.edm).map_err(refused)
+        self.check_levels(&teacher.edm).map_err(refused)
     }
 }
 
@@ -64,8 +34,9 @@ fn refused(issue: Issue) -> Error {
 scene_training_section! {
     /// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
     pub struct DistillTrainingConfig in "train.distill", each Own {
-        /// The distillation method.
-        pub method: DistillMethod,
+        /// A few large steps that match many small ones of the denoiser: for sweeps with `sampler = { kind = "euler" }` of
+        /// the same `n_steps` and `grid`.
+        pub method: StepDistillation,
         /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
         #[schemars(range(min = 0.0))]
         pub huber: f64,
@@ -73,7 +44,7 @@ scene_training_section! {
         /// only).
         #[schemars(range(min = 0.0))]
         pub path_loss: f64,
-        /// Objectives for samples, in addition to matching the denoiser (method `steps` only): each adds its weight
+        /// Objectives for samples, in addition to matching the denoiser: each adds its weight
         /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
         /// Mined events that the network is told of, of the behaviors that its denoiser was told of, in the same order. Left out: the
@@ -89,7 +60,7 @@ scene_training_section! {
 impl Default for DistillTrainingConfig {
     fn default() -> Self {
         Self {
-            method: DistillMethod::default(),
+            method: StepDistillation::default(),
             huber: 0.01,
             path_loss: 0.1,
             objectives: Vec::new(),
@@ -109,7 +80,6 @@ impl Default for DistillTrainingConfig {
             n_eval_scenes: 48,
             evaluate_every: 500,
             save_every: 250,
-            parts: None,
             start_from: None,
             checkpoint: None,
         }
@@ -119,8 +89,8 @@ impl Default for DistillTrainingConfig {
 /// The resolved section, with every value decided.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DistillTraining {
-    /// The distillation method.
-    pub method: DistillMethod,
+    /// The steps.
+    pub method: StepDistillation,
     /// The disagreement at which the loss turns from quadratic to linear.
     pub huber: f64,
     /// Weight of the disagreement of paths.
@@ -141,12 +111,8 @@ impl DistillTrainingConfig {
     /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
         self.check_ranges()?;
-        self.method.validate()?;
+        self.method.validate().map_err(refused)?;
         check_objectives("train.distill.objectives", &self.objectives)?;
-        if !self.objectives.is_empty() && !matches!(self.method, DistillMethod::Steps(_)) {
-            let message = "train.distill.objectives need method = { kind = \"steps\" }: they apply where its steps end";
-            return Err(Error::Config(message.to_owned()));
-        }
         if let Some(events) = &self.events {
             events.validate().map_err(|issue| Self::refusal(issue.within("events")))?;
         }

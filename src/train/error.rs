@@ -43,12 +43,6 @@ pub enum Error {
     /// An invalid setting.
     #[error("{0}")]
     Config(String),
-    /// The ranks cannot share the batch.
-    #[error(transparent)]
-    Ranks(#[from] super::UnevenRanks),
-    /// Another rank is gone; the state is saved.
-    #[error("the training cannot continue without all of its ranks")]
-    Lost(#[from] super::Lost),
     /// The training was asked to stop, and its state is saved.
     #[error("stopped after step {step}, with everything saved")]
     Stopped {

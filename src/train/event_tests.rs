@@ -1,12 +1,12 @@
 //! A denoiser that is told of mined events: which events count, what a batch is told, and that it learns from them.
 
 use super::scene_draws::Entry;
-use super::testing::{MadeScenes, arcs, assert_parts_agree, collator, draws_of_four, fork, job, one_source};
+use super::testing::{MadeScenes, arcs, collator, draws_of_four, fork, job, one_source};
 use super::*;
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig, SceneDenoiser};
+use crate::model::{DenoiserSpec, GeometryConfig, NetworkConfig};
 use crate::nn::testing::values;
-use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
+use crate::nn::{Checkpoint, read_checkpoint};
 use crate::scene::Scene;
 use crate::scene::testing::Drive;
 use crate::seed::Seed;
@@ -120,7 +120,7 @@ fn a_share_of_each_batch_is_told_and_behaviors_take_turns() {
     assert_eq!([0, 5, 10, 15].map(n_of), [5; 4]);
     let (mut n_values, mut n_rows) = (0.0, 0.0);
     for step in 0..200 {
-        let drawn = draws.training_batch(&BatchPart::whole(step, 4)).unwrap();
+        let drawn = draws.training_batch(step).unwrap();
         let inputs = drawn.batch.events.as_ref().unwrap();
         for (row, entry) in draws.batch_entries(step).iter().enumerate() {
             let of_row: Vec<f64> = values(&inputs.get(row).unwrap());
@@ -155,8 +155,7 @@ fn a_told_batch_knows_nothing_else_of_the_future() {
         one.by_behavior = vec![one.by_behavior[0][..1].to_vec()];
         one.events[one.by_behavior[0][0]].scene_idx = idx;
         let draws = SceneDraws { events: Some(&one), ..draws_of_four(&scenes, &train, &collator, &masks) };
-        let part = BatchPart { step: 0, rows: 1..2 };
-        let batch = draws.training_batch(&part).unwrap().batch;
+        let batch = draws.training_batch(0).unwrap().batch;
         let around = batch.surroundings.as_ref().unwrap();
         let inputs = [&batch.context, &batch.features, &batch.base, &batch.latent, &around.lanes, &around.attributes];
         let events = values(batch.events.as_ref().unwrap());
@@ -174,7 +173,7 @@ fn train(
     training: &DenoiserTraining,
     dir: &Path,
 ) -> Result<TrainOutcome<DenoiserSpec>, Error> {
-    train_denoiser(training, &data(scenes, events), start, job(3, dir)).map(Option::unwrap)
+    train_denoiser(training, &data(scenes, events), start, job(3, dir))
 }
 
 #[test]
@@ -221,22 +220,6 @@ fn what_is_told_is_learned_from_a_checkpoint_without_events_and_resumes() {
 }
 
 #[test]
-fn parts_of_a_told_batch_add_up() {
-    let (scenes, events) = forks(28);
-    let events = gather(&data(&scenes, &events));
-    let training = training(1, Some(config()));
-    let mut params = Params::new(&Compute::cpu());
-    let sizes = (3, events.vocabulary.n_inputs());
-    let denoiser = &SceneDenoiser::with_events(&mut params, &training.network, sizes, training.edm, Seed(5)).unwrap();
-    let (collator, masks) = (seeing(&scenes), MaskSampler::new(&training.common.tasks).unwrap());
-    let train = [WeightedGroups::single((0..20).collect())];
-    let draws = SceneDraws { events: Some(&events), ..draws_of_four(&scenes, &train, &collator, &masks) };
-    let task = DenoisingTask { denoiser, frozen: denoiser, training: &training, draws };
-    // A part of one row is told nothing in every second part.
-    (0..3).for_each(|step| assert_parts_agree(&params, &task, step));
-}
-
-#[test]
 fn sections_that_cannot_work_are_refused() {
     let refusal = |text: &str| {
         let config: DenoiserTrainingConfig = toml::from_str(text).unwrap();
@@ -254,8 +237,7 @@ fn sections_that_cannot_work_are_refused() {
 fn arcs_without_events_are_as_before() {
     let dataset = arcs(20);
     let dirs: [_; 2] = std::array::from_fn(|_| tempfile::tempdir().unwrap());
-    let fingerprint = |dir: &Path| {
-        train_denoiser(&training(3, None), &one_source(&dataset), None, job(3, dir)).unwrap().unwrap().fingerprint
-    };
+    let fingerprint =
+        |dir: &Path| train_denoiser(&training(3, None), &one_source(&dataset), None, job(3, dir)).unwrap().fingerprint;
     assert_eq!(fingerprint(dirs[0].path()), fingerprint(dirs[1].path()));
 }

@@ -1,10 +1,10 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation.
 
-use super::data_parallel::{BatchGradient, DataParallel};
 use super::run_state::Run;
 use super::{Error, FitConfig, TrainJob, TrainTask};
 use crate::nn::{Params, in_pool, keep_freed_memory};
-use candle_core::DType;
+use candle_core::backprop::GradStore;
+use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -36,31 +36,26 @@ pub struct FitOutcome {
 /// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A run that was
 /// killed and resumed ends with the same weights as an uninterrupted one.
 ///
-/// Several ranks take the same steps and make the same evaluations, so that none waits long for another. The first rank
-/// writes the files and returns the outcome, the others `None`.
-///
 /// # Errors
-/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when a
-/// rank must stop between two steps, [`Error::Lost`] when one is gone; the state is saved then.
+/// When the loss is no longer finite, or files cannot be written or do not fit the model. [`Error::Stopped`] when the
+/// process must stop between two steps; the state is saved then.
 pub fn fit(
     config: &FitConfig,
     params: &mut Params,
     task: &dyn TrainTask,
-    TrainJob { dir, progress, exchange, .. }: TrainJob<'_>,
-) -> Result<Option<FitOutcome>, Error> {
+    TrainJob { dir, progress, .. }: TrainJob<'_>,
+) -> Result<FitOutcome, Error> {
     keep_freed_memory();
-    let batch = DataParallel::new(config.parts, task.batch_size(), exchange)?;
-    let mut run = Run::open(config, params, dir, exchange)?;
+    let mut run = Run::open(config, params, dir)?;
     let first_step = run.position.step;
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
     while run.position.step < config.steps {
-        let must_stop = progress.must_stop();
-        let taken = run.step(config, params, task, &batch, must_stop);
-        if let Err(Error::Stopped { .. } | Error::Lost(_)) = &taken {
+        if progress.must_stop() {
             run.save(params)?;
+            return Err(Error::Stopped { step: run.position.step });
         }
-        taken?;
+        run.step(config, params, task)?;
         let step = run.position.step;
         let is_last = step == config.steps;
         if step.is_multiple_of(config.log_every) || is_last {
@@ -78,29 +73,21 @@ pub fn fit(
     if let Some(ema) = &mut run.ema {
         ema.swap(params)?;
     }
-    let outcome = FitOutcome { steps_taken: run.position.step - first_step, statistics: run.position.statistics };
-    Ok(Some(outcome).filter(|_| exchange.rank() == 0))
+    Ok(FitOutcome { steps_taken: run.position.step - first_step, statistics: run.position.statistics })
 }
 
 impl Run {
-    /// Takes a step. Nothing changes before all ranks have the same gradient.
-    fn step(
-        &mut self,
-        config: &FitConfig,
-        params: &Params,
-        task: &dyn TrainTask,
-        batch: &DataParallel<'_>,
-        must_stop: bool,
-    ) -> Result<(), Error> {
+    /// Takes a step.
+    fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
         let step = self.position.step;
-        let divisors = batch.begin(task, step, must_stop)?.ok_or(Error::Stopped { step })?;
-        let gradient = batch.gradient(params, task, step, &divisors)?;
         in_pool(params.device(), || {
+            let loss = task.loss(step)?;
+            let gradients = loss.backward()?;
             // A GPU has only queued this work. The host prepares the next scenes before it waits for a result.
             if step + 1 < config.steps {
-                batch.prepare(task, step + 1)?;
+                task.prepare(step + 1)?;
             }
-            self.descend(config, params, &gradient)
+            self.descend(config, params, &loss, &gradients)
         })
     }
 
@@ -109,7 +96,8 @@ impl Run {
         &mut self,
         config: &FitConfig,
         params: &Params,
-        BatchGradient { loss, gradients }: &BatchGradient,
+        loss: &Tensor,
+        gradients: &GradStore,
     ) -> Result<(), Error> {
         let step = self.position.step;
         let value = f64::from(loss.to_dtype(DType::F32)?.to_scalar::<f32>()?);
@@ -170,8 +158,8 @@ mod tests {
     use crate::nn::{Compute, Init, read_checkpoint};
     use crate::progress::{Progress, Silent};
     use crate::seed::Seed;
-    use crate::train::{Alone, BatchPart, LearningRateDecay};
-    use candle_core::{Device, Tensor};
+    use crate::train::LearningRateDecay;
+    use candle_core::Device;
     use fs_err as fs;
     use std::path::Path;
     use std::sync::atomic::{AtomicU64, Ordering};
@@ -183,15 +171,11 @@ mod tests {
     }
 
     impl TrainTask for Chase {
-        fn batch_size(&self) -> usize {
-            1
-        }
-
-        fn loss(&self, part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
-            if self.fails_at == Some(part.step) {
+        fn loss(&self, step: u64) -> Result<Tensor, Error> {
+            if self.fails_at == Some(step) {
                 return Err(Error::Config("killed".to_owned()));
             }
-            Ok((&self.x - (part.step % 7) as f64)?.sqr()?.mean_all()?)
+            Ok((&self.x - (step % 7) as f64)?.sqr()?.mean_all()?)
         }
 
         fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
@@ -202,7 +186,7 @@ mod tests {
 
     fn job<'a>(dir: &'a Path, progress: &'a dyn Progress) -> TrainJob<'a> {
         static CPU: Compute = Compute::cpu();
-        TrainJob { seed: Seed(1), dir, compute: &CPU, progress, exchange: &Alone }
+        TrainJob { seed: Seed(1), dir, compute: &CPU, progress }
     }
 
     fn config() -> FitConfig {
@@ -216,7 +200,6 @@ mod tests {
             evaluate_every: 6,
             save_every: 5,
             log_every: 4,
-            parts: 1,
         }
     }
 
@@ -233,7 +216,7 @@ mod tests {
         let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[3], Init::KaimingUniform { fan_in: 1 }, Seed(1)).unwrap();
         let outcome = fit(&config(), &mut params, &Chase { x: x.clone(), fails_at }, job(dir, &Silent));
-        (x.to_vec1().unwrap(), outcome.map(Option::unwrap))
+        (x.to_vec1().unwrap(), outcome)
     }
 
     #[test]
@@ -282,11 +265,7 @@ mod tests {
     struct Slope(Tensor);
 
     impl TrainTask for Slope {
-        fn batch_size(&self) -> usize {
-            1
-        }
-
-        fn loss(&self, _part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
+        fn loss(&self, _step: u64) -> Result<Tensor, Error> {
             Ok(self.0.sum_all()?)
         }
 
@@ -308,7 +287,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
-        let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &Silent)).unwrap().unwrap();
+        let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &Silent)).unwrap();
         // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose decay is
         // 2/11, 3/12, 4/13 and 5/14.
         let evaluated: Vec<f64> =

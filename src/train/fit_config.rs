@@ -36,15 +36,6 @@ pub struct FitConfig {
     pub save_every: u64,
     /// Steps between lines of the statistics with mean losses.
     pub log_every: u64,
-    /// Parts in which the gradient of a batch is computed: a power of two.
-    #[serde(skip_serializing_if = "is_one")]
-    pub parts: usize,
-}
-
-/// One part is the default; records of older versions do not name it.
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "what serde calls")]
-fn is_one(parts: &usize) -> bool {
-    *parts == 1
 }
 
 impl Default for FitConfig {
@@ -59,7 +50,6 @@ impl Default for FitConfig {
             evaluate_every: 500,
             save_every: 250,
             log_every: 20,
-            parts: 1,
         }
     }
 }

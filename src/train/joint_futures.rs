@@ -1,13 +1,13 @@
 //! Training of Scene Transformer: the best of its joint futures is trained toward the recording, and its probability
 //! raised.
 
-use super::{BatchPart, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::model::{JointFutures, SceneTransformer};
 use crate::tensor::SceneBatch;
 use candle_core::{Result, Tensor};
 use std::collections::BTreeMap;
 
-/// The parts of the loss, averaged over the rows of a batch that have latent entries.
+/// The terms of the loss, averaged over the rows of a batch that have latent entries.
 #[derive(Debug, Clone)]
 pub struct JointLoss {
     /// Mean error of the best future of each row.
@@ -25,27 +25,20 @@ impl JointLoss {
     /// gradient. The loss compares decoded states, because futures are compared by displacements in every
     /// parametrization.
     ///
-    /// If `batch` is a part of one, `n_counted` is the number of rows with latent entries in the whole batch.
-    ///
     /// # Errors
     /// When shapes do not agree.
-    pub fn new(futures: &JointFutures, batch: &SceneBatch, n_counted: Option<f64>) -> Result<Self> {
+    pub fn new(futures: &JointFutures, batch: &SceneBatch) -> Result<Self> {
         let n_modes = futures.logits.dim(1)?;
         let errors = Self::errors(futures, batch)?;
-        let has_latent = Self::has_latent(batch)?;
-        let n_counted = n_counted.map_or_else(|| has_latent.sum_all(), |n| Tensor::new(n as f32, errors.device()))?;
-        let n_counted = n_counted.maximum(1.0)?;
+        // 1 for each row with latent entries, (B).
+        let has_latent = batch.latent.flatten_from(1)?.max(1)?;
+        let n_counted = has_latent.sum_all()?.maximum(1.0)?;
         let best = one_hot(&errors.argmin(1)?, n_modes, errors.device())?.broadcast_mul(&has_latent.unsqueeze(1)?)?;
         let log_p = futures.logits.broadcast_sub(&futures.logits.log_sum_exp(1)?.unsqueeze(1)?)?;
         Ok(Self {
             regression: (errors * &best)?.sum_all()?.div(&n_counted)?,
             mode: (log_p * &best)?.sum_all()?.neg()?.div(&n_counted)?,
         })
-    }
-
-    /// 1 for each row with latent entries, (B).
-    fn has_latent(batch: &SceneBatch) -> Result<Tensor> {
-        batch.latent.flatten_from(1)?.max(1)
     }
 
     /// The error of every future, (B, F).
@@ -82,32 +75,20 @@ pub struct JointFuturesTask<'a> {
 }
 
 impl TrainTask for JointFuturesTask<'_> {
-    fn batch_size(&self) -> usize {
-        self.draws.batch_size
-    }
-
-    fn divisors(&self, part: &BatchPart) -> std::result::Result<Vec<f64>, Error> {
-        let drawn = self.draws.training_batch(part)?;
-        let n_counted = JointLoss::has_latent(&drawn.batch)?.sum_all()?.to_scalar::<f32>()?;
-        self.draws.keep(part, drawn);
-        Ok(vec![f64::from(n_counted)])
-    }
-
-    fn loss(&self, part: &BatchPart, divisors: Option<&[f64]>) -> std::result::Result<Tensor, Error> {
-        let DrawnBatch { batch, .. } = self.draws.training_batch(part)?;
-        let n_counted = divisors.map(|divisors| divisors[0]);
-        let JointLoss { regression, mode } = JointLoss::new(&self.network.forward(&batch)?, &batch, n_counted)?;
+    fn loss(&self, step: u64) -> std::result::Result<Tensor, Error> {
+        let DrawnBatch { batch, .. } = self.draws.training_batch(step)?;
+        let JointLoss { regression, mode } = JointLoss::new(&self.network.forward(&batch)?, &batch)?;
         Ok((regression + (mode * self.mode_loss)?)?)
     }
 
-    fn prepare(&self, part: &BatchPart) -> std::result::Result<(), Error> {
-        self.draws.prepare(part)
+    fn prepare(&self, step: u64) -> std::result::Result<(), Error> {
+        self.draws.prepare(step)
     }
 
     fn evaluate(&self) -> std::result::Result<BTreeMap<String, f64>, Error> {
         let names = ["held_out_error_of_best", "held_out_mode_loss"];
         let means = self.draws.held_out_means(names.len(), |DrawnBatch { batch, .. }| {
-            let JointLoss { regression, mode } = JointLoss::new(&self.frozen.forward(batch)?, batch, None)?;
+            let JointLoss { regression, mode } = JointLoss::new(&self.frozen.forward(batch)?, batch)?;
             Ok(vec![regression, mode])
         })?;
         Ok(names.into_iter().map(str::to_owned).zip(means).collect())

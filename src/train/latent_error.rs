@@ -25,7 +25,7 @@ pub(super) fn squared_error(
 }
 
 /// For each row of `squared` (B, A, T, D) √(m + c²) - c, where m is the mean over the row's scored scalars: quadratic
-/// for small errors and linear above c (pseudo-Huber, as Song and Dhariwal 2023 train consistency models). Returns (B).
+/// for small errors and linear above c (pseudo-Huber). Returns (B).
 pub(super) fn pseudo_huber(batch: &SceneBatch, squared: &Tensor, c: f64) -> Result<Tensor, Error> {
     let state_dim = squared.dim(3)? as f64;
     let n_scored = (batch.scored.flatten_from(1)?.sum(1)? * state_dim)?.maximum(1.0)?;

@@ -4,18 +4,12 @@ mod baseline;
 mod baseline_config;
 #[cfg(test)]
 mod baseline_tests;
-#[cfg(test)]
-mod bayes_tests;
 mod changed_losses;
 mod classification;
 #[cfg(test)]
 mod classification_tests;
 mod classifier;
 mod classifier_report;
-mod consistency;
-mod data_parallel;
-#[cfg(test)]
-mod data_parallel_tests;
 mod denoiser;
 #[cfg(test)]
 mod denoiser_tests;
@@ -29,7 +23,6 @@ mod event_config;
 #[cfg(test)]
 mod event_tests;
 mod events;
-mod exchange;
 mod fit;
 mod fit_config;
 mod joint_futures;
@@ -37,7 +30,6 @@ mod labeled_pairs;
 mod latent_error;
 mod objective_loss;
 mod pair_examples;
-mod pair_futures;
 mod preset;
 mod run_state;
 mod scene_draws;
@@ -50,35 +42,30 @@ mod task;
 mod testing;
 mod trainable;
 mod training_data;
-mod tree_sum;
 
 pub use baseline::train_baseline;
 pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
 pub use changed_losses::map_warnings;
-pub use classification::{ClassificationTask, PairInputs, REPORT_SIGMAS};
+pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
 pub use classifier_report::NoiseLevelReport;
-pub use consistency::{ConsistencyTask, ConsistencyTuning, LevelGap};
-pub use data_parallel::{UnevenRanks, check_ranks};
 pub use denoiser::train_denoiser;
 pub use denoising::DenoisingTask;
 pub use distill::{DistillSource, distill_denoiser};
-pub use distill_config::{DistillMethod, DistillTraining, DistillTrainingConfig};
+pub use distill_config::{DistillTraining, DistillTrainingConfig};
 pub use error::Error;
 pub use event_config::EventTraining;
 pub use events::{LearnedEvent, LearnedEvents};
-pub use exchange::{Alone, Exchange, JoinError, Lost, Meeting, Seat, Tcp, join};
 pub use fit::{FitOutcome, FitStatistics, fit};
 pub use fit_config::{FitConfig, LearningRateDecay};
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use labeled_pairs::{LabeledPair, Labels, MinedEvent};
 pub use pair_examples::{NoisyPairs, PairExample, PairExamples};
-pub use pair_futures::CleanPairs;
 pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
 pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, WeightedGroups};
 pub use section::{MoreScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
-pub use task::{BatchPart, TrainTask};
+pub use task::TrainTask;
 use trainable::Trainable;
 pub use trainable::{MODEL_FILE, TrainJob, TrainOutcome};
 pub use training_data::{TrainingData, TrainingSource};

@@ -1,8 +1,8 @@
 //! Labeled pairs as a classifier of noisy states is shown them: scenes of two agents under noise of every level.
 
-use super::{Error, LabeledPair, Labels, PairInputs, SceneDataset};
+use super::{Error, LabeledPair, Labels, SceneDataset};
 use crate::diffusion::{NoiseDistribution, NoiseSource, rows_like};
-use crate::model::{ClassifierNetwork, ClassifierSpec};
+use crate::model::{BehaviorClassifier, ClassifierSpec};
 use crate::scene::{LaneGraph, ObservationMask, Scene};
 use crate::seed::Seed;
 use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
@@ -86,7 +86,7 @@ impl NoisyPairs<'_> {
     /// The logits (B) of pairs at the noise levels `sigmas`, with noise from `noise`.
     fn logits(
         &self,
-        classifier: &ClassifierNetwork,
+        classifier: &BehaviorClassifier,
         examples: &[&PairExample],
         sigmas: &[f64],
         noise: &mut NoiseSource,
@@ -96,7 +96,7 @@ impl NoisyPairs<'_> {
         let sigma_rows = rows_like(sigmas.to_vec(), &batch.x0)?;
         let x = (&batch.x0 + noise.draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?)?;
         let features = self.spec.features(&batch, &pairs)?;
-        Ok(classifier.of_noisy_states()?.logits(&features, &x, &sigma_rows.flatten_all()?)?)
+        Ok(classifier.logits(&features, &x, &sigma_rows.flatten_all()?)?)
     }
 
     fn collate(&self, examples: &[&PairExample]) -> Result<SceneBatch, Error> {
@@ -120,16 +120,19 @@ impl NoisyPairs<'_> {
         };
         Ok(collator.collate(&views, FutureValidity::Recorded, self.device)?)
     }
-}
 
-impl PairInputs for NoisyPairs<'_> {
-    fn labels(&self) -> [&Labels; 2] {
+    /// Labels of the pairs to train on, of which there are both, and of the held-out pairs.
+    pub const fn labels(&self) -> [&Labels; 2] {
         [&self.train.labels, &self.held_out.labels]
     }
 
-    fn training_logits(
+    /// The logits (B) of these training pairs, each at the noise level and with the noise that its seed draws.
+    ///
+    /// # Errors
+    /// When a tensor operation fails.
+    pub fn training_logits(
         &self,
-        classifier: &ClassifierNetwork,
+        classifier: &BehaviorClassifier,
         pairs: &[usize],
         seeds: Vec<Seed>,
     ) -> Result<Tensor, Error> {
@@ -138,11 +141,15 @@ impl PairInputs for NoisyPairs<'_> {
         self.logits(classifier, &examples, &sigmas, &mut NoiseSource::new(seeds))
     }
 
-    fn held_out_logits(
+    /// The logits (B) of held-out pairs at noise level `sigma`, each with the noise that its seed draws.
+    ///
+    /// # Errors
+    /// When a tensor operation fails.
+    pub fn held_out_logits(
         &self,
-        classifier: &ClassifierNetwork,
+        classifier: &BehaviorClassifier,
         pairs: Range<usize>,
-        (_, sigma): (usize, f64),
+        sigma: f64,
         seeds: Vec<Seed>,
     ) -> Result<Tensor, Error> {
         let examples: Vec<&PairExample> = self.held_out.examples[pairs].iter().collect();

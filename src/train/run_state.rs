@@ -1,8 +1,8 @@
 //! The files of a training: the state that it resumes from, and the statistics.
 
-use super::{Error, Exchange, FitConfig, FitStatistics};
+use super::{Error, FitConfig, FitStatistics};
 use crate::files::write_atomically;
-use crate::nn::{Adam, Ema, Params, checksum, parse_checkpoint, write_checkpoint};
+use crate::nn::{Adam, Ema, Params, checksum, read_checkpoint, write_checkpoint};
 use candle_core::Tensor;
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
@@ -42,8 +42,6 @@ impl Position {
 /// The state of a run between steps.
 pub(super) struct Run {
     dir: PathBuf,
-    /// Whether this rank writes the files: only the first does.
-    keeps_files: bool,
     pub(super) adam: Adam,
     pub(super) ema: Option<Ema>,
     pub(super) position: Position,
@@ -54,31 +52,14 @@ impl Run {
         dir.join("state.safetensors")
     }
 
-    /// The state in `dir`, which is loaded into `params`, or that of a new run. All ranks get the first one's, because
-    /// its files may not be visible everywhere yet.
-    pub(super) fn open(
-        config: &FitConfig,
-        params: &mut Params,
-        dir: &Path,
-        exchange: &dyn Exchange,
-    ) -> Result<Self, Error> {
-        let mut run = Self {
-            dir: dir.to_owned(),
-            keeps_files: exchange.rank() == 0,
-            adam: Adam::default(),
-            ema: None,
-            position: Position::default(),
-        };
+    /// The state in `dir`, which is loaded into `params`, or that of a new run.
+    pub(super) fn open(config: &FitConfig, params: &mut Params, dir: &Path) -> Result<Self, Error> {
+        let mut run = Self { dir: dir.to_owned(), adam: Adam::default(), ema: None, position: Position::default() };
         let path = Self::state_path(dir);
-        let mut saved = Vec::new();
-        if run.keeps_files {
-            fs::create_dir_all(dir)?;
-            saved = if path.exists() { fs::read(&path)? } else { saved };
-        }
-        let saved = exchange.broadcast(&saved)?;
+        fs::create_dir_all(dir)?;
         let mut averages = BTreeMap::new();
-        if !saved.is_empty() {
-            let checkpoint = parse_checkpoint::<Position>(&saved, &path, params.device())?;
+        if path.exists() {
+            let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
             let position = checkpoint.metadata;
             if position.checksum.is_some() && position != position.sealed(&checkpoint.tensors)? {
                 return Err(Error::DamagedState { path });
@@ -106,9 +87,6 @@ impl Run {
 
     /// Writes the lines for people and reports. The file is small and always complete; nothing resumes from it.
     pub(super) fn write_statistics(&self) -> Result<(), Error> {
-        if !self.keeps_files {
-            return Ok(());
-        }
         let mut text = Vec::new();
         for line in &self.position.statistics {
             serde_json::to_writer(&mut text, line).map_err(std::io::Error::from)?;
@@ -120,9 +98,6 @@ impl Run {
 
     /// Saves the state.
     pub(super) fn save(&self, params: &Params) -> Result<(), Error> {
-        if !self.keeps_files {
-            return Ok(());
-        }
         let mut tensors = BTreeMap::new();
         let mut put = |prefix: &str, part: BTreeMap<String, Tensor>| {
             tensors.extend(part.into_iter().map(|(name, tensor)| (format!("{prefix}.{name}"), tensor)));
@@ -142,7 +117,6 @@ mod tests {
     use super::*;
     use crate::nn::{Compute, Init};
     use crate::seed::Seed;
-    use crate::train::exchange::Alone;
 
     fn params() -> Params {
         let mut params = Params::new(&Compute::cpu());
@@ -154,7 +128,7 @@ mod tests {
     fn a_state_is_resumed_as_it_was_saved_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         let config = FitConfig { ema_decay: 0.9, ..FitConfig::default() };
-        let mut run = Run::open(&config, &mut params(), dir.path(), &Alone).unwrap();
+        let mut run = Run::open(&config, &mut params(), dir.path()).unwrap();
         let line = FitStatistics { step: 5, loss: Some(0.1), gradient_norm: Some(1e9), evaluation: BTreeMap::new() };
         run.position = Position {
             step: 7,
@@ -165,7 +139,7 @@ mod tests {
             checksum: None,
         };
         run.save(&params()).unwrap();
-        let open = || Run::open(&config, &mut params(), dir.path(), &Alone);
+        let open = || Run::open(&config, &mut params(), dir.path());
         let resumed = open().unwrap().position;
         assert_eq!(Position { checksum: None, ..resumed }, run.position);
 

@@ -1,6 +1,6 @@
 //! Draws the batch of a training step: scenes, ego agents and masks. All models of scenes share it.
 
-use super::{BatchPart, Error, LearnedEvent, LearnedEvents};
+use super::{Error, LearnedEvent, LearnedEvents};
 use crate::guidance::{ContextRow, SceneContext};
 use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::{Seed, SeededRng};
@@ -74,8 +74,8 @@ impl WeightedGroups {
 pub struct Prefetched {
     /// The last epoch of each group and its shuffle.
     shuffles: Mutex<BTreeMap<usize, Shuffle>>,
-    /// Parts of a batch, as they were drawn.
-    parts: Mutex<Vec<(BatchPart, DrawnBatch)>>,
+    /// The batch of a step.
+    batch: Mutex<Option<(u64, DrawnBatch)>>,
 }
 
 /// An epoch of a group, and the order of its scenes.
@@ -127,39 +127,28 @@ fn add_figures(sums: &mut [f64], n_rows: usize, figures: &[Tensor]) -> Result<()
 }
 
 impl SceneDraws<'_> {
-    /// The rows of `part`: those that [`prepare`](Self::prepare) made, or new ones.
+    /// The batch of `step`: the one that [`prepare`](Self::prepare) made, or a new one.
     ///
     /// # Errors
     /// When a scene cannot be loaded.
-    pub fn training_batch(&self, part: &BatchPart) -> Result<DrawnBatch, Error> {
-        self.taken(part).map_or_else(|| self.draw_rows(part), Ok)
+    pub fn training_batch(&self, step: u64) -> Result<DrawnBatch, Error> {
+        let kept = self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner).take();
+        kept.filter(|(of_step, _)| *of_step == step).map_or_else(|| self.draw_rows(step), |(_, batch)| Ok(batch))
     }
 
-    /// The rows of `part`, if they are kept. Rows of other steps are dropped.
-    fn taken(&self, part: &BatchPart) -> Option<DrawnBatch> {
-        let mut parts = self.ahead.parts.lock().unwrap_or_else(PoisonError::into_inner);
-        parts.retain(|(kept, _)| kept.step == part.step);
-        let at = parts.iter().position(|(kept, _)| kept == part)?;
-        Some(parts.swap_remove(at).1)
-    }
-
-    /// Makes the rows of `part` in advance.
+    /// Makes the batch of `step` in advance.
     ///
     /// # Errors
     /// When a scene cannot be loaded.
-    pub fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
-        self.keep(part, self.draw_rows(part)?);
+    pub fn prepare(&self, step: u64) -> Result<(), Error> {
+        let batch = self.draw_rows(step)?;
+        *self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner) = Some((step, batch));
         Ok(())
     }
 
-    /// Keeps the rows of `part` until they are taken.
-    pub(super) fn keep(&self, part: &BatchPart, rows: DrawnBatch) {
-        self.ahead.parts.lock().unwrap_or_else(PoisonError::into_inner).push((part.clone(), rows));
-    }
-
-    fn draw_rows(&self, BatchPart { step, rows }: &BatchPart) -> Result<DrawnBatch, Error> {
-        let entries = &self.batch_entries(*step)[rows.clone()];
-        let seeds: Vec<Seed> = rows.clone().map(|row| self.seed.derive("row", &[*step, row as u64])).collect();
+    fn draw_rows(&self, step: u64) -> Result<DrawnBatch, Error> {
+        let entries = self.batch_entries(step);
+        let seeds: Vec<Seed> = (0..entries.len()).map(|row| self.seed.derive("row", &[step, row as u64])).collect();
         let mut rngs: Vec<SeededRng> = seeds.iter().map(|seed| seed.derive("draws", &[]).rng()).collect();
         let drawn = entries.par_iter().zip(&mut rngs).map(|(entry, rng)| self.draw(*entry, rng));
         let drawn: Vec<Drawn> = drawn.collect::<Result<_, _>>()?;

@@ -77,17 +77,6 @@ pub(super) fn check_weights(own_weight: Option<f64>, data: &[MoreScenes]) -> Res
     }
 }
 
-/// Fails if a batch cannot be divided into so many parts.
-pub(super) fn check_parts(parts: usize, batch_size: usize) -> Result<(), Issue> {
-    match parts.is_power_of_two() && parts <= batch_size {
-        true => Ok(()),
-        false => {
-            let expected = format!("expected a power of two, at most batch_size, which is {batch_size}");
-            Err(Issue::new("parts", format_args!("is {parts}, {expected}")))
-        }
-    }
-}
-
 /// The value of the section, or else of its preset.
 pub(super) fn or<T>(said: impl Into<Option<T>>, otherwise: T) -> T {
     said.into().unwrap_or(otherwise)
@@ -138,11 +127,6 @@ macro_rules! training_section {
             /// Steps between saved states.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub save_every: $value<u64>,
-            /// Number of parts in which the gradient of a batch is computed, a power of two (default 1). A number of
-            /// processes that divides it can share them; results depend on the number of parts, not of processes.
-            #[serde(skip_serializing_if = "Option::is_none")]
-            #[schemars(range(min = 1, max = 1_024))]
-            pub parts: Option<usize>,
             /// A trained checkpoint to use instead of training.
             pub checkpoint: Option<std::path::PathBuf>,
         }
@@ -151,12 +135,10 @@ macro_rules! training_section {
             /// Its place in a pipeline file.
             pub const SECTION: &'static str = $section;
 
-            /// The schedule of `base` with the section's settings over it, for batches of `batch_size` rows.
-            fn schedule(&self, base: &FitConfig, batch_size: usize) -> Result<FitConfig, Error> {
-                use crate::train::section::{check_parts, or};
-                let parts = self.parts.unwrap_or(base.parts);
-                check_parts(parts, batch_size).map_err(Self::refusal)?;
-                Ok(FitConfig {
+            /// The schedule of `base` with the section's settings over it.
+            fn schedule(&self, base: &FitConfig) -> FitConfig {
+                use crate::train::section::or;
+                FitConfig {
                     steps: or(self.steps, base.steps),
                     learning_rate: or(self.learning_rate, base.learning_rate),
                     warmup_steps: or(self.warmup_steps, base.warmup_steps),
@@ -164,9 +146,8 @@ macro_rules! training_section {
                     clip_norm: or(self.clip_norm, base.clip_norm),
                     evaluate_every: or(self.evaluate_every, base.evaluate_every),
                     save_every: or(self.save_every, base.save_every),
-                    parts,
                     ..base.clone()
-                })
+                }
             }
 
             /// Rejects numbers beyond their ranges.
@@ -224,14 +205,13 @@ macro_rules! scene_training_section {
                 use crate::train::section::{check_tasks, check_weights, or};
                 check_tasks(Self::SECTION, &self.tasks)?;
                 check_weights(self.own_weight, &self.data).map_err(Self::refusal)?;
-                let batch_size = or(self.batch_size, base.batch_size);
                 Ok(SceneTraining {
                     tasks: self.tasks,
-                    batch_size,
+                    batch_size: or(self.batch_size, base.batch_size),
                     n_eval_scenes: or(self.n_eval_scenes, base.n_eval_scenes),
                     fit: FitConfig {
                         ema_decay: or(self.ema_decay, base.fit.ema_decay),
-                        ..self.schedule(&base.fit, batch_size)?
+                        ..self.schedule(&base.fit)
                     },
                 })
             }

@@ -2,7 +2,7 @@
 
 use super::latent_error::{pseudo_huber, squared_error};
 use super::objective_loss::{objective_costs, objective_loss};
-use super::{BatchPart, DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
+use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
@@ -176,12 +176,8 @@ struct Answers {
 }
 
 impl TrainTask for StepDistillationTask<'_> {
-    fn batch_size(&self) -> usize {
-        self.draws.batch_size
-    }
-
-    fn loss(&self, part: &BatchPart, _divisors: Option<&[f64]>) -> Result<Tensor, Error> {
-        let (drawn, n_rows) = (self.draws.training_batch(part)?, self.batch_size());
+    fn loss(&self, step: u64) -> Result<Tensor, Error> {
+        let (drawn, n_rows) = (self.draws.training_batch(step)?, self.draws.batch_size);
         let Answers { distances, sample } = self.answers(self.denoiser, &drawn, n_rows)?;
         let distance = Tensor::stack(&distances, 0)?.mean_all()?;
         let everywhere = vec![1.0; drawn.seeds.len()];
@@ -191,8 +187,8 @@ impl TrainTask for StepDistillationTask<'_> {
         })
     }
 
-    fn prepare(&self, part: &BatchPart) -> Result<(), Error> {
-        self.draws.prepare(part)
+    fn prepare(&self, step: u64) -> Result<(), Error> {
+        self.draws.prepare(step)
     }
 
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {

@@ -1,17 +1,12 @@
-//! What the tests of training share: scenes made by a function, jobs, draws, and the check that parts add up to a batch.
+//! What the tests of training share: scenes made by a function, jobs, and draws.
 
-use super::data_parallel::DataParallel;
-use super::{
-    Alone, Prefetched, SceneDataset, SceneDraws, TrainJob, TrainTask, TrainingData, TrainingSource, WeightedGroups,
-};
-use crate::nn::testing::values;
-use crate::nn::{Compute, Params};
+use super::{Prefetched, SceneDataset, SceneDraws, TrainJob, TrainingData, TrainingSource, WeightedGroups};
+use crate::nn::Compute;
 use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{Scene, Trajectory};
 use crate::seed::Seed;
 use crate::tensor::{self, Collator, MaskSampler, StateParametrization, TaskWeights};
-use std::collections::BTreeMap;
 use std::path::Path;
 
 static CPU: Compute = Compute::cpu();
@@ -73,9 +68,9 @@ pub(super) fn one_source(dataset: &dyn SceneDataset) -> TrainingData<'_> {
     TrainingData { dataset, sources: vec![source], events: Vec::new(), state_dim: 3, fingerprint: "scenes".to_owned() }
 }
 
-/// A training in `dir` by one process on the processor.
+/// A training in `dir` on the processor.
 pub(super) fn job(seed: u64, dir: &Path) -> TrainJob<'_> {
-    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent, exchange: &Alone }
+    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent }
 }
 
 /// Always the history, and nothing else, is observed.
@@ -115,27 +110,4 @@ pub(super) fn draws_of_four<'a>(
         device: &CPU.device,
         ahead: Prefetched::default(),
     }
-}
-
-/// Compares the loss and gradient of a batch in four parts with those of the batch as a whole. They differ only by the
-/// rounding of sums in another order.
-#[track_caller]
-pub(super) fn assert_parts_agree(params: &Params, task: &dyn TrainTask, step: u64) {
-    let computed = |n_parts: usize| {
-        let batch = DataParallel::new(n_parts, task.batch_size(), &Alone).unwrap();
-        let divisors = batch.begin(task, step, false).unwrap().unwrap();
-        let gradient = batch.gradient(params, task, step, &divisors).unwrap();
-        let of = |(name, var): (&str, &candle_core::Var)| {
-            Some((name.to_owned(), values(gradient.gradients.get(var.as_tensor())?)))
-        };
-        (values(&gradient.loss)[0], params.iter().filter_map(of).collect::<BTreeMap<_, _>>())
-    };
-    let ((loss, gradient), (loss_of_parts, gradient_of_parts)) = (computed(1), computed(4));
-    assert!((loss_of_parts / loss - 1.0).abs() < 1e-5, "a loss of {loss_of_parts} in parts, of {loss} at once");
-    assert_eq!(gradient.keys().collect::<Vec<_>>(), gradient_of_parts.keys().collect::<Vec<_>>());
-    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x.powi(2)).sum::<f64>().sqrt();
-    let whole = norm(&mut gradient.values().flatten().copied());
-    let pairs = gradient.values().flatten().zip(gradient_of_parts.values().flatten());
-    let apart = norm(&mut pairs.map(|(a, b)| a - b));
-    assert!(whole > 0.0 && apart < 1e-5 * whole, "gradients of norm {whole} are {apart} apart at step {step}");
 }

@@ -2,9 +2,7 @@
 
 use super::section::SceneTraining;
 use super::training_data::TrainingData;
-use super::{
-    Balance, Error, Exchange, FitOutcome, FitStatistics, LearnedEvents, Prefetched, SceneDraws, WeightedGroups,
-};
+use super::{Balance, Error, FitOutcome, FitStatistics, LearnedEvents, Prefetched, SceneDraws, WeightedGroups};
 use crate::model::ModelSpec;
 use crate::nn::{Checkpoint, Compute, Params};
 use crate::progress::Progress;
@@ -26,8 +24,6 @@ pub struct TrainJob<'a> {
     pub compute: &'a Compute,
     /// Receives the progress.
     pub progress: &'a dyn Progress,
-    /// The other ranks of the training, if it has several; the first one writes to the folder.
-    pub exchange: &'a dyn Exchange,
 }
 
 /// The result of training a model.

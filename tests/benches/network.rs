@@ -9,7 +9,7 @@ use candle_core::{Device, Tensor};
 use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, NoiseSource, SamplerConfig, rows_like};
 use djinn::model::{DenoiserKind, DenoiserSpec, ModelSpec, SceneDenoiser};
-use djinn::nn::{Adam, Compute, Params, Precision, in_pool, keep_freed_memory};
+use djinn::nn::{Adam, Compute, Params, in_pool, keep_freed_memory};
 use djinn::scene::{ObservationMask, Split};
 use djinn::seed::Seed;
 use djinn::store::SceneStore;
@@ -126,8 +126,8 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         events: None,
         distillation: None,
     };
-    let networks = |precision: Precision| -> Result<(Params, SceneDenoiser, SceneDenoiser)> {
-        let mut params = Params::new(&Compute { precision, ..Compute::cpu() });
+    let networks = || -> Result<(Params, SceneDenoiser, SceneDenoiser)> {
+        let mut params = Params::new(&Compute::cpu());
         let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, SEED)?;
         let frozen = SceneDenoiser::new(&mut params.frozen(), &spec.network, 3, spec.edm, SEED)?;
         Ok((params, denoiser, frozen))
@@ -152,7 +152,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let mask = ObservationMask::predictive(first.tracks.len(), first.n_timesteps, first.n_history);
     let view = SceneView { scene: &first, ego_idx: first.ego_idx, mask: &mask };
     let scene = draws.collator.collate(&[view], FutureValidity::Everything, &Device::Cpu)?;
-    let (params, _, frozen) = networks(Precision::F32)?;
+    let (params, _, frozen) = networks()?;
     let folder = tempfile::tempdir()?;
     spec.write(&params, &folder.path().join("model.safetensors"))?;
     write_inputs(&folder.path().join("inputs.safetensors"), &batches, &scene)?;
@@ -182,48 +182,45 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     }
     println!("{:<38} {:>18} {:>18} {:>18}", "seconds on the clock (of the processor)", "djinn", "PyTorch", "ratio");
     let n_evaluations = 2 * options.n_steps - 1;
-    for precision in [Precision::F32, Precision::Bf16] {
-        let (params, denoiser, frozen) = networks(precision)?;
-        let mut adam = Adam::default();
-        let mut step = |noisy: &Noisy| -> Result<()> {
-            let error = (denoiser.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)? - &noisy.batch.x0)?;
-            let squared = error.broadcast_mul(&noisy.batch.latent.unsqueeze(3)?)?.sqr()?;
-            let loss = squared.broadcast_mul(&noisy.weight)?.sum_all()?;
-            let loss = (loss / (f64::from(noisy.batch.latent.sum_all()?.to_scalar::<f32>()?) * 3.0))?;
-            let gradients = loss.backward()?;
-            adam.step(&params, &gradients, 3e-4, Some(5.0))?;
-            Ok(())
-        };
-        let sample = || -> Result<()> {
-            let bound = frozen.bind(&scene, options.n_futures)?;
-            let seeds = (0..options.n_futures as u64).map(|i| SEED.derive("noise", &[i])).collect();
-            let sampler = SamplerConfig::Heun(HeunConfig::with_steps(options.n_steps));
-            let (dims, mut noise) = (&scene.x0.dims()[1..], NoiseSource::new(seeds));
-            sampler.sample(&spec.edm, &bound, dims, &scene.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())?;
-            Ok(())
-        };
-        println!("in {precision}:");
-        let mut table = Table::default();
-        for (round, noisy) in batches.iter().enumerate() {
-            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || forward(&frozen, noisy)));
-            ours?;
-            table.add("forward", elapsed, peer.ask(&format!("{precision} forward {round}"))?);
-        }
-        table.print("forward", &format!("forward, {batch_size} scenes"));
-        for (round, noisy) in batches.iter().enumerate() {
-            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || step(noisy)));
-            ours?;
-            table.add("train", elapsed, peer.ask(&format!("{precision} train {round}"))?);
-        }
-        table.print("train", &format!("training step, {batch_size} scenes"));
-        for _ in 0..4 {
-            let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, sample));
-            ours?;
-            let request = format!("{precision} sample {} {}", options.n_futures, options.n_steps);
-            table.add("sample", elapsed, peer.ask(&request)?);
-        }
-        table.print("sample", &format!("{} futures, {n_evaluations} evaluations", options.n_futures));
+    let (params, denoiser, frozen) = networks()?;
+    let mut adam = Adam::default();
+    let mut step = |noisy: &Noisy| -> Result<()> {
+        let error = (denoiser.bind(&noisy.batch, 1)?.denoise(&noisy.x, &noisy.sigma)? - &noisy.batch.x0)?;
+        let squared = error.broadcast_mul(&noisy.batch.latent.unsqueeze(3)?)?.sqr()?;
+        let loss = squared.broadcast_mul(&noisy.weight)?.sum_all()?;
+        let loss = (loss / (f64::from(noisy.batch.latent.sum_all()?.to_scalar::<f32>()?) * 3.0))?;
+        let gradients = loss.backward()?;
+        adam.step(&params, &gradients, 3e-4, Some(5.0))?;
+        Ok(())
+    };
+    let sample = || -> Result<()> {
+        let bound = frozen.bind(&scene, options.n_futures)?;
+        let seeds = (0..options.n_futures as u64).map(|i| SEED.derive("noise", &[i])).collect();
+        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(options.n_steps));
+        let (dims, mut noise) = (&scene.x0.dims()[1..], NoiseSource::new(seeds));
+        sampler.sample(&spec.edm, &bound, dims, &scene.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())?;
+        Ok(())
+    };
+    let mut table = Table::default();
+    for (round, noisy) in batches.iter().enumerate() {
+        let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || forward(&frozen, noisy)));
+        ours?;
+        table.add("forward", elapsed, peer.ask(&format!("forward {round}"))?);
     }
+    table.print("forward", &format!("forward, {batch_size} scenes"));
+    for (round, noisy) in batches.iter().enumerate() {
+        let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, || step(noisy)));
+        ours?;
+        table.add("train", elapsed, peer.ask(&format!("train {round}"))?);
+    }
+    table.print("train", &format!("training step, {batch_size} scenes"));
+    for _ in 0..4 {
+        let (ours, elapsed) = timed(|| in_pool(&Device::Cpu, sample));
+        ours?;
+        let request = format!("sample {} {}", options.n_futures, options.n_steps);
+        table.add("sample", elapsed, peer.ask(&request)?);
+    }
+    table.print("sample", &format!("{} futures, {n_evaluations} evaluations", options.n_futures));
     peer.stop()
 }
 

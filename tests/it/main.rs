@@ -15,8 +15,6 @@ mod fuzz;
 mod mixture;
 mod parts;
 mod pytorch;
-#[cfg(unix)]
-mod ranks;
 mod report;
 mod requests;
 mod safety;
@@ -27,7 +25,6 @@ mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
-mod steering;
 #[cfg(unix)]
 mod submit;
 mod support;

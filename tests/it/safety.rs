@@ -9,7 +9,6 @@ use std::time::Duration;
 const RECORDINGS: &str = "tests/fixtures/recordings/argoverse1";
 const MODEL: &str = "pipelines/models/simulated_places.safetensors";
 const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v5";
-const OTHER_CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v3";
 
 fn put(path: &Path, text: &str) {
     fs_err::create_dir_all(path.parent().unwrap()).unwrap();
@@ -186,7 +185,7 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
     {
         for args in [
             vec!["corpus", "filter", &a, "--where", "verified", "--out", out],
-            vec!["corpus", "merge", &a, OTHER_CORPUS, "--out", out],
+            vec!["corpus", "merge", &a, CORPUS, "--out", out],
             vec!["corpus", "sample", &a, "--n", "1", "--out", out],
             vec!["export", "openlabel", &a, "--out", out],
         ] {
@@ -234,9 +233,10 @@ fn of_two_comparisons_into_one_page_one_is_there_whole() {
 #[test]
 fn of_two_writers_of_one_corpus_one_is_told_and_the_corpus_is_whole() {
     let workspace = Workspace::new();
-    let out = workspace.arg("out");
+    copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS), &workspace.path("copy"));
+    let (out, other) = (workspace.arg("out"), workspace.arg("copy"));
     let commands = [
-        vec!["corpus", "merge", CORPUS, OTHER_CORPUS, "--out", &out],
+        vec!["corpus", "merge", CORPUS, &other, "--out", &out],
         vec!["corpus", "filter", CORPUS, "--where", "verified", "--out", &out],
         vec!["export", "openlabel", CORPUS, "--out", &out],
     ];

@@ -214,7 +214,7 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     // What it cannot do is refused before anything runs.
     let guided = run(&["--dry-run", "--set", "generate.sweeps.1.strengths=[1.0]"]).expect(1);
     assert!(
-        guided.stderr.contains("strengths of \"futures\" is [1.0], but model = \"baseline\" has no such key"),
+        guided.stderr.contains("strengths is [1.0], but model = \"baseline\" has no such key"),
         "{}",
         guided.stderr
     );

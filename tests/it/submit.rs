@@ -79,7 +79,9 @@ fn kubernetes_gets_one_job_set() {
     let kubernetes = |answer: &str, more: &[&str]| submit(&workspace, answer, &[&args[..], more].concat());
     let printed = text(&kubernetes("exit 1", &["--dry-run"]).stdout);
     assert!(!workspace.path("calls.txt").exists(), "a dry run does nothing");
-    for part in ["kind: JobSet\n", "- \"--worker\"\n", "- \"$(JOB_COMPLETION_INDEX)/3\"\n", "name: evaluate-seal\n"] {
+    let job_set: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(job_set["kind"], "JobSet");
+    for part in ["\"--worker\"", "\"$(JOB_COMPLETION_INDEX)/3\"", "\"name\": \"evaluate-seal\""] {
         assert!(printed.contains(part), "`{part}` is not in\n{printed}");
     }
     let output = kubernetes("echo 'jobset.jobset.x-k8s.io/djinn-x created'", &[]);

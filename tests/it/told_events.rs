@@ -56,7 +56,7 @@ budget = { n_samples = 24 }
 
 fn pipeline() -> String {
     let distill = format!(
-        "[train.distill]\nmethod = {{ kind = \"steps\", n_steps = 2, grid = {{ sigma_max = 80, sigma_min = 0.5 }}, teacher_steps = 1 }}\n\
+        "[train.distill]\nmethod = {{ n_steps = 2, grid = {{ sigma_max = 80, sigma_min = 0.5 }}, teacher_steps = 1 }}\n\
          steps = 2\nbatch_size = 2\nevaluate_every = 2\nsave_every = 2\nn_eval_scenes = 2\n{EVENTS}\n"
     );
     let sampling = SAMPLING.replace(

@@ -10,24 +10,20 @@ use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::parts::{self, InParts, Part, TakenOver};
 use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, ranks, stages};
+use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, stages};
 use crate::settings;
-use crate::train::Seat;
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let (config, root) = load(&args.pipeline, &args.set, &args.place)?;
     use_threads(output, config.run.threads)?;
-    let may_train = !args.dry_run && args.part != Some(Part::Work);
-    let seat = if may_train { ranks::seat(&selected(args, &config))? } else { None };
-    let access = match &seat {
+    let access = match args.part {
         _ if args.dry_run => Access::Read,
-        _ if args.part == Some(Part::Work) => Access::Work,
-        Some(seat) if seat.rank > 0 => Access::Read,
+        Some(Part::Work) => Access::Work,
         _ => Access::Write,
     };
     let place = Place::open(&root, access)?;
-    let outcome = run_in(place.path(), (args, &config), seat.as_ref(), output, printer);
+    let outcome = run_in(place.path(), (args, &config), output, printer);
     super::finish(place, outcome)
 }
 
@@ -35,7 +31,6 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
 fn run_in(
     root: &Path,
     (args, config): (&RunArgs, &PipelineConfig),
-    seat: Option<&Seat>,
     output: &OutputArgs,
     printer: &Printer,
 ) -> Result<()> {
@@ -55,9 +50,6 @@ fn run_in(
     let in_parts = args.part.map(|part| stage_in_parts(args, part, config, &layout)).transpose()?;
     if let (Some((_, stage)), Some(worker)) = (&in_parts, args.worker) {
         return stage.work(root, worker, compute, &progress);
-    }
-    if let Some(seat) = seat.filter(|seat| seat.rank > 0) {
-        return ranks::help(seat, config, root, plan()?, &progress);
     }
     let folder = RunFolder::open(root)?;
     let mut planned = plan()?;
@@ -80,21 +72,11 @@ fn run_in(
         }
     }
     announce(&planned, output, printer);
-    let exchange = ranks::meet(seat, config, &planned, &progress)?;
-    let records = run_stages(&folder, Some(config), compute, planned, &progress, exchange.as_ref())?;
-    ranks::dismiss(exchange.as_ref());
+    let records = run_stages(&folder, Some(config), compute, planned, &progress)?;
     finished.into_iter().try_for_each(|stage| parts::sealed(root, stage))?;
     printer.message(format_args!("results are in {}", root.display()));
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
-}
-
-/// The stages that the arguments choose.
-fn selected(args: &RunArgs, config: &PipelineConfig) -> Vec<StageId> {
-    if !args.stage.is_empty() {
-        return args.stage.clone();
-    }
-    StageId::ALL.into_iter().filter(|stage| (stage.facts().is_configured)(config)).collect()
 }
 
 /// Takes over what workers made of a stage that one process now runs, and says so. Returns the stage if nothing of the workers' is to be

@@ -9,8 +9,7 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{Failure, Result, StageId, graph, ranks, stages};
-use crate::train::Seat;
+use crate::pipeline::{Failure, Result, StageId, graph, stages};
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
@@ -21,14 +20,12 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     let overrides = [overrides, args.set.clone()].concat();
     let config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
     use_threads(output, config.run.threads)?;
-    let seat = if args.dry_run { None } else { ranks::seat(&[id])? };
-    let is_reader = args.dry_run || seat.as_ref().is_some_and(|seat| seat.rank > 0);
-    let place = Place::open(&args.output, if is_reader { Access::Read } else { Access::Write })?;
+    let place = Place::open(&args.output, if args.dry_run { Access::Read } else { Access::Write })?;
     let other = reads.map(|folder| Place::open(folder, Access::Read)).transpose()?;
     for (named, place) in [(Some(args.output.as_path()), Some(&place)), (reads, other.as_ref())] {
         named.zip(place).iter().for_each(|(named, place)| layout.move_below(named, place.path()));
     }
-    let outcome = run_in(place.path(), (id, args), (&config, &layout), seat.as_ref(), output, printer);
+    let outcome = run_in(place.path(), (id, args), (&config, &layout), output, printer);
     super::finish(place, outcome)
 }
 
@@ -37,7 +34,6 @@ fn run_in(
     root: &Path,
     (id, args): (StageId, &StageArgs),
     (config, layout): (&PipelineConfig, &Layout),
-    seat: Option<&Seat>,
     output: &OutputArgs,
     printer: &Printer,
 ) -> Result<()> {
@@ -52,15 +48,10 @@ fn run_in(
     }
     resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
-    if let Some(seat) = seat.filter(|seat| seat.rank > 0) {
-        return ranks::help(seat, config, root, plan()?, &progress);
-    }
     let folder = RunFolder::open(root)?;
     let planned = plan()?;
     announce(&planned, output, printer);
-    let exchange = ranks::meet(seat, config, &planned, &progress)?;
-    let records = run_stages(&folder, None, config.run.compute(), planned, &progress, exchange.as_ref())?;
-    ranks::dismiss(exchange.as_ref());
+    let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;
     stages::check_gates(&records)
 }
 

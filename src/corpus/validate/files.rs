@@ -24,7 +24,7 @@ pub(super) fn check(
             report.damage("manifest", "manifest.json", None, format!("it lists an unknown table {name}"));
             continue;
         };
-        if table.schema().readable_version(&entry.schema).is_none() {
+        if entry.schema != table.schema().id() {
             let detail = format!("{name} has schema {}, expected {}", entry.schema, table.schema().id());
             report.damage("schema", "manifest.json", None, detail);
         }

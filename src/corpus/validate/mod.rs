@@ -140,10 +140,6 @@ fn check_totals(scan: &CorpusScan, known: &Known, report: &mut ValidationReport)
             report.damage("counts", "manifest.json", None, format!("{name} is {said}, but there are {found}"));
         }
     }
-    if manifest.schema == "corpus.v1" {
-        report.remark("version", "manifest.json", None, "written by an earlier version, with one file per table and without recordings; djinn corpus tools upgrade it");
-        return;
-    }
     match fs_err::read_to_string(scan.dir().join(CARD_FILE)) {
         Ok(text) if text == card(manifest) => {}
         Ok(_) => {

@@ -1,6 +1,6 @@
 //! Euler's first-order sampler: the simplest, for comparison.
 
-use super::{Observer, Step, StepGrid, denoise_at, evaluate_at, slope, steps};
+use super::{Observer, Step, StepGrid, denoise_at, slope, steps};
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -33,22 +33,8 @@ pub(super) fn integrate(
     let n_steps = sigmas.len().saturating_sub(1);
     for (step_idx, sigma, sigma_next) in steps(sigmas) {
         let x0_hat = denoise_at(denoiser, &x, sigma)?;
-        x = step(&x, &x0_hat, (sigma, sigma_next))?;
+        x = (&x + (slope(&x, &x0_hat, sigma)? * (sigma_next - sigma))?)?;
         observer(&Step { step_idx, n_steps, sigma, x: &x, x0_hat: &x0_hat });
     }
     Ok(x)
-}
-
-impl EulerConfig {
-    /// The same steps from `x` (B, …) at `sigmas[0]`, with the graph behind the result, so that it can be differentiated in
-    /// `x`. The graph holds the activations of all evaluations.
-    pub fn integrate_differentiably(sigmas: &[f64], denoiser: &dyn Denoiser, x: Tensor) -> Result<Tensor> {
-        steps(sigmas)
-            .try_fold(x, |x, (_, sigma, sigma_next)| step(&x, &evaluate_at(denoiser, &x, sigma)?, (sigma, sigma_next)))
-    }
-}
-
-/// From `x` to where its slope leads.
-fn step(x: &Tensor, x0_hat: &Tensor, (sigma, sigma_next): (f64, f64)) -> Result<Tensor> {
-    x + (slope(x, x0_hat, sigma)? * (sigma_next - sigma))?
 }

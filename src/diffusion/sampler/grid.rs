@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     fn sampler(grid: StepGrid) -> SamplerConfig {
-        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 3, grid, ..Dpmpp2mConfig::default() })
+        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 3, grid })
     }
 
     #[test]

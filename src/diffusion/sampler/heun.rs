@@ -1,7 +1,6 @@
 //! Heun's second-order sampler with optional churn: EDM's algorithm 2, the paper's choice.
 
-use super::resampler::resample;
-use super::{Observer, Resampler, Step, StepGrid, denoise_at, slope, steps};
+use super::{Observer, Step, StepGrid, denoise_at, slope, steps};
 use crate::diffusion::{Denoiser, NoiseSource};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -59,7 +58,6 @@ pub(super) fn integrate(
     denoiser: &dyn Denoiser,
     mut x: Tensor,
     noise: &mut NoiseSource,
-    resampler: &mut Resampler<'_>,
     observer: &mut Observer<'_>,
 ) -> Result<Tensor> {
     let n_steps = sigmas.len().saturating_sub(1);
@@ -72,9 +70,7 @@ pub(super) fn integrate(
             x = (&x + (noise.draw_like(&x)? * added)?)?;
         }
         // Euler step.
-        let mut x0_hat = denoise_at(denoiser, &x, sigma_hat)?;
-        let adds_noise = sigmas[step_idx + 1..n_steps].iter().any(|sigma| config.gamma(*sigma, n_steps) > 0.0);
-        resample(resampler, (sigma_hat, adds_noise), &mut x0_hat, &mut [&mut x])?;
+        let x0_hat = denoise_at(denoiser, &x, sigma_hat)?;
         let slope_here = slope(&x, &x0_hat, sigma_hat)?;
         let step = sigma_next - sigma_hat;
         let mut x_next = (&x + (&slope_here * step)?)?;

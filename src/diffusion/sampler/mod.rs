@@ -1,20 +1,16 @@
 //! Turns noise into samples: the list of samplers, and what they have in common.
 
-mod consistency;
 mod dpmpp_2m;
 mod euler;
 mod grid;
 mod heun;
-mod resampler;
 #[cfg(test)]
 mod tests;
 
-pub use consistency::ConsistencyConfig;
 pub use dpmpp_2m::Dpmpp2mConfig;
 pub use euler::EulerConfig;
 pub use grid::StepGrid;
 pub use heun::HeunConfig;
-pub use resampler::{Going, Resampler};
 
 use super::{Denoiser, Edm, NoiseSource};
 use crate::settings;
@@ -35,9 +31,6 @@ pub enum SamplerConfig {
     /// Second order, one evaluation per step (DPM-Solver++ 2M).
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m(Dpmpp2mConfig),
-    /// Jumps to the end, for consistency models (`[train.distill]`).
-    #[serde(rename = "consistency")]
-    Consistency(ConsistencyConfig),
 }
 
 impl Default for SamplerConfig {
@@ -71,7 +64,6 @@ impl SamplerConfig {
             Self::Heun(config) => config.n_steps,
             Self::Euler(config) => config.n_steps,
             Self::Dpmpp2m(config) => config.n_steps,
-            Self::Consistency(config) => config.levels.len() + 1,
         }
     }
 
@@ -79,7 +71,7 @@ impl SamplerConfig {
     pub const fn n_evaluations(&self) -> usize {
         match self {
             Self::Heun(config) => (2 * config.n_steps).saturating_sub(1),
-            Self::Euler(_) | Self::Dpmpp2m(_) | Self::Consistency(_) => self.n_steps(),
+            Self::Euler(_) | Self::Dpmpp2m(_) => self.n_steps(),
         }
     }
 
@@ -89,12 +81,8 @@ impl SamplerConfig {
     /// Names the setting that is invalid.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
-        match self {
-            Self::Consistency(config) => return config.validate(),
-            Self::Heun(HeunConfig { s_tmin, s_tmax: Some(s_tmax), .. }) => {
-                settings::ascending(("s_tmin", *s_tmin), ("s_tmax", *s_tmax))?;
-            }
-            Self::Heun(_) | Self::Euler(_) | Self::Dpmpp2m(_) => {}
+        if let Self::Heun(HeunConfig { s_tmin, s_tmax: Some(s_tmax), .. }) = self {
+            settings::ascending(("s_tmin", *s_tmin), ("s_tmax", *s_tmax))?;
         }
         self.grid().validate().map_err(|issue| issue.within("grid"))
     }
@@ -105,7 +93,6 @@ impl SamplerConfig {
             Self::Heun(config) => config.grid,
             Self::Euler(config) => config.grid,
             Self::Dpmpp2m(config) => config.grid,
-            Self::Consistency(config) => StepGrid { sigma_max: config.sigma_max, sigma_min: None, rho: None },
         }
     }
 
@@ -116,16 +103,11 @@ impl SamplerConfig {
 
     /// The noise levels of its steps from `sigma_start`, the last of them 0.
     pub fn schedule(&self, edm: &Edm, sigma_start: f64) -> Vec<f64> {
-        match self {
-            Self::Consistency(config) => config.schedule(sigma_start),
-            _ => {
-                let edm = self.grid().laid_over(edm);
-                // An edit may begin at or below the last level of the grid: there is one step then, to 0.
-                match sigma_start <= edm.sigma_min {
-                    true => vec![sigma_start, 0.0],
-                    false => edm.schedule_from(sigma_start, self.n_steps()),
-                }
-            }
+        let edm = self.grid().laid_over(edm);
+        // An edit may begin at or below the last level of the grid: there is one step then, to 0.
+        match sigma_start <= edm.sigma_min {
+            true => vec![sigma_start, 0.0],
+            false => edm.schedule_from(sigma_start, self.n_steps()),
         }
     }
 
@@ -136,12 +118,7 @@ impl SamplerConfig {
             Self::Heun(config) if config.s_churn > 0.0 => format!("heun-{}-churn-{}", config.n_steps, config.s_churn),
             Self::Heun(config) => format!("heun-{}", config.n_steps),
             Self::Euler(config) => format!("euler-{}", config.n_steps),
-            Self::Dpmpp2m(config) if config.eta > 0.0 => format!("dpmpp_2m-{}-eta-{}", config.n_steps, config.eta),
             Self::Dpmpp2m(config) => format!("dpmpp_2m-{}", config.n_steps),
-            Self::Consistency(config) => {
-                let levels: Vec<String> = config.levels.iter().map(|level| format!("-{level}")).collect();
-                format!("consistency{}", levels.concat())
-            }
         };
         name + &self.grid().suffix()
     }
@@ -171,35 +148,10 @@ impl SamplerConfig {
         noise: &mut NoiseSource,
         observer: &mut Observer<'_>,
     ) -> Result<Tensor> {
-        self.integrate_resampled(sigmas, denoiser, x, noise, &mut |_| Ok(None), observer)
-    }
-
-    /// The same, with rows that `resampler` replaces by copies of others on the way. Each row keeps its own noise, so
-    /// that copies part at the next noise that is added.
-    pub fn integrate_resampled(
-        &self,
-        sigmas: &[f64],
-        denoiser: &dyn Denoiser,
-        x: Tensor,
-        noise: &mut NoiseSource,
-        resampler: &mut Resampler<'_>,
-        observer: &mut Observer<'_>,
-    ) -> Result<Tensor> {
         match self {
-            Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, resampler, observer),
+            Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, observer),
             Self::Euler(_) => euler::integrate(sigmas, denoiser, x, observer),
-            Self::Dpmpp2m(config) => dpmpp_2m::integrate(config, sigmas, denoiser, x, noise, resampler, observer),
-            Self::Consistency(_) => consistency::integrate(sigmas, denoiser, x, noise, resampler, observer),
-        }
-    }
-
-    /// Whether it adds noise on the way, which lets copies of a state part.
-    pub fn adds_noise(&self) -> bool {
-        match self {
-            Self::Heun(config) => config.s_churn > 0.0 && config.s_noise > 0.0,
-            Self::Dpmpp2m(config) => config.eta > 0.0,
-            Self::Consistency(config) => !config.levels.is_empty(),
-            Self::Euler(_) => false,
+            Self::Dpmpp2m(_) => dpmpp_2m::integrate(sigmas, denoiser, x, observer),
         }
     }
 }
@@ -207,13 +159,8 @@ impl SamplerConfig {
 /// D(x; σ) with the same noise level in every row, without the graph of a trainable network behind it: over many steps
 /// that graph would keep the activations of every evaluation alive.
 fn denoise_at(denoiser: &dyn Denoiser, x: &Tensor, sigma: f64) -> Result<Tensor> {
-    Ok(evaluate_at(denoiser, x, sigma)?.detach())
-}
-
-/// D(x; σ) with the same noise level in every row.
-fn evaluate_at(denoiser: &dyn Denoiser, x: &Tensor, sigma: f64) -> Result<Tensor> {
     let sigma = Tensor::full(sigma, x.dim(0)?, x.device())?.to_dtype(x.dtype())?;
-    denoiser.denoise(x, &sigma)
+    Ok(denoiser.denoise(x, &sigma)?.detach())
 }
 
 /// The slope dx/dσ = (x - D(x; σ)) / σ of the probability-flow equation (EDM, equation 3 in equation 1).

@@ -94,7 +94,7 @@ impl GenerateConfig {
                     return Err(refuse(Issue::new("arms", why)));
                 };
                 let of_arm = |issue: Issue| Error::Setting(issue.within(&format!("generate.arms.{at}")));
-                for (sweep, level) in self.arms[at].resolve(request, self, behavior).map_err(of_arm)? {
+                for (sweep, level) in self.arms[at].resolve_arm(request, self, behavior).map_err(of_arm)? {
                     arms.push(Arm {
                         name: sweep.name[request.name.len() + 1..].to_owned(),
                         sweep_idx: resolved.sweeps.len(),

@@ -171,8 +171,8 @@ fn requests_that_make_no_sense_are_refused_by_name() {
         resolve(&format!("{arm}{}", request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}"))))
             .unwrap_err()
     };
-    assert!(with_arm("n_scenes = 3").contains("n_scenes of \"other\" is 3, but cannot be set in an arm"));
-    assert!(with_arm("behavior = 'cut_in'").contains("behavior of \"other\" is \"cut_in\", but"));
+    assert!(with_arm("n_scenes = 3").contains("generate.arms.3.n_scenes is 3, but cannot be set in an arm"));
+    assert!(with_arm("behavior = 'cut_in'").contains("generate.arms.3.behavior is \"cut_in\", but"));
     assert!(with_arm("model = 'baseline'").contains("generate.arms.3.model is \"baseline\""));
 }
 

@@ -1,110 +1,163 @@
-//! A sweep as written: the settings of each kind of model, and nothing else. Its keys are those of `SweepKeys`.
+//! A sweep or an arm as TOML has it: one flat table.
 
-use super::keys::SweepKeys;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{
-    ClassifierPotential, GuidanceConfig, NoiseOptimizationConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
-    ParticleConfig,
-};
-use crate::model::ClassifierInput;
+use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 
-/// `[[generate.sweeps]]`: every chosen scene, at every guidance level, `n_samples` times.
+/// Keys that an arm does not have, because the request that names the arm decides them.
+const OF_REQUESTS: &[&str] = &["n_scenes", "behavior", "pairs", "aim", "select", "stop_after_verified"];
+/// Keys that the baseline does not have.
+const OF_DIFFUSION: &[&str] = &[
+    "sampler",
+    "strengths",
+    "guidance",
+    "classifier_scope",
+    "classifier_input",
+    "classifier_potential",
+    "objectives",
+    "validity_strength",
+    "objective_guidance",
+    "classifier_free",
+    "edit",
+    "template",
+];
+
+/// A sweep, `[[generate.sweeps]]`: every chosen scene, at every guidance level, `n_samples` times. An arm,
+/// `[[generate.arms]]`, is a way of sampling that requests may try: the request decides on scenes, pairs and behavior.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(try_from = "SweepKeys", into = "SweepKeys")]
+#[serde(deny_unknown_fields)]
 pub struct SweepConfig {
-    /// Name, unique among the sweeps.
+    /// Name, unique among the sweeps or arms.
     pub name: String,
+    /// Where samples come from: `denoiser`, `distilled` (few evaluations), or `baseline`. The baseline has at most as
+    /// many samples as joint futures; of the keys about sampling it accepts only `n_samples` and `observe`.
+    #[serde(default)]
+    pub model: SampledModel,
     /// Number of scenes to continue.
+    #[serde(default)]
+    #[schemars(range(max = 1_000_000_000))]
     pub n_scenes: usize,
-    /// Name of the mined behavior to request; `None`: scenes are continued without a request.
-    pub behavior: Option<String>,
-    /// Which agents are to show the behavior.
-    pub pairs: PairSelectionConfig,
-    /// Which events the samples aim at.
-    pub aim: Aim,
-    /// Which samples become scenarios; `None`: all.
-    pub select: Option<SelectConfig>,
-    /// Start no further shards once this many scenarios are verified; `None`: generate all.
-    pub stop_after_verified: Option<usize>,
-    /// How samples are drawn.
-    pub sampling: SamplingConfig,
-}
-
-/// `[[generate.arms]]`: a way of sampling that requests may try. The request decides on scenes, pairs and behavior.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(try_from = "SweepKeys", into = "SweepKeys")]
-#[schemars(transform = super::keys::without_keys_of_requests)]
-pub struct ArmConfig {
-    /// Name, unique among the arms.
-    pub name: String,
-    /// How samples are drawn.
-    pub sampling: SamplingConfig,
-}
-
-/// How samples are drawn.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SamplingConfig {
-    /// Samples of each scene at each level.
-    pub n_samples: usize,
-    /// Which states are observed; the rest is generated.
-    pub observe: ObserveConfig,
-    /// The model with its settings.
-    pub model: ModelConfig,
-}
-
-/// Which model samples come from.
-#[derive(Debug, Clone, PartialEq)]
-pub enum ModelConfig {
-    /// The denoiser: samples are independent draws, in any number.
-    Denoiser(DiffusionConfig),
-    /// The denoiser of `[train.distill]`, in few evaluations.
-    Distilled(DiffusionConfig),
-    /// Scene Transformer of `[train.baseline]`: samples are its joint futures. It predicts in one pass, so there is
-    /// nothing to guide or edit.
-    Baseline,
-}
-
-/// How a denoiser is sampled.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DiffusionConfig {
-    /// How noise becomes a sample; `None`: as in the other sweeps.
+    /// How noise becomes a sample. Left out: as in the other sweeps.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub sampler: Option<SamplerConfig>,
-    /// How strongly samples are kept apart and on the road; `None`: as in the other sweeps.
-    pub validity_strength: Option<f64>,
-    /// Strengths α of guidance, each of them sampled; 0 is unguided.
+    /// Number of samples of each scene at each strength. Left out: 6.
+    #[serde(default = "six")]
+    #[schemars(range(min = 1, max = 100_000))]
+    pub n_samples: usize,
+    /// Name of the mined behavior to request. Left out: scenes are continued without a request.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub behavior: Option<String>,
+    /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same scenes, pairs
+    /// and noise, for comparison. `validity_strength` acts at all of them. Left out: 0 alone.
+    #[serde(default = "unguided")]
     pub strengths: Vec<f64>,
-    /// What guides.
-    pub guidance: SweepGuidance,
-    /// How groups of samples are resampled by the objectives; `None`: each sample stands alone.
-    pub particles: Option<ParticleConfig>,
-    /// How the noise that samples start from is optimized; `None`: it is random.
-    pub noise_optimization: Option<NoiseOptimizationConfig>,
-    /// States that samples lean toward.
-    pub classifier_free: Option<ClassifierFreeConfig>,
-    /// Edits of the recording that samples start from.
-    pub edit: Option<EditConfig>,
-    /// Whether the requested agents follow a template of the behavior.
-    pub template: bool,
-}
-
-/// What guides samples, and how.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SweepGuidance {
     /// When guidance acts and how far it may go.
-    pub gate: GuidanceConfig,
+    #[serde(default)]
+    pub guidance: GuidanceConfig,
     /// Which agents the classifier of the behavior judges.
+    #[serde(default)]
     pub classifier_scope: ClassifierScope,
-    /// What the classifier is shown.
+    /// What the classifier of the behavior is shown. Clean estimates are needed if more than the history is observed
+    /// (`observe`): the classifier was not trained on noisy states under other masks. `objective_guidance` says how the
+    /// gradient at an estimate becomes a shift.
+    #[serde(default)]
     pub classifier_input: ClassifierInput,
     /// What of the classifier is made large.
+    #[serde(default, skip_serializing_if = "ClassifierPotential::is_default")]
     pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
+    #[serde(default)]
     pub objectives: Vec<ObjectiveConfig>,
+    /// How strongly samples are kept apart and on the road, at every guidance strength. Left out: as in the other
+    /// sweeps. Use 0 for raw samples.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub validity_strength: Option<f64>,
     /// How objectives become shifts of the clean estimate.
+    #[serde(default)]
     pub objective_guidance: ObjectiveGuidanceConfig,
+    /// Which agents are to show the behavior.
+    #[serde(default)]
+    pub pairs: PairSelectionConfig,
+    /// Which events guided samples aim at.
+    #[serde(default)]
+    pub aim: Aim,
+    /// Which states are observed: the name of a training task (`predictive`, `goal_conditioned`, `agent_conditioned`,
+    /// `ego_conditioned`, `windowed`, `upsampling`, `imputation`), or a list of rules. The rest is generated. Left out: `predictive`.
+    #[serde(default)]
+    pub observe: ObserveConfig,
+    /// States that samples lean toward, by classifier-free guidance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub classifier_free: Option<ClassifierFreeConfig>,
+    /// Edits of the recording that samples start from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub edit: Option<EditConfig>,
+    /// Whether the agents of the event follow a template: a maneuver along the lanes that is solved for the sample's
+    /// target. The denoiser observes all of it and samples everybody else. If no maneuver reaches the target, the
+    /// sample follows another one; if there is none at all, it is sampled freely. Every behavior but
+    /// `cut_in_paper` has templates. Left out: false.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub template: bool,
+    /// Which samples become scenarios. Left out: all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub select: Option<SelectConfig>,
+    /// Start no further shards of this sweep once this many of its scenarios are verified. Left out: generate all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
+    pub stop_after_verified: Option<usize>,
+}
+
+impl SweepConfig {
+    /// Refuses what a request decides in an arm.
+    pub(super) fn check_arm(&self) -> Result {
+        self.refuse(OF_REQUESTS, "cannot be set in an arm: the request decides it")
+    }
+
+    /// Refuses what the baseline does not have.
+    pub(super) fn check_baseline(&self) -> Result {
+        let why = "model = \"baseline\" has no such key, because Scene Transformer predicts in one pass and cannot be guided \
+                   or edited; remove it, or set model = \"denoiser\"";
+        self.refuse(OF_DIFFUSION, why)
+    }
+
+    /// Refuses the first of these keys with another value than its default.
+    fn refuse(&self, keys: &[&str], why: &str) -> Result {
+        // A table of plain values can always be converted to JSON.
+        let of = |sweep: &Self| serde_json::to_value(sweep).unwrap_or_default();
+        let default = serde_json::from_value(json!({ "name": self.name })).map(|default| of(&default));
+        let (own, default) = (of(self), default.unwrap_or_default());
+        match keys.iter().find(|key| own.get(**key) != default.get(**key)) {
+            Some(key) => Err(Issue::new(*key, format_args!("is {}, but {why}", own[*key]))),
+            None => Ok(()),
+        }
+    }
+}
+
+const fn six() -> usize {
+    6
+}
+
+fn unguided() -> Vec<f64> {
+    vec![0.0]
+}
+
+/// Which model the samples of a sweep come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SampledModel {
+    /// The denoiser: samples are independent draws, in any number.
+    #[default]
+    Denoiser,
+    /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "euler" }` and the `n_steps` and `grid` of
+    /// `train.distill.method`.
+    Distilled,
+    /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the most likely first, with their
+    /// probabilities.
+    Baseline,
 }
 
 /// Which agents the classifier of the behavior judges.
@@ -114,11 +167,19 @@ pub enum ClassifierScope {
     /// The requested pair: chosen beforehand, and verified.
     #[default]
     Pair,
-    /// Whichever pair of the scene comes nearest to the behavior (ln of the sum of all pairs' probabilities). No pair
-    /// is requested; a scenario is verified if any pair shows the behavior.
-    AnyPair,
     /// None: only objectives guide. Pairs are chosen and verified as with `pair`.
     None,
+}
+
+/// What the classifier of a behavior is shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ClassifierInput {
+    /// The diffused states of the pair with their noise, at every noise level (paper, section 5.2).
+    #[default]
+    NoisyStates,
+    /// The denoiser's estimate of the pair's future, as objectives see it.
+    CleanEstimate,
 }
 
 /// Which events guided samples aim at.

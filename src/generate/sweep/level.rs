@@ -1,13 +1,13 @@
 //! The levels of a sweep: strengths or weights, but not both.
 
-use super::config::DiffusionConfig;
+use super::SweepConfig;
 use crate::scene::GuidanceLevel;
 use crate::settings::{self, Issue, Result};
 
-impl DiffusionConfig {
+impl SweepConfig {
     /// The levels at which samples of a scene are drawn: strengths α of guidance, or weights λ of classifier-free
     /// guidance. If a sweep has both, one of them is a single number.
-    pub(super) fn levels(&self) -> Result<Vec<GuidanceLevel>> {
+    pub(super) fn all_levels(&self) -> Result<Vec<GuidanceLevel>> {
         let strengths = numbers("strengths", &self.strengths)?;
         let weights = self.classifier_free.as_ref().map(|config| numbers("classifier_free.weights", &config.weights));
         let at = |strength: f64, weight: f64| GuidanceLevel { strength, weight };

@@ -1,16 +1,12 @@
-//! The settings of a sweep: as written ([`SweepConfig`], and [`ArmConfig`] without what a request decides), and
-//! resolved into what can be sampled ([`ResolvedSweep`]).
+//! The settings of a sweep: as written ([`SweepConfig`], of which an arm lacks what a request decides), and resolved
+//! into what can be sampled ([`ResolvedSweep`]).
 
 mod config;
-mod keys;
 mod level;
 mod resolve;
 mod resolved;
 mod settings;
-mod steering;
 
-pub use config::{
-    Aim, ArmConfig, ClassifierScope, DiffusionConfig, ModelConfig, SamplingConfig, SweepConfig, SweepGuidance,
-};
+pub use config::{Aim, ClassifierInput, ClassifierScope, SampledModel, SweepConfig};
 pub(super) use resolve::mined;
-pub use resolved::{Diffusion, ResolvedSweep, SweepModel};
+pub use resolved::{Diffusion, ResolvedSweep, SweepGuidance, SweepModel};

@@ -1,14 +1,13 @@
 //! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
 use super::{
-    Aim, ArmConfig, ClassifierScope, Diffusion, DiffusionConfig, ModelConfig, ResolvedSweep, SamplingConfig,
-    SweepConfig, SweepModel,
+    Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
+    SweepModel,
 };
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
 use crate::guidance::{CleanGradient, GuidanceConfig};
-use crate::model::ClassifierInput;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
@@ -38,59 +37,49 @@ impl SweepConfig {
         }
         let behavior = self.behavior.as_deref().map(|id| mined(id, behaviors)).transpose()?;
         let selects_by_objectives = self.select.as_ref().is_some_and(SelectConfig::names_objectives);
-        let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives })?;
+        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives })?;
         let sweep = ResolvedSweep {
             name: self.name.clone(),
             n_scenes: self.n_scenes,
-            n_samples: self.sampling.n_samples,
+            n_samples: self.n_samples,
             behavior: self.behavior.clone(),
             pairs: self.pairs.clone(),
             aim: self.aim,
             select: self.select.clone(),
             stop_after_verified: self.stop_after_verified,
-            observe: self.sampling.observe.clone(),
+            observe: self.observe.clone(),
             model,
         };
-        let can_aim = behavior.is_some() && !sweep.asks_anybody() && !sweep.aims_at().is_empty();
+        let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
         if self.aim == Aim::Feasible && !can_aim {
             return Err(Issue::new(
                 "aim",
-                "is \"feasible\", which needs a behavior, particular agents to show it (classifier_scope other than \"any_pair\"), and what can \
-                 aim at the event's parameters: template = true, classifier_free = { event = true }, or strengths other than 0 and an objective, such as objectives = [{ kind = \
+                "is \"feasible\", which needs a behavior and what can aim at the event's parameters: template = true, classifier_free = { event = true }, or strengths other than 0 and an objective, such as objectives = [{ kind = \
                  \"cut_in\" }]",
             ));
         }
         if let Some(select) = &self.select {
             let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
             let kinds: Vec<&str> = objectives.iter().map(|objective| objective.kind()).collect();
-            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1) && !sweep.asks_anybody();
+            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1);
             select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
         }
         Ok(sweep)
     }
-}
 
-impl ArmConfig {
-    /// Refuses settings that no request could try, whatever its behavior.
-    pub(in crate::generate) fn check(&self) -> Result {
+    /// Refuses settings of an arm that no request could try, whatever its behavior.
+    pub(in crate::generate) fn validate_arm(&self) -> Result {
         settings::printable_name("name", &self.name)?;
         if self.name.contains(['/', '@']) {
             return Err(Issue::new("name", format_args!("is \"{}\", expected one without / and @", self.name)));
         }
-        match &self.sampling.model {
-            ModelConfig::Baseline => Err(Issue::new(
+        self.check_arm()?;
+        match self.model {
+            SampledModel::Baseline => Err(Issue::new(
                 "model",
                 "is \"baseline\", which has a fixed number of futures per scene; use \"denoiser\" or \"distilled\"",
             )),
-            ModelConfig::Denoiser(diffusion) | ModelConfig::Distilled(diffusion) => {
-                match diffusion.guidance.classifier_scope {
-                    ClassifierScope::AnyPair => Err(Issue::new(
-                        "classifier_scope",
-                        "is \"any_pair\", but a request needs particular pairs; use \"pair\" or \"none\"",
-                    )),
-                    ClassifierScope::Pair | ClassifierScope::None => diffusion.levels().map(drop),
-                }
-            }
+            SampledModel::Denoiser | SampledModel::Distilled => self.all_levels().map(drop),
         }
     }
 
@@ -98,24 +87,24 @@ impl ArmConfig {
     ///
     /// # Errors
     /// Names the key that does not fit the request's behavior.
-    pub(in crate::generate) fn resolve(
+    pub(in crate::generate) fn resolve_arm(
         &self,
         request: &RequestConfig,
         config: &GenerateConfig,
         behavior: &dyn Behavior,
     ) -> Result<Vec<(ResolvedSweep, GuidanceLevel)>> {
         let behavior = Some(behavior);
-        let model = self.sampling.resolve(&Purpose { config, behavior, selects_by_objectives: false })?;
+        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives: false })?;
         let sweep = ResolvedSweep {
             name: format!("{}/{}", request.name, self.name),
             n_scenes: request.n_scenes,
-            n_samples: self.sampling.n_samples,
+            n_samples: self.n_samples,
             behavior: Some(request.behavior.clone()),
             pairs: request.pairs.clone(),
             aim: Aim::default(),
             select: None,
             stop_after_verified: None,
-            observe: self.sampling.observe.clone(),
+            observe: self.observe.clone(),
             model,
         };
         let levels = sweep.levels();
@@ -146,40 +135,21 @@ pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>
     })
 }
 
-impl SamplingConfig {
-    fn resolve(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
+impl SweepConfig {
+    fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
-        let model = self.resolve_model(purpose)?;
-        if let SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) = &model {
-            diffusion.check_steering(self.n_samples, purpose.config.batch_size)?;
-        }
-        Ok(model)
-    }
-
-    fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
-        match &self.model {
-            ModelConfig::Denoiser(diffusion) => {
-                let resolved = diffusion.resolve(purpose, &self.observe)?;
-                match resolved.sampler {
-                    SamplerConfig::Consistency(_) => Err(Issue::new(
-                        "sampler.kind",
-                        "is \"consistency\", which gives blurred samples with an ordinary denoiser; set model = \
-                         \"distilled\", or use \"heun\"",
-                    )),
-                    _ => Ok(SweepModel::Denoiser(resolved)),
-                }
-            }
-            ModelConfig::Distilled(diffusion) => {
-                let resolved = diffusion.resolve(purpose, &self.observe)?;
+        match self.model {
+            SampledModel::Denoiser => Ok(SweepModel::Denoiser(self.resolve_diffusion(purpose)?)),
+            SampledModel::Distilled => {
+                let resolved = self.resolve_diffusion(purpose)?;
                 if matches!(resolved.sampler, SamplerConfig::Heun(_) | SamplerConfig::Dpmpp2m(_)) {
                     return Err(Issue::new(
                         "sampler",
                         format_args!(
                             "is {}, which expects a denoiser that predicts means; a distilled one does not, and samples would \
                              be far too wide; set sampler = {{ kind = \"euler\", n_steps = 2, grid = … }} as in \
-                             train.distill.method, or {{ kind = \"consistency\", sigma_max = 24, levels = [4.0] }} for a \
-                             consistency model",
+                             train.distill.method",
                             resolved.sampler.name()
                         ),
                     ));
@@ -192,27 +162,24 @@ impl SamplingConfig {
                 }
                 Ok(SweepModel::Distilled(resolved))
             }
-            ModelConfig::Baseline => Ok(SweepModel::Baseline),
+            SampledModel::Baseline => self.check_baseline().map(|()| SweepModel::Baseline),
         }
     }
-}
 
-impl DiffusionConfig {
-    fn resolve(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result<Diffusion> {
-        let levels = self.levels()?;
+    fn resolve_diffusion(&self, purpose: &Purpose<'_>) -> Result<Diffusion> {
+        let levels = self.all_levels()?;
         if let Some(sampler) = &self.sampler {
             sampler.validate().map_err(|issue| issue.within("sampler"))?;
         }
-        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance.gate;
+        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance;
         settings::ascending(("guidance.sigma_lo", sigma_lo), ("guidance.sigma_hi", sigma_hi))?;
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         if let Some(config) = &self.classifier_free {
             config.validate(roles).map_err(|issue| issue.within("classifier_free"))?;
-            if config.event && (roles.is_empty() || self.guidance.classifier_scope == ClassifierScope::AnyPair) {
+            if config.event && roles.is_empty() {
                 return Err(Issue::new(
                     "classifier_free.event",
-                    "is true, which needs a behavior and particular agents to show it: set behavior = \"cut_in\" or another, and \
-                     classifier_scope other than \"any_pair\"",
+                    "is true, which needs a behavior: set behavior = \"cut_in\" or another",
                 ));
             }
         }
@@ -223,27 +190,28 @@ impl DiffusionConfig {
             sampler: self.sampler.as_ref().unwrap_or(&purpose.config.sampler).clone(),
             validity_strength: self.validity_strength.unwrap_or(purpose.config.validity_strength),
             levels,
-            guidance: self.guidance.clone(),
-            particles: self.particles,
-            noise_optimization: self.noise_optimization,
+            guidance: SweepGuidance {
+                gate: self.guidance,
+                classifier_scope: self.classifier_scope,
+                classifier_input: self.classifier_input,
+                classifier_potential: self.classifier_potential,
+                objectives: self.objectives.clone(),
+                objective_guidance: self.objective_guidance,
+            },
             classifier_free: self.classifier_free.clone(),
             edit: self.edit.clone(),
             template: self.template_parameters(purpose)?,
         };
-        resolved.check_guidance(purpose, observe).map(|()| resolved)
+        resolved.check_guidance(purpose, &self.observe).map(|()| resolved)
     }
-}
 
-impl DiffusionConfig {
     /// The parameters for which templates are solved; empty without templates.
     fn template_parameters(&self, purpose: &Purpose<'_>) -> Result<&'static [&'static str]> {
         if !self.template {
             return Ok(&[]);
         }
         let refuse = |why: String| Err(Issue::new("template", format_args!("is true, but {why}")));
-        if self.guidance.classifier_scope != ClassifierScope::None
-            && self.strengths.iter().any(|strength| *strength != 0.0)
-        {
+        if self.classifier_scope != ClassifierScope::None && self.strengths.iter().any(|strength| *strength != 0.0) {
             return refuse("the classifier does not know templates; set classifier_scope = \"none\"".to_owned());
         }
         if self.edit.is_some() {
@@ -278,13 +246,6 @@ impl Diffusion {
     fn check_guidance(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result {
         let guidance = &self.guidance;
         let classifies = self.classifies(purpose);
-        let is_anybody = guidance.classifier_scope == ClassifierScope::AnyPair;
-        if purpose.behavior.is_none() && is_anybody {
-            return Err(Issue::new(
-                "classifier_scope",
-                "is \"any_pair\", which needs a behavior, such as behavior = \"cut_in\"",
-            ));
-        }
         let has_objectives = !guidance.objectives.is_empty();
         if self.is_guided() && !has_objectives && !classifies {
             let missing = match purpose.behavior {
@@ -293,14 +254,14 @@ impl Diffusion {
             };
             return Err(Issue::new("strengths", missing));
         }
-        if has_objectives && !self.is_steered() && !purpose.selects_by_objectives {
+        if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
             return Err(Issue::new(
                 "objectives",
-                "have no effect at strength 0; add a strength, such as strengths = [1.0], particles or noise_optimization, or \
-                 select by them, such as select = { best = 1, by = [\"objectives\"] }",
+                "have no effect at strength 0; add a strength, such as strengths = [1.0], or select by them, such as \
+                 select = { best = 1, by = [\"objectives\"] }",
             ));
         }
-        let roles = purpose.behavior.filter(|_| !is_anybody).map_or(&[][..], Behavior::roles);
+        let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         for (i, objective) in guidance.objectives.iter().enumerate() {
             let (key, kind) = (format!("objectives.{i}"), objective.kind());
             objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;

@@ -1,10 +1,12 @@
 //! A sweep that can be sampled: complete, and without contradictions.
 
-use super::{Aim, ClassifierScope, SweepGuidance};
+use super::{Aim, ClassifierInput, ClassifierScope};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{EVALUATIONS_PER_GRADIENT, NoiseOptimizationConfig, ParticleConfig};
+use crate::guidance::{
+    ClassifierPotential, EVALUATIONS_PER_GRADIENT, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
+};
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
@@ -45,6 +47,23 @@ pub enum SweepModel {
     Baseline,
 }
 
+/// What guides samples, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepGuidance {
+    /// When guidance acts and how far it may go.
+    pub gate: GuidanceConfig,
+    /// Which agents the classifier of the behavior judges.
+    pub classifier_scope: ClassifierScope,
+    /// What the classifier is shown.
+    pub classifier_input: ClassifierInput,
+    /// What of the classifier is made large.
+    pub classifier_potential: ClassifierPotential,
+    /// Objectives for the trajectories, in addition to a behavior or instead of one.
+    pub objectives: Vec<ObjectiveConfig>,
+    /// How objectives become shifts of the clean estimate.
+    pub objective_guidance: ObjectiveGuidanceConfig,
+}
+
 /// How a denoiser is sampled.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Diffusion {
@@ -56,10 +75,6 @@ pub struct Diffusion {
     pub levels: Vec<GuidanceLevel>,
     /// The guidance at strengths other than 0.
     pub guidance: SweepGuidance,
-    /// How groups of samples are resampled by the objectives, at every level.
-    pub particles: Option<ParticleConfig>,
-    /// How the noise that samples start from is optimized, at every level.
-    pub noise_optimization: Option<NoiseOptimizationConfig>,
     /// States that samples lean toward.
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
@@ -98,18 +113,9 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
 
-    /// Samples that are resampled together: particles of one group, or one.
-    pub fn group_size(&self) -> usize {
-        self.diffusion().and_then(|diffusion| diffusion.particles).map_or(1, |particles| particles.n)
-    }
-
-    /// Whether some of its samples are forecasts: not steered in any way.
+    /// Whether some of its samples are forecasts: not guided, not edited, without wanted states and without a template.
     pub fn has_unguided(&self) -> bool {
-        let is_free = |diffusion: &Diffusion| {
-            let steers = diffusion.particles.is_some() || diffusion.noise_optimization.is_some();
-            diffusion.edit.is_none() && diffusion.template.is_empty() && !steers
-        };
-        self.diffusion().is_none_or(is_free)
+        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
             && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
     }
 
@@ -121,30 +127,10 @@ impl ResolvedSweep {
             })
     }
 
-    /// Refuses to be guided by a classifier of clean futures where it cannot judge.
-    ///
-    /// # Errors
-    /// Names the key and what to set.
-    pub fn check_clean_classifier(&self) -> Result<(), Error> {
-        let guidance = self.diffusion().filter(|_| self.needs_classifier()).map(|diffusion| &diffusion.guidance);
-        let why = match guidance {
-            Some(guidance) if guidance.classifier_input.is_noisy() => {
-                "classifier_input is \"noisy_states\", but the classifier was trained on clean estimates; set \
-                 classifier_input = \"clean_estimate\""
-            }
-            Some(guidance) if guidance.classifier_scope == ClassifierScope::AnyPair => {
-                "classifier_scope is \"any_pair\", which needs a classifier of noisy states; set train.classifier.input = \
-                 \"noisy_states\", or classifier_scope = \"pair\""
-            }
-            _ => return Ok(()),
-        };
-        Err(Error::Config(format!("sweep {}: {why}", self.name)))
-    }
-
     /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
     /// denoiser is told.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
-        let guided = self.diffusion().filter(|diffusion| diffusion.is_steered());
+        let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
         let of_template = self.diffusion().map_or(&[][..], |diffusion| diffusion.template);
         let told = self.behavior.as_deref().filter(|_| self.tells_event()).and_then(BehaviorEntry::of);
@@ -156,11 +142,6 @@ impl ResolvedSweep {
     /// Whether the requested event is a collision.
     pub(in crate::generate) fn asks_for_collision(&self) -> bool {
         BehaviorEntry::is_collision(self.behavior.as_deref())
-    }
-
-    /// Whether no particular pair is requested.
-    pub(in crate::generate) fn asks_anybody(&self) -> bool {
-        self.diffusion().is_some_and(|diffusion| diffusion.guidance.classifier_scope == ClassifierScope::AnyPair)
     }
 
     /// Whether its denoiser is told of the requested event.
@@ -177,8 +158,7 @@ impl ResolvedSweep {
             let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
             let n_each =
                 if diffusion.goes_through_network(self.needs_classifier()) { EVALUATIONS_PER_GRADIENT } else { 1 };
-            let n_optimizing = diffusion.noise_optimization.map_or(0, |c| c.n_evaluations(diffusion.sampler.n_steps()));
-            (diffusion.sampler.n_evaluations() * n_each + n_optimizing) as u64 * n_calls
+            (diffusion.sampler.n_evaluations() * n_each) as u64 * n_calls
         })
     }
 
@@ -198,22 +178,14 @@ impl ResolvedSweep {
             Some(edit) => edit.schedule(edm, sampler),
             None => sampler.schedule(edm, sampler.sigma_start(edm)),
         };
-        let refuse = |why: String| Err(Error::Config(format!("sweep {}: {why}", self.name)));
-        match (distillation, sampler) {
-            (Distillation::Steps { sigmas }, SamplerConfig::Euler(_)) if !sigmas.ends_with(&asked) => refuse(format!(
-                "the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through {asked:?}: give it the n_steps and \
-                 grid of train.distill.method, and edits a tau that is one of these levels"
-            )),
-            (Distillation::Steps { sigmas }, SamplerConfig::Consistency(_)) => refuse(format!(
-                "the denoiser was distilled to Euler's steps through {sigmas:?}: give the sweep sampler = {{ kind = \"euler\" }} with the \
-                 n_steps and grid of train.distill.method"
-            )),
-            (Distillation::Consistency, SamplerConfig::Euler(_)) => refuse(
-                "the denoiser was distilled to a consistency model: give the sweep sampler = { kind = \"consistency\", sigma_max = 24, \
-                 levels = [4.0] }"
-                    .to_owned(),
-            ),
-            _ => Ok(()),
+        let Distillation::Steps { sigmas } = distillation;
+        match sigmas.ends_with(&asked) {
+            true => Ok(()),
+            false => Err(Error::Config(format!(
+                "sweep {}: the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through {asked:?}: give it the \
+                 n_steps and grid of train.distill.method, and edits a tau that is one of these levels",
+                self.name
+            ))),
         }
     }
 }
@@ -222,10 +194,5 @@ impl Diffusion {
     /// Whether some samples are guided.
     pub(in crate::generate) fn is_guided(&self) -> bool {
         self.levels.iter().any(|level| level.strength != 0.0)
-    }
-
-    /// Whether objectives steer some samples, by any means.
-    pub(in crate::generate) fn is_steered(&self) -> bool {
-        self.is_guided() || self.particles.is_some() || self.noise_optimization.is_some()
     }
 }

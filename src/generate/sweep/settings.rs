@@ -36,14 +36,6 @@ impl Diffusion {
         if !self.template.is_empty() {
             settings["template"] = json!(true);
         }
-        if let Some(particles) = &self.particles {
-            settings["particles"] = json!(particles);
-            settings["objectives"] = json!(self.guidance.objectives);
-        }
-        if let Some(optimization) = &self.noise_optimization {
-            settings["noise_optimization"] = json!(optimization);
-            settings["objectives"] = json!(self.guidance.objectives);
-        }
         if level.strength != 0.0 {
             let guidance = &self.guidance;
             settings["strength"] = json!(level.strength);

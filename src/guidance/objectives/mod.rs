@@ -10,14 +10,11 @@
 //! never contributes, and observed states only in comparison with generated ones.
 
 mod acceleration_limit;
-mod adversarial_ttc;
 mod approach;
 mod box_separation;
-mod chase;
 mod collision;
 mod cross_ahead;
 mod cut_in;
-mod cut_out;
 mod driven_paths;
 mod encroachment;
 mod goal;
@@ -25,16 +22,13 @@ mod hard_brake;
 mod keep_distance;
 mod lane_change;
 mod motion;
-mod near_miss;
 mod no_collision;
 mod one_agent;
 mod pairs;
-mod pedestrian_steps_out;
 mod slip_limit;
 mod speed_limit;
 mod stay_on_road;
 mod stop_at_line;
-mod tailgating;
 mod target_speed;
 #[cfg(test)]
 mod testing;
@@ -44,24 +38,19 @@ mod turn;
 mod wrong_way;
 
 pub use acceleration_limit::AccelerationLimit;
-pub use adversarial_ttc::AdversarialTtc;
 pub use collision::Collision;
 pub use cross_ahead::CrossAhead;
 pub use cut_in::CutIn;
-pub use cut_out::CutOut;
 pub use goal::{Goal, GoalFrame};
 pub use hard_brake::HardBrake;
 pub use keep_distance::KeepDistance;
 pub use lane_change::LaneChange;
 pub(super) use motion::nothing;
-pub use near_miss::NearMiss;
 pub use no_collision::NoCollision;
-pub use pedestrian_steps_out::PedestrianStepsOut;
 pub use slip_limit::SlipLimit;
 pub use speed_limit::SpeedLimit;
 pub use stay_on_road::{RoadPoints, StayOnRoad};
 pub use stop_at_line::StopAtLine;
-pub use tailgating::Tailgating;
 pub use target_speed::TargetSpeed;
 pub use turn::Turn;
 pub use wrong_way::WrongWay;
@@ -143,26 +132,16 @@ objectives! {
     KeepDistance = "keep_distance",
     /// Come to a halt before a line.
     StopAtLine = "stop_at_line",
-    /// Bring two agents close to a collision.
-    AdversarialTtc = "adversarial_ttc",
     /// Move into the lane of another agent, ahead of it.
     CutIn = "cut_in",
     /// Brake hard.
     HardBrake = "hard_brake",
-    /// Barely avoid each other.
-    NearMiss = "near_miss",
     /// Drive into each other.
     Collision = "collision",
     /// Cross the way of another shortly before it gets there.
     CrossAhead = "cross_ahead",
     /// Move over to the lane beside one's own.
     LaneChange = "lane_change",
-    /// Drive too close behind another.
-    Tailgating = "tailgating",
-    /// Leave the lane and reveal a slow vehicle.
-    CutOut = "cut_out",
-    /// Step into the way of a vehicle.
-    PedestrianStepsOut = "pedestrian_steps_out",
     /// Turn to the left or right.
     Turn = "turn",
     /// Drive in the oncoming lane.
@@ -212,11 +191,6 @@ fn ego() -> AgentSelector {
 /// The one agent of a behavior without others.
 fn agent() -> AgentSelector {
     AgentSelector::new("agent")
-}
-
-/// The one whom another follows.
-fn leader() -> AgentSelector {
-    AgentSelector::new("leader")
 }
 
 /// The first of two of whom neither is the ego.

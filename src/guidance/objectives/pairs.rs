@@ -39,11 +39,6 @@ impl Agents {
         Ok(Self { states: of(states)?, extent_m: of(&context.extent_m)?.to_dtype(states.dtype())?, valid, latent })
     }
 
-    /// The same, where nothing pulls at them.
-    pub(super) fn held(self) -> Self {
-        Self { states: self.states.detach(), ..self }
-    }
-
     /// The same from timestep `start` on, `len` of them.
     pub(super) fn during(&self, start: usize, len: usize) -> Result<Self> {
         let narrow = |tensor: &Tensor| tensor.narrow(1, start, len);

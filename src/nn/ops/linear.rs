@@ -2,15 +2,16 @@
 
 use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
-use std::marker::PhantomData;
 
 use super::Activation;
-use super::gemm::{Factors, Into, Matrix};
+use super::gemm::{Into, Matrix, matmul};
 use super::host::{gradient, slice, values};
 use super::kernels::vectorized;
 use super::rows::{gather, spans, valid_rows};
 use crate::nn::precision::Precision;
 
+/// Rows of one task, few enough that their inputs and outputs stay in the cache between product and activation.
+const N_ROWS: usize = 128;
 /// Rows of a matrix that are transposed together: one cache line of the result.
 const N_TRANSPOSED: usize = 16;
 /// Outputs whose weights one task differentiates, or inputs whose weights it transposes.
@@ -40,8 +41,8 @@ pub(super) fn reference(
     }
 }
 
-/// The fused implementation, with factors in the precision of `F`: see [`linear`](super::linear).
-pub(super) fn fused<F: Factors>(
+/// The fused implementation: see [`linear`](super::linear).
+pub(super) fn fused(
     x: &Tensor,
     weight: &Tensor,
     bias: &Tensor,
@@ -52,21 +53,16 @@ pub(super) fn fused<F: Factors>(
         None => (0..(x.elem_count() / x.dim(D::Minus1)?) as u32).collect(),
         Some(valid) => valid_rows(&values(&valid.contiguous()?)?),
     };
-    x.contiguous()?.apply_op3(
-        &weight.contiguous()?,
-        &bias.contiguous()?,
-        FusedLinear::<F> { activation, rows, factors: PhantomData },
-    )
+    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, FusedLinear { activation, rows })
 }
 
 /// x (.., K), W (N, K), b (N) to (.., N), only on `rows`; the others are 0.
-struct FusedLinear<F> {
+struct FusedLinear {
     activation: Activation,
     rows: Vec<u32>,
-    factors: PhantomData<F>,
 }
 
-impl<F: Factors> FusedLinear<F> {
+impl FusedLinear {
     /// The gradient at the output of the affine map, for some rows and the outputs from `first` to `end`.
     fn gradient(&self, y: &[f32], grad: &[f32], rows: &[u32], n_out: usize, first: usize, end: usize) -> Vec<f32> {
         let mut gradient = Vec::with_capacity(rows.len() * (end - first));
@@ -86,11 +82,12 @@ impl<F: Factors> FusedLinear<F> {
 
     fn gradient_of_x(&self, y: &[f32], grad: &[f32], weight: &[f32], n_out: usize) -> Vec<f32> {
         let n_in = weight.len() / n_out;
-        let weight = F::of(weight.into());
         let mut dx = vec![0.0; y.len() / n_out * n_in];
-        spans(&mut dx, n_in, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
-            let gradient = F::of(self.gradient(y, grad, span.rows, n_out, 0, n_out).into());
-            span.write(|dx| F::product(dx, Into::Replace, Matrix::new(&gradient, n_out), Matrix::new(&weight, n_in)));
+        spans(&mut dx, n_in, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
+            let gradient = self.gradient(y, grad, span.rows, n_out, 0, n_out);
+            span.write(|dx| {
+                matmul(dx, Into::Replace, 1.0, Matrix::new(&gradient, n_out), Matrix::new(weight, n_in));
+            });
         });
         dx
     }
@@ -106,8 +103,7 @@ impl<F: Factors> FusedLinear<F> {
     ) -> (Vec<f32>, Vec<f32>) {
         let (mut dw, mut db) = (vec![0.0; n_out * n_in], vec![0.0; n_out]);
         // All tasks share the inputs, which are gathered once.
-        let shared: Vec<_> =
-            (self.rows.par_chunks(2 * F::N_ROWS)).map(|rows| (rows, F::of(gather(x, n_in, rows)))).collect();
+        let shared: Vec<_> = (self.rows.par_chunks(2 * N_ROWS)).map(|rows| (rows, gather(x, n_in, rows))).collect();
         let tasks = dw.par_chunks_mut(N_OUTPUTS * n_in).zip(db.par_chunks_mut(N_OUTPUTS)).enumerate();
         tasks.for_each(|(task, (dw, db))| {
             let first = task * N_OUTPUTS;
@@ -116,15 +112,14 @@ impl<F: Factors> FusedLinear<F> {
                 for gradient in gradient.chunks_exact(db.len()) {
                     db.iter_mut().zip(gradient).for_each(|(sum, g)| *sum += g);
                 }
-                let gradient = F::of(gradient.into());
-                F::product(dw, Into::Add, Matrix::new(&gradient, db.len()).t(), Matrix::new(x, n_in));
+                matmul(dw, Into::Add, 1.0, Matrix::new(&gradient, db.len()).t(), Matrix::new(x, n_in));
             }
         });
         (dw, db)
     }
 }
 
-impl<F: Factors> CustomOp3 for FusedLinear<F> {
+impl CustomOp3 for FusedLinear {
     fn name(&self) -> &'static str {
         "linear"
     }
@@ -144,12 +139,12 @@ impl<F: Factors> CustomOp3 for FusedLinear<F> {
         shape.pop();
         shape.push(n_out);
         // Transposed once here; otherwise every product would pack its weights anew.
-        let weight = transposed(&F::of(weight.into()), n_in);
+        let weight = transposed(weight, n_in);
         let mut y = vec![0.0; x.len() / n_in * n_out];
-        spans(&mut y, n_out, &self.rows, F::N_ROWS).par_iter_mut().for_each(|span| {
-            let x = F::of(gather(x, n_in, span.rows));
+        spans(&mut y, n_out, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
+            let x = gather(x, n_in, span.rows);
             span.write(|y| {
-                F::product(y, Into::Replace, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
+                matmul(y, Into::Replace, 1.0, Matrix::new(&x, n_in), Matrix::new(&weight, n_out));
                 vectorized(|| {
                     for y in y.chunks_exact_mut(n_out) {
                         match self.activation {
@@ -185,9 +180,9 @@ impl<F: Factors> CustomOp3 for FusedLinear<F> {
 }
 
 /// The transposed matrix of rows of `n_cols`.
-fn transposed<T: Copy + Default + Send + Sync>(matrix: &[T], n_cols: usize) -> Vec<T> {
+fn transposed(matrix: &[f32], n_cols: usize) -> Vec<f32> {
     let n_rows = matrix.len() / n_cols;
-    let mut transposed = vec![T::default(); matrix.len()];
+    let mut transposed = vec![0.0; matrix.len()];
     transposed.par_chunks_mut(N_OUTPUTS * n_rows).enumerate().for_each(|(task, columns)| {
         // Sixteen rows at a time, so that writes fill whole cache lines.
         for (block, rows) in matrix.chunks(N_TRANSPOSED * n_cols).enumerate() {

@@ -1,12 +1,11 @@
 //! The operations of layers, and which implementation serves which device and type.
 //!
-//! Every operation has a plain implementation in differentiable candle operations. For `f32`, an implementation with
-//! its own backward pass replaces it: a fused one on the processor, kernels on a GPU. The choice is made only here.
+//! Every operation has a plain implementation in differentiable candle operations, which serves every device and type.
+//! For `f32` on the processor, a fused one with its own backward pass replaces it. The choice is made only here.
 
 mod adam;
 mod attention;
 mod cross_attention;
-mod cuda;
 mod frames;
 mod gemm;
 mod heads;
@@ -19,11 +18,10 @@ mod pool;
 mod rows;
 mod sinusoidal;
 
-use candle_core::{D, DType, Device, Result, Tensor, bail};
+use candle_core::{D, DType, Result, Tensor, bail};
 
 pub(super) use self::adam::{AdamStep, Moments};
 pub use self::frames::FrameMap;
-use self::gemm::{Bf16, F32, Tf32};
 use super::attention::Axis;
 use super::precision::Precision;
 
@@ -36,32 +34,13 @@ pub enum Activation {
     Relu,
 }
 
-/// The implementations.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Backend {
-    /// candle's operations.
-    Plain,
-    /// One pass over memory of the host.
-    Fused,
-    /// Kernels on a GPU.
-    Kernels,
-}
-
-/// The implementation for this tensor.
-fn backend(x: &Tensor) -> Backend {
-    match (x.device(), x.dtype()) {
-        #[cfg(test)]
-        (Device::Cpu, DType::F32 | DType::BF16) if cuda::is_emulating() => Backend::Kernels,
-        (Device::Cpu, DType::F32) => Backend::Fused,
-        // Factors of products may have 16 bits.
-        (Device::Cuda(_), DType::F32 | DType::BF16) => Backend::Kernels,
-        _ => Backend::Plain,
-    }
+/// Whether the fused implementation, in one pass over memory of the host, serves this tensor.
+fn is_fused(x: &Tensor) -> bool {
+    x.device().is_cpu() && x.dtype() == DType::F32
 }
 
 /// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly
-/// 0 and cost nothing. With [`Activation::Relu`] only products may read the result: on a GPU in `bf16` it is stored in
-/// 16 bits, as their factors are.
+/// 0; on the processor they cost nothing.
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -78,29 +57,24 @@ pub fn linear(
         bail!("linear: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
     let valid = valid.map(|valid| mask_of("linear", x, valid)).transpose()?;
-    match (backend(x), precision) {
-        (Backend::Kernels, _) => cuda::linear(x, weight, bias, activation, valid.as_ref(), precision),
-        (Backend::Fused, Precision::F32) => linear::fused::<F32>(x, weight, bias, activation, valid.as_ref()),
-        (Backend::Fused, Precision::Tf32) => linear::fused::<Tf32>(x, weight, bias, activation, valid.as_ref()),
-        (Backend::Fused, Precision::Bf16) => linear::fused::<Bf16>(x, weight, bias, activation, valid.as_ref()),
-        (Backend::Plain, _) => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
+    match is_fused(x) && precision == Precision::F32 {
+        true => linear::fused(x, weight, bias, activation, valid.as_ref()),
+        false => linear::reference(x, weight, bias, activation, valid.as_ref(), precision),
     }
 }
 
-/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D). On a GPU
-/// the result may be `kept` as a factor of products, if nothing else reads it.
+/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D).
 ///
 /// # Errors
 /// When shapes do not fit.
-pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64, kept: Precision) -> Result<Tensor> {
+pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> Result<Tensor> {
     let dim = x.dim(D::Minus1)?;
     if weight.dims() != [dim] || bias.dims() != [dim] {
         bail!("layer_norm: x {:?}, weight {:?} and bias {:?} do not fit", x.dims(), weight.dims(), bias.dims());
     }
-    match backend(x) {
-        Backend::Fused => layer_norm::fused(x, weight, bias, epsilon),
-        Backend::Kernels => cuda::layer_norm(x, weight, bias, epsilon, kept),
-        Backend::Plain => layer_norm::reference(x, weight, bias, epsilon),
+    match is_fused(x) {
+        true => layer_norm::fused(x, weight, bias, epsilon),
+        false => layer_norm::reference(x, weight, bias, epsilon),
     }
 }
 
@@ -115,12 +89,9 @@ pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) 
     if n_heads == 0 || !width.is_multiple_of(3 * n_heads) {
         bail!("self_attention: {width} features are not queries, keys and values of {n_heads} heads");
     }
-    match backend(qkv) {
-        Backend::Fused => attention::fused(qkv, &valid, n_heads, axis),
-        Backend::Kernels if width <= 3 * n_heads * cuda::MAX_HEAD_DIM => {
-            cuda::self_attention(qkv, &valid, n_heads, axis)
-        }
-        Backend::Kernels | Backend::Plain => attention::reference(qkv, &valid, n_heads, axis),
+    match is_fused(qkv) {
+        true => attention::fused(qkv, &valid, n_heads, axis),
+        false => attention::reference(qkv, &valid, n_heads, axis),
     }
 }
 
@@ -149,12 +120,9 @@ pub fn cross_attention(
     {
         bail!("cross_attention: query {:?} and keys {:?} do not fit {n_heads} heads", query.dims(), keys.dims());
     }
-    match backend(query) {
-        Backend::Fused => cross_attention::fused(query, &valid, keys, &lane_valid, n_heads),
-        Backend::Kernels if dim <= n_heads * cuda::MAX_HEAD_DIM => {
-            cuda::cross_attention(query, &valid, keys, &lane_valid, n_heads)
-        }
-        Backend::Kernels | Backend::Plain => cross_attention::reference(query, &valid, keys, &lane_valid, n_heads),
+    match is_fused(query) {
+        true => cross_attention::fused(query, &valid, keys, &lane_valid, n_heads),
+        false => cross_attention::reference(query, &valid, keys, &lane_valid, n_heads),
     }
 }
 
@@ -181,10 +149,9 @@ pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
 /// # Errors
 /// When the device fails.
 pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
-    match backend(x) {
-        Backend::Fused => sinusoidal::fused(x, frequencies),
-        Backend::Kernels => cuda::sinusoidal(x, frequencies),
-        Backend::Plain => sinusoidal::reference(x, frequencies),
+    match is_fused(x) {
+        true => sinusoidal::fused(x, frequencies),
+        false => sinusoidal::reference(x, frequencies),
     }
 }
 
@@ -198,9 +165,9 @@ pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor>
     if modes.dims() != [b, a, d, t, t] || gains.dims() != [b, a, d, t] {
         bail!("mode_filter: x {:?}, modes {:?} and gains {:?} do not fit", x.dims(), modes.dims(), gains.dims());
     }
-    match backend(x) {
-        Backend::Fused => mode_filter::fused(x, modes, gains),
-        Backend::Kernels | Backend::Plain => mode_filter::reference(x, &modes.detach(), &gains.detach()),
+    match is_fused(x) {
+        true => mode_filter::fused(x, modes, gains),
+        false => mode_filter::reference(x, &modes.detach(), &gains.detach()),
     }
 }
 
@@ -216,9 +183,9 @@ pub fn map_frames(x: &Tensor, frames: &Tensor, head_dim: usize, maps: &[FrameMap
     if !fits || head_dim == 0 || maps.is_empty() || !x.dim(D::Minus1)?.is_multiple_of(maps.len() * head_dim) {
         bail!("map_frames: x {:?} and frames {:?} do not fit heads of {head_dim}", x.dims(), frames.dims());
     }
-    match backend(x) {
-        Backend::Fused => frames::fused(x, frames, head_dim, maps),
-        Backend::Kernels | Backend::Plain => frames::reference(x, frames, head_dim, maps),
+    match is_fused(x) {
+        true => frames::fused(x, frames, head_dim, maps),
+        false => frames::reference(x, frames, head_dim, maps),
     }
 }
 
@@ -227,9 +194,9 @@ pub fn map_frames(x: &Tensor, frames: &Tensor, head_dim: usize, maps: &[FrameMap
 /// # Errors
 /// When the device fails.
 pub fn pool_positive(x: &Tensor) -> Result<Tensor> {
-    match backend(x) {
-        Backend::Fused => pool::fused(x),
-        Backend::Kernels | Backend::Plain => pool::reference(x),
+    match is_fused(x) {
+        true => pool::fused(x),
+        false => pool::reference(x),
     }
 }
 
@@ -241,10 +208,9 @@ pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor
     if parameter.dims() != grad.dims() || parameter.dims() != moments.first.dims() {
         bail!("adam: a gradient {:?} does not fit a parameter {:?}", grad.dims(), parameter.dims());
     }
-    match one_backend(&[parameter, grad, &moments.first, &moments.second]) {
-        Backend::Fused => adam::fused(parameter, moments, grad, step),
-        Backend::Kernels => cuda::adam_step(parameter, moments, grad, step),
-        Backend::Plain => adam::reference(parameter, moments, grad, step),
+    match are_fused(&[parameter, grad, &moments.first, &moments.second]) {
+        true => adam::fused(parameter, moments, grad, step),
+        false => adam::reference(parameter, moments, grad, step),
     }
 }
 
@@ -254,17 +220,16 @@ pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor
 /// When the device fails.
 pub(super) fn sum_of_squares(tensors: &[&Tensor]) -> Result<f64> {
     // A GPU's sums are fetched once, not tensor by tensor.
-    let mut on_gpu = Vec::new();
+    let mut elsewhere = Vec::new();
     let mut sum = 0.0;
     for x in tensors {
-        match backend(x) {
-            Backend::Fused => sum += adam::fused_sum_of_squares(x)?,
-            Backend::Kernels => on_gpu.push(cuda::sums_of_squares(x)?),
-            Backend::Plain => sum += x.detach().to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?,
+        match is_fused(x) {
+            true => sum += adam::fused_sum_of_squares(x)?,
+            false => elsewhere.push(x.detach().to_dtype(DType::F64)?.sqr()?.sum_all()?),
         }
     }
-    if !on_gpu.is_empty() {
-        sum += Tensor::cat(&on_gpu, 0)?.to_vec1::<f32>()?.into_iter().map(f64::from).sum::<f64>();
+    if !elsewhere.is_empty() {
+        sum += Tensor::stack(&elsewhere, 0)?.to_vec1::<f64>()?.into_iter().sum::<f64>();
     }
     Ok(sum)
 }
@@ -277,29 +242,24 @@ pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> 
     if average.dims() != value.dims() {
         bail!("an average of {:?} does not fit {:?}", average.dims(), value.dims());
     }
-    match one_backend(&[average, value]) {
-        Backend::Fused => adam::fused_average_step(average, value, decay)?,
-        Backend::Kernels => cuda::average_step(average, value, decay)?,
-        Backend::Plain => *average = ((&*average * decay)? + (value.detach() * (1.0 - decay))?)?,
+    match are_fused(&[average, value]) {
+        true => adam::fused_average_step(average, value, decay)?,
+        false => *average = ((&*average * decay)? + (value.detach() * (1.0 - decay))?)?,
     }
     Ok(())
 }
 
-/// The implementation for all of these tensors, the first of which is changed in place.
-fn one_backend(tensors: &[&Tensor]) -> Backend {
-    let first = tensors.first().map_or(Backend::Plain, |x| backend(x));
-    match tensors.iter().all(|x| backend(x) == first) && tensors.first().is_some_and(|x| x.is_contiguous()) {
-        true => first,
-        false => Backend::Plain,
-    }
+/// Whether the fused implementation serves all of these tensors, the first of which is changed in place.
+fn are_fused(tensors: &[&Tensor]) -> bool {
+    tensors.iter().all(|x| is_fused(x)) && tensors.first().is_some_and(|x| x.is_contiguous())
 }
 
-/// `valid` as a mask of the rows of `x`, in its type (whole, where that is halved) and outside every gradient.
+/// `valid` as a mask of the rows of `x`, in its type and outside every gradient.
 fn mask_of(name: &str, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
     if x.dims().split_last().is_none_or(|(_, rows)| rows != valid.dims()) {
         bail!("{name}: mask {:?} does not fit rows of {:?}", valid.dims(), x.dims());
     }
-    valid.detach().to_dtype(if x.dtype() == DType::BF16 { DType::F32 } else { x.dtype() })
+    valid.detach().to_dtype(x.dtype())
 }
 
 /// Softmax over the last dimension of `scores` among entries where `mask` (broadcast to `scores`) is 1. The others get
@@ -315,9 +275,6 @@ fn masked_softmax(scores: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let total = weights.sum_keepdim(D::Minus1)?;
     weights.broadcast_div(&(&total + total.eq(0.0)?.to_dtype(scores.dtype())?)?)
 }
-
-#[cfg(test)]
-pub(crate) use self::cuda::emulate;
 
 #[cfg(test)]
 mod tests;

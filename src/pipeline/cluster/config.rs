@@ -12,13 +12,6 @@ pub struct ClusterConfig {
     /// Number of jobs that sample, or measure, at once.
     #[schemars(range(min = 1, max = 100_000))]
     pub workers: usize,
-    /// Number of processes that train a model together, a power of two, where its section has at least as many `parts`; where it has
-    /// fewer, so many.
-    #[schemars(range(min = 1, max = 1_024))]
-    pub ranks: usize,
-    /// How long the processes of a training wait for each other at its beginning, seconds.
-    #[schemars(range(min = 1, max = 86_400))]
-    pub ranks_wait_s: u32,
     /// How often a job that was stopped or died is started again. A training that exceeds the time limit needs one
     /// retry for each further time limit.
     #[schemars(range(max = 1_000))]
@@ -27,14 +20,13 @@ pub struct ClusterConfig {
     pub partition: String,
     /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's. Kubernetes sets none.
     pub time: String,
-    /// GPUs of each job that computes with networks, and of each process of a training.
+    /// GPUs of each job that computes with networks.
     #[schemars(range(max = 64))]
     pub gpus: u32,
-    /// Processor cores of each job, or process of a training, and the number of its threads; 0: what the partition gives.
+    /// Processor cores of each job, and the number of its threads; 0: what the partition gives.
     #[schemars(range(max = 1_024))]
     pub cpus: u32,
-    /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's. On Slurm, processes of a training that are on the
-    /// same node share it.
+    /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's.
     pub memory: String,
     /// How long before the end of its time a job is notified, seconds: enough for a step of training.
     #[schemars(range(min = 10, max = 3_600))]
@@ -54,8 +46,6 @@ impl Default for ClusterConfig {
     fn default() -> Self {
         Self {
             workers: 4,
-            ranks: 1,
-            ranks_wait_s: 300,
             retries: 10,
             partition: String::new(),
             time: String::new(),
@@ -72,14 +62,11 @@ impl Default for ClusterConfig {
 }
 
 impl ClusterConfig {
-    /// Refuses numbers of ranks that divide no number of parts, and texts that would break the scripts.
+    /// Refuses texts that would break the scripts.
     ///
     /// # Errors
     /// Names the setting.
     pub fn validate(&self) -> settings::Result {
-        if !self.ranks.is_power_of_two() {
-            return Err(settings::Issue::new("ranks", format_args!("is {}, expected a power of two", self.ranks)));
-        }
         let words =
             [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory), ("image", &self.image)];
         for (key, word) in words {

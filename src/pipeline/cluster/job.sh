@@ -3,10 +3,10 @@ child=
 told=
 
 # Time is up soon, or the node is wanted: the program saves what is done and ends with 75.
-trap 'told=1; [ -z "$child" ] || kill -@SIGNAL@ "$child" 2>/dev/null' USR1 TERM
+trap 'told=1; [ -z "$child" ] || kill -TERM "$child" 2>/dev/null' USR1 TERM
 @COMMAND@ &
 child=$!
-[ -z "$told" ] || kill -@SIGNAL@ "$child"
+[ -z "$told" ] || kill -TERM "$child"
 while :; do
     wait "$child"
     code=$?

@@ -3,7 +3,6 @@
 use super::{ClusterConfig, Engine};
 use crate::generate::RequestConfig;
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::ranks::n_parts;
 use crate::pipeline::{Result, StageId};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -57,9 +56,6 @@ pub struct Job {
     pub command: Vec<String>,
     /// Number of workers; `None` for one process without a number.
     pub workers: Option<usize>,
-    /// Number of processes that train together. Each finds its number, from 0, in `RANK`, how many there are in `WORLD_SIZE`, and where
-    /// the first one listens in `MASTER_ADDR` and `MASTER_PORT`. All have to run at once.
-    pub ranks: Option<usize>,
     /// Whether it computes with networks.
     pub computes: bool,
     /// What it waits for.
@@ -98,20 +94,16 @@ impl JobGraph {
         let mut jobs = Jobs { command, n_workers: cluster.workers, jobs: Vec::new() };
         let mut alone: Vec<StageId> = Vec::new();
         for stage in stages {
-            let n_ranks = cluster.ranks.min(n_parts(config, stage));
-            let names = names_in_parts(stage, cluster.workers);
-            if names.is_none() && n_ranks == 1 {
-                alone.push(stage);
-                continue;
-            }
-            jobs.add_before(&std::mem::take(&mut alone));
-            match names {
-                Some(names) => jobs.add_parts(stage, names),
-                None => jobs.add_ranks(stage, n_ranks),
+            match names_in_parts(stage, cluster.workers) {
+                None => alone.push(stage),
+                Some(names) => {
+                    jobs.add_alone("prepare", &std::mem::take(&mut alone));
+                    jobs.add_parts(stage, names);
+                }
             }
         }
         match jobs.jobs.is_empty() {
-            true => jobs.add("run", &[], &[], Processes::One, Vec::new()),
+            true => jobs.add("run", &[], &[], None, Vec::new()),
             false => jobs.add_alone("finish", &alone),
         }
         Ok(Self {
@@ -127,16 +119,6 @@ impl JobGraph {
 
 /// Warns of settings that make poor use of the workers.
 pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String> {
-    let trained =
-        StageId::ALL.into_iter().filter(|stage| stage.facts().trains && (stage.facts().is_configured)(config));
-    let most = trained.map(|stage| n_parts(config, stage)).max().unwrap_or(1);
-    let ranks = (cluster.ranks > most).then(|| {
-        format!(
-            "cluster.ranks is {}, but no model is trained in more than {most} parts, so that no more processes train it (parts of the \
-             sections of [train], which change models)",
-            cluster.ranks
-        )
-    });
     let requests = config.generate.iter().flat_map(|generate| &generate.requests).enumerate();
     let enough = SHARDS_PER_WORKER * cluster.workers;
     let too_few = requests.filter(|(_, request)| cluster.workers > 1 && request.shards_per_round < enough);
@@ -147,7 +129,7 @@ pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String>
             request.name, request.shards_per_round, cluster.workers
         )
     };
-    ranks.into_iter().chain(too_few.map(caution)).collect()
+    too_few.map(caution).collect()
 }
 
 /// The names of the jobs of a stage that is run in parts; `None` for a stage that one process runs.
@@ -157,25 +139,6 @@ fn names_in_parts(stage: StageId, n_workers: usize) -> Option<[&'static str; 3]>
         StageId::Evaluate if n_workers > 1 => Some(["evaluate-plan", "evaluate-work", "evaluate-seal"]),
         _ => None,
     }
-}
-
-/// What the job is called that trains by itself, or begins with, what a stage makes.
-const fn job_name(stage: StageId) -> &'static str {
-    match stage {
-        StageId::TrainDenoiser => "denoiser",
-        StageId::TrainDistill => "distill",
-        StageId::TrainClassifier => "classifier",
-        StageId::TrainBaseline => "baseline",
-        StageId::Ingest | StageId::Mine | StageId::Generate | StageId::Evaluate | StageId::Report => "prepare",
-    }
-}
-
-/// Who runs a command.
-#[derive(Clone, Copy)]
-enum Processes {
-    One,
-    Workers(usize),
-    Ranks(usize),
 }
 
 /// A chain of jobs, each of which waits for those before it.
@@ -190,31 +153,16 @@ impl Jobs {
     fn add_parts(&mut self, stage: StageId, [plan, work, seal]: [&'static str; 3]) {
         let (after, number) = (self.after_last(), format!("{WORKER}/{}", self.n_workers));
         let planned = Dependency { job: plan, condition: Completion::Succeeded };
-        let workers = Processes::Workers(self.n_workers);
-        self.add(plan, &[stage], &["--part", "plan"], Processes::One, after);
-        self.add(work, &[stage], &["--part", "work", "--worker", &number], workers, vec![planned]);
+        self.add(plan, &[stage], &["--part", "plan"], None, after);
+        self.add(work, &[stage], &["--part", "work", "--worker", &number], Some(self.n_workers), vec![planned]);
         let ended = Dependency { job: work, condition: Completion::Ended };
-        self.add(seal, &[stage], &["--part", "seal"], Processes::One, vec![planned, ended]);
-    }
-
-    /// Adds the job of several processes that train a model together.
-    fn add_ranks(&mut self, stage: StageId, n_ranks: usize) {
-        self.add(job_name(stage), &[stage], &[], Processes::Ranks(n_ranks), self.after_last());
-    }
-
-    /// Adds the job of one process that runs these stages before others, if there are any.
-    fn add_before(&mut self, stages: &[StageId]) {
-        let name = match stages {
-            [first, ..] if !self.jobs.is_empty() => job_name(*first),
-            _ => "prepare",
-        };
-        self.add_alone(name, stages);
+        self.add(seal, &[stage], &["--part", "seal"], None, vec![planned, ended]);
     }
 
     /// Adds the job of one process that runs these stages, if there are any.
     fn add_alone(&mut self, name: &'static str, stages: &[StageId]) {
         if !stages.is_empty() {
-            self.add(name, stages, &[], Processes::One, self.after_last());
+            self.add(name, stages, &[], None, self.after_last());
         }
     }
 
@@ -229,18 +177,13 @@ impl Jobs {
         name: &'static str,
         stages: &[StageId],
         args: &[&str],
-        processes: Processes,
+        workers: Option<usize>,
         after: Vec<Dependency>,
     ) {
         let selection = stages.iter().flat_map(|stage| ["--stage", stage.name()]);
         let args: Vec<&str> = selection.chain(args.iter().copied()).collect();
         let computes = stages.is_empty() || stages.iter().any(|stage| stage.computes());
-        let (workers, ranks) = match processes {
-            Processes::One => (None, None),
-            Processes::Workers(n_workers) => (Some(n_workers), None),
-            Processes::Ranks(n_ranks) => (None, Some(n_ranks)),
-        };
-        self.jobs.push(Job { name, command: self.command.with(&args), workers, ranks, computes, after });
+        self.jobs.push(Job { name, command: self.command.with(&args), workers, computes, after });
     }
 }
 

@@ -6,7 +6,7 @@
 
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
-use super::{ClusterConfig, Job, JobGraph, yaml};
+use super::{ClusterConfig, Job, JobGraph};
 use crate::pipeline::{Failure, Result};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -17,13 +17,11 @@ const PROGRAM: &str = "djinn";
 const GROUP: u32 = 65_532;
 /// The number of a worker, from 0; Kubernetes substitutes it.
 const INDEX: &str = "$(JOB_COMPLETION_INDEX)";
-/// Where the first rank of a training listens. Each pod has an address of its own.
-const RANKS_PORT: u16 = 29_400;
 /// The longest name of a JobSet: names of pods have at most 63 characters, of which `-evaluate-work-0-99999-abcde`
 /// takes 28.
 const NAME_LETTERS: usize = 35;
 
-/// The JobSet, as YAML.
+/// The JobSet, as JSON, which `kubectl` reads like YAML.
 ///
 /// # Errors
 /// When the settings lack an image, or no volume holds the files.
@@ -51,7 +49,7 @@ pub fn manifest(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
         "metadata": metadata,
         "spec": {"replicatedJobs": jobs},
     });
-    Ok(yaml::document(&document))
+    Ok(format!("{document:#}\n"))
 }
 
 /// Submits the JobSet to Kubernetes. Returns the output of `kubectl`.
@@ -95,7 +93,7 @@ pub fn name(graph: &JobGraph) -> String {
 
 /// One job of the JobSet.
 fn replicated_job(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: Option<&str>) -> Value {
-    let n_pods = job.workers.or(job.ranks).unwrap_or(1);
+    let n_pods = job.workers.unwrap_or(1);
     let mut spec = json!({
         "completionMode": "Indexed",
         "completions": n_pods,
@@ -131,7 +129,7 @@ fn pod(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: Option<&str
     let claims = cluster.volumes.keys().enumerate();
     let claims: Vec<Value> =
         claims.map(|(i, claim)| json!({"name": volume(i), "persistentVolumeClaim": {"claimName": claim}})).collect();
-    let mut pod = json!({
+    json!({
         "restartPolicy": "Never",
         "terminationGracePeriodSeconds": cluster.notice_s,
         "securityContext": {
@@ -150,21 +148,7 @@ fn pod(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: Option<&str
             "volumeMounts": mounts,
         }],
         "volumes": claims,
-    });
-    if let Some(n_ranks) = job.ranks {
-        pod["containers"][0]["env"] = meeting_place(graph, job, n_ranks);
-    }
-    pod
-}
-
-/// Where ranks meet: the pods of a JobSet find each other by name. Each knows its number from its index.
-fn meeting_place(graph: &JobGraph, job: &Job, n_ranks: usize) -> Value {
-    let name = name(graph);
-    json!([
-        {"name": "WORLD_SIZE", "value": n_ranks.to_string()},
-        {"name": "MASTER_ADDR", "value": format!("{name}-{}-0-0.{name}", job.name)},
-        {"name": "MASTER_PORT", "value": RANKS_PORT.to_string()},
-    ])
+    })
 }
 
 /// The resources of a pod. GPUs and memory get limits, cores only a request: using idle cores beyond it does no harm.

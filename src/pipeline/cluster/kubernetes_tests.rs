@@ -1,6 +1,6 @@
 //! What does the JobSet say, and what is refused before there is one?
 
-use super::tests::{PIPELINE, assert_golden, graph_for, ranked};
+use super::tests::{PIPELINE, assert_golden, graph_for};
 use super::{Engine, kubernetes};
 
 const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'night'\ngpus = 1\ncpus = 8\nmemory = '16G'\n\
@@ -10,26 +10,8 @@ const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'night'\
 fn the_job_set_is_as_it_was_read_and_found_good() {
     let overrides = ["run.output='$(HOME)/a'".to_owned()];
     let (graph, cluster) = graph_for(Engine::Kubernetes, &format!("{PIPELINE}{CLUSTER}"), &overrides);
-    // `scripts/check_jobset.py tests/golden/jobset.yaml` looks at it with the schemas of Kubernetes.
-    assert_golden("jobset.yaml", &kubernetes::manifest(&graph, &cluster).unwrap());
-}
-
-#[test]
-fn ranks_are_pods_that_find_each_other_by_name() {
-    let cluster = CLUSTER.strip_prefix("[cluster]\n").unwrap();
-    let (graph, cluster) = graph_for(Engine::Kubernetes, &ranked(cluster), &[]);
-    let (name, text) = (kubernetes::name(&graph), kubernetes::manifest(&graph, &cluster).unwrap());
-    let job =
-        text.split(" name: denoiser\n      replicas: 1\n").nth(1).unwrap().split("      replicas: 1\n").next().unwrap();
-    let first = format!("value: {name}-denoiser-0-0.{name}\n");
-    for part in
-        ["completions: 4\n", "parallelism: 4\n", "backoffLimit: 3\n", "value: \"4\"\n", "value: \"29400\"\n", &first]
-    {
-        assert!(job.contains(part), "`{part}` is not in\n{job}");
-    }
-    assert!(!job.contains("successPolicy") && text.matches("name: MASTER_ADDR\n").count() == 2, "{text}");
-    // The index is the number of the rank.
-    assert!(job.contains("completionMode: Indexed\n"));
+    // `scripts/check_jobset.py tests/golden/jobset.json` looks at it with the schemas of Kubernetes.
+    assert_golden("jobset.json", &kubernetes::manifest(&graph, &cluster).unwrap());
 }
 
 #[test]

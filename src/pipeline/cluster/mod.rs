@@ -14,7 +14,6 @@ mod kubernetes_tests;
 pub mod slurm;
 #[cfg(test)]
 mod tests;
-mod yaml;
 
 pub use config::ClusterConfig;
 pub use jobs::{Completion, Dependency, Job, JobGraph, Submission, cautions};

@@ -40,13 +40,11 @@ pub fn script(graph: &JobGraph, job: &Job, cluster: &ClusterConfig) -> String {
         format!("--signal=B:USR1@{}", cluster.notice_s),
     ];
     directives.extend(job.workers.map(|n_workers| format!("--array=1-{n_workers}")));
-    directives.extend(job.ranks.map(|n_ranks| format!("--ntasks={n_ranks}")));
     let known = [("partition", &cluster.partition), ("time", &cluster.time), ("mem", &cluster.memory)];
     directives
         .extend(known.iter().filter(|(_, value)| !value.is_empty()).map(|(key, value)| format!("--{key}={value}")));
     directives.extend((cluster.cpus > 0).then(|| format!("--cpus-per-task={}", cluster.cpus)));
-    let gpus = if job.ranks.is_some() { "gpus-per-task=" } else { "gres=gpu:" };
-    directives.extend((job.computes && cluster.gpus > 0).then(|| format!("--{gpus}{}", cluster.gpus)));
+    directives.extend((job.computes && cluster.gpus > 0).then(|| format!("--gres=gpu:{}", cluster.gpus)));
     let mut text = "#!/bin/bash\n".to_owned();
     for directive in directives {
         // Writing to a string cannot fail.
@@ -56,33 +54,10 @@ pub fn script(graph: &JobGraph, job: &Job, cluster: &ClusterConfig) -> String {
     let (more, commands): (Vec<&String>, Vec<&String>) =
         cluster.lines.iter().partition(|line| line.starts_with("#SBATCH"));
     more.into_iter().chain(commands).for_each(|line| text.push_str(&format!("{line}\n")));
-    let mut words: Vec<String> = job.command.iter().map(|word| shell_word(word)).collect();
-    if let Some(n_ranks) = job.ranks {
-        text.push_str(&meeting_place(n_ranks));
-        words = [launcher(cluster), words].concat();
-    }
-    // srun answers SIGTERM by killing its tasks, and hands SIGUSR1 on to them.
-    let signal = if job.ranks.is_some() { "USR1" } else { "TERM" };
-    let body = BODY.replace("@RETRIES@", &graph.retries.to_string()).replace("@SIGNAL@", signal);
+    let words: Vec<String> = job.command.iter().map(|word| shell_word(word)).collect();
+    let body = BODY.replace("@RETRIES@", &graph.retries.to_string());
     text.push_str(&format!("\n{}", body.replace("@COMMAND@", &words.join(" "))));
     text
-}
-
-/// The lines that tell ranks where the first one listens: on the first node, unless lines of the configuration name another address of
-/// it, and at a port that other jobs of the node
-/// hardly have, below those that systems give away.
-fn meeting_place(n_ranks: usize) -> String {
-    format!(
-        "\n: \"${{MASTER_ADDR:=$(scontrol show hostnames \"$SLURM_JOB_NODELIST\" | head -n 1)}}\"\n\
-         export WORLD_SIZE={n_ranks} MASTER_ADDR MASTER_PORT=$((20000 + SLURM_JOB_ID % 10000))\n"
-    )
-}
-
-/// What starts all ranks. When one dies the others end by themselves, once the state of the training is saved.
-fn launcher(cluster: &ClusterConfig) -> Vec<String> {
-    let mut words = vec!["srun".to_owned(), "--label".to_owned(), "--kill-on-bad-exit=0".to_owned()];
-    words.extend((cluster.cpus > 0).then(|| format!("--cpus-per-task={}", cluster.cpus)));
-    words
 }
 
 /// Submits the jobs to Slurm, each with its dependencies. Returns them with the numbers that Slurm assigned.

@@ -1,9 +1,7 @@
 //! Which jobs wait for which, what do the scripts say, and what do they do?
 
 use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
-use crate::pipeline::StageId;
 use crate::pipeline::config::{PipelineConfig, parse};
-use crate::pipeline::ranks::n_parts;
 use std::path::Path;
 use std::process::Command;
 
@@ -67,38 +65,6 @@ fn jobs_wait_for_what_they_read() {
         command.ends_with(&["--part".into(), "work".into(), "--worker".into(), "{worker}/4".into()]),
         "{command:?}"
     );
-}
-
-/// A denoiser that four processes train, a baseline that two do, and a classifier in between that one does.
-pub(super) fn ranked(cluster: &str) -> String {
-    let train = "[train.denoiser]\nparts = 8\n[train.classifier]\n[train.baseline]\nparts = 2\n";
-    format!("{}[cluster]\nranks = 4\n{cluster}", PIPELINE.replace("[train.denoiser]\n", train))
-}
-
-#[test]
-fn several_processes_train_in_jobs_of_their_own() {
-    let (graph, cluster) = graph(&ranked("cpus = 8\ngpus = 1\ncontainer = 'djinn'\n"), &[]);
-    let jobs: Vec<_> = graph.jobs[..5].iter().map(|job| (job.name, job.ranks)).collect();
-    let expected =
-        [("prepare", None), ("denoiser", Some(4)), ("classifier", None), ("baseline", Some(2)), ("plan", None)];
-    assert_eq!(jobs, expected);
-    assert!(graph.jobs[1].command.ends_with(&["--stage".to_owned(), "train_denoiser".to_owned()]));
-    assert_eq!(graph.jobs[2].after[0].job, "denoiser");
-    assert_golden("slurm_ranks.txt", &slurm::script(&graph, &graph.jobs[1], &cluster));
-    // A checkpoint needs no training, and one part no second process.
-    let config: PipelineConfig = parse(None, &ranked(""), &["train.denoiser.checkpoint=a".to_owned()]).unwrap();
-    assert_eq!(n_parts(&config, StageId::TrainDenoiser), 1);
-    let said = |parts: usize| {
-        let text = format!("[train.denoiser]\nbatch_size = 8\nparts = {parts}\n[cluster]\nranks = 4\nworkers = 1\n");
-        let config: PipelineConfig = parse(None, &text, &[]).unwrap();
-        cautions(&config, &config.cluster.clone().unwrap())
-    };
-    assert!(
-        said(1)[0].starts_with("cluster.ranks is 4, but no model is trained in more than 1 parts"),
-        "{:?}",
-        said(1)
-    );
-    assert!(said(4).is_empty() && said(8).is_empty());
 }
 
 #[test]
@@ -192,24 +158,5 @@ fn a_job_that_was_stopped_or_died_is_queued_again_so_often_and_no_other() {
     let stops = "trap 'sleep 0.3; exit 75' TERM; touch begun; while :; do sleep 0.05; done";
     for signal in ["USR1", "TERM"] {
         assert_eq!(run_script(stops, "1", Some(signal)), (75, requeued.to_owned()), "{signal}");
-    }
-}
-
-#[cfg(unix)]
-#[test]
-fn ranks_are_told_where_to_meet_and_hear_of_signals() {
-    let (mut graph, cluster) = graph(&ranked("retries = 3\ncontainer = 'djinn'\n"), &[]);
-    graph.directory = ".".into();
-    let script = slurm::script(&graph, &graph.jobs[1], &cluster);
-    let run = |program: &str, signal| run_text(&script, program, "0", signal);
-    let meet = "[ \"$MASTER_ADDR $MASTER_PORT $WORLD_SIZE\" = 'one 20013 4' ] || exit 9";
-    assert_eq!(run(meet, None), (0, String::new()));
-    let requeued = "requeue 12_3\n".to_owned();
-    assert_eq!(run("exit $((75 * SLURM_PROCID))", None), (75, requeued.clone()));
-    // Only when both listen.
-    let stops = "trap 'sleep 0.3; exit 75' USR1; touch began.$SLURM_PROCID; [ -e began.0 ] && [ -e began.1 ] && touch begun; \
-        while :; do sleep 0.05; done";
-    for signal in ["USR1", "TERM"] {
-        assert_eq!(run(stops, Some(signal)), (75, requeued.clone()), "{signal}");
     }
 }

@@ -135,6 +135,7 @@ impl PipelineConfig {
     pub fn check(&self) -> settings::Result {
         settings::check_ranges(self)?;
         urls::check_urls(self)?;
+        self.run.compute().check().map_err(|issue| issue.within("run"))?;
         settings::printable("run.name", &self.run.name)?;
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))

@@ -7,7 +7,6 @@ use crate::pipeline::run::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::progress::Silent;
 use crate::store::write_json_atomically;
-use crate::train::Alone;
 use fs_err as fs;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -91,7 +90,7 @@ pub(super) fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
     let mut planned: Vec<PlannedStage<'_>> = plan(root, vec![Box::new(toy.clone())], redo)?;
     let first = planned.first_mut().unwrap();
     let plan = Planned { action: first.action.clone(), redone: first.redone() };
-    let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent, exchange: &Alone };
+    let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
     execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
     Ok(plan)
 }

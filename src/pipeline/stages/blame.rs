@@ -91,11 +91,10 @@ impl From<train::Error> for Failure {
     fn from(error: train::Error) -> Self {
         let blame = match &error {
             train::Error::Config(_)
-            | train::Error::Ranks(_)
             | train::Error::NoScenes(_)
             | train::Error::NoExamples { .. }
             | train::Error::Diverged { .. } => Blame::Input,
-            train::Error::Stopped { .. } | train::Error::Lost(_) => Blame::Later,
+            train::Error::Stopped { .. } => Blame::Later,
             _ => Blame::Fault,
         };
         Self { blame, ..Self::fault(error) }

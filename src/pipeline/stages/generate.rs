@@ -16,7 +16,7 @@ use crate::pipeline::layout::{Layout, SAMPLES};
 use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::progress::Progress;
 use crate::store::{SceneStore, read_json};
-use crate::train::{ClassifierTrainingConfig, DistillTrainingConfig};
+use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
 
 /// The stage.
@@ -31,8 +31,8 @@ pub struct Generate<'a> {
     pub metric_settings: MetricSettings,
     /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the evaluation, meters.
     pub duplicate_distance_m: f64,
-    /// How the pipeline trains its classifier, where it does so itself.
-    pub classifier: Option<&'a ClassifierTrainingConfig>,
+    /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
+    pub classified_behavior: Option<&'a str>,
     /// How the pipeline distills its denoiser, where it does so itself.
     pub distill: Option<&'a DistillTrainingConfig>,
     /// Where the scenes and models are.
@@ -61,12 +61,9 @@ impl Stage for Generate<'_> {
                 sweep.check_distillation(distillation, &edm)?;
             }
             let Some(behavior) = sweep.behavior.as_deref() else { continue };
-            if sweep.needs_classifier() && self.classifier.is_some_and(|classifier| classifier.behavior != behavior) {
+            if sweep.needs_classifier() && self.classified_behavior.is_some_and(|classified| classified != behavior) {
                 let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
                 return Err(generate::Error::NoClassifier { sweep, behavior }.into());
-            }
-            if self.classifier.is_some_and(|classifier| !classifier.input.is_noisy()) {
-                sweep.check_clean_classifier()?;
             }
         }
         Ok(())
@@ -332,7 +329,7 @@ mod tests {
                 mine: MineConfig::default(),
                 metric_settings: MetricSettings { validity: validity.clone(), ..MetricSettings::default() },
                 duplicate_distance_m: DUPLICATE_DISTANCE_M,
-                classifier: None,
+                classified_behavior: None,
                 distill: None,
                 layout: &Layout::below(dir.path()),
             };

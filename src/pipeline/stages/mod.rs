@@ -142,7 +142,7 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         mine: mine.clone().unwrap_or_default(),
         metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
         duplicate_distance_m: evaluate.as_ref().map_or(DUPLICATE_DISTANCE_M, |evaluate| evaluate.duplicate_distance_m),
-        classifier: train.classifier.as_ref(),
+        classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
         // A folder of models that the command line names may hold one that was distilled otherwise.
         distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
         layout,
@@ -197,7 +197,8 @@ mod tests {
         let text = "[mine]\n[train.denoiser]\n[train.distill]\n[train.classifier]\n[train.baseline]\n[generate]\n";
         let layout = Layout::below(std::path::Path::new("out"));
         let sections = |precision: &str| -> Vec<(StageId, Value)> {
-            let config = parse(None, text, &[format!("run.precision={precision}")]).unwrap();
+            let config =
+                parse(None, text, &["run.device=cuda".to_owned(), format!("run.precision={precision}")]).unwrap();
             let stages = of_pipeline(&config, &layout).unwrap();
             stages.iter().map(|stage| (stage.id(), stage.config().unwrap())).collect()
         };

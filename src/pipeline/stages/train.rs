@@ -53,11 +53,11 @@ pub trait Recipe: Serialize {
     /// What the summary says of a model that was trained elsewhere.
     fn about(spec: &Self::Spec) -> Value;
 
-    /// Trains the model, and says what it came to; `None` on all ranks but the first one.
+    /// Trains the model, and says what it came to.
     ///
     /// # Errors
     /// When there is nothing to learn from, or training fails.
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>>;
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
 
     /// Reads the checkpoint to start from.
     ///
@@ -139,11 +139,11 @@ impl<R: Recipe> Stage for Train<'_, R> {
     }
 
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        let StageContext { compute, progress, exchange, .. } = *context;
+        let StageContext { compute, progress, .. } = *context;
         let dir = context.root.join(R::OUTPUTS[0]);
         let Some(path) = self.recipe.source().checkpoint else {
-            let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress, exchange };
-            return Ok(self.recipe.train(self.layout, job)?.unwrap_or_default());
+            let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
+            return self.recipe.train(self.layout, job);
         };
         let trained = TrainedModel::<R::Spec>::read(&checkpoint_file(path), compute)?;
         fs_err::create_dir_all(&dir)?;

@@ -28,10 +28,10 @@ impl Recipe for BaselineTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>> {
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let data = scenes.training_data(self.state_dim, false)?;
         let outcome = train_baseline(&self.resolve()?, &data, job)?;
-        Ok(outcome.map(|outcome| training_summary(&data, outcome.spec.steps, &outcome)))
+        Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
 }

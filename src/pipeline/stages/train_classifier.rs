@@ -7,9 +7,7 @@ use crate::model::{ClassifierSpec, TrainedDenoiser};
 use crate::pipeline::layout::{CLASSIFIER, Layout};
 use crate::pipeline::{Failure, Result, StageId, fingerprint_path};
 use crate::store::{SceneStore, read_events};
-use crate::train::{
-    ClassifierReport, ClassifierTrainingConfig, LabeledPair, MinedEvent, PairData, TrainJob, train_classifier,
-};
+use crate::train::{ClassifierTrainingConfig, LabeledPair, MinedEvent, PairData, TrainJob, train_classifier};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -34,7 +32,7 @@ impl Recipe for ClassifierTrainingConfig {
         json!({ "behavior": spec.behavior })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>> {
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let store = SceneStore::open(&layout.scenes)?;
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.compute)?;
         let events = read_events(&layout.events, |event| event.behavior == self.behavior)?;
@@ -47,18 +45,15 @@ impl Recipe for ClassifierTrainingConfig {
         let held_out = pairs(&held_out, self.max_held_out, "held-out examples");
         let fingerprint = fingerprint_path(&layout.events)?.hash;
         let data = PairData { roles, dataset: &store, train: &train, held_out: &held_out, fingerprint };
-        let report = train_classifier(self, &denoiser, &data, job)?;
-        let summary = |report: ClassifierReport| {
-            json!({
-                "fingerprint": report.fingerprint,
-                "behavior": self.behavior,
-                "trained": true,
-                "n_parameters": report.n_parameters,
-                "n_positive": report.spec.n_positive,
-                "n_negative": report.spec.n_negative,
-            })
-        };
-        Ok(report.map(summary))
+        let report = train_classifier(self, &denoiser.spec, &data, job)?;
+        Ok(json!({
+            "fingerprint": report.fingerprint,
+            "behavior": self.behavior,
+            "trained": true,
+            "n_parameters": report.n_parameters,
+            "n_positive": report.spec.n_positive,
+            "n_negative": report.spec.n_negative,
+        }))
     }
 }
 

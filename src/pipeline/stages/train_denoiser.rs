@@ -32,13 +32,13 @@ impl Recipe for DenoiserTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>> {
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let events = scenes.events(&layout.events, self.events.as_ref())?;
         let mut data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
         data.events = mined(&events);
         let start = self.read_start(&job.compute.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
-        Ok(outcome.map(|outcome| training_summary(&data, outcome.spec.steps, &outcome)))
+        Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
 }

@@ -35,7 +35,7 @@ impl Recipe for DistillTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Option<Value>> {
+    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), &job.compute.device)?;
         let start = self.read_start(&job.compute.device)?;
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
@@ -45,6 +45,6 @@ impl Recipe for DistillTrainingConfig {
         data.events = mined(&events);
         let source = DistillSource { teacher: &teacher, start: start.as_ref() };
         let outcome = distill_denoiser(&self.resolve()?, &data, source, job)?;
-        Ok(outcome.map(|outcome| training_summary(&data, outcome.spec.steps, &outcome)))
+        Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
 }

@@ -29,7 +29,7 @@ pub(super) fn classifier(model: &ReportModel) -> Option<Section> {
     (!rows.is_empty()).then(|| {
         let body = html! {
             p class="note" {
-                "The classifier sees trajectories with noise of level σ added, or clean estimates from there, and guides sampling from high to low noise. "
+                "The classifier sees trajectories with noise of level σ added and guides sampling from high to low noise. "
                 "At high noise there is no signal; what counts is how early in sampling, at how large a σ, it becomes useful. "
                 "Decisions are taken at probability 1/2; AUC is the probability that a positive pair scores higher than a negative one. "
                 "The calibration error is the mean distance of probabilities from shares of positive pairs, which count as much as in training."

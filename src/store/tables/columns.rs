@@ -26,7 +26,7 @@ impl<'a> Columns<'a> {
         Self { path, fields: batch.schema_ref().fields(), arrays: batch.columns() }
     }
 
-    /// Whether there is a column of this name; older files lack newer columns.
+    /// Whether there is a column of this name.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.fields.iter().any(|field| field.name() == name)
     }

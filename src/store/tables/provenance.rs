@@ -124,10 +124,7 @@ pub(crate) fn decode(
     let optional_text = |name: &str| columns.optional_text(name, row).map(|text| text.map(str::to_owned));
     let kind = text("guidance_kind")?;
     let strength = columns.number::<Float64Type>("guidance_strength", row)?;
-    let level = match columns.optional_number::<Float64Type>("guidance_weight", row)? {
-        Some(weight) => GuidanceLevel { strength, weight },
-        None => level_before_weights(&kind, strength),
-    };
+    let level = GuidanceLevel { strength, weight: columns.number::<Float64Type>("guidance_weight", row)? };
     let provenance = Provenance {
         scene_id: scene.id.clone(),
         observation: text("observation")?,
@@ -153,39 +150,4 @@ pub(crate) fn decode(
         request,
         scenario: Scenario { id: text("scenario_id")?, scene, observed, provenance },
     })
-}
-
-/// The level in files before version 5: one column held what varied within the sweep, and the kind the other number in
-/// parentheses, as in `classifier:cut_in(2)+classifier_free`, where it was not 0.
-fn level_before_weights(kind: &str, varied: f64) -> GuidanceLevel {
-    let (of, fixed) = match kind.split_once('(') {
-        Some((of, rest)) => (of, rest.split(')').next().and_then(|number| number.parse().ok())),
-        None => (kind, None),
-    };
-    let fixes_weight = of.ends_with("classifier_free") == fixed.is_some();
-    let fixed = fixed.unwrap_or(0.0);
-    match fixes_weight {
-        true => GuidanceLevel { strength: varied, weight: fixed },
-        false => GuidanceLevel { strength: fixed, weight: varied },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_one_column_held_is_told_apart() {
-        for (kind, strength, weight) in [
-            ("none", 3.0, 0.0),
-            ("classifier:cut_in+no_collision", 3.0, 0.0),
-            ("classifier_free", 0.0, 3.0),
-            ("classifier:cut_in(2)+classifier_free", 2.0, 3.0),
-            ("classifier:cut_in(2)", 2.0, 3.0),
-            ("classifier:cut_in+classifier_free(0.5)", 3.0, 0.5),
-            ("classifier_free(0.5)", 3.0, 0.5),
-        ] {
-            assert_eq!(level_before_weights(kind, 3.0), GuidanceLevel { strength, weight }, "{kind}");
-        }
-    }
 }

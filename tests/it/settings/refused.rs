@@ -108,19 +108,11 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
     ),
     (&["train.denoiser.own_weight=0"], &["train.denoiser.own_weight is 0", "scenes of other runs"]),
     // Parts of batches.
-    (
-        &["train.denoiser.batch_size=8", "train.denoiser.parts=3"],
-        &["train.denoiser.parts is 3, expected a power of two, at most batch_size, which is 8"],
-    ),
-    (
-        &["train.denoiser.parts=4"],
-        &["train.denoiser.parts is 4, expected a power of two, at most batch_size, which is 2"],
-    ),
-    (&["train.classifier.parts=32"], &["train.classifier.parts is 32, expected", "which is 16"]),
-    (&["train.distill.parts=16"], &["train.distill.parts is 16, expected", "which is 8"]),
-    (&["train.baseline.parts=6"], &["train.baseline.parts is 6, expected a power of two"]),
-    (&["cluster.ranks=6"], &["cluster.ranks is 6, expected a power of two"]),
     // Networks.
+    (
+        &["run.precision=bf16"],
+        &["run.precision is \"bf16\", which needs the tensor cores of a GPU", "run.precision = \"f32\""],
+    ),
     (
         &["train.denoiser.network.layers=TXYZ"],
         &["train.denoiser.network.layers is \"TXYZ\", but X is not a layer", "T (time)"],
@@ -157,28 +149,9 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["train.denoiser.objectives=[{ kind = \"speed_limit\", weight = -1.0, limit_mps = 8.0 }]"],
         &["train.denoiser.objectives.0.weight is -1"],
     ),
+    (&["train.distill.method={ n_steps = 0 }"], &["train.distill.method.n_steps is 0, expected 1 to 1000"]),
     (
-        &["train.distill.objectives=[{ kind = \"speed_limit\", limit_mps = 12.0 }]"],
-        &["train.distill.objectives need method"],
-    ),
-    (
-        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 0 } }"],
-        &["train.distill.method.gap.n_stages is 0"],
-    ),
-    (
-        &["train.distill.method={ kind = \"consistency\", gap = { n_stages = 24 } }"],
-        &["train.distill.method.gap.n_stages is 24"],
-    ),
-    (
-        &["train.distill.method={ kind = \"consistency\", gap = { ratio = 1.0 } }"],
-        &["train.distill.method.gap.ratio is 1, expected a number beyond 1"],
-    ),
-    (
-        &["train.distill.method={ kind = \"steps\", n_steps = 0 }"],
-        &["train.distill.method.n_steps is 0, expected 1 to 1000"],
-    ),
-    (
-        &["train.distill.method={ kind = \"steps\", teacher_steps = 1000000000000 }"],
+        &["train.distill.method={ teacher_steps = 1000000000000 }"],
         &["train.distill.method.teacher_steps is 1000000000000"],
     ),
     (

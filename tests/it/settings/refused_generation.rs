@@ -17,19 +17,6 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
         &["generate.sweeps.1.guidance={ sigma_lo = 3.0, sigma_hi = 1.0 }"],
         &["generate.sweeps.1.guidance.sigma_lo is 3, expected at most guidance.sigma_hi, which is 1"],
     ),
-    (
-        &["train.classifier.input=\"clean_estimate\""],
-        &["classifier_input is \"noisy_states\"", "set classifier_input = \"clean_estimate\""],
-    ),
-    (
-        &[
-            "train.classifier.input=\"clean_estimate\"",
-            "generate.sweeps.1.classifier_input=\"clean_estimate\"",
-            "generate.sweeps.1.classifier_scope=\"any_pair\"",
-        ],
-        &["classifier_scope is \"any_pair\", which needs a classifier of noisy states"],
-    ),
-    (&["train.classifier.input=\"noise\""], &["train.classifier.input", "noisy_states", "clean_estimate"]),
     (&["generate.sweeps.1.classifier_potential=\"odds\""], &["log_probability", "log_odds"]),
     (&["generate.sweeps.1.strengths=[1.0, 1.0]"], &["generate.sweeps.1.strengths.1 is 1, which is already listed"]),
     (&["generate.sweeps.1.strengths=[0.0, nan]"], &["generate.sweeps.1.strengths.1 is NaN"]),
@@ -41,35 +28,6 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
             "generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], weights = [0.5, 0.5] }",
         ],
         &["generate.sweeps.0.classifier_free.weights.1 is 0.5, which is already listed"],
-    ),
-    (
-        &["generate.sweeps.1.objectives=[{ kind = \"cut_in\" }]", "generate.sweeps.1.particles={ n = 2 }"],
-        &["generate.sweeps.1.particles needs a sampler that adds noise", "heun-2 adds none"],
-    ),
-    (
-        &[
-            "generate.sweeps.1.objectives=[{ kind = \"cut_in\" }]",
-            "generate.sweeps.1.sampler={ kind = \"dpmpp_2m\", n_steps = 2, eta = 1.0 }",
-            "generate.sweeps.1.particles={ n = 3 }",
-        ],
-        &["generate.sweeps.1.n_samples is 2, expected a multiple of particles.n, 3"],
-    ),
-    (
-        &["generate.sweeps.1.sampler={ kind = \"dpmpp_2m\", eta = 11.0 }"],
-        &["generate.sweeps.1.sampler.eta is 11, expected 0 to 10"],
-    ),
-    (&["generate.sweeps.1.particles={ n = 2 }"], &["generate.sweeps.1.particles needs objectives"]),
-    (
-        &["generate.sweeps.1.objectives=[{ kind = \"cut_in\" }]", "generate.sweeps.1.noise_optimization={}"],
-        &["generate.sweeps.1.noise_optimization needs a sampler that can be differentiated", "heun-2 cannot"],
-    ),
-    (
-        &[
-            "generate.sweeps.1.objectives=[{ kind = \"cut_in\" }]",
-            "generate.sweeps.1.sampler={ kind = \"euler\", n_steps = 9 }",
-            "generate.sweeps.1.noise_optimization={}",
-        ],
-        &["generate.sweeps.1.noise_optimization differentiates through 9 steps at once, expected at most 8"],
     ),
     (
         &["generate.sweeps.0.classifier_free={ extra = [{ agents = \"all\", times = \"goal\" }], goal_std_m = -1.0 }"],
