@@ -140,8 +140,8 @@ mod tests {
         for entry in &entries[2..7] {
             assert_eq!(*entry, state(1), "as it was last observed");
         }
-        for t in 7..12 {
-            let shift_m = entries[t].unwrap().position.x - at(t);
+        for (t, entry) in entries.iter().enumerate().skip(7) {
+            let shift_m = entry.unwrap().position.x - at(t);
             assert!(shift_m.abs() < 0.004, "{t}: {shift_m}");
         }
         // Up to an observed state nothing moves, lest it be missed.

@@ -15,7 +15,7 @@ use djinn::seed::Seed;
 use djinn::store::SceneStore;
 use djinn::tensor::{FutureValidity, MaskSampler, NormalizerFit, SceneBatch, SceneView};
 use djinn::train::{
-    BatchPart, DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Prefetched, Preset, SceneDraws, WeightedGroups,
+    DenoiserTraining, DenoiserTrainingConfig, DrawnBatch, Prefetched, Preset, SceneDraws, WeightedGroups,
 };
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead, BufReader, Write};
@@ -147,7 +147,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     };
     // The first round warms both up and checks that they agree; it is not counted.
     let batches: Vec<Noisy> = (0..=options.n_rounds as u64)
-        .map(|step| noisy(draws.training_batch(&BatchPart::whole(step, batch_size))?, &training))
+        .map(|step| noisy(draws.training_batch(step)?, &training))
         .collect::<Result<_>>()?;
     let mask = ObservationMask::predictive(first.tracks.len(), first.n_timesteps, first.n_history);
     let view = SceneView { scene: &first, ego_idx: first.ego_idx, mask: &mask };
@@ -159,11 +159,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     describe(options, &batches, &scene);
     let (drawn, elapsed) = timed(|| {
         let steps = 1000..1000 + 200u64.div_ceil(batch_size as u64);
-        steps
-            .map(|step| {
-                Ok(noisy(draws.training_batch(&BatchPart::whole(step, batch_size))?, &training)?.batch.x0.dim(0)?)
-            })
-            .sum::<Result<usize>>()
+        steps.map(|step| Ok(noisy(draws.training_batch(step)?, &training)?.batch.x0.dim(0)?)).sum::<Result<usize>>()
     });
     println!(
         "scenes read, drawn, padded and noised for training: {:.0} a second of the processor",
