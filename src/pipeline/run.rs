@@ -17,7 +17,7 @@ use super::work::Work;
 use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
-use crate::store::{read_json, write_atomically, write_json_atomically};
+use crate::store::{read_json, write_atomically, write_record};
 use crate::train::Exchange;
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
@@ -135,7 +135,7 @@ pub fn run_stages(
         if let Some(record) = record {
             manifest.stages.insert(record.stage.to_string(), StageState::done(record));
         }
-        write_json_atomically(&root.join(RUN_FILE), manifest)?;
+        write_record(&root.join(RUN_FILE), manifest)?;
         Ok(())
     };
     save(None)?;
@@ -276,7 +276,7 @@ impl<'a> StageClock<'a> {
     }
 
     fn save(&self) -> anyhow::Result<()> {
-        write_json_atomically(&self.root.join(TIMINGS_FILE), &self.timings)?;
+        write_record(&self.root.join(TIMINGS_FILE), &self.timings)?;
         Ok(())
     }
 }

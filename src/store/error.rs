@@ -44,6 +44,14 @@ pub enum Error {
         /// What is wrong with it.
         detail: String,
     },
+    /// A record of a run whose content is not what was written. What to do about it depends on the record.
+    #[error("{} is damaged: {detail}", .path.display())]
+    Record {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
     /// A value that cannot be stored faithfully.
     #[error("cannot store {id}: {detail}")]
     Invalid {

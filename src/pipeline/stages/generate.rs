@@ -96,10 +96,6 @@ impl Stage for Generate<'_> {
         std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).chain(priors).collect()
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        &[SAMPLES]
-    }
-
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         self.with_ready(context.compute, |ready| self.generate(ready, context))
     }

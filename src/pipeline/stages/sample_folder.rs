@@ -139,7 +139,8 @@ impl SampleFolder {
     pub(in crate::pipeline) fn finished(&self, idx: usize) -> Option<SampleSidecar> {
         let sidecar: SampleSidecar = read_json(&self.dir.join(format!("{}.json", shard_name(idx)))).ok()?;
         // A damaged shard is sampled again.
-        sidecar.stamp.verify_file(&self.dir.join(&sidecar.file)).is_ok().then_some(sidecar)
+        let is_whole = || sidecar.stamp.verify_file(&self.dir.join(&sidecar.file)).is_ok();
+        (sidecar.file == table_name(idx) && is_whole()).then_some(sidecar)
     }
 
     /// Where a file of the folder is.
@@ -174,7 +175,7 @@ impl SampleFolder {
         output: ShardOutput,
         request: Option<ShardTally>,
     ) -> Result<SampleSidecar> {
-        let file = format!("{}.parquet", shard_name(idx));
+        let file = table_name(idx);
         let ShardOutput { records, rejected, unselected } = output;
         let stamp = write_samples(&self.dir.join(&file), &records)?;
         let n_verified = records.iter().filter(|record| record.verified).count() as u64;
@@ -337,6 +338,10 @@ pub(in crate::pipeline) fn is_round_file(name: &str) -> bool {
 
 pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
     format!("samples-{idx:05}")
+}
+
+fn table_name(idx: usize) -> String {
+    format!("{}.parquet", shard_name(idx))
 }
 
 #[cfg(test)]
