@@ -1,6 +1,7 @@
 //! May a command write into this folder, and which of the files there are its own?
 
 use super::failure::{Failure, Result};
+use super::log::LOG_FILE;
 use super::record::{StageRecord, done_path, unreadable};
 use super::run::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
 use super::stage::{Stage, StageId, StageInput};
@@ -9,6 +10,7 @@ use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_e
 use crate::store::{Error as StoreError, read_record};
 use serde_json::Value;
 use std::collections::BTreeSet;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or contains
@@ -56,12 +58,6 @@ pub(super) fn check_root(root: &Path) -> Result<()> {
         let message = format!("{} is not a folder; output is written into a folder", file.display());
         return Err(Failure::input_message(message).with_hint("name another folder with --output"));
     }
-    let is_log = |name: &str| {
-        let text = fs_err::read_to_string(root.join(name)).unwrap_or_default();
-        text.is_empty()
-            || text.lines().next().is_some_and(|line| line.contains(" djinn ") && line.contains(" begins in "))
-    };
-    let log = super::log::LOG_FILE;
     let mut found = Vec::new();
     let mut check = |name: &str, is_ours: &dyn Fn() -> bool| {
         let path = root.join(name);
@@ -74,9 +70,9 @@ pub(super) fn check_root(root: &Path) -> Result<()> {
             .map_err(|error| unreadable(error, || "move it away, and the same command writes it anew".to_owned()))?;
         check(name, &|| is_ours);
     }
-    check(log, &|| is_log(log));
-    // It is written after the log is begun.
-    check(CONFIG_FILE, &|| root.join(RUN_FILE).exists() || (root.join(log).exists() && is_log(log)));
+    check(LOG_FILE, &|| is_log(root));
+    // It is written after the manifest.
+    check(CONFIG_FILE, &|| root.join(RUN_FILE).exists());
     for stage in StageId::ALL {
         let name = done_path(Path::new(""), stage).to_string_lossy().into_owned();
         let is_ours =
@@ -84,6 +80,17 @@ pub(super) fn check_root(root: &Path) -> Result<()> {
         check(&name, &|| is_ours);
     }
     if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
+}
+
+/// Whether lines may be added to the log in `root`: it is empty, a command of ours began it, or it lies beside other files of ours.
+fn is_log(root: &Path) -> bool {
+    const HEAD_BYTES: u64 = 4096;
+    let mut head = Vec::new();
+    let read = fs_err::File::open(root.join(LOG_FILE)).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    let first = String::from_utf8_lossy(head.split(|byte| *byte == b'\n').next().unwrap_or_default()).into_owned();
+    let begins_as_ours = head.is_empty() || (first.contains(" djinn ") && first.contains(" begins in "));
+    let is_ours = |name: &str| is_record(&root.join(name)).unwrap_or_default();
+    (read.is_ok() && begins_as_ours) || is_ours(RUN_FILE) || is_ours(TIMINGS_FILE)
 }
 
 /// Whether a file is a record that a command wrote.

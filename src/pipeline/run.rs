@@ -126,10 +126,6 @@ pub fn run_stages(
         );
     }
     let mut manifest = config.map(|config| RunManifest::new(config, &planned));
-    if let Some(config) = config {
-        let text = config.portable().to_toml()?;
-        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(text.as_bytes()))?;
-    }
     let mut save = |record: Option<&StageRecord>| -> anyhow::Result<()> {
         let Some(manifest) = &mut manifest else { return Ok(()) };
         if let Some(record) = record {
@@ -139,6 +135,11 @@ pub fn run_stages(
         Ok(())
     };
     save(None)?;
+    // After the manifest, beside which nobody takes it for somebody else's.
+    if let Some(config) = config {
+        let text = config.portable().to_toml()?;
+        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(text.as_bytes()))?;
+    }
     let clock = RefCell::new(StageClock::open(root));
     let context = StageContext { root, compute: &compute, progress: &logged, exchange };
     let is_new = Cell::new(false);

@@ -99,6 +99,22 @@ fn files_of_others_survive_everywhere() {
 }
 
 #[test]
+fn a_configuration_of_somebody_stays_beside_any_log() {
+    for log in [&b""[..], b"\n", b"\xe9\n", b"my log\n", b"2026-01-01T00:00:00Z djinn 0.1.0 begins in out\n"] {
+        let dir = tempfile::tempdir().unwrap();
+        put(&dir.path().join("config.toml"), FOREIGN);
+        fs::write(dir.path().join("log.txt"), log).unwrap();
+        let failure = run(dir.path(), &toy("next"), &[]).err().unwrap();
+        assert!(failure.blame == Blame::Input && format!("{failure:?}").contains("config.toml"), "{failure:?}");
+        assert_eq!(text(dir.path(), "config.toml"), FOREIGN);
+        // To an empty one nothing is lost, and a kill leaves ours empty.
+        fs::remove_file(dir.path().join("config.toml")).unwrap();
+        let is_nobodys = log.is_empty() || log.ends_with(b"begins in out\n");
+        assert_eq!(run(dir.path(), &toy("next"), &[]).is_ok(), is_nobodys, "{}", String::from_utf8_lossy(log));
+    }
+}
+
+#[test]
 fn an_output_that_is_read_is_refused_before_anything_happens() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("run");
