@@ -60,7 +60,7 @@ pub struct LevelGap {
     #[schemars(extend("exclusiveMinimum" = 1))]
     pub ratio: f64,
     /// Number of stages, of equal length.
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000))]
     pub n_stages: u64,
     /// How much wider the gap is at low noise, k.
     #[schemars(range(min = 0.0))]

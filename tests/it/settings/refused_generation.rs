@@ -107,7 +107,7 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
     ),
     (
         &["generate.sweeps.1.select={ best = 0, by = [\"mfd_m\"] }"],
-        &["generate.sweeps.1.select.best is 0, expected a number of at least 1"],
+        &["generate.sweeps.1.select.best is 0, expected 1 to 100000"],
     ),
     (
         &["generate.sweeps.1.select={ limits = { collision_rate = nan } }"],
@@ -126,7 +126,7 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
             REQUEST,
             "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\"], budget = { n_samples = 0 } }]",
         ],
-        &["generate.requests.0.budget.n_samples is 0, expected a number of at least 1"],
+        &["generate.requests.0.budget.n_samples is 0, expected 1 to 1000000000000"],
     ),
     (
         &[
