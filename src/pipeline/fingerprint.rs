@@ -4,7 +4,7 @@ use crate::files::regular;
 use anyhow::{Context, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
@@ -67,13 +67,14 @@ pub(super) fn fingerprint_to(
         }
     };
     files.sort();
-    let mut found = combined(root, &files, Reading::Ends)?;
+    let is_own = names.is_some();
+    let mut found = combined(root, &files, Reading::Ends, is_own)?;
     if files.iter().any(|file| is_large(file)) {
-        let times = combined(root, &files, Reading::Times)?.hash;
+        let times = combined(root, &files, Reading::Times, is_own)?.hash;
         let known = known.filter(|known| found.agrees_with(known) && known.times.as_ref() == Some(&times));
         found.whole = match known.and_then(|known| known.whole.clone()) {
             Some(whole) => Some(whole),
-            None => Some(combined(root, &files, Reading::Whole)?.hash),
+            None => Some(combined(root, &files, Reading::Whole, is_own)?.hash),
         };
         found.times = Some(times);
     }
@@ -92,11 +93,12 @@ fn is_large(file: &Path) -> bool {
     fs_err::metadata(file).is_ok_and(|metadata| metadata.len() > 2 * SAMPLED_BYTES)
 }
 
-/// The hash of one file, or of the files below `root` with their names.
-fn combined(root: Option<&Path>, files: &[PathBuf], reading: Reading) -> Result<PathFingerprint> {
+/// The hash of one file, or of the files below `root` with their names. Files that are our own must be readable if they are there.
+fn combined(root: Option<&Path>, files: &[PathBuf], reading: Reading, are_own: bool) -> Result<PathFingerprint> {
     let of = |file: &PathBuf| match (fs_err::File::open(file), root) {
         (Ok(file), _) => hash_file(file, reading),
         (Err(error), None) => Err(error.into()),
+        (Err(error), Some(_)) if are_own && error.kind() != ErrorKind::NotFound => Err(error.into()),
         (Err(_), Some(_)) => Ok((0, blake3::hash(b"unopened"))),
     };
     let hashes: Vec<(u64, blake3::Hash)> = files.par_iter().map(of).collect::<Result<_>>()?;

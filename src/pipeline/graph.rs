@@ -301,7 +301,10 @@ pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
         let Some(record) = StageRecord::done(folder, producer)? else { continue };
         let own = input.path.file_name().unwrap_or_default().to_string_lossy();
         let is_read = |name: &&String| **name == own || folder.join(name).is_file();
-        if let Some(name) = record.outputs.keys().filter(is_read).find(|name| !record.is_whole(folder, name)) {
+        for name in record.outputs.keys().filter(is_read) {
+            if record.is_whole(folder, name)? {
+                continue;
+            }
             let path = folder.join(name);
             let message = format!("{}: it is not what stage {producer} wrote there", path.display());
             return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
@@ -367,7 +370,7 @@ fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Result<Act
     let why = match &done {
         Some(_) if is_asked => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
-        Some(done) => match done.check_outputs(root, &times_seen(root, stage)) {
+        Some(done) => match done.check_outputs(root, &times_seen(root, stage))? {
             Err(name) => format!("{name} is missing or was changed"),
             Ok(times) => {
                 expected.times = times;

@@ -239,22 +239,22 @@ impl StageRecord {
         Ok(self)
     }
 
-    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise the first that is
-    /// not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
+    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise, as the inner
+    /// error, the first that is not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
     /// times of their files stay.
     pub(super) fn check_outputs(
         &self,
         root: &Path,
         seen: &BTreeMap<String, String>,
-    ) -> std::result::Result<BTreeMap<String, String>, &str> {
+    ) -> Result<Result<BTreeMap<String, String>, &str>> {
         let mut times = BTreeMap::new();
         for (name, written) in &self.outputs {
             let known = PathFingerprint { times: seen.get(name).cloned(), ..written.clone() };
-            let found = self.found(root, name, Some(&known));
-            let found = found.filter(|found| found.agrees_with(written)).ok_or(name.as_str())?;
+            let found = self.found(root, name, Some(&known))?;
+            let Some(found) = found.filter(|found| found.agrees_with(written)) else { return Ok(Err(name)) };
             times.extend(found.times.map(|times| (name.clone(), times)));
         }
-        Ok(times)
+        Ok(Ok(times))
     }
 
     /// The same record with outputs that were seen whole when their large files had these times.
@@ -264,14 +264,22 @@ impl StageRecord {
 
     /// Whether the output of this name is as it was written, to its last byte. True for names that are not outputs of
     /// the stage.
-    pub(super) fn is_whole(&self, root: &Path, name: &str) -> bool {
-        let is_as = |written| self.found(root, name, None).is_some_and(|now| now.agrees_with(written));
-        self.outputs.get(name).is_none_or(is_as)
+    ///
+    /// # Errors
+    /// That it cannot be read.
+    pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
+        let Some(written) = self.outputs.get(name) else { return Ok(true) };
+        Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
     }
 
-    /// What the files of an output hold now; `None` if that cannot be read.
-    fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Option<PathFingerprint> {
-        fingerprint_to(&root.join(name), Some(&below(&self.files, name)), known).ok()
+    /// What the files of an output hold now; `None` if it is not there, or is neither file nor folder. What cannot be read now may well
+    /// be whole.
+    fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Result<Option<PathFingerprint>> {
+        let path = root.join(name);
+        if !path.is_file() && !path.is_dir() {
+            return Ok(None);
+        }
+        Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
     }
 
     /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.

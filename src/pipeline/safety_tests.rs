@@ -114,6 +114,25 @@ fn a_configuration_of_somebody_stays_beside_any_log() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn what_cannot_be_read_now_is_not_taken_for_changed() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    run(root, &toy("old"), &[]).unwrap();
+    let model = root.join("denoiser/deep/model.safetensors");
+    let bytes = fs::read(&model).unwrap();
+    fs::remove_file(&model).unwrap();
+    // A link that leads to itself cannot be opened, as what a broken mount shows.
+    std::os::unix::fs::symlink(&model, &model).unwrap();
+    let failure = run(root, &toy("old"), &[]).err().unwrap();
+    let said = format!("{failure:?}");
+    assert!(failure.blame == Blame::Fault && said.contains("model.safetensors") && !said.contains("damaged"), "{said}");
+    fs::remove_file(&model).unwrap();
+    fs::write(&model, bytes).unwrap();
+    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
+}
+
 #[test]
 fn an_output_that_is_read_is_refused_before_anything_happens() {
     let dir = tempfile::tempdir().unwrap();

@@ -4,7 +4,7 @@ use super::{Error, Result};
 use crate::files::{FileStamp, write_atomically};
 use fs_err as fs;
 use serde::{Serialize, de::DeserializeOwned};
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
 impl FileStamp {
@@ -27,6 +27,18 @@ impl FileStamp {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(file)?;
         self.verify_checksum(path, hasher.finalize())
+    }
+
+    /// Whether the file at `path` holds the bytes that were stamped.
+    ///
+    /// # Errors
+    /// Those of the file system, but that there is no such file.
+    pub fn is_of(&self, path: &Path) -> Result<bool> {
+        match self.verify_file(path) {
+            Ok(()) => Ok(true),
+            Err(Error::Io(error)) if !is_missing(&error) => Err(error.into()),
+            Err(_) => Ok(false),
+        }
     }
 
     fn verify_checksum(&self, path: &Path, found: blake3::Hash) -> Result<()> {
@@ -68,6 +80,22 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&fs::read(path)?).map_err(Error::json(path))
 }
 
+/// Reads a JSON file of unfinished work; `None` where there is none that is whole.
+///
+/// # Errors
+/// Those of the file system.
+pub fn read_if_whole<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
+    match fs::read(path) {
+        Err(error) if is_missing(&error) => Ok(None),
+        bytes => Ok(serde_json::from_slice(&bytes?).ok()),
+    }
+}
+
+/// Whether an error of reading says that there is no such file.
+pub(super) fn is_missing(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory)
+}
+
 /// Writes a record: an object as indented JSON, of which the last entry is a checksum of everything before it.
 ///
 /// # Errors
@@ -84,7 +112,7 @@ pub fn write_record<T: Serialize>(path: &Path, value: &T) -> Result<FileStamp> {
 /// [`Error::Record`] when it is not as it was written; those of the file system.
 pub fn read_record<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     let bytes = match fs::read(path) {
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(None),
+        Err(error) if is_missing(&error) => return Ok(None),
         bytes => bytes?,
     };
     let damaged = |detail: String| Error::Record { path: path.to_owned(), detail };
@@ -110,7 +138,6 @@ fn is_sealed(bytes: &[u8]) -> bool {
 mod tests {
     use super::*;
     use crate::files::AtomicFile;
-    use std::io;
 
     #[test]
     fn a_committed_file_is_whole_and_stamped() {
@@ -164,6 +191,25 @@ mod tests {
             assert!(read_record::<serde_json::Value>(&path).is_err(), "{n_bytes} bytes");
         }
         assert!(read_record::<serde_json::Value>(&dir.path().join("none")).unwrap().is_none());
+    }
+
+    #[test]
+    fn failures_of_the_system_are_no_damage() {
+        let path = Path::new("a.parquet");
+        let failed = Error::unreadable(path, "External: Too many open files (os error 24)");
+        assert!(
+            matches!(&failed, Error::Io(_)) && failed.to_string().starts_with("failed to read a.parquet: "),
+            "{failed}"
+        );
+        assert!(matches!(Error::unreadable(path, "External: failed to fill whole buffer"), Error::Corrupt { .. }));
+        let dir = tempfile::tempdir().unwrap();
+        let stamp = FileStamp::of(b"one");
+        assert!(!stamp.is_of(&dir.path().join("none")).unwrap());
+        assert!(read_if_whole::<u8>(&dir.path().join("none")).unwrap().is_none());
+        fs::write(dir.path().join("a"), "1x").unwrap();
+        assert!(!stamp.is_of(&dir.path().join("a")).unwrap());
+        assert!(read_if_whole::<u8>(&dir.path().join("a")).unwrap().is_none());
+        assert!(read_if_whole::<u8>(dir.path()).is_err(), "no file, but there");
     }
 
     #[test]

@@ -209,11 +209,11 @@ impl PartsFolder {
     /// Compares the content of a finished shard with its checksum. A damaged shard no longer counts as finished.
     ///
     /// # Errors
-    /// Those of the file system, when the record of a damaged shard cannot be removed.
+    /// Those of the file system: a shard that cannot be read now is none that is damaged.
     pub(super) fn verified<S: PartFile>(&self, idx: usize) -> Result<Option<PartShard<S>>> {
         let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
         let (file, stamp) = shard.shard.file();
-        if stamp.verify_file(&self.dir.join(file)).is_ok() {
+        if stamp.is_of(&self.dir.join(file))? {
             return Ok(Some(shard));
         }
         remove_if_present(&self.sidecar(idx))?;

@@ -256,6 +256,27 @@ fn only_our_files_are_discarded() {
     assert!(!dir.parent().unwrap().exists());
 }
 
+#[cfg(unix)]
+#[test]
+fn what_systems_and_others_leave_beside_plans_is_passed_over() {
+    let planned = Planned::new(1, 100);
+    let parts = planned.folder.dir().parent().unwrap();
+    let (root, theirs) = (parts.parent().unwrap(), parts.parent().unwrap().join("theirs"));
+    fs_err::create_dir(&theirs).unwrap();
+    fs_err::write(theirs.join("plan.json"), "years of work").unwrap();
+    for name in [".DS_Store", ".nfs0000000012", "0123456789abcdee"] {
+        fs_err::write(parts.join(name), "").unwrap();
+    }
+    fs_err::create_dir(parts.join("notes")).unwrap();
+    std::os::unix::fs::symlink(&theirs, parts.join("0123456789abcdef")).unwrap();
+    assert_eq!(PartsFolder::all(root, StageId::Generate).unwrap(), [planned.folder.clone()]);
+    sealed(root, StageId::Generate).unwrap();
+    assert!(!planned.folder.is_there() && parts.join(".DS_Store").exists() && theirs.join("plan.json").exists());
+    fs_err::rename(parts, root.join("away")).unwrap();
+    std::os::unix::fs::symlink(&theirs, parts).unwrap();
+    assert_eq!(sealed(root, StageId::Generate).unwrap_err().blame, Blame::Input);
+}
+
 #[test]
 fn what_leads_out_of_a_plan_counts_for_nothing() {
     let planned = Planned::new(2, 100);

@@ -165,7 +165,7 @@ impl Generate<'_> {
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = decisive_settings.clone();
         folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
-        let plan = match folder.plan() {
+        let plan = match folder.plan()? {
             Some(plan) => plan,
             None => {
                 let plan = ready.plan(context.progress)?;
@@ -273,7 +273,7 @@ fn generate_shards(
             context.progress.advance(n_samples);
             continue;
         }
-        let sidecar = match folder.finished(shard.idx) {
+        let sidecar = match folder.finished(shard.idx)? {
             Some(sidecar) => {
                 context.progress.advance(n_samples);
                 sidecar
