@@ -131,6 +131,9 @@ fn settings_that_do_not_go_together_are_told() {
     assert_eq!(distinct("list", &[1.0, 2.0]), Ok(()));
     assert_eq!(distinct("list", &["a", "b", "a"]).unwrap_err().to_string(), "list.2 is a, which is already listed");
     assert_eq!(printable_name("name", "night drive"), Ok(()));
+    assert_eq!(printable_name("name", &"ä".repeat(100)), Ok(()));
+    let long = printable_name("name", &"ä".repeat(101)).unwrap_err().to_string();
+    assert_eq!(long, "name has 202 bytes, expected at most 200");
     assert!(printable_name("name", "").is_err() && printable("title", "").is_ok());
     let escaped = printable_name("name", "a\u{1b}[31m").unwrap_err().to_string();
     assert!(escaped.contains("\\u{1b}") && !escaped.contains('\u{1b}'), "{escaped}");

@@ -88,6 +88,21 @@ fn a_seed_beyond_the_numbers_of_toml_switches_no_check_off() {
 }
 
 #[test]
+fn names_that_no_file_can_have_are_refused() {
+    let long = "n".repeat(201);
+    let sweep = format!("generate.sweeps.1.name={long}");
+    let name = format!("run.name={long}");
+    for (args, key) in [
+        (vec!["--set", &sweep], "generate.sweeps.1.name"),
+        (vec!["--set", &name], "the name of a run"),
+        (vec!["--run", &long], "the name of a run"),
+    ] {
+        let told = Workspace::new().run("out", &[&["--dry-run"], args.as_slice()].concat()).expect(1).stderr;
+        assert!(told.contains(&format!("{key} has 201 bytes, expected at most 200")), "{told}");
+    }
+}
+
+#[test]
 fn more_threads_than_any_machine_has_are_refused() {
     for n_threads in ["1025", "100000", "18446744073709551615", "-1"] {
         let threads = format!("--threads={n_threads}");

@@ -149,7 +149,7 @@ pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>
 impl SamplingConfig {
     fn resolve(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
-        self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
+        self.observe.validate(roles)?;
         let model = self.resolve_model(purpose)?;
         if let SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) = &model {
             diffusion.check_steering(self.n_samples, purpose.config.batch_size)?;
