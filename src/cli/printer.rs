@@ -20,9 +20,11 @@ impl Printer {
         Self { quiet: output.quiet, color: !no_color && !dumb && io::stderr().is_terminal() }
     }
 
-    /// Prints what the user asked for, to stdout. A reader that has seen enough (`| head`) is no error.
+    /// Prints what the user asked for, to stdout, with control characters escaped as JSON does. A reader that has seen enough
+    /// (`| head`) is no error.
     pub(super) fn data(&self, text: &str) -> Result<()> {
         let mut stdout = io::stdout().lock();
+        let text = shown(text, |c| format!("\\u{:04x}", u32::from(c)));
         match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
             _ => Ok(()),
@@ -70,12 +72,16 @@ impl Printer {
 /// The text with URLs in the place of what shows them on disk, and with its control characters escaped, but for tabs and ends of lines: terminals obey them, and names of files and of entries of
 /// archives come from others.
 fn plain(text: &str) -> String {
-    let text = in_their_names(text);
-    let mut plain = String::with_capacity(text.len());
+    shown(&in_their_names(text), |c| c.escape_debug().to_string())
+}
+
+/// The text with control characters in the form that `escape` gives them, but for tabs and ends of lines.
+fn shown(text: &str, escape: fn(char) -> String) -> String {
+    let mut shown = String::with_capacity(text.len());
     for c in text.chars() {
-        if c.is_control() && !matches!(c, '\n' | '\t') { plain.extend(c.escape_debug()) } else { plain.push(c) }
+        if c.is_control() && !matches!(c, '\n' | '\t') { shown.push_str(&escape(c)) } else { shown.push(c) }
     }
-    plain
+    shown
 }
 
 /// A line on stderr. Nobody is left to be told when it cannot be written.

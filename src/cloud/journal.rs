@@ -14,6 +14,7 @@
 
 use super::bucket::{Bucket, Object};
 use super::error::Result;
+use crate::files::stays_below;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -35,9 +36,15 @@ impl Journal {
     /// The journal in a folder, if there is one.
     ///
     /// # Errors
-    /// Those of the store. A damaged journal is none: it is written as a whole.
+    /// Those of the store. A damaged journal is none, and so is one that leads elsewhere: it is written as a whole.
     pub(super) fn of(bucket: &Bucket) -> Result<Option<Self>> {
-        Ok(bucket.read(JOURNAL)?.and_then(|bytes| serde_json::from_slice(&bytes).ok()))
+        let found: Option<Self> = bucket.read(JOURNAL)?.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        Ok(found.filter(Self::stays_below))
+    }
+
+    fn stays_below(&self) -> bool {
+        let records = self.records.iter().flat_map(BTreeMap::keys);
+        self.writes.keys().chain(&self.removes).chain(records).all(|name| stays_below(name))
     }
 
     /// Keeps it in the folder.

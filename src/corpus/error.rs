@@ -67,7 +67,7 @@ impl Error {
     /// Rows that cannot be brought together although their schemas were checked.
     pub(super) fn arrow(path: &Path) -> impl FnOnce(arrow::error::ArrowError) -> Self {
         let path = path.to_owned();
-        move |error| Self::Store(store::Error::corrupt(&path, error.to_string()))
+        move |error| Self::Store(store::Error::unreadable(&path, error))
     }
 }
 

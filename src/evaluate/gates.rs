@@ -16,10 +16,13 @@ use std::fmt;
 #[serde(deny_unknown_fields, default)]
 pub struct GatesConfig {
     /// Minimum number of verified scenarios over all sweeps.
+    #[schemars(range(max = 1_000_000_000_000_u64))]
     pub min_verified: Option<u64>,
     /// Minimum number of verified scenarios whose recording does not show the behavior for the same agents.
+    #[schemars(range(max = 1_000_000_000_000_u64))]
     pub min_new: Option<u64>,
     /// Minimum number of accepted scenarios over all sweeps: verified, valid and no near-duplicates.
+    #[schemars(range(max = 1_000_000_000_000_u64))]
     pub min_accepted: Option<u64>,
     /// Smallest share of valid scenarios of any sweep at any strength, 0 to 1.
     #[schemars(range(min = 0.0, max = 1.0))]

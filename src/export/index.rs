@@ -5,6 +5,7 @@
 use super::selection::is_accepted;
 use super::{Error, Item, Result, Written};
 use crate::store::AtomicFile;
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Writes `index.tsv`, one row a scenario, and `tracks.tsv`, one row a track.
@@ -70,6 +71,14 @@ impl Index {
     }
 }
 
+/// A cell that spreadsheets take for text: with an apostrophe before what they would take for a formula and run.
+fn no_formula(cell: &str) -> Cow<'_, str> {
+    match cell.starts_with(['=', '+', '-', '@', '\t', '\r']) && cell.parse::<f64>().is_err() {
+        true => Cow::Owned(format!("'{cell}")),
+        false => Cow::Borrowed(cell),
+    }
+}
+
 /// A table of text, which appears when it is complete.
 pub(super) struct Table {
     path: std::path::PathBuf,
@@ -85,9 +94,11 @@ impl Table {
     }
 
     pub(super) fn row(&mut self, cells: &[&str]) -> Result<()> {
-        self.writer.write_record(cells).map_err(|error| match error.into_kind() {
-            csv::ErrorKind::Io(io) => Error::Io(io),
-            kind => Error::encode(&self.path)(format!("{kind:?}")),
+        self.writer.write_record(cells.iter().map(|cell| no_formula(cell).into_owned())).map_err(|error| {
+            match error.into_kind() {
+                csv::ErrorKind::Io(io) => Error::Io(io),
+                kind => Error::encode(&self.path)(format!("{kind:?}")),
+            }
         })
     }
 
@@ -95,5 +106,20 @@ impl Table {
         let file = self.writer.into_inner().map_err(|error| Error::Io(error.into_error()))?;
         file.commit()?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_cell_is_a_formula_and_numbers_stay() {
+        for formula in ["=HYPERLINK(\"x\")", "=cmd|' /C calc'!A0", "@SUM(1)", "+1+cmd", "-2+3", "\t=1", "\r=1"] {
+            assert_eq!(no_formula(formula), format!("'{formula}"));
+        }
+        for text in ["", "-1", "+1.5", "-1e5", "a=b", "12", "DR_USA"] {
+            assert_eq!(no_formula(text), text);
+        }
     }
 }

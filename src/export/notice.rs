@@ -32,7 +32,11 @@ pub(super) fn text(report: &ExportReport) -> String {
         &mut text,
         "index.tsv: the file and name of each scenario. first_timestep is the scenario's timestep at the file's first time.",
     );
-    paragraph(&mut text, "tracks.tsv: the name of each track in the file, the ego, and roles in the event.");
+    paragraph(
+        &mut text,
+        "tracks.tsv: the name of each track in the file, the ego, and roles in the event. In both tables, texts that a spreadsheet \
+         would take for formulas begin with an apostrophe.",
+    );
     paragraph(&mut text, "export.json: the options of the export, and what was left out, by reason. Written last.");
     paragraph(&mut text, "Positions are those of the recording's frame, in meters; headings in radians.");
     if report.ego == EgoMotion::Free {

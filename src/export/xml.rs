@@ -21,13 +21,20 @@ pub(super) const fn element(name: &'static str) -> Element {
 
 /// An element with a text or number.
 pub(super) fn leaf(name: &'static str, text: impl Display) -> Element {
-    Element { text: Some(text.to_string()), ..element(name) }
+    Element { text: Some(allowed(text)), ..element(name) }
+}
+
+/// The text with a replacement character for each one that XML cannot hold, escaped or not.
+fn allowed(text: impl Display) -> String {
+    let is_allowed =
+        |c: char| matches!(c, '\t' | '\n' | '\r') || !(c.is_ascii_control() || ('\u{fffe}'..='\u{ffff}').contains(&c));
+    text.to_string().chars().map(|c| if is_allowed(c) { c } else { char::REPLACEMENT_CHARACTER }).collect()
 }
 
 impl Element {
     /// Adds an attribute.
     pub(super) fn attr(mut self, name: &'static str, value: impl Display) -> Self {
-        self.attributes.push((name, value.to_string()));
+        self.attributes.push((name, allowed(value)));
         self
     }
 
@@ -74,6 +81,19 @@ impl Element {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn any_name_gives_a_document_that_can_be_read() {
+        let name: String = (0..=0x9f).chain([0xfffe, 0xffff, 0x1_f697]).filter_map(char::from_u32).collect();
+        let mut bytes = Vec::new();
+        element("a").attr("b", &name).child(leaf("c", &name)).write_document(&mut bytes).unwrap();
+        let text = String::from_utf8(bytes).unwrap();
+        assert!(text.chars().all(
+            |c| matches!(c, '\t' | '\n' | '\r') || (c >= ' ' && c != '\u{7f}' && c < '\u{fffe}' || c > '\u{ffff}')
+        ));
+        let mut reader = quick_xml::Reader::from_str(&text);
+        while reader.read_event().unwrap() != Event::Eof {}
+    }
 
     #[test]
     fn documents_are_indented_and_escaped() {

@@ -47,6 +47,18 @@ pub enum Error {
         /// The link.
         path: PathBuf,
     },
+    /// A list of ours that says what djinn cannot have written.
+    #[error(
+        "{} is damaged: {detail}; nothing was changed; move the folder {} away, and run the same command again",
+        .path.display(),
+        .path.parent().unwrap_or(.path).display()
+    )]
+    Damaged {
+        /// The list.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
     /// A place that another process writes to.
     #[error("{} is in use by {holder}; wait for it, or choose another output", .path.display())]
     Busy {

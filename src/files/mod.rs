@@ -28,5 +28,5 @@ pub use overlap::{check_overlap, resolve};
 pub use regular::regular;
 pub use written::{
     LIST_FILE, clear, enter_all, files_below, foreign, is_link, keep_list, list_above, listed, remove_leftovers,
-    remove_listed, sync_folder,
+    remove_listed, stays_below, sync_folder,
 };

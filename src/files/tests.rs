@@ -16,7 +16,7 @@ fn put(path: &Path, text: &str) {
     fs::write(path, text).unwrap();
 }
 
-fn names(names: &[&str]) -> BTreeSet<PathBuf> {
+fn names_of(names: &[&str]) -> BTreeSet<PathBuf> {
     names.iter().map(PathBuf::from).collect()
 }
 
@@ -56,23 +56,63 @@ fn the_innermost_list_names_every_file_that_was_begun() {
     write(&dir.path().join("folder/a.txt"), "a");
     write(&inner.join("line\nbreak.txt"), "b");
     drop(AtomicFile::create(&dir.path().join("given up.txt")).unwrap());
-    assert_eq!(listed(dir.path()).unwrap(), Some(names(&["folder/a.txt", "given up.txt"])));
-    assert_eq!(listed(&inner).unwrap(), Some(names(&["line\nbreak.txt"])));
+    assert_eq!(listed(dir.path()).unwrap(), Some(names_of(&["folder/a.txt", "given up.txt"])));
+    assert_eq!(listed(&inner).unwrap(), Some(names_of(&["line\nbreak.txt"])));
     assert_eq!(listed(&dir.path().join("folder")).unwrap(), None);
 }
 
 #[test]
-fn a_list_that_was_cut_off_or_leads_elsewhere_names_nothing_more() {
+fn a_list_may_be_cut_off_and_every_flipped_bit_of_it_is_noticed() {
     let dir = tempfile::tempdir().unwrap();
-    let kept = dir.path().join("kept");
-    put(&dir.path().join("thesis.doc"), "");
-    fs::create_dir(&kept).unwrap();
-    keep_list(&kept).unwrap();
-    write(&kept.join("a"), "");
-    let path = kept.join(LIST_FILE);
-    let list = fs::read_to_string(&path).unwrap();
-    fs::write(&path, format!("{list}\"../thesis.doc\"\n\"/etc/passwd\"\n\"b")).unwrap();
-    assert_eq!(listed(&kept).unwrap(), Some(names(&["a"])));
+    keep_list(dir.path()).unwrap();
+    write(&dir.path().join("a"), "");
+    write(&dir.path().join("x/b"), "");
+    let path = dir.path().join(LIST_FILE);
+    let list = fs::read(&path).unwrap();
+    for bit in 0..8 * list.len() {
+        let mut flipped = list.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        fs::write(&path, flipped).unwrap();
+        let said = listed(dir.path()).unwrap_err().to_string();
+        assert!(said.contains(".djinn-written is damaged: line ") && said.contains("nothing was changed"), "{said}");
+    }
+    let n_first = list.iter().position(|byte| *byte == b'\n').unwrap() + 1;
+    for n_bytes in n_first..list.len() {
+        fs::write(&path, &list[..n_bytes]).unwrap();
+        assert!(listed(dir.path()).unwrap().is_some_and(|names| names == names_of(&["a"])), "{n_bytes} bytes");
+    }
+    // Whoever goes on ends the line first.
+    remove_leftovers(dir.path()).unwrap();
+    write(&dir.path().join("c"), "");
+    assert_eq!(listed(dir.path()).unwrap(), Some(names_of(&["a", "c"])));
+}
+
+#[test]
+fn a_list_that_leads_elsewhere_is_damaged() {
+    for name in ["../thesis.doc", "/etc/passwd", "", ".", "a/../../b", "a//b", "a/./b", "a/", "nul\0"] {
+        assert!(!stays_below(name), "{name:?}");
+        let dir = tempfile::tempdir().unwrap();
+        keep_list(dir.path()).unwrap();
+        enter_all(dir.path(), [Path::new(name)].into_iter()).unwrap();
+        assert!(matches!(listed(dir.path()), Err(Error::Damaged { .. })), "{name:?}");
+    }
+    assert!(["a", "a/b.c/..d", "...", "a b", "\u{e4}", "line\nbreak"].into_iter().all(stays_below));
+}
+
+#[cfg(unix)]
+#[test]
+fn nothing_is_removed_through_a_link() {
+    let dir = tempfile::tempdir().unwrap();
+    let (theirs, link) = (dir.path().join("theirs"), dir.path().join("link"));
+    put(&theirs.join("a"), "years of work");
+    keep_list(&theirs).unwrap();
+    enter_all(&theirs, [Path::new("a")].into_iter()).unwrap();
+    std::os::unix::fs::symlink("theirs", &link).unwrap();
+    let all = names_of(&["a"]);
+    assert!(matches!(remove_listed(&link, &all), Err(Error::Link { .. })));
+    assert!(matches!(remove_leftovers(&link), Err(Error::Link { .. })));
+    assert!(matches!(clear(&link), Err(Error::Link { .. })));
+    assert_eq!(files_below(&theirs).unwrap().len(), 2);
 }
 
 #[test]
@@ -88,7 +128,7 @@ fn only_what_the_list_names_is_removed() {
     std::mem::forget(half);
     put(&work.join("corpus/y/thesis.doc"), "theirs");
     put(&work.join("corpus/y/c.parquet.partial"), "theirs");
-    let theirs = names(&["corpus/y/c.parquet.partial", "corpus/y/thesis.doc"]);
+    let theirs = names_of(&["corpus/y/c.parquet.partial", "corpus/y/thesis.doc"]);
     let ours = listed(&work).unwrap().unwrap();
     assert_eq!(foreign(&work, &ours).unwrap(), theirs.iter().cloned().collect::<Vec<_>>());
     assert!(matches!(clear(&work.join("corpus")), Err(Error::Foreign { found, .. }) if found.len() == 2));

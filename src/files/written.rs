@@ -9,10 +9,14 @@ use super::error::{Error, Result};
 use fs_err as fs;
 use std::collections::BTreeSet;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
-/// Name of the list in a folder that keeps one: a JSON string a line, relative to the folder.
+/// Name of the list in a folder that keeps one. Each line holds a name relative to the folder, as a JSON string, and the
+/// beginning of that string's hash.
 pub const LIST_FILE: &str = ".djinn-written";
+
+/// Hexadecimal digits of the hash on each line.
+const N_DIGITS: usize = 16;
 
 /// Begins the list of `dir`, which must exist.
 ///
@@ -26,17 +30,53 @@ pub fn keep_list(dir: &Path) -> Result<()> {
 /// The files that the list of `dir` names, whether or not they came to be; `None` where the folder keeps no list.
 ///
 /// # Errors
-/// Those of the file system.
+/// [`Error::Damaged`] when it holds what this module did not write; those of the file system.
 pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     let path = dir.join(LIST_FILE);
     if is_link(&path) || !path.is_file() {
         return Ok(None);
     }
-    // A line that a kill cut off names a file that was not begun.
-    let lines = fs::read_to_string(path)?;
-    let names = lines.lines().filter_map(|line| serde_json::from_str::<PathBuf>(line).ok());
-    let stays_below = |name: &PathBuf| name.components().all(|part| matches!(part, std::path::Component::Normal(_)));
-    Ok(Some(names.filter(stays_below).collect()))
+    let bytes = fs::read(&path)?;
+    let whole = bytes.get(..bytes.len() - n_cut_off(&bytes)).unwrap_or_default();
+    let mut names = BTreeSet::new();
+    for (i, line) in whole.split_inclusive(|byte| *byte == b'\n').enumerate() {
+        let name = name_on(line).ok_or_else(|| Error::Damaged {
+            path: path.clone(),
+            detail: format!("line {} is not as it was written", i + 1),
+        })?;
+        names.insert(name);
+    }
+    Ok(Some(names))
+}
+
+/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts between slashes.
+pub fn stays_below(name: &str) -> bool {
+    let is_plain = |part: &str| !part.is_empty() && part != "." && !part.contains('\0');
+    let is_normal = |part| matches!(part, Component::Normal(_));
+    name.split('/').all(is_plain) && Path::new(name).components().all(is_normal)
+}
+
+/// The line of a list for a name, without its end.
+fn line_of(name: &str) -> io::Result<String> {
+    let text = serde_json::to_string(name)?;
+    let hash = blake3::hash(text.as_bytes()).to_hex();
+    Ok(format!("{text} {}", hash.get(..N_DIGITS).unwrap_or_default()))
+}
+
+/// The name on a whole line of a list, if this module wrote it.
+fn name_on(line: &[u8]) -> Option<PathBuf> {
+    let line = std::str::from_utf8(line).ok()?.strip_suffix('\n')?;
+    let (text, _) = line.rsplit_once(' ')?;
+    let name: String = serde_json::from_str(text).ok()?;
+    (stays_below(&name) && line_of(&name).ok()? == line).then(|| PathBuf::from(name))
+}
+
+/// How many bytes at the end of a list are the beginning of a line that a kill cut off: the file that it would have named was
+/// not begun.
+fn n_cut_off(list: &[u8]) -> usize {
+    let last = list.rsplit(|byte| *byte == b'\n').next().unwrap_or_default();
+    let after_name = last.windows(2).rposition(|pair| pair == b"\" ").map(|at| last.len() - at - 2);
+    if after_name.is_some_and(|n_bytes| n_bytes > N_DIGITS) { 0 } else { last.len() }
 }
 
 /// Enters a file that is about to be begun in the list of the innermost folder above it that keeps one.
@@ -54,7 +94,7 @@ pub(super) fn enter(path: &Path) -> io::Result<()> {
 pub fn enter_all<'a>(dir: &Path, names: impl Iterator<Item = &'a Path>) -> io::Result<()> {
     let mut lines = String::new();
     for name in names {
-        lines.push_str(&serde_json::to_string(&name.to_string_lossy())?);
+        lines.push_str(&line_of(&name.to_string_lossy())?);
         lines.push('\n');
     }
     // One write of a short text at the end of a file is not torn apart by other threads.
@@ -101,8 +141,9 @@ pub fn foreign(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
 /// stays.
 ///
 /// # Errors
-/// Those of the file system.
+/// [`Error::Link`] when `dir` is a link, which may lead anywhere; those of the file system.
 pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
+    check_no_link(dir)?;
     let (removed, kept): (Vec<_>, Vec<_>) = files_below(dir)?.into_iter().partition(|name| is_ours(name, ours));
     // The list last: until then, a second attempt knows what is ours.
     let (list, files): (Vec<_>, Vec<_>) = removed.into_iter().partition(|name| name == Path::new(LIST_FILE));
@@ -117,8 +158,9 @@ pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf
 /// makes the folder where it is missing.
 ///
 /// # Errors
-/// [`Error::Foreign`] when it holds anything else; those of the file system.
+/// [`Error::Foreign`] when it holds anything else, [`Error::Link`] when it is a link; those of the file system.
 pub fn clear(dir: &Path) -> Result<()> {
+    check_no_link(dir)?;
     let mut ours = BTreeSet::new();
     if let Some(keeper) = list_above(&dir.join(LIST_FILE)) {
         let below = dir.strip_prefix(&keeper).unwrap_or(Path::new(""));
@@ -136,12 +178,20 @@ pub fn clear(dir: &Path) -> Result<()> {
     Ok(fs::create_dir_all(dir)?)
 }
 
-/// Removes the partial files of files that the list of `dir` names. Nobody must be writing there: they are leftovers then.
+/// Removes the partial files of files that the list of `dir` names, and from the list the line that a kill cut off. Nobody must
+/// be writing there: they are leftovers then.
 ///
 /// # Errors
-/// Those of the file system.
+/// As [`listed`]; [`Error::Link`] when `dir` is a link.
 pub fn remove_leftovers(dir: &Path) -> Result<()> {
-    let ours = listed(dir)?.unwrap_or_default();
+    check_no_link(dir)?;
+    let Some(ours) = listed(dir)? else { return Ok(()) };
+    let list = fs::read(dir.join(LIST_FILE))?;
+    let n_cut_off = n_cut_off(&list);
+    if n_cut_off > 0 {
+        let file = fs::File::options().write(true).open(dir.join(LIST_FILE))?;
+        file.set_len((list.len() - n_cut_off) as u64)?;
+    }
     for name in files_below(dir)? {
         if !ours.contains(&name) && name != Path::new(LIST_FILE) && is_ours(&name, &ours) {
             fs::remove_file(dir.join(name))?;
@@ -153,6 +203,10 @@ pub fn remove_leftovers(dir: &Path) -> Result<()> {
 /// Whether the path is a symbolic link, wherever that leads.
 pub fn is_link(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink())
+}
+
+fn check_no_link(path: &Path) -> Result<()> {
+    if is_link(path) { Err(Error::Link { path: path.to_owned() }) } else { Ok(()) }
 }
 
 /// Brings a folder's entries to the disk: a rename is there only once its folder is.

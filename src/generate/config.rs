@@ -81,7 +81,7 @@ pub struct PairSelectionConfig {
     pub ranking: PairRanking,
     /// Number of scenes to rank; those with the best pairs are used. Left out: scenes are taken in random order, if
     /// they have a possible pair.
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub n_scenes_ranked: Option<usize>,
 }
 

@@ -75,13 +75,15 @@ pub enum TimeChoice {
 pub struct TimestepRange {
     /// The first timestep.
     #[serde(default)]
+    #[schemars(range(max = 20_000))]
     pub from: usize,
     /// The end, exclusive; left out: the end of the scene.
     #[serde(default)]
+    #[schemars(range(max = 20_000))]
     pub to: Option<usize>,
     /// The distance of neighboring timesteps.
     #[serde(default = "one")]
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 20_000))]
     pub every: usize,
 }
 
@@ -193,7 +195,9 @@ pub(super) fn validate_rules(key: &str, rules: &[MaskRule], roles: &[&str]) -> s
                 let known = if roles.is_empty() { "no behavior is requested".into() } else { roles.join(", ") };
                 return refuse("agents.role", format!("is \"{role}\", expected a role of the behavior ({known})"));
             }
-            (AgentChoice::NRandom(0), _) => return refuse("agents.n_random", "is 0, expected at least 1".to_owned()),
+            (AgentChoice::NRandom(n), _) if !(1..=10_000).contains(n) => {
+                return refuse("agents.n_random", format!("is {n}, expected 1 to 10000"));
+            }
             (_, TimeChoice::Seconds(SecondRange { from_s, to_s })) => {
                 settings::ascending(("from_s", *from_s), ("to_s", *to_s))
                     .map_err(|issue| issue.within(&format!("{key}.{i}.times.seconds")))?;

@@ -25,7 +25,7 @@ pub struct SelectConfig {
     pub limits: BTreeMap<String, Limit>,
     /// How many of the samples within the limits to keep, best first. Left out: all.
     #[serde(default)]
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 100_000))]
     pub best: Option<usize>,
     /// The metrics and objectives that rank samples: the first decides, each further one breaks ties, and finally the
     /// order of sampling.

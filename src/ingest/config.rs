@@ -67,7 +67,7 @@ pub struct IngestConfig {
     pub map_radius_m: f64,
     /// Stop after this many scenes; default: no limit.
     #[serde(default)]
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000_000_000_u64))]
     pub limit: Option<u64>,
     /// Seed of the choice of an ego if the recording marks none.
     #[serde(default)]

@@ -1,14 +1,16 @@
 //! May a command write into this folder, and which of the files there are its own?
 
 use super::failure::{Failure, Result};
-use super::record::{StageRecord, done_path, started_path};
+use super::log::LOG_FILE;
+use super::record::{StageRecord, done_path, unreadable};
 use super::run::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
 use super::stage::{Stage, StageId, StageInput};
 use crate::cloud::ObjectUrl;
-use crate::files::{self, Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
-use crate::store::read_json;
+use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
+use crate::store::{Error as StoreError, read_record};
 use serde_json::Value;
 use std::collections::BTreeSet;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or contains
@@ -56,16 +58,6 @@ pub(super) fn check_root(root: &Path) -> Result<()> {
         let message = format!("{} is not a folder; output is written into a folder", file.display());
         return Err(Failure::input_message(message).with_hint("name another folder with --output"));
     }
-    let has_keys = |name: &str, keys: &[&str]| {
-        let value = read_json::<Value>(&root.join(name));
-        value.is_ok_and(|value| keys.iter().all(|key| value.get(key).is_some()))
-    };
-    let is_log = |name: &str| {
-        let text = fs_err::read_to_string(root.join(name)).unwrap_or_default();
-        text.is_empty()
-            || text.lines().next().is_some_and(|line| line.contains(" djinn ") && line.contains(" begins in "))
-    };
-    let log = super::log::LOG_FILE;
     let mut found = Vec::new();
     let mut check = |name: &str, is_ours: &dyn Fn() -> bool| {
         let path = root.join(name);
@@ -73,18 +65,53 @@ pub(super) fn check_root(root: &Path) -> Result<()> {
             found.push(PathBuf::from(name));
         }
     };
-    check(RUN_FILE, &|| has_keys(RUN_FILE, &["djinn_version", "stages"]));
-    check(TIMINGS_FILE, &|| has_keys(TIMINGS_FILE, &["stages"]));
-    check(log, &|| is_log(log));
-    // It is written after the log is begun.
-    check(CONFIG_FILE, &|| root.join(RUN_FILE).exists() || (root.join(log).exists() && is_log(log)));
+    for name in [RUN_FILE, TIMINGS_FILE] {
+        let is_ours = is_record(&root.join(name))
+            .map_err(|error| unreadable(error, || "move it away, and the same command writes it anew".to_owned()))?;
+        check(name, &|| is_ours);
+    }
+    check(LOG_FILE, &|| is_log(root));
+    // It is written after the manifest.
+    check(CONFIG_FILE, &|| root.join(RUN_FILE).exists());
     for stage in StageId::ALL {
-        for path in [done_path(root, stage), started_path(root, stage)] {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            check(&name, &|| has_keys(&name, &["stage", "fingerprint"]));
-        }
+        let name = done_path(Path::new(""), stage).to_string_lossy().into_owned();
+        let is_ours =
+            is_record(&root.join(&name)).or_else(|_| StageRecord::done(root, stage).map(|done| done.is_some()))?;
+        check(&name, &|| is_ours);
     }
     if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
+}
+
+/// Whether lines may be added to the log in `root`: it is empty, a command of ours began it, or it lies beside other files of ours.
+fn is_log(root: &Path) -> bool {
+    const HEAD_BYTES: u64 = 4096;
+    let mut head = Vec::new();
+    let read = fs_err::File::open(root.join(LOG_FILE)).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    let first = String::from_utf8_lossy(head.split(|byte| *byte == b'\n').next().unwrap_or_default()).into_owned();
+    let begins_as_ours = head.is_empty() || (first.contains(" djinn ") && first.contains(" begins in "));
+    let is_ours = |name: &str| is_record(&root.join(name)).unwrap_or_default();
+    (read.is_ok() && begins_as_ours) || is_ours(RUN_FILE) || is_ours(TIMINGS_FILE)
+}
+
+/// Whether a file is a record that a command wrote.
+///
+/// # Errors
+/// When it is one that is damaged; those of the file system.
+fn is_record(path: &Path) -> Result<bool, StoreError> {
+    if !path.is_file() {
+        return Ok(false);
+    }
+    let damage = match read_record::<Value>(path) {
+        Ok(record) => return Ok(record.is_some()),
+        Err(damage) => damage,
+    };
+    // No flipped bit hits both. What has neither is of somebody else.
+    let has = |mark: &str, bytes: &[u8]| bytes.windows(mark.len()).any(|window| window == mark.as_bytes());
+    let is_like_ours = |bytes: Vec<u8>| has("\"stage", &bytes) || has("\"checksum\"", &bytes);
+    match damage {
+        StoreError::Record { .. } if !is_like_ours(fs_err::read(path)?) => Ok(false),
+        damage => Err(damage),
+    }
 }
 
 /// Removes half-written files of those that every command writes. The folder must be locked.
@@ -103,7 +130,7 @@ pub(super) fn remove_leftovers(root: &Path) -> Result<()> {
 
 /// The files in `root` that the finished stage wrote, relative to it.
 pub(super) fn owned(root: &Path, stage: StageId) -> Result<BTreeSet<PathBuf>> {
-    Ok(StageRecord::done(root, stage).map(|record| record.owned(root)).transpose()?.unwrap_or_default())
+    Ok(StageRecord::done(root, stage)?.map(|record| record.files).unwrap_or_default())
 }
 
 /// Refuses the outputs of a stage whose places hold anything that the stage did not write.
@@ -126,30 +153,8 @@ pub(super) fn check_outputs(root: &Path, stage: StageId, outputs: &[&str]) -> Re
             false => vec![PathBuf::from(name)],
         };
         if !found.is_empty() {
-            return Err(foreign_output(root, stage, files::Error::Foreign { path: place, found }));
+            return Err(Error::Foreign { path: place, found }.into());
         }
     }
     Ok(())
-}
-
-/// The error for an output with files on no list: older versions kept none.
-fn foreign_output(root: &Path, stage: StageId, error: Error) -> Failure {
-    let Error::Foreign { path, .. } = &error else { return error.into() };
-    let place = path.display();
-    let is_unlisted =
-        StageRecord::done(root, stage).map_or(done_path(root, stage).exists(), |record| record.files.is_none());
-    if is_unlisted {
-        let message = format!(
-            "cannot write {place}: an older version of djinn wrote it without a list of files, and it has changed since; nothing was changed now"
-        );
-        return Failure::input_message(message)
-            .with_hint("move your own files, or the whole folder, and run the same command again");
-    }
-    if StageRecord::started_in_place(root, stage).is_some() {
-        let message = format!(
-            "cannot write {place}: an older version of djinn left it unfinished with other settings or inputs, without a list of files; nothing was changed now"
-        );
-        return Failure::input_message(message).with_hint("move it away or remove it, and run the same command again");
-    }
-    error.into()
 }

@@ -1,9 +1,10 @@
 //! Collects the comparable contents of two run folders.
 
 use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
+use super::record::done_path;
 use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
 use super::stages::of_named_path;
-use super::{Classify, Failure, Result, StageId, StageRecord};
+use super::{Classify, Failure, Result, StageId};
 use crate::evaluate::EvaluationSummary;
 use crate::files::{Error, check_overlap, is_link, regular};
 use crate::report::{ComparedRun, Comparison, Fact, PAGE_MARK, render_comparison};
@@ -55,7 +56,7 @@ fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
 
 /// The comparable contents of the run in a folder; empty for stages that did not run.
 fn read_run(root: &Path) -> Result<ComparedRun> {
-    let has_stages = StageId::ALL.into_iter().any(|stage| StageRecord::done(root, stage).is_some());
+    let has_stages = StageId::ALL.into_iter().any(|stage| done_path(root, stage).is_file());
     let manifest = root.join(RUN_FILE);
     if !manifest.exists() && !has_stages {
         let what = if root.is_dir() {

@@ -4,14 +4,12 @@ use super::claim;
 use super::failure::{Blame, Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to};
 use super::keep::{Kept, kept};
-use super::older;
-use super::record::{InputRecord, StageRecord, started_path};
+use super::record::{InputRecord, StageRecord};
 use super::run::times_seen;
 use super::stage::{Stage, StageContext, StageId, StageInput};
 use super::stale;
 use super::work::Work;
 use crate::cloud::Recordings;
-use crate::files::remove_if_present;
 use crate::progress::Progress;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -81,20 +79,20 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
     claim::check_root(root)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
-        let earlier = StageRecord::done(root, stage.id());
+        let earlier = StageRecord::done(root, stage.id())?;
         let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
         let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
         // Work on the same contents keeps its fingerprint when files were moved, and so do the stages after it.
-        let begun = Work::started(root, stage.id());
+        let begun = Work::started(root, stage.id())?;
         if let Some(same) = earlier.iter().chain(&begun).find(|earlier| expected.is_same_work(earlier)) {
             expected.fingerprint.clone_from(&same.fingerprint);
         }
         let is_asked = redo.contains(&stage.id());
-        let action = decide(root, &mut expected, is_asked);
+        let action = decide(root, &mut expected, is_asked)?;
         if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
             return Err(failure);
         }
-        let is_redone = StageRecord::done(root, stage.id()).is_some();
+        let is_redone = earlier.is_some();
         let kept = check_writable(root, stage.as_ref(), &expected, &action, is_asked)?;
         planned.push(PlannedStage { stage, expected, action, is_redone, kept, is_selected: true });
     }
@@ -141,10 +139,7 @@ pub(super) fn check_writable(
         // Whoever began it has requested it already.
         Action::Resume => {
             Work::check_ours(root, stage.id())?;
-            match StageRecord::started_in_place(root, stage.id()) {
-                Some(_) => drop(older::unfinished(root, stage.outputs())?),
-                None => claim::check_outputs(root, stage.id(), stage.outputs())?,
-            }
+            claim::check_outputs(root, stage.id(), stage.outputs())?;
             kept(root, expected, "", true)
         }
         Action::Run(why) => {
@@ -204,13 +199,10 @@ pub fn execute(
         stale::revise(&mut planned, context)?;
         let PlannedStage { stage, expected, action, kept, .. } = planned;
         let record = if action == Action::Reuse {
-            // An older version that was killed right after its last file left it behind.
-            remove_if_present(&started_path(context.root, stage.id()))?;
             // Planning has just read the same record.
-            StageRecord::done(context.root, stage.id())
+            StageRecord::done(context.root, stage.id())?
                 .unwrap_or_else(|| expected.clone())
                 .with_inputs_of(context.root, &expected)?
-                .listing_files(context.root)?
                 .seen(expected.times)
         } else {
             if context.progress.must_stop() {
@@ -282,7 +274,7 @@ fn run_stage(
     context: &StageContext<'_>,
 ) -> Result<StageRecord> {
     let work = match action {
-        Action::Resume => Work::resume(context.root, &expected, stage.outputs())?,
+        Action::Resume => Work::resume(context.root, &expected)?,
         _ => Work::begin(context.root, &expected)?,
     };
     check_inputs(stage)?;
@@ -298,10 +290,13 @@ pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
             continue;
         };
         let folder = input.path.parent().unwrap_or(Path::new("."));
-        let Some(record) = StageRecord::done(folder, producer) else { continue };
+        let Some(record) = StageRecord::done(folder, producer)? else { continue };
         let own = input.path.file_name().unwrap_or_default().to_string_lossy();
         let is_read = |name: &&String| **name == own || folder.join(name).is_file();
-        if let Some(name) = record.outputs.keys().filter(is_read).find(|name| !record.is_whole(folder, name)) {
+        for name in record.outputs.keys().filter(is_read) {
+            if record.is_whole(folder, name)? {
+                continue;
+            }
             let path = folder.join(name);
             let message = format!("{}: it is not what stage {producer} wrote there", path.display());
             return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
@@ -324,7 +319,8 @@ fn identify(
     if let Some(producer) = input.producer {
         let folder = input.path.parent().unwrap_or(Path::new("."));
         let here = planned.iter().find(|other| other.stage.id() == producer && folder == root);
-        let done = StageRecord::done(folder, producer).filter(|_| here.is_none_or(|here| here.action == Action::Reuse));
+        let done =
+            StageRecord::done(folder, producer)?.filter(|_| here.is_none_or(|here| here.action == Action::Reuse));
         let content = done.as_ref().and_then(StageRecord::content);
         let fingerprint =
             here.map(|here| here.expected.fingerprint.clone()).or_else(|| done.map(|record| record.fingerprint));
@@ -360,31 +356,29 @@ fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<Pat
 }
 
 /// The action for a stage. If it is reused, `expected` learns when its outputs were last verified.
-fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Action {
+fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Result<Action> {
     let stage = expected.stage;
-    let done = StageRecord::done(root, stage);
+    let (done, begun) = (StageRecord::done(root, stage)?, Work::started(root, stage)?);
     let why = match &done {
         Some(_) if is_asked => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
-        Some(done) => match done.check_outputs(root, &times_seen(root, stage)) {
+        Some(done) => match done.check_outputs(root, &times_seen(root, stage))? {
             Err(name) => format!("{name} is missing or was changed"),
             Ok(times) => {
                 expected.times = times;
                 match expected.rewritten_since(done) {
                     Some(producer) if !stale::is_kept(done) => stale::why(producer),
-                    _ => return Action::Reuse,
+                    _ => return Ok(Action::Reuse),
                 }
             }
         },
-        None => match Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage)) {
-            Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(&started),
+        None => match &begun {
+            Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(started),
             _ => "not done yet".to_owned(),
         },
     };
-    let begun =
-        Work::started(root, stage).or_else(|| StageRecord::started_in_place(root, stage).filter(|_| done.is_none()));
-    match begun {
+    Ok(match begun {
         Some(begun) if stale::can_resume(expected, &begun) => Action::Resume,
         _ => Action::Run(why),
-    }
+    })
 }

@@ -124,7 +124,7 @@ impl Pipeline<'_> {
                 text: self.second,
                 version: 1,
                 inputs: vec![StageInput::made_by(StageId::Ingest, "scenes", &self.root.join("scenes"))],
-                output: &["events"],
+                output: &self.id.facts().outputs[..1],
                 ran: &ran,
                 fails: self.fails,
             }),
@@ -200,7 +200,7 @@ fn a_stage_that_was_interrupted_begins_anew_where_its_input_came_out_differently
         let (actions, _, outcome) = pipeline.run();
         outcome.unwrap();
         assert_eq!(actions[1], Action::Resume, "nobody could know when it was planned");
-        let events = fs_err::read_to_string(pipeline.root.join("events")).unwrap();
+        let events = fs_err::read_to_string(pipeline.root.join("events.parquet")).unwrap();
         assert!(!events.starts_with("bb"), "nothing was added to what the interrupted run left: {events}");
     });
 }
@@ -233,7 +233,7 @@ fn what_is_done_is_not_done_again() {
         let (actions, ran, outcome) = pipeline.run();
         outcome.unwrap();
         assert_eq!((actions, ran.len()), (vec![Action::Reuse, Action::Reuse], 0));
-        assert_eq!(fs_err::read_to_string(pipeline.root.join("events")).unwrap(), "ba1,2");
+        assert_eq!(fs_err::read_to_string(pipeline.root.join("events.parquet")).unwrap(), "ba1,2");
     });
 }
 
@@ -250,7 +250,7 @@ fn a_change_reaches_everything_after_it_and_nothing_before_it() {
         assert_eq!(ran, [StageId::Ingest, StageId::Mine]);
         assert_eq!(why(&actions[1]), "changed: input scenes");
         // Old outputs are gone before the stage begins: nothing was appended to them.
-        assert_eq!(fs_err::read_to_string(changed_first.root.join("events")).unwrap(), "cz1,2");
+        assert_eq!(fs_err::read_to_string(changed_first.root.join("events.parquet")).unwrap(), "cz1,2");
         let (actions, ran, _) = Pipeline { version: 2, ..changed_first }.run();
         assert_eq!(ran.len(), 2);
         assert_eq!(why(&actions[0]), "changed: stage version 1 -> 2");
@@ -312,14 +312,18 @@ fn unfinished_work_is_taken_up_if_nothing_changed_and_dropped_otherwise() {
         let (actions, ran, outcome) = whole.run();
         outcome.unwrap();
         assert_eq!((actions, ran), (vec![Action::Reuse, Action::Resume], vec![StageId::Mine]));
-        assert_eq!(fs_err::read_to_string(whole.root.join("events")).unwrap(), "bba1,2", "the first b was kept");
+        assert_eq!(
+            fs_err::read_to_string(whole.root.join("events.parquet")).unwrap(),
+            "bba1,2",
+            "the first b was kept"
+        );
     });
     in_folder(|pipeline| {
         let broken = Pipeline { fails: true, ..pipeline };
         broken.run().2.unwrap_err();
         let other = Pipeline { fails: false, second: "c", ..broken };
         other.run().2.unwrap();
-        assert_eq!(fs_err::read_to_string(other.root.join("events")).unwrap(), "ca1,2");
+        assert_eq!(fs_err::read_to_string(other.root.join("events.parquet")).unwrap(), "ca1,2");
     });
 }
 

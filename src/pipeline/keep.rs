@@ -12,6 +12,8 @@ use std::path::Path;
 const PRECIOUS_S: f64 = 600.0;
 /// The file in which training keeps its state: whoever has it has begun.
 const STATE_FILE: &str = "state.safetensors";
+/// Between the name of an output that is moved aside and what its record was made from.
+const EARLIER: &str = ".earlier-";
 /// The record of the stage of a model that was moved aside.
 const RECORD_FILE: &str = "record.json";
 
@@ -31,7 +33,7 @@ pub struct Kept {
 /// section.
 pub(super) fn kept(root: &Path, expected: &StageRecord, why: &str, is_asked: bool) -> Result<Vec<Kept>> {
     let stage = expected.stage;
-    let Some(earlier) = StageRecord::done(root, stage).filter(|_| stage.facts().trains) else { return Ok(Vec::new()) };
+    let Some(earlier) = StageRecord::done(root, stage)?.filter(|_| stage.facts().trains) else { return Ok(Vec::new()) };
     let there: Vec<&String> = earlier.outputs.keys().filter(|name| root.join(name).is_dir()).collect();
     if earlier.summary["trained"] != true || there.is_empty() {
         return Ok(Vec::new());
@@ -41,7 +43,7 @@ pub(super) fn kept(root: &Path, expected: &StageRecord, why: &str, is_asked: boo
         return Err(refusal(root, stage, why, seconds));
     }
     let kept = |name: &String| {
-        let as_name = free_name(root, &format!("{name}.earlier-{}", earlier.short_fingerprint()));
+        let as_name = free_name(root, &format!("{name}{EARLIER}{}", earlier.short_fingerprint()));
         Kept { name: name.clone(), as_name }
     };
     Ok(there.into_iter().map(kept).collect())
@@ -74,7 +76,7 @@ pub(super) fn leave_record(earlier: &StageRecord, dir: &Path) -> Result<()> {
 pub(super) fn keep_unfinished(started: &StageRecord, dir: &Path, root: &Path) -> Result<()> {
     for entry in fs_err::read_dir(dir)? {
         let entry = entry?;
-        if !entry.path().join(STATE_FILE).is_file() {
+        if !entry.file_type()?.is_dir() || !entry.path().join(STATE_FILE).is_file() {
             continue;
         }
         let name = entry.file_name().to_string_lossy().into_owned();
@@ -83,6 +85,12 @@ pub(super) fn keep_unfinished(started: &StageRecord, dir: &Path, root: &Path) ->
         fs_err::rename(entry.path(), root.join(as_name))?;
     }
     Ok(())
+}
+
+/// Whether an output of this name may stay under the other.
+pub(super) fn is_kept(name: &str, as_name: &str) -> bool {
+    let number = as_name.strip_prefix(name).and_then(|rest| rest.strip_prefix(EARLIER));
+    number.is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_hexdigit() || byte == b'-'))
 }
 
 /// The name, or the name with the first number that makes it free.

@@ -22,7 +22,6 @@ mod keep;
 pub mod layout;
 mod log;
 pub mod memory;
-mod older;
 pub mod parts;
 mod record;
 pub mod regenerate;

@@ -4,11 +4,11 @@
 //! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
 //! stage wrote: these, and no others, may be removed when it is redone.
 
+use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
 use super::stage::{Stage, StageId, StageInput};
-use crate::files::{files_below, is_link};
-use crate::store::{read_json, write_json_atomically};
-use anyhow::Result;
+use crate::files::stays_below;
+use crate::store::{Error, read_record, write_record};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,14 +28,10 @@ pub struct StageRecord {
     /// Hash of all of the above.
     pub fingerprint: String,
     /// What it wrote, by name within the output folder; empty until it is done.
-    #[serde(default)]
     pub outputs: BTreeMap<String, PathFingerprint>,
-    /// Every file that it wrote, relative to the output folder and sorted. `None` until it is done, and in records of versions
-    /// that kept no list.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub files: Option<BTreeSet<PathBuf>>,
+    /// Every file that it wrote, relative to the output folder and sorted; empty until it is done.
+    pub files: BTreeSet<PathBuf>,
     /// What it says of its work; null until it is done.
-    #[serde(default)]
     pub summary: Value,
     /// When the large files of its outputs, which are whole, were written, by output. Two runs of one pipeline write the same at
     /// other times: `timings.json` keeps this.
@@ -53,9 +49,9 @@ pub enum InputRecord {
         producer: StageId,
         /// Its fingerprint.
         fingerprint: String,
-        /// Hash of what it wrote. `None` while that is not known, and in records of versions that kept none. No part of the
-        /// fingerprint: a changed program may write other bytes from the same settings.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
+        /// Hash of what it wrote; `None` while that is not known. No part of the fingerprint: a changed program may write other
+        /// bytes from the same settings.
+        #[serde(skip_serializing_if = "Option::is_none")]
         content: Option<String>,
     },
     /// A file or folder from outside.
@@ -99,7 +95,7 @@ impl StageRecord {
             inputs,
             fingerprint,
             outputs: BTreeMap::new(),
-            files: None,
+            files: BTreeSet::new(),
             summary: Value::Null,
             times: BTreeMap::new(),
         })
@@ -172,19 +168,54 @@ impl StageRecord {
         }
         if self.inputs != inputs {
             self.inputs = inputs;
-            write_json_atomically(&done_path(root, self.stage), &self)?;
+            write_record(&done_path(root, self.stage), &self)?;
         }
         Ok(self)
     }
 
-    /// The record of the finished stage in `root`, if there is one that can be read.
-    pub fn done(root: &Path, stage: StageId) -> Option<Self> {
-        read_json(&done_path(root, stage)).ok()
+    /// The record of the finished stage in `root`, if there is one.
+    ///
+    /// # Errors
+    /// When it is damaged; those of the file system.
+    pub fn done(root: &Path, stage: StageId) -> Result<Option<Self>> {
+        Self::read(&done_path(root, stage), stage).map_err(|error| {
+            unreadable(error, || {
+                let outputs = stage.facts().outputs.join(", ");
+                format!("restore it from a copy, or move it away together with {outputs}: then {stage} runs again")
+            })
+        })
     }
 
-    /// The record that an older version left of a stage that it did not finish: it worked in the places of outputs.
-    pub(super) fn started_in_place(root: &Path, stage: StageId) -> Option<Self> {
-        read_json(&started_path(root, stage)).ok()
+    /// The record of the stage at `path`, if there is one.
+    ///
+    /// # Errors
+    /// When it is damaged, or names what the stage does not write; those of the file system.
+    pub(super) fn read(path: &Path, stage: StageId) -> Result<Option<Self>, Error> {
+        let record: Option<Self> = read_record(path)?;
+        match record.as_ref().and_then(|record| record.impossible(stage)) {
+            Some(detail) => Err(Error::Record { path: path.to_owned(), detail }),
+            None => Ok(record),
+        }
+    }
+
+    /// What in a record the stage cannot have written: whatever it names is replaced and removed.
+    fn impossible(&self, stage: StageId) -> Option<String> {
+        let known = stage.facts().outputs;
+        let is_output = |name: &str| known.contains(&name);
+        let is_file = |file: &Path| {
+            let output = file.iter().next().and_then(|part| part.to_str());
+            file.to_str().is_some_and(stays_below) && output.is_some_and(is_output)
+        };
+        let is_hash = self.fingerprint.len() == 32 && self.fingerprint.bytes().all(|byte| byte.is_ascii_hexdigit());
+        if self.stage != stage {
+            return Some(format!("it is of stage {}", self.stage));
+        }
+        if !is_hash {
+            return Some(format!("{:?} is no fingerprint", self.fingerprint));
+        }
+        let output = self.outputs.keys().find(|name| !is_output(name)).map(PathBuf::from);
+        let file = || self.files.iter().find(|file| !is_file(file)).cloned();
+        output.or_else(file).map(|name| format!("{name:?} is nothing that stage {stage} writes"))
     }
 
     /// The record of the same stage once its outputs are whole in the folder `dir`; `written` are the files there that are
@@ -203,57 +234,27 @@ impl StageRecord {
             self.times.extend(written.times.take().map(|times| ((*name).to_owned(), times)));
             self.outputs.insert((*name).to_owned(), written);
         }
-        self.files = Some(files);
+        self.files = files;
         self.summary = summary;
         Ok(self)
     }
 
-    /// The same record with the list of files, which older versions did not write, in its place in `root`. All outputs must
-    /// be as they were written.
-    pub(super) fn listing_files(mut self, root: &Path) -> Result<Self> {
-        if self.files.is_none() {
-            self.files = Some(self.owned(root)?);
-            write_json_atomically(&done_path(root, self.stage), &self)?;
-        }
-        Ok(self)
-    }
-
-    /// The files in `root` that the stage wrote, relative to it. Of an output of a version that kept no list, all files if
-    /// they are together what was written, and otherwise none: nobody can tell which are whose.
-    pub(super) fn owned(&self, root: &Path) -> Result<BTreeSet<PathBuf>> {
-        if let Some(files) = &self.files {
-            return Ok(files.clone());
-        }
-        let mut owned = BTreeSet::new();
-        for (name, written) in &self.outputs {
-            let place = root.join(name);
-            if is_link(&place) || !fingerprint_to(&place, None, None).is_ok_and(|now| now.agrees_with(written)) {
-                continue;
-            }
-            match place.is_dir() {
-                true => owned.extend(files_below(&place)?.into_iter().map(|file| Path::new(name).join(file))),
-                false => _ = owned.insert(PathBuf::from(name)),
-            }
-        }
-        Ok(owned)
-    }
-
-    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise the first that is
-    /// not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
+    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise, as the inner
+    /// error, the first that is not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
     /// times of their files stay.
     pub(super) fn check_outputs(
         &self,
         root: &Path,
         seen: &BTreeMap<String, String>,
-    ) -> std::result::Result<BTreeMap<String, String>, &str> {
+    ) -> Result<Result<BTreeMap<String, String>, &str>> {
         let mut times = BTreeMap::new();
         for (name, written) in &self.outputs {
             let known = PathFingerprint { times: seen.get(name).cloned(), ..written.clone() };
-            let found = self.found(root, name, Some(&known));
-            let found = found.filter(|found| found.agrees_with(written)).ok_or(name.as_str())?;
+            let found = self.found(root, name, Some(&known))?;
+            let Some(found) = found.filter(|found| found.agrees_with(written)) else { return Ok(Err(name)) };
             times.extend(found.times.map(|times| (name.clone(), times)));
         }
-        Ok(times)
+        Ok(Ok(times))
     }
 
     /// The same record with outputs that were seen whole when their large files had these times.
@@ -263,15 +264,22 @@ impl StageRecord {
 
     /// Whether the output of this name is as it was written, to its last byte. True for names that are not outputs of
     /// the stage.
-    pub(super) fn is_whole(&self, root: &Path, name: &str) -> bool {
-        let is_as = |written| self.found(root, name, None).is_some_and(|now| now.agrees_with(written));
-        self.outputs.get(name).is_none_or(is_as)
+    ///
+    /// # Errors
+    /// That it cannot be read.
+    pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
+        let Some(written) = self.outputs.get(name) else { return Ok(true) };
+        Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
     }
 
-    /// What the files of an output hold now; `None` if that cannot be read.
-    fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Option<PathFingerprint> {
-        let files = self.files.as_ref().map(|files| below(files, name));
-        fingerprint_to(&root.join(name), files.as_deref(), known).ok()
+    /// What the files of an output hold now; `None` if it is not there, or is neither file nor folder. What cannot be read now may well
+    /// be whole.
+    fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Result<Option<PathFingerprint>> {
+        let path = root.join(name);
+        if !path.is_file() && !path.is_dir() {
+            return Ok(None);
+        }
+        Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
     }
 
     /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.
@@ -332,14 +340,16 @@ fn below(files: &BTreeSet<PathBuf>, name: &str) -> Vec<PathBuf> {
     files.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect()
 }
 
+/// The failure to read a record, with advice where it is damaged.
+pub(super) fn unreadable(error: Error, advice: impl FnOnce() -> String) -> Failure {
+    let is_damaged = matches!(error, Error::Record { .. });
+    let failure = Failure::fault(error);
+    if is_damaged { failure.with_hint(format!("nothing was changed; {}", advice())) } else { failure }
+}
+
 /// Where the record of a finished stage lies.
 pub(super) fn done_path(root: &Path, stage: StageId) -> PathBuf {
     root.join(format!("{stage}.done.json"))
-}
-
-/// Where older versions kept the record of a stage at work.
-pub(super) fn started_path(root: &Path, stage: StageId) -> PathBuf {
-    root.join(format!("{stage}.started.json"))
 }
 
 fn changed_keys(path: &str, earlier: &Value, now: &Value, changes: &mut Vec<String>) {

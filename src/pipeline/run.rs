@@ -17,7 +17,7 @@ use super::work::Work;
 use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
-use crate::store::{read_json, write_atomically, write_json_atomically};
+use crate::store::{read_json, write_atomically, write_record};
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -123,19 +123,20 @@ pub fn run_stages(
         );
     }
     let mut manifest = config.map(|config| RunManifest::new(config, &planned));
-    if let Some(config) = config {
-        let text = config.portable().to_toml()?;
-        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(text.as_bytes()))?;
-    }
     let mut save = |record: Option<&StageRecord>| -> anyhow::Result<()> {
         let Some(manifest) = &mut manifest else { return Ok(()) };
         if let Some(record) = record {
             manifest.stages.insert(record.stage.to_string(), StageState::done(record));
         }
-        write_json_atomically(&root.join(RUN_FILE), manifest)?;
+        write_record(&root.join(RUN_FILE), manifest)?;
         Ok(())
     };
     save(None)?;
+    // After the manifest, beside which nobody takes it for somebody else's.
+    if let Some(config) = config {
+        let text = config.portable().to_toml()?;
+        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(text.as_bytes()))?;
+    }
     let clock = RefCell::new(StageClock::open(root));
     let context = StageContext { root, compute: &compute, progress: &logged };
     let is_new = Cell::new(false);
@@ -273,7 +274,7 @@ impl<'a> StageClock<'a> {
     }
 
     fn save(&self) -> anyhow::Result<()> {
-        write_json_atomically(&self.root.join(TIMINGS_FILE), &self.timings)?;
+        write_record(&self.root.join(TIMINGS_FILE), &self.timings)?;
         Ok(())
     }
 }

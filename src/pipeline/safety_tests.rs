@@ -1,16 +1,15 @@
 //! Does running stages again lose anything: files of others, earlier outputs, trained models? On stages that write a few lines.
 
+mod crafted;
 mod toy;
 
 use super::graph::Action;
 use super::{Blame, StageId, StageInput};
-use crate::files::write_atomically;
+use crate::files::{enter_all, write_atomically};
 use fs_err as fs;
 use serde_json::Value;
-use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
-use toy::{FOREIGN, Toy, forget_list, put, run, snapshot, text, took, toy};
+use toy::{FOREIGN, Toy, put, run, snapshot, text, took, toy};
 
 /// A state in which a folder may be found: its name, and what brings a new folder into it.
 type State = (&'static str, fn(&Path));
@@ -23,27 +22,14 @@ fn states() -> Vec<State> {
     fn broken(root: &Path) {
         run(root, &Toy { fails: true, ..toy("old") }, &[]).err().unwrap();
     }
-    fn in_place(root: &Path, text: &str) {
-        broken(root);
-        let work = root.join("train_denoiser.partial");
-        fs::rename(work.join("denoiser"), root.join("denoiser")).unwrap();
-        let started = fs::read_to_string(work.join("started.json")).unwrap().replace("old", text);
-        fs::write(root.join("train_denoiser.started.json"), started).unwrap();
-        fs::remove_dir_all(work).unwrap();
-    }
     vec![
         ("new", |_| {}),
         ("finished", finished),
-        ("finished by an older version", |root| {
-            finished(root);
-            forget_list(root);
-        }),
         ("interrupted", broken),
         ("interrupted when done again", |root| {
             finished(root);
             run(root, &Toy { fails: true, ..toy("other") }, &[]).err().unwrap();
         }),
-        ("interrupted by an older version", |root| in_place(root, "old")),
         ("damaged", |root| {
             finished(root);
             fs::remove_file(root.join("denoiser/deep/model.safetensors")).unwrap();
@@ -69,7 +55,6 @@ fn files_of_others_survive_everywhere() {
         "train_denoiser.partial/denoiser/thesis.doc",
         "train_denoiser.partial/replaced/thesis.doc",
         "train_denoiser.done.json",
-        "train_denoiser.started.json",
         "run.json",
         "config.toml",
         "log.txt",
@@ -114,13 +99,48 @@ fn files_of_others_survive_everywhere() {
 }
 
 #[test]
+fn a_configuration_of_somebody_stays_beside_any_log() {
+    for log in [&b""[..], b"\n", b"\xe9\n", b"my log\n", b"2026-01-01T00:00:00Z djinn 0.1.0 begins in out\n"] {
+        let dir = tempfile::tempdir().unwrap();
+        put(&dir.path().join("config.toml"), FOREIGN);
+        fs::write(dir.path().join("log.txt"), log).unwrap();
+        let failure = run(dir.path(), &toy("next"), &[]).err().unwrap();
+        assert!(failure.blame == Blame::Input && format!("{failure:?}").contains("config.toml"), "{failure:?}");
+        assert_eq!(text(dir.path(), "config.toml"), FOREIGN);
+        // To an empty one nothing is lost, and a kill leaves ours empty.
+        fs::remove_file(dir.path().join("config.toml")).unwrap();
+        let is_nobodys = log.is_empty() || log.ends_with(b"begins in out\n");
+        assert_eq!(run(dir.path(), &toy("next"), &[]).is_ok(), is_nobodys, "{}", String::from_utf8_lossy(log));
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn what_cannot_be_read_now_is_not_taken_for_changed() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path();
+    run(root, &toy("old"), &[]).unwrap();
+    let model = root.join("denoiser/deep/model.safetensors");
+    let bytes = fs::read(&model).unwrap();
+    fs::remove_file(&model).unwrap();
+    // A link that leads to itself cannot be opened, as what a broken mount shows.
+    std::os::unix::fs::symlink(&model, &model).unwrap();
+    let failure = run(root, &toy("old"), &[]).err().unwrap();
+    let said = format!("{failure:?}");
+    assert!(failure.blame == Blame::Fault && said.contains("model.safetensors") && !said.contains("damaged"), "{said}");
+    fs::remove_file(&model).unwrap();
+    fs::write(&model, bytes).unwrap();
+    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
+}
+
+#[test]
 fn an_output_that_is_read_is_refused_before_anything_happens() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("run");
     fs::create_dir(&root).unwrap();
     run(&root, &toy("old"), &[]).unwrap();
     let before = snapshot(dir.path());
-    for input in ["denoiser/deep/model.safetensors", "denoiser", "", "../run/./denoiser/new", "mine.json"] {
+    for input in ["denoiser/deep/model.safetensors", "denoiser", "", "../run/./denoiser/new"] {
         let inputs = vec![StageInput::external("start_from", &root.join(input))];
         let failure = run(&root, &Toy { inputs, ..toy("next") }, &[]).err().unwrap();
         let said = format!("{failure:?}");
@@ -139,13 +159,10 @@ fn earlier_outputs_stay_until_the_new_ones_are_whole() {
     run(root, &toy("old"), &[]).unwrap();
     took(root, Some(3.0));
     run(root, &Toy { fails: true, ..toy("next") }, &[]).err().unwrap();
-    assert_eq!((text(root, "denoiser/deep/model.safetensors"), text(root, "mine.json")), ("old".into(), "old".into()));
+    assert_eq!(text(root, "denoiser/deep/model.safetensors"), "old");
     let planned = run(root, &toy("next"), &[]).unwrap();
     assert_eq!(planned.action, Action::Resume);
-    assert_eq!(
-        (text(root, "denoiser/deep/model.safetensors"), text(root, "mine.json")),
-        ("next".into(), "next".into())
-    );
+    assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
     assert!(!root.join("train_denoiser.partial").exists());
     // The old setting again, and what is there is old again.
     assert!(matches!(run(root, &toy("old"), &[]).unwrap().action, Action::Run(_)));
@@ -157,44 +174,46 @@ fn what_appears_while_a_stage_works_is_not_replaced_and_the_work_not_lost() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path();
     run(root, &Toy { is_cheap: true, ..toy("old") }, &[]).unwrap();
-    let thesis = root.join("denoiser/thesis.doc");
+    let thesis = root.join("corpus/thesis.doc");
     let next = Toy { is_cheap: true, put_meanwhile: Some(thesis.clone()), ..toy("next") };
     let failure = run(root, &next, &[]).err().unwrap();
     assert!(format!("{failure:?}").contains("thesis.doc"), "{failure:?}");
-    assert_eq!((text(root, "denoiser/thesis.doc"), text(root, "mine.json")), (FOREIGN.into(), "old".into()));
+    assert_eq!((text(root, "corpus/thesis.doc"), text(root, "metrics.json")), (FOREIGN.into(), "old".into()));
     // Nothing is computed again once the file is out of the way.
     fs::rename(&thesis, root.join("thesis.doc")).unwrap();
     assert_eq!(run(root, &next, &[]).unwrap().action, Action::Reuse);
-    assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
+    assert_eq!(text(root, "corpus/deep/model.safetensors"), "next");
 }
 
 /// The steps by which outputs come to their places, each of which may be the last one before a kill.
 #[test]
 fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
     for is_cheap in [true, false] {
+        let (stage, folder) = if is_cheap { ("evaluate", "corpus") } else { ("train_denoiser", "denoiser") };
         for n_steps in 0..=8 {
             let dir = tempfile::tempdir().unwrap();
             let root = dir.path();
-            let work = root.join("train_denoiser.partial");
+            let work = root.join(format!("{stage}.partial"));
             run(root, &Toy { is_cheap, ..toy("old") }, &[]).unwrap();
             took(root, Some(3.0));
-            let thesis = root.join("denoiser/thesis.doc");
+            let thesis = root.join(folder).join("thesis.doc");
             run(root, &Toy { is_cheap, put_meanwhile: Some(thesis.clone()), ..toy("next") }, &[]).err().unwrap();
             fs::remove_file(thesis).unwrap();
-            let keep: BTreeMap<String, String> = serde_json::from_str(&text(&work, "keep.json")).unwrap();
-            assert_eq!(keep.is_empty(), is_cheap);
-            let away = keep.get("denoiser").map_or(work.join("replaced/denoiser"), |name| root.join(name));
-            let (new, place) = (work.join("denoiser"), root.join("denoiser"));
+            let keep: Value = serde_json::from_str(&text(&work, "keep.json")).unwrap();
+            let kept = keep["names"][folder].as_str();
+            assert_eq!(kept.is_none(), is_cheap);
+            let away = kept.map_or(work.join("replaced").join(folder), |name| root.join(name));
+            let (new, place) = (work.join(folder), root.join(folder));
             let half_a_mark = new.join(".djinn-new.0123456789abcdef.partial");
             let steps: [&dyn Fn(); 8] = [
                 &|| fs::remove_file(work.join("started.json")).unwrap(),
                 &|| {
-                    let mut list = fs::File::options().append(true).open(work.join(".djinn-written")).unwrap();
-                    for name in ["state.safetensors", "deep/model.safetensors"] {
-                        writeln!(list, "\"denoiser/{name}\"\n\"replaced/denoiser/{name}\"").unwrap();
+                    for name in ["state.safetensors", "deep/model.safetensors", ".djinn-new"] {
+                        let name = Path::new(folder).join(name);
+                        let names = [name.clone(), Path::new("replaced").join(name)];
+                        enter_all(&work, names.iter().map(|name| name.as_path())).unwrap();
                     }
                     fs::create_dir_all(work.join("replaced")).unwrap();
-                    writeln!(list, "\"denoiser/.djinn-new\"").unwrap();
                     fs::write(&half_a_mark, "").unwrap();
                 },
                 &|| {
@@ -209,15 +228,19 @@ fn a_kill_while_outputs_come_to_their_places_loses_nothing() {
                 },
                 &|| fs::rename(&new, &away).unwrap(),
                 &|| fs::remove_file(place.join(".djinn-new")).unwrap(),
-                &|| fs::rename(work.join("mine.json"), root.join("mine.json")).unwrap(),
-                &|| fs::rename(work.join("done.json"), root.join("train_denoiser.done.json")).unwrap(),
+                &|| {
+                    if is_cheap {
+                        fs::rename(work.join("metrics.json"), root.join("metrics.json")).unwrap();
+                    }
+                },
+                &|| fs::rename(work.join("done.json"), root.join(format!("{stage}.done.json"))).unwrap(),
             ];
             steps[..n_steps].iter().for_each(|step| step());
-            let model = text(root, "denoiser/deep/model.safetensors");
+            let model = text(&place, "deep/model.safetensors");
             assert_eq!(model, if n_steps < 4 { "old" } else { "next" }, "{n_steps} steps");
             let planned = run(root, &Toy { is_cheap, ..toy("next") }, &[]).unwrap();
             assert_eq!(planned.action, Action::Reuse, "{n_steps} steps");
-            assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
+            assert_eq!(text(&place, "deep/model.safetensors"), "next");
             assert!(!work.exists(), "{n_steps} steps");
             assert!(!place.join(".djinn-new.0123456789abcdef.partial").exists(), "{n_steps} steps");
             if !is_cheap {
@@ -272,24 +295,4 @@ fn a_model_that_took_hours_is_kept_unless_it_is_asked_for() {
     let unfinished: Vec<String> = names.filter(|name| name.starts_with("denoiser.unfinished-")).collect();
     assert_eq!(text(&root, &format!("{}/state.safetensors", unfinished[0])), "third");
     assert!(!root.join("train_denoiser.partial").exists());
-}
-
-#[test]
-fn folders_of_older_versions_are_taken_over_or_explained() {
-    let dir = tempfile::tempdir().unwrap();
-    let root = dir.path();
-    run(root, &toy("old"), &[]).unwrap();
-    took(root, Some(3.0));
-    forget_list(root);
-    let thesis = root.join("denoiser/thesis.doc");
-    put(&thesis, FOREIGN);
-    let failure = run(root, &toy("next"), &[]).err().unwrap();
-    let said = format!("{failure:?}");
-    assert!(said.contains("without a list of files") && said.contains("move your own files"), "{said}");
-    fs::remove_file(&thesis).unwrap();
-    // Looking at it is enough to list its files; then what is put beside them is told from them.
-    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
-    put(&thesis, FOREIGN);
-    assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
-    assert!(format!("{:?}", run(root, &toy("next"), &[]).err().unwrap()).contains("thesis.doc"));
 }

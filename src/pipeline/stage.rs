@@ -111,8 +111,10 @@ pub trait Stage {
     fn config(&self) -> anyhow::Result<serde_json::Value>;
     /// What it reads.
     fn inputs(&self) -> Vec<StageInput>;
-    /// What it writes: names of files and folders within the output folder.
-    fn outputs(&self) -> &'static [&'static str];
+    /// What it writes: names of files and folders within the output folder, of those that its facts name.
+    fn outputs(&self) -> &'static [&'static str] {
+        self.id().facts().outputs
+    }
     /// Does the work. Returns a short summary for people and for later checks.
     fn run(&self, context: &StageContext<'_>) -> Result<serde_json::Value>;
 }

@@ -1,7 +1,10 @@
 //! The facts about each stage in one table: its names, its section, its output for other stages.
 
 use super::config::PipelineConfig;
-use super::layout::Layout;
+use super::layout::{
+    BASELINE, CLASSIFIER, CORPUS, DENOISER, DISTILLED, EVENTS, FIGURES, Layout, METRICS, METRICS_SUMMARY, MINE_SUMMARY,
+    PREDICTIONS, REPORT, SAMPLES, SCENES, VERDICTS,
+};
 use super::stage::StageId;
 use std::path::Path;
 
@@ -17,6 +20,8 @@ pub struct StageFacts {
     pub trains: bool,
     /// Whether a configuration has its section.
     pub is_configured: fn(&PipelineConfig) -> bool,
+    /// The files and folders that it may write, by name within the output folder.
+    pub outputs: &'static [&'static str],
     /// The name and place of its output for other stages; `None` if its output is for people.
     pub output: Option<StageOutput>,
     /// The shards that several processes can make at once; `None` if one process does all the work.
@@ -61,6 +66,7 @@ impl StageId {
                 section: "ingest",
                 trains: false,
                 is_configured: |config| config.ingest.is_some(),
+                outputs: &[SCENES],
                 output: output("scenes", |layout| &layout.scenes),
                 parts: None,
             },
@@ -70,6 +76,7 @@ impl StageId {
                 section: "mine",
                 trains: false,
                 is_configured: |config| config.mine.is_some(),
+                outputs: &[EVENTS, MINE_SUMMARY],
                 output: output("events", |layout| &layout.events),
                 parts: None,
             },
@@ -79,6 +86,7 @@ impl StageId {
                 section: "train.denoiser",
                 trains: true,
                 is_configured: |config| config.train.denoiser.is_some(),
+                outputs: &[DENOISER],
                 output: output("denoiser", |layout| &layout.denoiser),
                 parts: None,
             },
@@ -88,6 +96,7 @@ impl StageId {
                 section: "train.distill",
                 trains: true,
                 is_configured: |config| config.train.distill.is_some(),
+                outputs: &[DISTILLED],
                 output: output("distilled", |layout| &layout.distilled),
                 parts: None,
             },
@@ -97,6 +106,7 @@ impl StageId {
                 section: "train.classifier",
                 trains: true,
                 is_configured: |config| config.train.classifier.is_some(),
+                outputs: &[CLASSIFIER],
                 output: output("classifier", |layout| &layout.classifier),
                 parts: None,
             },
@@ -106,6 +116,7 @@ impl StageId {
                 section: "train.baseline",
                 trains: true,
                 is_configured: |config| config.train.baseline.is_some(),
+                outputs: &[BASELINE],
                 output: output("baseline", |layout| &layout.baseline),
                 parts: None,
             },
@@ -115,6 +126,7 @@ impl StageId {
                 section: "generate",
                 trains: false,
                 is_configured: |config| config.generate.is_some(),
+                outputs: &[SAMPLES],
                 output: output("samples", |layout| &layout.samples),
                 parts: Some(PartFacts { shard: "samples", ending: "parquet" }),
             },
@@ -124,6 +136,7 @@ impl StageId {
                 section: "evaluate",
                 trains: false,
                 is_configured: |config| config.evaluate.is_some(),
+                outputs: &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS],
                 output: output("metrics", |layout| &layout.metrics),
                 parts: Some(PartFacts { shard: "figures", ending: "bin" }),
             },
@@ -133,6 +146,7 @@ impl StageId {
                 section: "report",
                 trains: false,
                 is_configured: |config| config.report.is_some(),
+                outputs: &[REPORT, FIGURES],
                 output: None,
                 parts: None,
             },

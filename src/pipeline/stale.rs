@@ -33,8 +33,8 @@ pub(super) fn can_resume(expected: &StageRecord, begun: &StageRecord) -> bool {
 pub(super) fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
     let id = planned.stage.id();
     let earlier = match planned.action {
-        Action::Reuse => StageRecord::done(context.root, id),
-        Action::Resume => Work::started(context.root, id),
+        Action::Reuse => StageRecord::done(context.root, id)?,
+        Action::Resume => Work::started(context.root, id)?,
         Action::Run(_) => None,
     };
     let Some((producer, earlier)) =

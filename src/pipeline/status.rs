@@ -2,9 +2,10 @@
 
 use super::layout::Layout;
 use super::parts::{ShardStatus, shard_status};
+use super::record::done_path;
 use super::run::{RUN_FILE, RunManifest};
 use super::work::Work;
-use super::{Failure, Result, StageId, StageRecord};
+use super::{Failure, Result, StageId};
 use crate::store::read_json;
 use crate::train::FitStatistics;
 use serde::Serialize;
@@ -52,24 +53,24 @@ pub enum ProgressState {
 pub fn status(root: &Path) -> Result<Status> {
     let manifest: Option<RunManifest> = read_json(&root.join(RUN_FILE)).ok();
     let shards = shard_status(root)?;
-    let stages = StageId::ALL.into_iter().filter_map(|stage| {
+    let mut stages = Vec::new();
+    for stage in StageId::ALL {
         let is_planned = manifest.as_ref().is_some_and(|manifest| manifest.stages.contains_key(stage.name()));
-        let begun = Work::started(root, stage);
+        let begun = Work::started(root, stage)?;
         let is_in_parts = shards.as_ref().is_some_and(|shards| shards.stage == stage);
         let state = match () {
             () if begun.is_some() || is_in_parts => ProgressState::Begun,
-            () if StageRecord::done(root, stage).is_some() => ProgressState::Done,
+            () if done_path(root, stage).is_file() => ProgressState::Done,
             () if is_planned => ProgressState::Missing,
-            () => return None,
+            () => continue,
         };
         let steps = begun.as_ref().and_then(|_| steps(root, stage));
         let of_steps = begun.as_ref().and_then(|begun| {
             let named = ["/resolved/common/fit/steps", "/steps"].iter().find_map(|key| begun.config.pointer(key));
             named?.as_u64().filter(|_| stage.facts().trains)
         });
-        Some(StageProgress { stage, state, steps, of_steps })
-    });
-    let stages: Vec<StageProgress> = stages.collect();
+        stages.push(StageProgress { stage, state, steps, of_steps });
+    }
     if stages.is_empty() {
         return Err(Failure::input_message(format_args!("{} is not a run folder", root.display()))
             .with_hint("`djinn run` and `djinn submit` print the folder of their results"));

@@ -7,16 +7,15 @@
 //! new, is always in place, whenever the process is killed.
 
 use super::claim;
-use super::failure::Result;
+use super::failure::{Failure, Result};
 use super::keep::{self, Kept};
-use super::older;
-use super::record::{StageRecord, done_path, started_path};
+use super::record::{StageRecord, done_path, unreadable};
 use super::stage::StageId;
 use crate::files::{
     self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
     sync_folder, write_atomically,
 };
-use crate::store::{read_json, write_json_atomically};
+use crate::store::{Error as StoreError, read_record, write_record};
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -43,7 +42,9 @@ pub(super) struct Work {
 
 /// Names under which earlier outputs stay in the output folder, by the names that they had.
 #[derive(Debug, Default, Serialize, Deserialize)]
-struct KeptNames(BTreeMap<String, String>);
+struct KeptNames {
+    names: BTreeMap<String, String>,
+}
 
 impl Work {
     fn of(root: &Path, stage: StageId) -> Self {
@@ -51,21 +52,49 @@ impl Work {
     }
 
     /// The record of the stage that was at work in `root` and was interrupted, if there is one.
-    pub(super) fn started(root: &Path, stage: StageId) -> Option<StageRecord> {
+    ///
+    /// # Errors
+    /// When the record is damaged; those of the file system.
+    pub(super) fn started(root: &Path, stage: StageId) -> Result<Option<StageRecord>> {
         let work = Self::of(root, stage);
-        let read = |name: &str| read_json(&work.dir.join(name)).ok();
-        read(STARTED_FILE).or_else(|| read(DONE_FILE))
+        match work.record(STARTED_FILE)? {
+            Some(record) => Ok(Some(record)),
+            None => work.record(DONE_FILE),
+        }
+    }
+
+    fn record(&self, name: &str) -> Result<Option<StageRecord>> {
+        StageRecord::read(&self.dir.join(name), self.stage).map_err(|error| self.unreadable(error))
+    }
+
+    /// What becomes of earlier outputs.
+    fn kept_names(&self) -> Result<BTreeMap<String, String>> {
+        let path = self.dir.join(KEEP_FILE);
+        let kept: Option<KeptNames> = read_record(&path).map_err(|error| self.unreadable(error))?;
+        let names = kept.unwrap_or_default().names;
+        let outputs = self.stage.facts().outputs;
+        let may_be =
+            |(name, as_name): (&String, &String)| outputs.contains(&name.as_str()) && keep::is_kept(name, as_name);
+        match names.iter().find(|names| !may_be(*names)) {
+            Some((name, as_name)) => {
+                let detail = format!("{name:?} cannot stay as {as_name:?}");
+                Err(self.unreadable(StoreError::Record { path, detail }))
+            }
+            None => Ok(names),
+        }
+    }
+
+    fn unreadable(&self, error: StoreError) -> Failure {
+        let (dir, stage) = (self.dir.display(), self.stage);
+        unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
     }
 
     /// Takes up the work that an interrupted run left.
-    pub(super) fn resume(root: &Path, expected: &StageRecord, outputs: &[&str]) -> Result<Self> {
+    pub(super) fn resume(root: &Path, expected: &StageRecord) -> Result<Self> {
         let work = Self::of(root, expected.stage);
-        if Self::started(root, expected.stage).is_none() {
+        if Self::started(root, expected.stage)?.is_none() {
             work.discard()?;
             work.announce(expected)?;
-        }
-        if StageRecord::started_in_place(root, expected.stage).is_some() {
-            work.adopt(outputs)?;
         }
         remove_leftovers(&work.dir)?;
         Ok(work)
@@ -76,7 +105,6 @@ impl Work {
         let work = Self::of(root, expected.stage);
         work.discard()?;
         work.announce(expected)?;
-        remove_if_present(&started_path(root, expected.stage))?;
         Ok(work)
     }
 
@@ -112,9 +140,9 @@ impl Work {
         // Some were begun and given up, or served for a while.
         written.retain(|name| self.dir.join(name).is_file());
         let record = expected.finished(&self.dir, outputs, &written, summary)?;
-        let keep = kept.iter().map(|kept| (kept.name.clone(), kept.as_name.clone())).collect();
-        write_json_atomically(&self.dir.join(KEEP_FILE), &KeptNames(keep))?;
-        write_json_atomically(&self.dir.join(DONE_FILE), &record)?;
+        let names = kept.iter().map(|kept| (kept.name.clone(), kept.as_name.clone())).collect();
+        write_record(&self.dir.join(KEEP_FILE), &KeptNames { names })?;
+        write_record(&self.dir.join(DONE_FILE), &record)?;
         self.publish(&record)?;
         Ok(record)
     }
@@ -124,7 +152,7 @@ impl Work {
     pub(super) fn complete_all(root: &Path) -> Result<()> {
         for stage in StageId::ALL {
             let work = Self::of(root, stage);
-            if let Ok(record) = read_json::<StageRecord>(&work.dir.join(DONE_FILE)) {
+            if let Some(record) = work.record(DONE_FILE)? {
                 work.publish(&record)?;
             } else if listed(&work.dir)?.is_some() && !work.dir.join(STARTED_FILE).exists() {
                 work.clean_up()?;
@@ -140,15 +168,22 @@ impl Work {
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
         claim::check_outputs(&self.root, self.stage, &names)?;
         Self::check_ours(&self.root, self.stage)?;
-        let earlier = StageRecord::done(&self.root, self.stage);
-        let KeptNames(keep) = read_json(&self.dir.join(KEEP_FILE))?;
+        let earlier = StageRecord::done(&self.root, self.stage)?;
+        let keep = self.kept_names()?;
+        let replaced = earlier.iter().flat_map(|earlier| earlier.outputs.keys());
+        let places = record.outputs.keys().chain(replaced).flat_map(|name| [self.dir.join(name), self.root.join(name)]);
+        if let Some(path) = places.chain([self.dir.join(REPLACED)]).find(|place| files::is_link(place)) {
+            return Err(Error::Link { path }.into());
+        }
         remove_if_present(&self.dir.join(STARTED_FILE))?;
         for name in record.outputs.keys() {
             self.put_in_place(name, keep.get(name))?;
         }
         if let Some(earlier) = &earlier {
-            for as_name in keep.values().filter(|as_name| self.root.join(as_name).is_dir()) {
-                keep::leave_record(earlier, &self.root.join(as_name))?;
+            for away in keep.values().map(|as_name| self.root.join(as_name)) {
+                if away.is_dir() && !files::is_link(&away) {
+                    keep::leave_record(earlier, &away)?;
+                }
             }
             self.remove_stale(earlier, record)?;
         }
@@ -216,27 +251,14 @@ impl Work {
     fn announce(&self, expected: &StageRecord) -> Result<()> {
         fs::create_dir_all(&self.dir)?;
         keep_list(&self.dir)?;
-        write_json_atomically(&self.dir.join(STARTED_FILE), expected)?;
+        write_record(&self.dir.join(STARTED_FILE), expected)?;
         Ok(())
-    }
-
-    /// Takes over what a version of the program that worked in the places of outputs left unfinished.
-    fn adopt(&self, outputs: &[&str]) -> Result<()> {
-        let files = older::unfinished(&self.root, outputs)?;
-        enter_all(&self.dir, files.iter().map(PathBuf::as_path))?;
-        for name in outputs {
-            let (place, here) = (self.root.join(name), self.dir.join(name));
-            if place.exists() && !here.exists() {
-                fs::rename(place, here)?;
-            }
-        }
-        Ok(remove_if_present(&started_path(&self.root, self.stage))?)
     }
 
     /// Makes place for new work. An unfinished training is moved aside: it may have cost hours.
     fn discard(&self) -> Result<()> {
         Self::check_ours(&self.root, self.stage)?;
-        if let Some(started) = Self::started(&self.root, self.stage).filter(|_| self.stage.facts().trains) {
+        if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.facts().trains) {
             keep::keep_unfinished(&started, &self.dir, &self.root)?;
         }
         self.clean_up()

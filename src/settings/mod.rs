@@ -70,14 +70,18 @@ pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
     }
 }
 
+/// The longest name: file systems allow 255 bytes, of which endings take some.
+const MAX_NAME_BYTES: usize = 200;
+
 /// Refuses names that cannot be shown in tables, on pages and on terminals.
 ///
 /// # Errors
-/// When it is empty, or holds line breaks or other control characters.
+/// When it is empty or longer than names of files may be, or holds line breaks or other control characters.
 pub fn printable_name(key: &str, name: &str) -> Result {
-    match name {
-        "" => Err(Issue::new(key, "is empty, expected a name")),
-        _ => printable(key, name),
+    match name.len() {
+        0 => Err(Issue::new(key, "is empty, expected a name")),
+        ..=MAX_NAME_BYTES => printable(key, name),
+        n_bytes => Err(Issue::new(key, format_args!("has {n_bytes} bytes, expected at most {MAX_NAME_BYTES}"))),
     }
 }
 

@@ -7,35 +7,55 @@ use super::{Issue, Result};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value as Schema;
-use toml::Value;
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 /// The keywords that bound a number.
 const BOUNDS: [&str; 5] = ["minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum", "multipleOf"];
+
+/// The key of what is checked within the text that is checked.
+const SECTION: &str = "section";
 
 /// Refuses settings of which a number is beyond the range that the type's schema states, or is NaN. A number with a range is
 /// finite.
 ///
 /// # Errors
-/// The first such setting with the range.
+/// The first such setting with the range; that they cannot be written as TOML.
 pub fn check_ranges<T: Serialize + JsonSchema>(settings: &T) -> Result {
     let schema = schemars::schema_for!(T).to_value();
-    // What cannot be written as TOML was not read from it: there is nothing to refuse.
-    let Ok(value) = Value::try_from(settings) else { return Ok(()) };
-    check_no_nan(&value, "")?;
-    Walk { root: &schema }.check(&schema, &value, "")
+    // The text holds what values of TOML do not: whole numbers of 2^63 and more.
+    let unwritable = |error: &dyn Display| Issue::new("a setting", format_args!("cannot be written as TOML: {error}"));
+    let text = toml::to_string(&BTreeMap::from([(SECTION, settings)])).map_err(|error| unwritable(&error))?;
+    let table = DeTable::parse(&text).map_err(|error| unwritable(&error))?;
+    let section = table.get_ref().get(SECTION).map(Spanned::get_ref);
+    section.map_or(Ok(()), |section| {
+        check_no_nan(section, "")?;
+        Walk { root: &schema }.check(&schema, section, "")
+    })
 }
 
 /// NaN is refused whatever a schema says: no setting means anything by it.
-fn check_no_nan(value: &Value, key: &str) -> Result {
+fn check_no_nan(value: &DeValue<'_>, key: &str) -> Result {
     match value {
-        Value::Float(number) if number.is_nan() => Err(Issue::new(key, "is NaN, expected a number")),
-        Value::Array(items) => items.iter().enumerate().try_for_each(|(i, item)| check_no_nan(item, &below(key, i))),
-        Value::Table(table) => table.iter().try_for_each(|(name, entry)| check_no_nan(entry, &below(key, name))),
+        DeValue::Float(number) if float(number.as_str()).is_nan() => Err(Issue::new(key, "is NaN, expected a number")),
+        DeValue::Array(items) => {
+            items.iter().enumerate().try_for_each(|(i, item)| check_no_nan(item.get_ref(), &below(key, i)))
+        }
+        DeValue::Table(table) => {
+            table.iter().try_for_each(|(name, entry)| check_no_nan(entry.get_ref(), &below(key, name.get_ref())))
+        }
         _ => Ok(()),
     }
 }
 
-fn below(key: &str, part: impl std::fmt::Display) -> String {
+/// A number as it is written; NaN for anything else.
+fn float(text: &str) -> f64 {
+    text.parse().unwrap_or(f64::NAN)
+}
+
+fn below(key: &str, part: impl Display) -> String {
     if key.is_empty() { part.to_string() } else { format!("{key}.{part}") }
 }
 
@@ -44,30 +64,35 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn check(&self, schema: &Schema, value: &Value, key: &str) -> Result {
+    fn check(&self, schema: &Schema, value: &DeValue<'_>, key: &str) -> Result {
         if let Some(referred) = self.referred(schema) {
             self.check(referred, value, key)?;
         }
         let every = schema["allOf"].as_array().into_iter().flatten();
         every.into_iter().try_for_each(|part| self.check(part, value, key))?;
         for alternatives in ["oneOf", "anyOf"] {
-            let mut fitting = schema[alternatives].as_array().into_iter().flatten();
-            if let Some(chosen) = fitting.find(|schema| self.fits(schema, value)) {
+            let mut listed = schema[alternatives].as_array().into_iter().flatten();
+            if let Some(chosen) = listed.find(|schema| self.fits(schema, value)) {
                 self.check(chosen, value, key)?;
             }
         }
         match value {
-            Value::Integer(number) => check_number(schema, *number as f64, key),
-            Value::Float(number) => check_number(schema, *number, key),
-            Value::Array(items) => {
-                items.iter().enumerate().try_for_each(|(i, item)| self.check(&schema["items"], item, &below(key, i)))
+            DeValue::Integer(number) => check_number(schema, float(number.as_str()), number.as_str(), key),
+            DeValue::Float(number) => {
+                let number = float(number.as_str());
+                check_number(schema, number, &number.to_string(), key)
             }
-            Value::Table(table) => table.iter().try_for_each(|(name, entry)| {
+            DeValue::Array(items) => items
+                .iter()
+                .enumerate()
+                .try_for_each(|(i, item)| self.check(&schema["items"], item.get_ref(), &below(key, i))),
+            DeValue::Table(table) => table.iter().try_for_each(|(name, entry)| {
+                let name = name.get_ref().as_ref();
                 let known = &schema["properties"][name];
                 let schema = if known.is_null() { &schema["additionalProperties"] } else { known };
-                self.check(schema, entry, &below(key, name))
+                self.check(schema, entry.get_ref(), &below(key, name))
             }),
-            Value::String(_) | Value::Boolean(_) | Value::Datetime(_) => Ok(()),
+            DeValue::String(_) | DeValue::Boolean(_) | DeValue::Datetime(_) => Ok(()),
         }
     }
 
@@ -76,15 +101,19 @@ impl Walk<'_> {
     }
 
     /// Whether an alternative is meant by a value: it is of that type, and says what the alternative says of itself.
-    fn fits(&self, schema: &Schema, value: &Value) -> bool {
+    fn fits(&self, schema: &Schema, value: &DeValue<'_>) -> bool {
         let fits_referred = self.referred(schema).is_none_or(|referred| self.fits(referred, value));
         let type_name = match value {
-            Value::Integer(_) => "integer",
-            Value::Float(_) => "number",
-            Value::Array(_) => "array",
-            Value::Table(_) => "object",
-            Value::Boolean(_) => "boolean",
-            Value::String(_) | Value::Datetime(_) => "string",
+            DeValue::Integer(_) => "integer",
+            DeValue::Float(_) => "number",
+            DeValue::Array(_) => "array",
+            DeValue::Table(_) => "object",
+            DeValue::Boolean(_) => "boolean",
+            DeValue::String(_) | DeValue::Datetime(_) => "string",
+        };
+        let fits_one = |alternatives: &str| {
+            let listed = schema[alternatives].as_array();
+            listed.is_none_or(|listed| listed.iter().any(|schema| self.fits(schema, value)))
         };
         let is_such = |found: &Schema| {
             found.as_str().is_some_and(|name| name == type_name || (name == "number" && type_name == "integer"))
@@ -92,18 +121,26 @@ impl Walk<'_> {
         let types = &schema["type"];
         let is_of_type =
             types.is_null() || is_such(types) || types.as_array().is_some_and(|all| all.iter().any(is_such));
-        let is_constant = schema["const"].is_null() || schema["const"].as_str() == value.as_str();
+        let is_constant = schema["const"].is_null() || schema["const"].as_str() == text_of(value);
         let says_so = schema["properties"].as_object().is_none_or(|properties| {
             let required = schema["required"].as_array().into_iter().flatten().filter_map(Schema::as_str);
             let constant = properties.iter().filter_map(|(name, property)| Some((name, property["const"].as_str()?)));
-            required.into_iter().all(|name| value.get(name).is_some())
-                && constant.into_iter().all(|(name, text)| value.get(name).and_then(Value::as_str) == Some(text))
+            required.into_iter().all(|name| entry_of(value, name).is_some())
+                && constant.into_iter().all(|(name, text)| entry_of(value, name).and_then(text_of) == Some(text))
         });
-        fits_referred && is_of_type && is_constant && says_so
+        fits_referred && fits_one("oneOf") && fits_one("anyOf") && is_of_type && is_constant && says_so
     }
 }
 
-fn check_number(schema: &Schema, number: f64, key: &str) -> Result {
+fn text_of<'v>(value: &'v DeValue<'_>) -> Option<&'v str> {
+    if let DeValue::String(text) = value { Some(text) } else { None }
+}
+
+fn entry_of<'v, 'i>(value: &'v DeValue<'i>, name: &str) -> Option<&'v DeValue<'i>> {
+    if let DeValue::Table(table) = value { table.get(name).map(Spanned::get_ref) } else { None }
+}
+
+fn check_number(schema: &Schema, number: f64, written: &str, key: &str) -> Result {
     let bound = |name: &str| schema[name].as_f64();
     if BOUNDS.iter().all(|name| bound(name).is_none()) {
         return Ok(());
@@ -116,7 +153,7 @@ fn check_number(schema: &Schema, number: f64, key: &str) -> Result {
         && bound("multipleOf").is_none_or(|divisor| number % divisor == 0.0);
     match is_within {
         true => Ok(()),
-        false => Err(Issue::new(key, format_args!("is {number}, expected {}", range_in_words(schema)))),
+        false => Err(Issue::new(key, format_args!("is {written}, expected {}", range_in_words(schema)))),
     }
 }
 

@@ -16,6 +16,26 @@ struct Section {
     even: usize,
     kinds: Vec<Kind>,
     named: BTreeMap<String, Either>,
+    /// Without a range, as seeds are.
+    seed: u64,
+    choice: Choice,
+}
+
+/// A name or a list, of which the first is itself one of several.
+#[derive(Serialize, schemars::JsonSchema)]
+#[serde(untagged)]
+enum Choice {
+    Name(Name),
+    List(Vec<Volume>),
+}
+
+#[derive(Serialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+enum Name {
+    /// One.
+    First,
+    /// Another.
+    Second,
 }
 
 #[derive(Serialize, schemars::JsonSchema)]
@@ -54,6 +74,8 @@ fn section() -> Section {
         even: 4,
         kinds: vec![Kind::Silent, Kind::Soft(Volume2 { level: 0.5 })],
         named: named.into(),
+        seed: 1,
+        choice: Choice::Name(Name::First),
     }
 }
 
@@ -61,6 +83,7 @@ fn section() -> Section {
 fn numbers_within_their_ranges_pass() {
     assert_eq!(check_ranges(&section()), Ok(()));
     assert_eq!(check_ranges(&Section { count: Some(10), ..section() }), Ok(()));
+    assert_eq!(check_ranges(&Section { seed: u64::MAX, choice: Choice::Name(Name::Second), ..section() }), Ok(()));
 }
 
 #[test]
@@ -69,6 +92,13 @@ fn what_is_beyond_is_told_by_its_place_value_and_range() {
     for (wrong, expected) in [
         (Section { count: Some(0), ..section() }, "count is 0, expected 1 to 10"),
         (Section { count: Some(11), ..section() }, "count is 11, expected 1 to 10"),
+        (Section { count: Some(usize::MAX), ..section() }, "count is 18446744073709551615, expected 1 to 10"),
+        (Section { seed: u64::MAX, scale: f64::NAN, ..section() }, "scale is NaN, expected a number"),
+        (Section { seed: 1 << 63, even: 5, ..section() }, "even is 5, expected 2 to 64, a multiple of 2"),
+        (
+            Section { choice: Choice::List(vec![Volume { level: 1.0 }]), ..section() },
+            "choice.0.level is 1, expected a number of at least 5",
+        ),
         (Section { scale: 0.0, ..section() }, "scale is 0, expected a positive number"),
         (Section { scale: f64::INFINITY, ..section() }, "scale is inf, expected a positive number"),
         (Section { scale: f64::NAN, ..section() }, "scale is NaN, expected a number"),
@@ -101,6 +131,9 @@ fn settings_that_do_not_go_together_are_told() {
     assert_eq!(distinct("list", &[1.0, 2.0]), Ok(()));
     assert_eq!(distinct("list", &["a", "b", "a"]).unwrap_err().to_string(), "list.2 is a, which is already listed");
     assert_eq!(printable_name("name", "night drive"), Ok(()));
+    assert_eq!(printable_name("name", &"ä".repeat(100)), Ok(()));
+    let long = printable_name("name", &"ä".repeat(101)).unwrap_err().to_string();
+    assert_eq!(long, "name has 202 bytes, expected at most 200");
     assert!(printable_name("name", "").is_err() && printable("title", "").is_ok());
     let escaped = printable_name("name", "a\u{1b}[31m").unwrap_err().to_string();
     assert!(escaped.contains("\\u{1b}") && !escaped.contains('\u{1b}'), "{escaped}");

@@ -4,7 +4,7 @@ use super::{Error, Result};
 use crate::files::{FileStamp, write_atomically};
 use fs_err as fs;
 use serde::{Serialize, de::DeserializeOwned};
-use std::io::Write;
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
 impl FileStamp {
@@ -27,6 +27,18 @@ impl FileStamp {
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(file)?;
         self.verify_checksum(path, hasher.finalize())
+    }
+
+    /// Whether the file at `path` holds the bytes that were stamped.
+    ///
+    /// # Errors
+    /// Those of the file system, but that there is no such file.
+    pub fn is_of(&self, path: &Path) -> Result<bool> {
+        match self.verify_file(path) {
+            Ok(()) => Ok(true),
+            Err(Error::Io(error)) if !is_missing(&error) => Err(error.into()),
+            Err(_) => Ok(false),
+        }
     }
 
     fn verify_checksum(&self, path: &Path, found: blake3::Hash) -> Result<()> {
@@ -68,11 +80,64 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&fs::read(path)?).map_err(Error::json(path))
 }
 
+/// Reads a JSON file of unfinished work; `None` where there is none that is whole.
+///
+/// # Errors
+/// Those of the file system.
+pub fn read_if_whole<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
+    match fs::read(path) {
+        Err(error) if is_missing(&error) => Ok(None),
+        bytes => Ok(serde_json::from_slice(&bytes?).ok()),
+    }
+}
+
+/// Whether an error of reading says that there is no such file.
+pub(super) fn is_missing(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory)
+}
+
+/// Writes a record: an object as indented JSON, of which the last entry is a checksum of everything before it.
+///
+/// # Errors
+/// Those of JSON and of the file system.
+pub fn write_record<T: Serialize>(path: &Path, value: &T) -> Result<FileStamp> {
+    let text = serde_json::to_string_pretty(value).map_err(Error::json(path))?;
+    let body = text.strip_suffix("\n}").unwrap_or(&text);
+    write_atomically(path, |file| Ok(write!(file, "{body}{}", seal(body.as_bytes()))?))
+}
+
+/// Reads a record; `None` where there is none.
+///
+/// # Errors
+/// [`Error::Record`] when it is not as it was written; those of the file system.
+pub fn read_record<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
+    let bytes = match fs::read(path) {
+        Err(error) if is_missing(&error) => return Ok(None),
+        bytes => bytes?,
+    };
+    let damaged = |detail: String| Error::Record { path: path.to_owned(), detail };
+    if !is_sealed(&bytes) {
+        return Err(damaged("its checksum is not the one it was written with".to_owned()));
+    }
+    serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(error.to_string()))
+}
+
+/// The end of a record of which everything before is `body`.
+fn seal(body: &[u8]) -> String {
+    format!(",\n  \"checksum\": \"{}\"\n}}\n", blake3::hash(body).to_hex())
+}
+
+/// Whether the bytes are those of a record that nobody changed.
+fn is_sealed(bytes: &[u8]) -> bool {
+    let n_body = bytes.len().checked_sub(seal(b"").len());
+    let parts = n_body.and_then(|n_body| bytes.split_at_checked(n_body));
+    parts.is_some_and(|(body, end)| end == seal(body).as_bytes())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::files::AtomicFile;
-    use std::io;
 
     #[test]
     fn a_committed_file_is_whole_and_stamped() {
@@ -103,6 +168,48 @@ mod tests {
         assert!(failed.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn every_flipped_bit_of_a_record_is_noticed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("record.json");
+        let value = serde_json::json!({ "stage": "mine", "list": [1, 2.5, null], "inner": { "a": "b" } });
+        write_record(&path, &value).unwrap();
+        let found: serde_json::Value = read_record(&path).unwrap().unwrap();
+        assert_eq!((&found["list"], found["checksum"].as_str().unwrap().len()), (&value["list"], 64));
+        let bytes = fs::read(&path).unwrap();
+        for bit in 0..8 * bytes.len() {
+            let mut flipped = bytes.clone();
+            flipped[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&path, flipped).unwrap();
+            let error = read_record::<serde_json::Value>(&path).unwrap_err();
+            assert!(matches!(error, Error::Record { .. }), "bit {bit}: {error}");
+        }
+        for n_bytes in 0..bytes.len() {
+            fs::write(&path, &bytes[..n_bytes]).unwrap();
+            assert!(read_record::<serde_json::Value>(&path).is_err(), "{n_bytes} bytes");
+        }
+        assert!(read_record::<serde_json::Value>(&dir.path().join("none")).unwrap().is_none());
+    }
+
+    #[test]
+    fn failures_of_the_system_are_no_damage() {
+        let path = Path::new("a.parquet");
+        let failed = Error::unreadable(path, "External: Too many open files (os error 24)");
+        assert!(
+            matches!(&failed, Error::Io(_)) && failed.to_string().starts_with("failed to read a.parquet: "),
+            "{failed}"
+        );
+        assert!(matches!(Error::unreadable(path, "External: failed to fill whole buffer"), Error::Corrupt { .. }));
+        let dir = tempfile::tempdir().unwrap();
+        let stamp = FileStamp::of(b"one");
+        assert!(!stamp.is_of(&dir.path().join("none")).unwrap());
+        assert!(read_if_whole::<u8>(&dir.path().join("none")).unwrap().is_none());
+        fs::write(dir.path().join("a"), "1x").unwrap();
+        assert!(!stamp.is_of(&dir.path().join("a")).unwrap());
+        assert!(read_if_whole::<u8>(&dir.path().join("a")).unwrap().is_none());
+        assert!(read_if_whole::<u8>(dir.path()).is_err(), "no file, but there");
     }
 
     #[test]

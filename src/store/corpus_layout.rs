@@ -140,7 +140,7 @@ impl Partition {
 
 /// A value as the name of a folder: every byte that is not an ASCII letter, digit, `_`, `-` or `.` becomes `%` and two
 /// digits, which Hive, DuckDB, polars and pyarrow decode.
-fn encoded(value: &str) -> String {
+pub(super) fn encoded(value: &str) -> String {
     if value.is_empty() {
         return MISSING.to_owned();
     }

@@ -63,8 +63,7 @@ impl CorpusReader {
                 return Err(Error::corrupt(&tracks_path, detail));
             }
         }
-        let scenarios =
-            concat_batches(&schema, &batches).map_err(|e| Error::corrupt(&scenarios_path, e.to_string()))?;
+        let scenarios = concat_batches(&schema, &batches).map_err(|e| Error::unreadable(&scenarios_path, e))?;
         let (maps, recordings) = (scan.maps()?, recordings(&scan)?);
         Ok(Self { scan, scenarios, scenarios_path, tracks, recordings, maps })
     }
@@ -177,7 +176,7 @@ fn tracks(
 fn rows_of(path: &Path, table: CorpusTable, rows: Range<usize>) -> Result<RecordBatch> {
     let batches = parquet_file::read_rows(path, &table.schema(), rows)?;
     let schema = batches.first().map_or_else(|| table.schema().arrow(), RecordBatch::schema);
-    concat_batches(&schema, &batches).map_err(|error| Error::corrupt(path, error.to_string()))
+    concat_batches(&schema, &batches).map_err(|error| Error::unreadable(path, error))
 }
 
 /// Where the states of each recorded scene are.

@@ -1,5 +1,6 @@
 //! Reads the rows of a corpus in order, a few scenarios at a time, each with its states.
 
+use super::atomic::is_missing;
 use super::corpus_layout::CorpusTable;
 use super::corpus_manifest::{CorpusManifest, FileEntry};
 use super::maps::MapTable;
@@ -65,7 +66,11 @@ impl CorpusScan {
     /// Checks the size and checksum of a file.
     pub(crate) fn verify(&self, file: &FileEntry) -> Result<()> {
         let path = self.path(file);
-        if path.is_file() { file.stamp.verify_file(&path) } else { Err(Error::corrupt(&path, "the file is missing")) }
+        match fs_err::metadata(&path) {
+            Ok(metadata) if metadata.is_file() => file.stamp.verify_file(&path),
+            Err(error) if !is_missing(&error) => Err(error.into()),
+            _ => Err(Error::corrupt(&path, "the file is missing")),
+        }
     }
 
     pub(crate) const fn manifest(&self) -> &CorpusManifest {
@@ -188,8 +193,7 @@ impl PartBatches {
             columns.push(Arc::new(StringArray::from_iter_values(std::iter::repeat_n(value, batch.num_rows()))));
         }
         let schema = Arc::new(Schema::new_with_metadata(fields, batch.schema().metadata().clone()));
-        let batch =
-            RecordBatch::try_new(schema, columns).map_err(|error| Error::corrupt(&self.path, error.to_string()))?;
+        let batch = RecordBatch::try_new(schema, columns).map_err(|error| Error::unreadable(&self.path, error))?;
         self.schema.as_ref().map_or(Ok(batch.clone()), |schema| schema.conform(&self.path, &batch))
     }
 }
@@ -224,7 +228,7 @@ pub(crate) fn widened(batch: &RecordBatch, schema: &SchemaRef, path: &Path) -> R
             .unwrap_or_else(|| new_null_array(field.data_type(), batch.num_rows()))
     };
     let columns = schema.fields().iter().map(column).collect();
-    RecordBatch::try_new(Arc::clone(schema), columns).map_err(|error| Error::corrupt(path, error.to_string()))
+    RecordBatch::try_new(Arc::clone(schema), columns).map_err(|error| Error::unreadable(path, error))
 }
 
 /// The scenarios of a file, some at a time. They end after the first error.
@@ -366,6 +370,6 @@ impl Feed {
         self.n_taken += n - n_missing;
         let Some(first) = taken.first() else { return Ok(None) };
         let together = concat_batches(&first.schema(), &taken);
-        together.map(Some).map_err(|error| Error::corrupt(path, error.to_string()))
+        together.map(Some).map_err(|error| Error::unreadable(path, error))
     }
 }

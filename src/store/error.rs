@@ -1,6 +1,8 @@
 //! What can go wrong with our own files, and what the user can do about it.
 
 use crate::files;
+use std::fmt::Display;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// A failure to read or write one of our files.
@@ -8,7 +10,7 @@ use std::path::{Path, PathBuf};
 pub enum Error {
     /// The file system refused; the message names the path.
     #[error(transparent)]
-    Io(#[from] std::io::Error),
+    Io(#[from] io::Error),
     /// A folder that must not be written into.
     #[error(transparent)]
     Files(files::Error),
@@ -37,8 +39,19 @@ pub enum Error {
         found: String,
     },
     /// A file whose content is not what was written.
-    #[error("{} is damaged: {detail}; remove its folder and run the command that writes it again", .path.display())]
+    #[error(
+        "{} is damaged: {detail}; restore it from a copy, or move its folder away and run the command that writes it again",
+        .path.display()
+    )]
     Corrupt {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// A record of a run whose content is not what was written. What to do about it depends on the record.
+    #[error("{} is damaged: {detail}", .path.display())]
+    Record {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
@@ -132,6 +145,16 @@ impl Error {
         Self::Corrupt { path: path.to_owned(), detail: detail.into() }
     }
 
+    /// A file that could not be read: damage, or a failure of the system, after which the file may well be whole.
+    pub(crate) fn unreadable(path: &Path, cause: impl Display) -> Self {
+        let cause = cause.to_string();
+        // Readers of tables pass the system's errors on as texts.
+        match cause.contains("(os error ") {
+            true => Self::Io(io::Error::other(format!("failed to read {}: {cause}", path.display()))),
+            false => Self::corrupt(path, cause),
+        }
+    }
+
     /// A value that cannot be stored faithfully.
     pub(crate) fn invalid(id: &(impl ToString + ?Sized), detail: impl Into<String>) -> Self {
         Self::Invalid { id: id.to_string(), detail: detail.into() }
@@ -142,7 +165,7 @@ impl Error {
         let path = path.to_owned();
         move |source| match source {
             // Parquet wraps the errors of the writer beneath it; a full disk should read as a full disk.
-            parquet::errors::ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
+            parquet::errors::ParquetError::External(cause) => match cause.downcast::<io::Error>() {
                 Ok(io) => Self::Io(*io),
                 Err(cause) => Self::Parquet { path, source: parquet::errors::ParquetError::External(cause) },
             },

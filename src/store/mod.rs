@@ -37,7 +37,7 @@ pub(crate) mod testing;
 mod verdicts;
 
 pub use crate::files::{AtomicFile, FileStamp, remove_if_present, write_atomically};
-pub use atomic::{read_json, write_json_atomically};
+pub use atomic::{read_if_whole, read_json, read_record, write_json_atomically, write_record};
 pub use binary::{read_binary, write_binary_atomically};
 pub(crate) use corpus_card::{CARD_FILE, card};
 pub(crate) use corpus_layout::NO_BEHAVIOR;

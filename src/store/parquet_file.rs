@@ -159,7 +159,7 @@ impl Iterator for Batches {
             Ok(None) => return None,
             Ok(Some(Ok(batch))) if self.is_whole => self.table.conform(&self.path, &batch),
             Ok(Some(Ok(batch))) => Ok(batch),
-            Ok(Some(Err(error))) => Err(Error::corrupt(&self.path, error.to_string())),
+            Ok(Some(Err(error))) => Err(Error::unreadable(&self.path, error)),
             Err(error) => Err(error),
         };
         if batch.is_ok() {
@@ -186,10 +186,10 @@ fn open(
     Ok(reader)
 }
 
-/// A file that Parquet cannot read is incomplete or was not written by djinn.
+/// A file that Parquet cannot read is incomplete or was not written by djinn, unless the system failed.
 fn damaged(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Error {
     let path = path.to_owned();
-    move |error| Error::corrupt(&path, error.to_string())
+    move |error| Error::unreadable(&path, error)
 }
 
 #[cfg(test)]

@@ -123,7 +123,7 @@ impl TableSchema {
         let columns = schema.fields().iter().map(column).collect::<std::result::Result<Vec<_>, _>>();
         columns
             .and_then(|columns| RecordBatch::try_new(schema, columns))
-            .map_err(|error| Error::corrupt(path, error.to_string()))
+            .map_err(|error| Error::unreadable(path, error))
     }
 
     /// The schema as it is published in `schemas/`: indented JSON with a final newline.

@@ -95,7 +95,7 @@ impl<T> Spooled<T> {
 
 /// The next value of a file of which `n_left` bytes are not read yet.
 fn next_value<T: DeserializeOwned>(path: &Path, file: &mut impl Read, n_left: &mut u64) -> Result<T> {
-    let unreadable = |error: std::io::Error| Error::corrupt(path, format!("it cannot be read: {error}"));
+    let unreadable = |error: std::io::Error| Error::unreadable(path, format!("it cannot be read: {error}"));
     let mut length = [0; 4];
     file.read_exact(&mut length).map_err(unreadable)?;
     let length = u32::from_le_bytes(length);

@@ -1,9 +1,11 @@
 //! Is damage to what was written an error, and is what was moved still what it was?
 
-use crate::support::{Workspace, djinn, files};
+use crate::support::{Outcome, Workspace, djinn, files};
 use std::path::Path;
+use std::process::Command;
 
 const RECORDINGS: &str = "tests/fixtures/recordings/argoverse1";
+const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v5";
 const MODEL: &str = "pipelines/models/simulated_places.safetensors";
 
 #[test]
@@ -43,6 +45,46 @@ fn a_checkpoint_that_was_moved_is_the_same_and_another_one_is_not() {
     fs_err::write(&there, bytes).unwrap();
     let plan = train(&there, &["--dry-run"]).stdout;
     assert!(plan.contains("fresh (changed: ") && plan.contains("input checkpoint)"), "{plan}");
+}
+
+/// Runs the program with at most `n_files` open at a time.
+#[cfg(unix)]
+fn with_few_files(n_files: usize, args: &[&str]) -> Outcome {
+    let limited = format!("ulimit -n {n_files} && exec \"$0\" \"$@\"");
+    let output = Command::new("sh").args(["-c", &limited, env!("CARGO_BIN_EXE_djinn")]).args(args).output().unwrap();
+    Outcome {
+        code: output.status.code().unwrap_or(-1),
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_system_that_opens_no_more_files_is_not_taken_for_damage() {
+    let workspace = Workspace::new();
+    let out = workspace.arg("out");
+    djinn(&["ingest", RECORDINGS, "--dataset", "argoverse1", "--output", &out]).expect(0);
+    let scenes = files(&workspace.path("out/scenes"));
+    let mut n_failed = 0;
+    for n_files in 5..24 {
+        for args in [
+            vec!["mine", "--output", &out, "--threads", "1"],
+            vec!["mine", "--output", &out, "--threads", "1", "--redo"],
+            vec!["corpus", "validate", CORPUS, "--threads", "1"],
+        ] {
+            let outcome = with_few_files(n_files, &args);
+            let said = format!("{n_files} files, {args:?}: {} {}{}", outcome.code, outcome.stdout, outcome.stderr);
+            assert!([0, 2].contains(&outcome.code), "{said}");
+            assert!(outcome.code == 0 || outcome.stderr.contains("Too many open files"), "{said}");
+            for wrong in ["damaged", "damages", "remove", "is missing", "changed"] {
+                assert!(outcome.code == 0 || !outcome.stderr.contains(wrong), "{said}");
+            }
+            n_failed += usize::from(outcome.code != 0);
+        }
+    }
+    assert!(n_failed > 5, "{n_failed}");
+    assert_eq!(files(&workspace.path("out/scenes")), scenes);
 }
 
 #[test]

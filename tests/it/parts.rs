@@ -1,6 +1,7 @@
 //! Do any number of workers, killed at will, write the bytes of one process? And do they keep away from what is not theirs?
 
 use crate::support::{Outcome, Workspace, assert_same, command, djinn, files, start};
+use djinn::store::{read_record, write_record};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Stdio};
@@ -194,16 +195,20 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     says(part(&workspace, "out", "seal", &more_samples).expect(1), &differs);
     let done = workspace.run_folder("out").join("train_denoiser.done.json");
     let record = fs_err::read_to_string(&done).unwrap();
-    let mut other: serde_json::Value = serde_json::from_str(&record).unwrap();
-    other["fingerprint"] = "0".repeat(32).into();
-    fs_err::write(&done, other.to_string()).unwrap();
+    let rewrite = |path: &Path, key: &str, value: &str| {
+        let mut other: serde_json::Map<_, _> = read_record(path).unwrap().unwrap();
+        other.remove("checksum");
+        other.insert(key.to_owned(), value.into());
+        write_record(path, &other).unwrap();
+    };
+    rewrite(&done, "fingerprint", &"0".repeat(32));
     says(work(&[]).expect(1), &["another plan of stage generate: changed: input denoiser"]);
     fs_err::write(&done, record).unwrap();
     let identity = fs_err::read_to_string(dir.join("parts.json")).unwrap();
-    fs_err::write(dir.join("parts.json"), identity.replace("\"program\": \"", "\"program\": \"other ")).unwrap();
+    rewrite(&dir.join("parts.json"), "program", "other");
     says(
         work(&[]).expect(1),
-        &["program: the plan's is other ", "0 finished shards of 7: plan again with --part plan --redo generate"],
+        &["program: the plan's is other, ", "0 finished shards of 7: plan again with --part plan --redo generate"],
     );
     fs_err::write(dir.join("parts.json"), identity).unwrap();
     assert_same(&before, &files(dir));

@@ -1,6 +1,7 @@
 //! Are events found by their parameters, counted as they should be, resumed to the same bytes, and generated again?
 
 use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
+use djinn::files::{enter_all, keep_list};
 use djinn::pipeline::stages::{SampleManifest, SampleSidecar, read_requests};
 use djinn::scenario::{RequestOutcome, ScenarioRecord};
 use djinn::store::{CorpusReader, SceneStore, sample_ids};
@@ -100,10 +101,16 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     for (n_shards, n_rounds) in
         [(shards.len() - 3, rounds.len()), (shards.len() - 8, rounds.len() - 2), (shards.len(), rounds.len())]
     {
-        fs_err::rename(root.join("generate.done.json"), root.join("generate.started.json")).unwrap();
+        let work = root.join("generate.partial");
+        fs_err::create_dir(&work).unwrap();
+        keep_list(&work).unwrap();
+        let samples = before.keys().map(Path::new).filter(|name| name.starts_with("samples"));
+        enter_all(&work, samples.chain([Path::new("started.json")])).unwrap();
+        fs_err::rename(root.join("samples"), work.join("samples")).unwrap();
+        fs_err::rename(root.join("generate.done.json"), work.join("started.json")).unwrap();
         let lost = shards[n_shards..].iter().chain(&rounds[n_rounds..]).copied();
         for name in lost.chain([&"samples/manifest.json".to_owned(), &"samples/requests.json".to_owned()]) {
-            fs_err::remove_file(root.join(name)).unwrap();
+            fs_err::remove_file(work.join(name)).unwrap();
         }
         let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
         assert!(plan.contains("#   generate          fresh (resumes"), "{plan}");

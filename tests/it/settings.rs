@@ -71,6 +71,47 @@ fn the_ends_of_ranges_work() {
 }
 
 #[test]
+fn a_seed_beyond_the_numbers_of_toml_switches_no_check_off() {
+    for seed in ["run.seed=9223372036854775808", "run.seed=18446744073709551615"] {
+        for (key, values, range) in BEYOND_RANGES {
+            for value in *values {
+                let settings = [seed.to_owned(), format!("{key}={value}")];
+                let error = parse(None, SMALL_PIPELINE, &settings).unwrap_err().to_string();
+                assert!(error.contains(&format!("{key} is ")) && error.contains(range), "{settings:?}: {error}");
+            }
+        }
+        for key in NOT_NAN {
+            let error = parse(None, SMALL_PIPELINE, &[seed.to_owned(), format!("{key}=nan")]).unwrap_err().to_string();
+            assert!(error.contains(&format!("{key} is NaN")), "{error}");
+        }
+    }
+}
+
+#[test]
+fn names_that_no_file_can_have_are_refused() {
+    let long = "n".repeat(201);
+    let sweep = format!("generate.sweeps.1.name={long}");
+    let name = format!("run.name={long}");
+    for (args, key) in [
+        (vec!["--set", &sweep], "generate.sweeps.1.name"),
+        (vec!["--set", &name], "the name of a run"),
+        (vec!["--run", &long], "the name of a run"),
+    ] {
+        let told = Workspace::new().run("out", &[&["--dry-run"], args.as_slice()].concat()).expect(1).stderr;
+        assert!(told.contains(&format!("{key} has 201 bytes, expected at most 200")), "{told}");
+    }
+}
+
+#[test]
+fn more_threads_than_any_machine_has_are_refused() {
+    for n_threads in ["1025", "100000", "18446744073709551615", "-1"] {
+        let threads = format!("--threads={n_threads}");
+        let told = Workspace::new().run("out", &["--dry-run", &threads]).expect(1).stderr;
+        assert!(told.contains("--threads") && told.contains(n_threads), "{told}");
+    }
+}
+
+#[test]
 fn a_number_of_the_file_is_refused_where_it_stands() {
     let text = SMALL_PIPELINE.replace("kind = \"heun\", n_steps = 2", "kind = \"heun\", n_steps = 0");
     let error = parse(Some("p.toml".as_ref()), &text, &["run.seed=4".to_owned()]).unwrap_err().to_string();

@@ -15,7 +15,7 @@ use crate::cloud::ObjectUrl;
 use crate::nn::Precision;
 use crate::pipeline::parts::{Part, Worker};
 use crate::pipeline::{DeviceChoice, StageId};
-use clap::builder::{PathBufValueParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -42,7 +42,7 @@ pub(in crate::cli) struct OutputArgs {
     #[arg(long, global = true, help_heading = "Global options")]
     pub(in crate::cli) no_progress: bool,
     /// Number of worker threads; 0 uses every core. Results do not depend on it
-    #[arg(long, value_name = "N", global = true, help_heading = "Global options")]
+    #[arg(long, value_name = "N", global = true, help_heading = "Global options", value_parser = up_to(1024))]
     pub(in crate::cli) threads: Option<usize>,
     /// Where to keep what is read from object stores [default: DJINN_CACHE_DIR, or djinn in the user's cache folder]
     #[arg(long, value_name = "DIR", global = true, help_heading = "Global options", value_parser = on_disk())]
@@ -154,6 +154,11 @@ pub(in crate::cli) struct RegenerateArgs {
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
     pub(in crate::cli) models: ModelArgs,
+}
+
+/// Reads a number from 0 to `most`.
+fn up_to(most: u64) -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(0..=most)
 }
 
 /// Reads a path that cannot be in an object store.

@@ -40,7 +40,7 @@ pub(super) fn check(
             report.n_files += 1;
             progress.advance(1);
             if let Err(error) = scan.verify(file) {
-                report.damage("checksum", &file.path, None, error.to_string());
+                report.unreadable("checksum", &file.path, error)?;
             }
             match scan.n_rows(table, file) {
                 Ok(n_rows) if n_rows == file.n_rows => {
@@ -51,7 +51,7 @@ pub(super) fn check(
                     report.damage("counts", &file.path, None, detail);
                     readable.insert(file.path.clone());
                 }
-                Err(error) => report.damage("schema", &file.path, None, error.to_string()),
+                Err(error) => report.unreadable("schema", &file.path, error)?,
             }
         }
     }
@@ -101,7 +101,7 @@ pub(super) fn check_metrics(
     readable: &BTreeSet<String>,
     known: &Known,
     report: &mut ValidationReport,
-) {
+) -> Result<()> {
     for file in scan.manifest().files(CorpusTable::Metrics).iter().filter(|file| readable.contains(&file.path)) {
         let path = scan.path(file);
         let mut first_row = 0;
@@ -126,9 +126,10 @@ pub(super) fn check_metrics(
             Ok(())
         })();
         if let Err(error) = checked {
-            report.damage("unreadable", &file.path, None, error.to_string());
+            report.unreadable("unreadable", &file.path, error)?;
         }
     }
+    Ok(())
 }
 
 /// Finds numbers that are none. Missing values are no numbers and not wrong.

@@ -8,12 +8,13 @@ mod states;
 #[cfg(test)]
 mod tests;
 
-use super::Result;
+use super::{Error, Result};
 use crate::progress::Progress;
 use crate::scene::MapId;
-use crate::store::{CARD_FILE, CorpusScan, Fingerprint, MapSource, card};
+use crate::store::{self, CARD_FILE, CorpusScan, Fingerprint, MapSource, card};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// Findings of one kind that are kept; all are counted.
@@ -81,6 +82,20 @@ impl ValidationReport {
         self.add(Finding { severity: Severity::Damage, check, file, row, detail });
     }
 
+    /// Adds the damage for which a file cannot be read.
+    ///
+    /// # Errors
+    /// Those of the system: the file may well be whole.
+    fn unreadable(&mut self, check: &'static str, file: &str, error: impl Into<Error>) -> Result<()> {
+        match error.into() {
+            Error::Io(io) | Error::Store(store::Error::Io(io)) if io.kind() != ErrorKind::NotFound => Err(io.into()),
+            error => {
+                self.damage(check, file, None, error.to_string());
+                Ok(())
+            }
+        }
+    }
+
     fn remark(&mut self, check: &'static str, file: &str, row: Option<usize>, detail: impl Into<String>) {
         let (file, row, detail) = (file.to_owned(), row.map(|row| row as u64), detail.into());
         self.add(Finding { severity: Severity::Remark, check, file, row, detail });
@@ -100,7 +115,7 @@ struct Known {
 /// Checks the corpus in `dir`.
 ///
 /// # Errors
-/// When there is no manifest that can be read: then nothing can be checked. Everything else is a finding.
+/// When there is no manifest that can be read: then nothing can be checked; those of the system. Everything else is a finding.
 pub fn validate(dir: &Path, progress: &dyn Progress) -> Result<ValidationReport> {
     let scan = CorpusScan::open_unverified(dir)?;
     let (mut report, mut known) = (ValidationReport::default(), Known::default());
@@ -113,16 +128,16 @@ pub fn validate(dir: &Path, progress: &dyn Progress) -> Result<ValidationReport>
                         let lanes = graph.lanes().iter().map(|lane| lane.id.0).collect();
                         known.lanes.insert(id.to_owned(), lanes);
                     }
-                    Err(error) => report.damage("lanes", "lanes.parquet", None, error.to_string()),
+                    Err(error) => report.unreadable("lanes", "lanes.parquet", error)?,
                 }
             }
         }
-        Err(error) => report.damage("lanes", "lanes.parquet", None, error.to_string()),
+        Err(error) => report.unreadable("lanes", "lanes.parquet", error)?,
     }
     progress.start("check", scan.manifest().n_scenarios, "scenarios");
-    scenarios::check(&scan, &readable, &mut known, &mut report, progress);
-    states::check_recordings(&scan, &readable, &known, &mut report);
-    files::check_metrics(&scan, &readable, &known, &mut report);
+    scenarios::check(&scan, &readable, &mut known, &mut report, progress)?;
+    states::check_recordings(&scan, &readable, &known, &mut report)?;
+    files::check_metrics(&scan, &readable, &known, &mut report)?;
     check_totals(&scan, &known, &mut report);
     progress.finish();
     Ok(report)

@@ -18,7 +18,7 @@ pub(super) fn check(
     known: &mut Known,
     report: &mut ValidationReport,
     progress: &dyn Progress,
-) {
+) -> Result<()> {
     for part in 0..scan.n_parts() {
         let (file, tracks_file) = match scan.part(part) {
             Ok(files) => files,
@@ -37,9 +37,10 @@ pub(super) fn check(
             false => Ok(()),
         });
         if let Err(error) = checked {
-            report.damage("unreadable", &file.path, None, error.to_string());
+            report.unreadable("unreadable", &file.path, error)?;
         }
     }
+    Ok(())
 }
 
 fn check_rows(

@@ -206,12 +206,12 @@ pub(super) fn check_recordings(
     readable: &BTreeSet<String>,
     known: &Known,
     report: &mut ValidationReport,
-) {
+) -> Result<()> {
     let files = scan.manifest().files(CorpusTable::Recordings);
     let mut found = BTreeSet::new();
     for file in files.iter().filter(|file| readable.contains(&file.path)) {
         if let Err(error) = check_recording_file(scan, file, known, &mut found, report) {
-            report.damage("unreadable", &file.path, None, error.to_string());
+            report.unreadable("unreadable", &file.path, error)?;
         }
     }
     let n_missing = known.scenes.keys().filter(|scene| !found.contains(*scene)).count();
@@ -223,6 +223,7 @@ pub(super) fn check_recordings(
         let detail = format!("n_recordings is {}, but there are {}", scan.manifest().n_recordings, found.len());
         report.damage("counts", "manifest.json", None, detail);
     }
+    Ok(())
 }
 
 fn check_recording_file(

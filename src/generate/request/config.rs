@@ -53,7 +53,7 @@ pub struct RequestConfig {
     pub pairs: PairSelectionConfig,
     /// Accepted scenarios of one bucket that continue the same scene with the same agents, at most.
     #[serde(default = "default_max_per_scene")]
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub max_per_scene: u64,
     /// How the budget is spent.
     #[serde(default)]
@@ -115,10 +115,10 @@ pub enum PlanKind {
 #[serde(deny_unknown_fields, default)]
 pub struct BudgetConfig {
     /// Samples.
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000_000_000_u64))]
     pub n_samples: Option<u64>,
     /// Evaluations of the denoiser: arms with more steps cost more.
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000_000_000_000_u64))]
     pub n_evaluations: Option<u64>,
 }
 

@@ -95,6 +95,14 @@ impl GenerateConfig {
                 };
                 let of_arm = |issue: Issue| Error::Setting(issue.within(&format!("generate.arms.{at}")));
                 for (sweep, level) in self.arms[at].resolve_arm(request, self, behavior).map_err(of_arm)? {
+                    if let Some(other) = resolved.sweeps.iter().position(|other| other.name == sweep.name) {
+                        let key = if other < self.sweeps.len() { "generate.sweeps" } else { "generate.requests" };
+                        let why = format_args!(
+                            "is \"{}\": samples of its arm {name} are called {}, as are those of one of {key}; choose another",
+                            request.name, sweep.name
+                        );
+                        return Err(within(Issue::new("name", why)));
+                    }
                     arms.push(Arm {
                         name: sweep.name[request.name.len() + 1..].to_owned(),
                         sweep_idx: resolved.sweeps.len(),

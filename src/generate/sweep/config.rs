@@ -107,7 +107,7 @@ pub struct SweepConfig {
     pub select: Option<SelectConfig>,
     /// Start no further shards of this sweep once this many of its scenarios are verified. Left out: generate all.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub stop_after_verified: Option<usize>,
 }
 

@@ -138,7 +138,7 @@ pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>
 impl SweepConfig {
     fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
-        self.observe.validate(roles).map_err(|issue| issue.within("observe"))?;
+        self.observe.validate(roles)?;
         match self.model {
             SampledModel::Denoiser => Ok(SweepModel::Denoiser(self.resolve_diffusion(purpose)?)),
             SampledModel::Distilled => {

@@ -3,7 +3,7 @@
 use super::{ClusterConfig, Engine};
 use crate::generate::RequestConfig;
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::{Result, StageId};
+use crate::pipeline::{Failure, Result, StageId};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -85,9 +85,18 @@ impl JobGraph {
     /// The jobs of a submission.
     ///
     /// # Errors
-    /// When the current folder or the program cannot be found.
+    /// When the current folder or the program cannot be found, and when the name of a folder cannot stand in a script.
     pub fn new(submission: &Submission<'_>, cluster: &ClusterConfig) -> Result<Self> {
         let Submission { config, .. } = submission;
+        let directory = std::env::current_dir()?;
+        // The text after a line break in a directive of a script would be a command.
+        if let Some(path) =
+            [&directory, submission.root].into_iter().find(|path| holds_control(&path.to_string_lossy()))
+        {
+            let message =
+                format!("{path:?} has a line break or another control character in its name, and jobs would run there");
+            return Err(Failure::input_message(message).with_hint("submit from, and to, folders with other names"));
+        }
         let command = Command::new(submission, cluster)?;
         let stages: Vec<StageId> =
             StageId::ALL.into_iter().filter(|stage| (stage.facts().is_configured)(config)).collect();
@@ -108,13 +117,17 @@ impl JobGraph {
         }
         Ok(Self {
             pipeline: config.run.name.clone(),
-            directory: std::env::current_dir()?,
+            directory,
             run_folder: submission.root.to_owned(),
             retries: cluster.retries,
             final_exit_codes: [0, 1, 3],
             jobs: jobs.jobs,
         })
     }
+}
+
+fn holds_control(text: &str) -> bool {
+    text.contains(char::is_control)
 }
 
 /// Warns of settings that make poor use of the workers.

@@ -1,6 +1,7 @@
 //! Which jobs wait for which, what do the scripts say, and what do they do?
 
 use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
+use crate::pipeline::Blame;
 use crate::pipeline::config::{PipelineConfig, parse};
 use std::path::Path;
 use std::process::Command;
@@ -21,6 +22,22 @@ pub(super) fn graph_for(engine: Engine, text: &str, overrides: &[String]) -> (Jo
     let submission = Submission { engine, pipeline, overrides, run: "main", root, config: &config };
     let graph = JobGraph { directory: "/home/ada".into(), ..JobGraph::new(&submission, &cluster).unwrap() };
     (graph, cluster)
+}
+
+#[test]
+fn a_folder_whose_name_would_become_a_command_is_refused() {
+    let config: PipelineConfig = parse(None, PIPELINE, &[]).unwrap();
+    for root in ["/data/o\ntouch x\n#/main", "/data/\r/main", "/data/\u{1b}[2J/main"] {
+        let (pipeline, root) = (Path::new("p.toml"), Path::new(root));
+        let submission =
+            Submission { engine: Engine::Slurm, pipeline, overrides: &[], run: "main", root, config: &config };
+        let failure = JobGraph::new(&submission, &ClusterConfig::default()).unwrap_err();
+        let said = format!("{failure:?}");
+        assert!(
+            failure.blame == Blame::Input && said.contains("line break") && !said.contains(char::is_control),
+            "{said}"
+        );
+    }
 }
 
 /// Compares with a file; `DJINN_UPDATE_GOLDEN=1 cargo test --lib cluster::` rewrites it.

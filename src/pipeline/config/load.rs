@@ -197,18 +197,21 @@ fn explain(message: &str) -> (String, Option<String>) {
 
 /// Puts what a value is in the place of the types of Rust and serde.
 fn in_the_terms_of_users(message: &str) -> String {
-    const EXPECTED: [(&str, &str); 8] = [
+    const EXPECTED: [(&str, &str); 7] = [
         ("usize", "a whole number of at least 0"),
         ("u64", "a whole number of at least 0"),
         ("u32", "a whole number of at least 0"),
         ("f64", "a number"),
         ("a sequence", "a list"),
         ("a map", "a table"),
-        ("struct ", "a table: "),
         ("an array of length 2", "a list of two"),
     ];
     let Some((found, expected)) = message.split_once(", expected ") else { return message.to_owned() };
     let found = found.replace("sequence", "list").replace("map", "table").replace("floating point ", "");
+    let found = found.replace(" as i128", "").replace(" as u128", "");
+    if expected.starts_with("struct ") {
+        return format!("{found}, expected a table");
+    }
     let known = EXPECTED.iter().find(|(rust, _)| expected.starts_with(rust));
     let expected = known.map_or_else(|| expected.to_owned(), |(rust, words)| expected.replacen(rust, words, 1));
     format!("{found}, expected {expected}")
@@ -241,6 +244,14 @@ mod tests {
     fn a_wrong_type_and_broken_syntax_are_placed() {
         assert!(error("[run]\nseed = \"x\"\n", &[]).to_string().contains("p.toml:2:8"));
         assert!(error("[run\n", &[]).to_string().contains("p.toml:1:"));
+        for (text, expected) in [
+            ("generate = 1", "invalid type: integer `1`, expected a table"),
+            ("[run]\nseed = 18446744073709551616", "expected a whole number of at least 0"),
+            ("[run]\nseed = -1", "expected a whole number of at least 0"),
+        ] {
+            let said = error(text, &[]).to_string();
+            assert!(said.contains(expected) && !said.contains("128") && !said.contains("Config"), "{said}");
+        }
     }
 
     #[test]

@@ -5,6 +5,9 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeArray, DeString, DeTable, DeValue};
 
+/// No setting lies deeper; tables that do exhaust the stack.
+const MAX_PARTS: usize = 32;
+
 /// One `key=value` given on the command line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Override {
@@ -21,6 +24,9 @@ impl Override {
         let key: Vec<String> = key.split('.').map(|part| part.trim().to_owned()).collect();
         if key.iter().any(String::is_empty) {
             return Err("its key has an empty part".into());
+        }
+        if key.len() > MAX_PARTS {
+            return Err(format!("its key has {} parts, expected at most {MAX_PARTS}", key.len()).into());
         }
         Ok(Self { key, value: value.trim().to_owned() })
     }
@@ -133,5 +139,8 @@ mod tests {
         assert!(applied("a = [1]", "a.x=2").unwrap_err().0.contains("not an array index"));
         assert!(applied("a = 1", "a.x=2").unwrap_err().0.contains("is a value"));
         assert!(applied("", "a..x=2").unwrap_err().0.contains("empty part"));
+        let deep = format!("{}=1", vec!["a"; 30_000].join("."));
+        assert!(applied("", &deep).unwrap_err().0.contains("30000 parts, expected at most 32"));
+        assert!(applied("", &format!("{}=1", vec!["a"; 32].join("."))).is_ok());
     }
 }

@@ -13,9 +13,10 @@ use std::path::Path;
 
 /// A run folder, or a folder that stages wrote into one by one.
 pub(super) fn run(path: &Path) -> Result<Option<Description>> {
-    let records: Vec<StageRecord> = StageId::ALL.into_iter().filter_map(|id| StageRecord::done(path, id)).collect();
-    let begun = |id: StageId| Work::started(path, id).or_else(|| StageRecord::started_in_place(path, id));
-    let started: Vec<StageRecord> = StageId::ALL.into_iter().filter_map(begun).collect();
+    let found = |read: fn(&Path, StageId) -> Result<Option<StageRecord>>| {
+        StageId::ALL.into_iter().filter_map(|id| read(path, id).transpose()).collect::<Result<Vec<StageRecord>>>()
+    };
+    let (records, started) = (found(StageRecord::done)?, found(Work::started)?);
     let manifest: Option<RunManifest> = read_json(&path.join(RUN_FILE)).ok();
     if !path.is_dir() || (records.is_empty() && started.is_empty() && manifest.is_none()) {
         return Ok(None);

@@ -92,12 +92,13 @@ const DEPTH_OF_LINES: usize = 4;
 fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
     let indent = "  ".repeat(depth);
     // What lies deeper may be a name of the data, such as a place, and is given as it is.
-    let name = if depth == 1 { name.replace('_', " ") } else { name.to_owned() };
+    let name = if depth == 1 { name.replace('_', " ") } else { one_line(name) };
     match value {
         Value::Null => {}
         Value::Object(object) if depth >= DEPTH_OF_LINES && object.values().all(is_single) => {
             let known = object.iter().filter(|(_, value)| !value.is_null());
-            let entries: Vec<String> = known.map(|(name, value)| format!("{name} {}", plain(value))).collect();
+            let entries: Vec<String> =
+                known.map(|(name, value)| format!("{} {}", one_line(name), plain(value))).collect();
             text.push_str(&format!("{indent}{name}: {}\n", entries.join("; ")));
         }
         Value::Object(object) => {
@@ -129,7 +130,12 @@ fn is_single(value: &Value) -> bool {
 }
 
 fn plain(value: &Value) -> String {
-    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+    value.as_str().map_or_else(|| value.to_string(), one_line)
+}
+
+/// A text of others, such as a place, on one line: its line breaks are no lines of ours.
+fn one_line(text: &str) -> String {
+    text.replace('\n', "\\n").replace('\t', "\\t")
 }
 
 #[cfg(test)]

@@ -69,7 +69,7 @@ impl PartedStage for Evaluate<'_> {
     ) -> Result<()> {
         for (idx, shard) in shards {
             let path = figures_path(work, *idx);
-            if shard.stamp.verify_file(&path).is_err() {
+            if !shard.stamp.is_of(&path)? {
                 fs_err::create_dir_all(path.parent().unwrap_or(work))?;
                 link_or_copy(&parts.dir().join(&shard.file), &path)?;
             }

@@ -5,10 +5,11 @@
 use super::Identity;
 use super::PartFile;
 use super::tries::is_try_of;
-use crate::files::{files_below, foreign, mirror_above, remove_if_present, remove_listed};
+use crate::files::{self, files_below, foreign, is_link, mirror_above, remove_if_present, remove_listed};
+use crate::pipeline::record::unreadable;
 use crate::pipeline::stages::is_round_file;
 use crate::pipeline::{Failure, PartFacts, Result, StageId};
-use crate::store::{read_json, write_json_atomically};
+use crate::store::{self, read_record, write_record};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -54,14 +55,13 @@ impl PartsFolder {
     /// The plans of a stage in a run folder; incomplete plans do not count.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// When the record of a plan is damaged; those of the file system.
     pub(in crate::pipeline) fn all(root: &Path, stage: StageId) -> Result<Vec<Self>> {
         let Some(facts) = stage.facts().parts else { return Ok(Vec::new()) };
         let mut found = Vec::new();
         for dir in plan_dirs(root, stage)? {
-            if let Ok(about) = read_json(&dir.join(ABOUT_FILE)) {
-                found.push(Self { dir, facts, about });
-            }
+            let about = read_record(&dir.join(ABOUT_FILE)).map_err(|error| damaged(error, &dir))?;
+            found.extend(about.map(|about| Self { dir, facts, about }));
         }
         Ok(found)
     }
@@ -104,8 +104,8 @@ impl PartsFolder {
         // The remains of a killed process have no plan, so no worker has used them.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
-        write_json_atomically(&folder.dir.join(PLAN_FILE), plan)?;
-        write_json_atomically(&folder.dir.join(ABOUT_FILE), &folder.about)?;
+        write_record(&folder.dir.join(PLAN_FILE), plan)?;
+        write_record(&folder.dir.join(ABOUT_FILE), &folder.about)?;
         Ok(folder)
     }
 
@@ -114,7 +114,9 @@ impl PartsFolder {
     /// # Errors
     /// When it is damaged, or was removed meanwhile.
     pub(super) fn plan<P: DeserializeOwned>(&self) -> Result<P> {
-        Ok(read_json(&self.dir.join(PLAN_FILE))?)
+        let path = self.dir.join(PLAN_FILE);
+        let plan = read_record(&path).map_err(|error| damaged(error, &self.dir))?;
+        plan.ok_or_else(|| Failure::fault(anyhow::anyhow!("{} is missing", path.display())))
     }
 
     /// Whether the plan is still there: nobody has sealed or discarded it.
@@ -186,9 +188,10 @@ impl PartsFolder {
 
     /// The record of shard `idx`, if it is finished. Its content is verified when it is published.
     pub(super) fn finished<S: PartFile>(&self, idx: usize) -> Option<PartShard<S>> {
-        let shard: PartShard<S> = read_json(&self.sidecar(idx)).ok()?;
+        // A damaged record counts for nothing: the shard is made again.
+        let shard: PartShard<S> = read_record(&self.sidecar(idx)).ok()??;
         let (file, stamp) = shard.shard.file();
-        let is_whole = self.n_bytes(file) == Some(stamp.n_bytes);
+        let is_whole = file == self.file_name(idx) && self.n_bytes(file) == Some(stamp.n_bytes);
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
     }
 
@@ -199,18 +202,18 @@ impl PartsFolder {
     pub(super) fn finish<S: PartFile>(&self, idx: usize, worker: &str, seconds: f64, shard: &S) -> Result<()> {
         let plan_id = self.dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let shard = PartShard { plan_id, worker: worker.to_owned(), seconds, shard };
-        write_json_atomically(&self.sidecar(idx), &shard)?;
+        write_record(&self.sidecar(idx), &shard)?;
         Ok(())
     }
 
     /// Compares the content of a finished shard with its checksum. A damaged shard no longer counts as finished.
     ///
     /// # Errors
-    /// Those of the file system, when the record of a damaged shard cannot be removed.
+    /// Those of the file system: a shard that cannot be read now is none that is damaged.
     pub(super) fn verified<S: PartFile>(&self, idx: usize) -> Result<Option<PartShard<S>>> {
         let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
         let (file, stamp) = shard.shard.file();
-        if stamp.verify_file(&self.dir.join(file)).is_ok() {
+        if stamp.is_of(&self.dir.join(file))? {
             return Ok(Some(shard));
         }
         remove_if_present(&self.sidecar(idx))?;
@@ -265,13 +268,28 @@ impl PartsFolder {
 /// The folders of the plans of a stage, in order, complete or not.
 fn plan_dirs(root: &Path, stage: StageId) -> Result<Vec<PathBuf>> {
     let parts = parts_of(root, stage);
+    if is_link(&parts) {
+        return Err(files::Error::Link { path: parts }.into());
+    }
     if !parts.is_dir() {
         return Ok(Vec::new());
     }
-    let dirs = fs_err::read_dir(parts)?.map(|entry| Ok(entry?.path()));
-    let mut dirs: Vec<PathBuf> = dirs.collect::<Result<_>>()?;
+    let is_plan_id = |name: &str| name.len() == 16 && name.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let mut dirs = Vec::new();
+    for entry in fs_err::read_dir(parts)? {
+        let entry = entry?;
+        // Systems leave files of their own in folders, and links lead anywhere.
+        if entry.file_type()?.is_dir() && entry.file_name().to_str().is_some_and(is_plan_id) {
+            dirs.push(entry.path());
+        }
+    }
     dirs.sort();
     Ok(dirs)
+}
+
+/// The failure to read a record in the folder of a plan.
+fn damaged(error: store::Error, dir: &Path) -> Failure {
+    unreadable(error, || format!("move {} away, and plan again", dir.display()))
 }
 
 /// See [`PartsFolder::discard`].
@@ -280,7 +298,7 @@ fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
     let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, facts)).collect();
     let theirs = foreign(dir, &ours)?;
     if !theirs.is_empty() {
-        return Err(crate::files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
+        return Err(files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
     }
     // Processes read this first.
     remove_if_present(&dir.join(ABOUT_FILE))?;

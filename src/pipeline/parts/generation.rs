@@ -91,7 +91,7 @@ impl PartedStage for Generate<'_> {
         let samples = SampleFolder::open_for_writing(&work.join(SAMPLES))?;
         samples.write_plan(&plan.sweeps)?;
         for (idx, SampledShard { sidecar, .. }) in shards.iter().filter(|(_, shard)| shard.sidecar.request.is_none()) {
-            if samples.finished(*idx).as_ref() != Some(sidecar) {
+            if samples.finished(*idx)?.as_ref() != Some(sidecar) {
                 link_or_copy(&parts.dir().join(&sidecar.file), &samples.path(&sidecar.file))?;
                 samples.write_sidecar(*idx, sidecar)?;
             }

@@ -156,7 +156,7 @@ pub(super) fn publish(
     let store = SceneStore::open(scenes)?;
     shards.par_iter().filter(|(_, shard)| shard.sidecar.request.is_some()).try_for_each(|(idx, shard)| {
         let SampledShard { sidecar, tags, .. } = shard;
-        if samples.finished(*idx).is_some_and(|finished| finished.request == sidecar.request) {
+        if samples.finished(*idx)?.is_some_and(|finished| finished.request == sidecar.request) {
             return Ok(());
         }
         let mut records = read_samples(&parts.dir().join(&sidecar.file), &store)?;

@@ -75,7 +75,7 @@ fn publish<S: PartedStage>(
     shards: &[(usize, S::Shard)],
 ) -> Result<()> {
     let work = match planned.action {
-        Action::Resume => Work::resume(root, &planned.expected, stage.outputs())?,
+        Action::Resume => Work::resume(root, &planned.expected)?,
         _ => Work::begin(root, &planned.expected)?,
     };
     stage.publish(plan, shards, parts, work.path())?;

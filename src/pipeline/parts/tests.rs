@@ -12,7 +12,7 @@ use crate::pipeline::stages::{SampleFolder, SampleSidecar};
 use crate::pipeline::{Blame, Failure, Result, StageId, StageRecord};
 use crate::progress::Silent;
 use std::cell::{Cell, RefCell};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 fn identity() -> Identity {
@@ -23,7 +23,7 @@ fn identity() -> Identity {
         inputs: BTreeMap::new(),
         fingerprint: "f".repeat(32),
         outputs: BTreeMap::new(),
-        files: None,
+        files: BTreeSet::new(),
         summary: serde_json::Value::Null,
         times: BTreeMap::new(),
     };
@@ -254,6 +254,54 @@ fn only_our_files_are_discarded() {
     assert!(PartsFolder::all(root, StageId::Generate).unwrap().is_empty());
     sealed(root, StageId::Generate).unwrap();
     assert!(!dir.parent().unwrap().exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn what_systems_and_others_leave_beside_plans_is_passed_over() {
+    let planned = Planned::new(1, 100);
+    let parts = planned.folder.dir().parent().unwrap();
+    let (root, theirs) = (parts.parent().unwrap(), parts.parent().unwrap().join("theirs"));
+    fs_err::create_dir(&theirs).unwrap();
+    fs_err::write(theirs.join("plan.json"), "years of work").unwrap();
+    for name in [".DS_Store", ".nfs0000000012", "0123456789abcdee"] {
+        fs_err::write(parts.join(name), "").unwrap();
+    }
+    fs_err::create_dir(parts.join("notes")).unwrap();
+    std::os::unix::fs::symlink(&theirs, parts.join("0123456789abcdef")).unwrap();
+    assert_eq!(PartsFolder::all(root, StageId::Generate).unwrap(), [planned.folder.clone()]);
+    sealed(root, StageId::Generate).unwrap();
+    assert!(!planned.folder.is_there() && parts.join(".DS_Store").exists() && theirs.join("plan.json").exists());
+    fs_err::rename(parts, root.join("away")).unwrap();
+    std::os::unix::fs::symlink(&theirs, parts).unwrap();
+    assert_eq!(sealed(root, StageId::Generate).unwrap_err().blame, Blame::Input);
+}
+
+#[test]
+fn what_leads_out_of_a_plan_counts_for_nothing() {
+    let planned = Planned::new(2, 100);
+    let sidecar = planned.write(&planned.plan.shards[0], 0).unwrap();
+    let finish = |file: &str| {
+        let sidecar = SampleSidecar { file: file.to_owned(), ..sidecar.clone() };
+        planned.folder.finish(0, "1/1", 1.0, &SampledShard::of_sweep(sidecar)).unwrap();
+        planned.folder.finished::<SampledShard>(0).is_some()
+    };
+    let absolute = planned.folder.dir().join(&sidecar.file);
+    assert!(finish(&sidecar.file));
+    for file in ["./samples-00000.parquet", &absolute.to_string_lossy(), "samples-00001.parquet", ""] {
+        assert!(!finish(file), "{file}");
+    }
+    // The record of a plan is damaged: nobody takes it for none.
+    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
+    let path = planned.folder.dir().join("parts.json");
+    let text = fs_err::read_to_string(&path).unwrap();
+    fs_err::write(&path, text.replacen("cpu", "cpv", 1)).unwrap();
+    let failure = PartsFolder::all(root, StageId::Generate).unwrap_err();
+    let said = format!("{failure:?}");
+    assert!(
+        failure.blame == Blame::Fault && said.contains("parts.json is damaged: ") && said.contains("move "),
+        "{said}"
+    );
 }
 
 #[test]

@@ -79,7 +79,7 @@ pub(super) fn work<S: PartedStage>(
         Failure::later(format_args!("{} holds no plan to work on yet", root.display()))
             .with_hint("run the part plan first; this command can be repeated until then")
     };
-    let done = StageRecord::done(root, stage.id());
+    let done = StageRecord::done(root, stage.id())?;
     if done.is_none() && PartsFolder::all(root, stage.id())?.is_empty() {
         return Err(no_plan());
     }

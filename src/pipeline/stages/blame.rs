@@ -34,11 +34,12 @@ impl From<store::Error> for Failure {
     }
 }
 
-/// A refusal to write is for the user to act on.
+/// A refusal to write is for the user to act on; damage is not the user's doing.
 impl From<files::Error> for Failure {
     fn from(error: files::Error) -> Self {
         match error {
             files::Error::Io(error) => error.into(),
+            error @ files::Error::Damaged { .. } => Self::fault(error),
             error => Self::input(error),
         }
     }

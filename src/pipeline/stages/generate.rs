@@ -94,10 +94,6 @@ impl Stage for Generate<'_> {
         std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).chain(priors).collect()
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        &[SAMPLES]
-    }
-
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         self.with_ready(context.compute, |ready| self.generate(ready, context))
     }
@@ -167,7 +163,7 @@ impl Generate<'_> {
         let (mine, generate) = (self.mine.clone(), self.config.clone());
         let metric_settings = metric_settings.clone();
         folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
-        let plan = match folder.plan() {
+        let plan = match folder.plan()? {
             Some(plan) => plan,
             None => {
                 let plan = ready.plan(context.progress)?;
@@ -279,7 +275,7 @@ fn generate_shards(
             context.progress.advance(n_samples);
             continue;
         }
-        let sidecar = match folder.finished(shard.idx) {
+        let sidecar = match folder.finished(shard.idx)? {
             Some(sidecar) => {
                 context.progress.advance(n_samples);
                 sidecar

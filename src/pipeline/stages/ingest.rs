@@ -39,10 +39,6 @@ impl Stage for Ingest<'_> {
         recordings.chain(self.config.map_inputs.iter().enumerate().map(named("map_inputs"))).collect()
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        &[SCENES]
-    }
-
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(SCENES);
         let (mut writer, finished) = SceneWriter::resume(&dir, SceneWriterOptions::default())?;

@@ -79,10 +79,6 @@ impl Stage for Mine<'_> {
         vec![StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes)]
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        &[EVENTS, MINE_SUMMARY]
-    }
-
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let behaviors = self.config.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;

@@ -60,20 +60,23 @@ fn check_learned_events(config: &PipelineConfig) -> Result<()> {
     let mined: Vec<&str> = mine.build()?.iter().map(|behavior| behavior.id()).collect();
     let denoiser = config.train.denoiser.as_ref().map(|section| ("train.denoiser", &section.events));
     let distill = config.train.distill.as_ref().map(|section| ("train.distill", &section.events));
-    for (section, events) in denoiser.into_iter().chain(distill) {
+    let told = denoiser.into_iter().chain(distill).flat_map(|(section, events)| {
         let behaviors = events.as_ref().map_or(&[][..], |events| &events.behaviors);
-        // Names that no behavior has are refused by the section itself.
-        let is_known = |id: &&String| BehaviorEntry::of(id).is_some();
-        if let Some((i, id)) =
-            behaviors.iter().enumerate().find(|(_, id)| is_known(id) && !mined.contains(&id.as_str()))
-        {
+        behaviors.iter().enumerate().map(move |(i, id)| (format!("{section}.events.behaviors.{i}"), id))
+    });
+    let classifier = config.train.classifier.as_ref().filter(|classifier| classifier.checkpoint.is_none());
+    let classified = classifier.map(|classifier| ("train.classifier.behavior".to_owned(), &classifier.behavior));
+    // Names that no behavior has are refused by the section itself.
+    let is_known = |id: &str| BehaviorEntry::of(id).is_some();
+    match told.chain(classified).find(|(_, id)| is_known(id) && !mined.contains(&id.as_str())) {
+        Some((key, id)) => {
             let mined = mined.join(", ");
-            return Err(Failure::input_message(format_args!(
-                "{section}.events.behaviors.{i} is \"{id}\", expected one of mine.behaviors, which are {mined}"
-            )));
+            Err(Failure::input_message(format_args!(
+                "{key} is \"{id}\", expected one of mine.behaviors, which are {mined}"
+            )))
         }
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// One stage, with its defaults if the configuration has no section for it.

@@ -71,7 +71,7 @@ impl Fulfilment<'_> {
     }
 
     fn pool(&self, request: &ResolvedRequest) -> Result<Pool> {
-        if let Some(pool) = self.folder.pool(request.idx) {
+        if let Some(pool) = self.folder.pool(request.idx)? {
             return Ok(pool);
         }
         let pool = self.generator.pool(request, self.store.index())?;
@@ -142,7 +142,7 @@ impl Rounds<'_> {
         round: usize,
         next_idx: usize,
     ) -> Result<Option<Round>> {
-        if let Some(decided) = self.folder.round(request.idx, round) {
+        if let Some(decided) = self.folder.round(request.idx, round)? {
             return Ok(Some(decided));
         }
         let config = self.resolved;
@@ -181,7 +181,7 @@ impl RoundShards for Alone<'_> {
         ledger: &Ledger,
     ) -> Result<Option<ShardTally>> {
         let Fulfilment { generator, resolved, folder, context, .. } = *self.fulfilment;
-        let sidecar = match folder.finished(shard.plan.idx).filter(|sidecar| sidecar.request.is_some()) {
+        let sidecar = match folder.finished(shard.plan.idx)?.filter(|sidecar| sidecar.request.is_some()) {
             Some(sidecar) => {
                 context.progress.advance(shard.plan.n_samples(resolved) as u64);
                 sidecar

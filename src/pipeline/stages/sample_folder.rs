@@ -9,7 +9,8 @@ use crate::metrics::MetricSettings;
 use crate::pipeline::{Classify, Failure, Result};
 use crate::scenario::ScenarioRecord;
 use crate::store::{
-    FileStamp, MapSource, read_json, read_samples, write_atomically, write_json_atomically, write_samples,
+    FileStamp, MapSource, read_if_whole, read_json, read_samples, write_atomically, write_json_atomically,
+    write_samples,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -89,8 +90,8 @@ impl SampleFolder {
     }
 
     /// The plan of an interrupted run, if there is one.
-    pub(super) fn plan(&self) -> Option<Plan> {
-        read_json(&self.dir.join(PLAN_FILE)).ok()
+    pub(super) fn plan(&self) -> Result<Option<Plan>> {
+        Ok(read_if_whole(&self.dir.join(PLAN_FILE))?)
     }
 
     /// Keeps the settings, so that the folder can be understood, and its scenarios generated again, without the run's
@@ -102,8 +103,8 @@ impl SampleFolder {
     }
 
     /// The cells of request `request`, if an interrupted run has fixed them.
-    pub(super) fn pool(&self, request: usize) -> Option<Pool> {
-        read_json(&self.dir.join(pool_file(request))).ok()
+    pub(super) fn pool(&self, request: usize) -> Result<Option<Pool>> {
+        Ok(read_if_whole(&self.dir.join(pool_file(request)))?)
     }
 
     /// Keeps the cells of a request.
@@ -113,8 +114,8 @@ impl SampleFolder {
     }
 
     /// Round `round` of request `request`, if it has been decided.
-    pub(super) fn round(&self, request: usize, round: usize) -> Option<Round> {
-        read_json(&self.dir.join(round_file(request, round))).ok()
+    pub(super) fn round(&self, request: usize, round: usize) -> Result<Option<Round>> {
+        Ok(read_if_whole(&self.dir.join(round_file(request, round)))?)
     }
 
     /// Keeps what was decided for a round.
@@ -135,11 +136,11 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// The record of shard `idx`, if it is finished.
-    pub(in crate::pipeline) fn finished(&self, idx: usize) -> Option<SampleSidecar> {
-        let sidecar: SampleSidecar = read_json(&self.dir.join(format!("{}.json", shard_name(idx)))).ok()?;
-        // A damaged shard is sampled again.
-        sidecar.stamp.verify_file(&self.dir.join(&sidecar.file)).is_ok().then_some(sidecar)
+    /// The record of shard `idx`, if it is finished. A damaged shard is sampled again, and not one that cannot be read now.
+    pub(in crate::pipeline) fn finished(&self, idx: usize) -> Result<Option<SampleSidecar>> {
+        let sidecar: Option<SampleSidecar> = read_if_whole(&self.dir.join(format!("{}.json", shard_name(idx))))?;
+        let Some(sidecar) = sidecar.filter(|sidecar| sidecar.file == table_name(idx)) else { return Ok(None) };
+        Ok(sidecar.stamp.is_of(&self.dir.join(&sidecar.file))?.then_some(sidecar))
     }
 
     /// Where a file of the folder is.
@@ -174,7 +175,7 @@ impl SampleFolder {
         output: ShardOutput,
         request: Option<ShardTally>,
     ) -> Result<SampleSidecar> {
-        let file = format!("{}.parquet", shard_name(idx));
+        let file = table_name(idx);
         let ShardOutput { records, rejected, unselected } = output;
         let stamp = write_samples(&self.dir.join(&file), &records)?;
         let n_verified = records.iter().filter(|record| record.verified).count() as u64;
@@ -339,6 +340,10 @@ pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
     format!("samples-{idx:05}")
 }
 
+fn table_name(idx: usize) -> String {
+    format!("{}.parquet", shard_name(idx))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -363,14 +368,14 @@ mod tests {
         let folder = SampleFolder::open_for_writing(dir.path()).unwrap();
         let output = ShardOutput { records: Vec::new(), rejected: Vec::new(), unselected: BTreeMap::new() };
         let sidecar = folder.write_shard(3, ("sweep", 1), output, None).unwrap();
-        assert_eq!(folder.finished(3).as_ref(), Some(&sidecar));
+        assert_eq!(folder.finished(3).unwrap().as_ref(), Some(&sidecar));
         assert!(SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).is_ok());
         let path = dir.path().join(&sidecar.file);
         let mut bytes = fs_err::read(&path).unwrap();
         let middle = bytes.len() / 2;
         bytes[middle] ^= 1;
         fs_err::write(&path, bytes).unwrap();
-        assert_eq!(folder.finished(3), None);
+        assert_eq!(folder.finished(3).unwrap(), None);
         let failure = SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).unwrap_err();
         assert_eq!(failure.blame, Blame::Fault);
         let said = format!("{failure:?}");

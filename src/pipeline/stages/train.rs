@@ -36,8 +36,6 @@ pub trait Recipe: Serialize {
     const STAGE: StageId;
     /// The version of the stage.
     const VERSION: u32;
-    /// The folder of the model.
-    const OUTPUTS: &'static [&'static str];
     /// The stages whose outputs it learns from.
     const LEARNS_FROM: &'static [StageId];
 
@@ -134,13 +132,9 @@ impl<R: Recipe> Stage for Train<'_, R> {
         made.chain(more).chain(start).collect()
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        R::OUTPUTS
-    }
-
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let StageContext { compute, progress, .. } = *context;
-        let dir = context.root.join(R::OUTPUTS[0]);
+        let dir = context.root.join(R::STAGE.facts().outputs[0]);
         let Some(path) = self.recipe.source().checkpoint else {
             let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
             return self.recipe.train(self.layout, job);

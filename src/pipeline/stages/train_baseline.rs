@@ -3,7 +3,7 @@
 use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, training_summary};
 use crate::model::SceneTransformerSpec;
-use crate::pipeline::layout::{BASELINE, Layout};
+use crate::pipeline::layout::Layout;
 use crate::pipeline::{Result, StageId};
 use crate::train::{BaselineTrainingConfig, TrainJob, train_baseline};
 use serde_json::{Value, json};
@@ -12,7 +12,6 @@ impl Recipe for BaselineTrainingConfig {
     type Spec = SceneTransformerSpec;
     const STAGE: StageId = StageId::TrainBaseline;
     const VERSION: u32 = 1;
-    const OUTPUTS: &'static [&'static str] = &[BASELINE];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
     fn source(&self) -> Source<'_> {

@@ -4,7 +4,7 @@ use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::TrainingScenes;
 use crate::behavior::BehaviorEvent;
 use crate::model::{ClassifierSpec, TrainedDenoiser};
-use crate::pipeline::layout::{CLASSIFIER, Layout};
+use crate::pipeline::layout::Layout;
 use crate::pipeline::{Failure, Result, StageId, fingerprint_path};
 use crate::store::{SceneStore, read_events};
 use crate::train::{ClassifierTrainingConfig, LabeledPair, MinedEvent, PairData, TrainJob, train_classifier};
@@ -15,7 +15,6 @@ impl Recipe for ClassifierTrainingConfig {
     type Spec = ClassifierSpec;
     const STAGE: StageId = StageId::TrainClassifier;
     const VERSION: u32 = 1;
-    const OUTPUTS: &'static [&'static str] = &[CLASSIFIER];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {

@@ -3,7 +3,7 @@
 use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, mined, training_summary};
 use crate::model::DenoiserSpec;
-use crate::pipeline::layout::{DENOISER, Layout};
+use crate::pipeline::layout::Layout;
 use crate::pipeline::{Result, StageId};
 use crate::train::{DenoiserTrainingConfig, TrainJob, train_denoiser};
 use serde_json::{Value, json};
@@ -12,7 +12,6 @@ impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDenoiser;
     const VERSION: u32 = 2;
-    const OUTPUTS: &'static [&'static str] = &[DENOISER];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine];
 
     fn source(&self) -> Source<'_> {

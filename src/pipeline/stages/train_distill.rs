@@ -4,7 +4,7 @@ use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::{OpenedScenes, mined, training_summary};
 use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
-use crate::pipeline::layout::{DISTILLED, Layout};
+use crate::pipeline::layout::Layout;
 use crate::pipeline::{Result, StageId};
 use crate::train::{DistillSource, DistillTrainingConfig, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
@@ -13,7 +13,6 @@ impl Recipe for DistillTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDistill;
     const VERSION: u32 = 1;
-    const OUTPUTS: &'static [&'static str] = &[DISTILLED];
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {

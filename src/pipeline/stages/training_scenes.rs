@@ -227,12 +227,20 @@ impl OpenedSource<'_> {
     }
 }
 
-/// Refuses folders of other runs that hold no ingested scenes, and the run's own among them.
+/// Refuses splits without futures, folders of other runs that hold no ingested scenes, and the run's own among them.
 pub(super) fn check_folders(
-    SceneChoice { section, data, .. }: SceneChoice<'_>,
+    SceneChoice { section, splits, own_weight, data, .. }: SceneChoice<'_>,
     own: &Path,
     reads_events: bool,
 ) -> StageResult<()> {
+    let own_splits = (own_weight > 0.0).then(|| (section.to_owned(), splits));
+    let more_splits = data.iter().enumerate().map(|(i, more)| (format!("{section}.data.{i}"), more.splits.as_slice()));
+    for (section, splits) in own_splits.into_iter().chain(more_splits) {
+        if !splits.is_empty() && splits.iter().all(|split| *split == Split::Test) {
+            let message = format!("{section}.splits is [\"test\"], whose scenes have no futures to learn from");
+            return Err(Failure::input_message(message).with_hint("add \"train\", \"val\" or \"unsplit\""));
+        }
+    }
     let is_same = |one: &Path, other: &Path| {
         one.canonicalize().is_ok_and(|one| other.canonicalize().is_ok_and(|other| one == other))
     };

@@ -86,5 +86,9 @@ fn file([width, height]: [f64; 2], body: &Markup) -> String {
             (body)
         }
     };
-    format!("{}\n", page.into_string())
+    let is_allowed = |c: char| c == '\n' || !(c.is_control() || ('\u{fffe}'..='\u{ffff}').contains(&c));
+    // XML holds no control characters, escaped or not; names of recordings may.
+    let text = page.into_string();
+    let text = text.chars().map(|c| if is_allowed(c) { c } else { char::REPLACEMENT_CHARACTER });
+    format!("{}\n", text.collect::<String>())
 }

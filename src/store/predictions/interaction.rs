@@ -3,6 +3,7 @@
 use super::predicted;
 use crate::metrics::Modes;
 use crate::scene::{AgentClass, Benchmark, Scene, State, TrackRole};
+use crate::store::corpus_layout::encoded;
 use crate::store::{AtomicFile, Result};
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -11,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// Modes of a submission.
 const N_MODES: usize = 6;
 
-/// Writes `<place>_sub.csv` for each place into a folder: `case_id,track_id,frame_id,timestamp_ms,track_to_predict,
+/// Writes `<place>_sub.csv` for each place, encoded as in folder names of a corpus, into a folder: `case_id,track_id,frame_id,timestamp_ms,track_to_predict,
 /// interesting_agent,x1,y1,psi_rad1,…,x6,y6,psi_rad6`, in the recording's frame, meters and radians, the likeliest mode first.
 ///
 /// The predicted tracks are those that the recording marks. If it marks none (train and val), they are the ego and the
@@ -83,7 +84,7 @@ impl InteractionPredictions {
 
     fn file(&mut self, place: &str) -> Result<&mut AtomicFile> {
         if !self.files.contains_key(place) {
-            let mut file = AtomicFile::create(&self.dir.join(format!("{place}_sub.csv")))?;
+            let mut file = AtomicFile::create(&self.dir.join(format!("{}_sub.csv", encoded(place))))?;
             let modes: String = (1..=N_MODES).map(|k| format!(",x{k},y{k},psi_rad{k}")).collect();
             writeln!(file, "case_id,track_id,frame_id,timestamp_ms,track_to_predict,interesting_agent{modes}")?;
             self.files.insert(place.to_owned(), file);

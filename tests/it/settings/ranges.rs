@@ -2,15 +2,15 @@
 
 /// Keys, values that are refused, and what the message says was expected. Every value is a case of its own.
 pub(super) const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
-    ("run.threads", &["1000000000000", "1025"], "0 to 1024"),
+    ("run.threads", &["1000000000000", "1025", "18446744073709551615"], "0 to 1024"),
     ("run.memory_limit_gb", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("ingest.n_history", &["0", "1000000000000"], "1 to 10000"),
+    ("ingest.n_history", &["0", "1000000000000", "9223372036854775808"], "1 to 10000"),
     ("ingest.n_future", &["1000000000000"], "0 to 10000"),
     ("ingest.window_stride", &["0", "9223372036854775807"], "1 to 1000000"),
     ("ingest.holdout_share", &["-0.1", "1.5", "inf"], "0 to 1"),
     ("ingest.max_agents", &["0", "1000000000000"], "1 to 10000"),
     ("ingest.map_radius_m", &["0.0", "-5.0", "inf"], "a positive number"),
-    ("ingest.limit", &["0"], "a number of at least 1"),
+    ("ingest.limit", &["0", "18446744073709551615"], "1 to 1000000000000"),
     ("cluster.workers", &["0", "100001"], "1 to 100000"),
     ("cluster.retries", &["1001"], "0 to 1000"),
     ("cluster.gpus", &["65"], "0 to 64"),
@@ -83,17 +83,18 @@ pub(super) const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
     ("generate.sampler.grid.rho", &["0.0", "-1.0", "inf"], "more than 0 and at most 100"),
     ("generate.sampler.grid.sigma_min", &["0.0", "inf"], "a positive number"),
     ("generate.sampler.grid.sigma_max", &["0.0", "inf"], "more than 0 and at most 1000000"),
-    ("generate.sweeps.1.n_samples", &["0", "1000000000000"], "1 to 100000"),
-    ("generate.sweeps.1.stop_after_verified", &["0"], "a number of at least 1"),
+    ("generate.sweeps.1.n_samples", &["0", "1000000000000", "18446744073709551615"], "1 to 100000"),
+    ("generate.sweeps.1.stop_after_verified", &["0", "18446744073709551615"], "1 to 1000000000"),
     ("generate.sweeps.1.pairs.per_scene", &["0", "1000000000000"], "1 to 10000"),
     ("generate.sweeps.1.pairs.max_distance_m", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("generate.sweeps.1.pairs.n_scenes_ranked", &["0"], "a number of at least 1"),
+    ("generate.sweeps.1.pairs.n_scenes_ranked", &["0", "18446744073709551615"], "1 to 1000000000"),
     ("generate.sweeps.1.guidance.sigma_lo", &["-1.0", "inf"], "a number of at least 0"),
     ("generate.sweeps.1.guidance.sigma_hi", &["0.0", "inf"], "a positive number"),
     ("generate.sweeps.1.guidance.max_shift", &["0.0", "inf"], "a positive number"),
     ("generate.sweeps.1.objective_guidance.inner_steps", &["0", "1001"], "1 to 1000"),
     ("generate.sweeps.1.edit.tau", &["-0.1", "inf"], "0 to 1000000"),
     ("evaluate.duplicate_distance_m", &["-1.0", "inf"], "a number of at least 0"),
+    ("evaluate.gates.min_verified", &["18446744073709551615"], "0 to 1000000000000"),
     ("evaluate.gates.min_validity_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
     ("evaluate.gates.max_collision_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
     ("evaluate.gates.max_offroad_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
@@ -109,7 +110,7 @@ pub(super) const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
     ("evaluate.validity.max_recorded_offroad", &["-0.1", "1.5", "inf"], "0 to 1"),
     ("evaluate.careful_driver.ramp_s", &["0.0", "-1.0", "inf"], "a positive number"),
     ("evaluate.careful_driver.delay_s", &["-1.0", "inf"], "a number of at least 0"),
-    ("report.n_drawn", &["1000000000000"], "0 to 100000"),
+    ("report.n_drawn", &["1000000000000", "18446744073709551615"], "0 to 100000"),
     ("report.n_compared", &["1000000000000"], "0 to 100000"),
 ];
 
@@ -137,6 +138,7 @@ pub(super) const NOT_NAN: &[&str] = &[
 /// Values at the ends of ranges, which work.
 pub(super) const WITHIN_RANGES: &[&str] = &[
     "run.memory_limit_gb=0.5",
+    "run.seed=18446744073709551615",
     "ingest.holdout_share=0.0",
     "ingest.holdout_share=1.0",
     "ingest.limit=1",

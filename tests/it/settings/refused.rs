@@ -2,6 +2,16 @@
 
 /// Settings, and words that the message must hold.
 pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
+    // What is not mined, and what teaches nothing.
+    (
+        &["train.classifier.behavior=\"hard_brake\""],
+        &["train.classifier.behavior is \"hard_brake\", expected one of mine.behaviors, which are cut_in"],
+    ),
+    (
+        &["train.denoiser.splits=[\"test\"]"],
+        &["train.denoiser.splits is [\"test\"], whose scenes have no futures to learn from"],
+    ),
+    (&["a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s.t.u.v.w.x.y.z.a.b.c.d.e.f.g=1"], &["33 parts, expected at most 32"]),
     // Definitions of behaviors.
     (
         &["mine.behaviors=[{ kind = \"hard_brake\", min_deceleration_mps2 = -4.0 }]"],

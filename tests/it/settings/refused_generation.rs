@@ -4,6 +4,26 @@ const REQUEST: &str = "generate.arms=[{ name = \"guided\", strengths = [2.0] }]"
 
 /// Settings, and words that the message must hold.
 pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
+    // Names.
+    (
+        &[
+            REQUEST,
+            "generate.sweeps.1.name=\"y/guided\"",
+            "generate.requests=[{ name = \"y\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\"], \
+             budget = { n_samples = 9 } }]",
+        ],
+        &[
+            "generate.requests.0.name is \"y\": samples of its arm guided are called y/guided, as are those of one of generate.sweeps",
+        ],
+    ),
+    (
+        &["generate.sweeps.1.observe=[{ agents = \"all\", times = { timesteps = { from = 0, every = 0 } } }]"],
+        &["generate.sweeps.1.observe.0.times.timesteps.every is 0, expected 1 to 20000"],
+    ),
+    (
+        &["generate.sweeps.1.observe=[{ agents = { n_random = 18446744073709551615 }, times = \"all\" }]"],
+        &["generate.sweeps.1.observe.0.agents.n_random is 18446744073709551615, expected 1 to 10000"],
+    ),
     // Sampling.
     (
         &["generate.sampler.s_tmin=2.0", "generate.sampler.s_tmax=1.0"],
@@ -65,7 +85,7 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
     ),
     (
         &["generate.sweeps.1.select={ best = 0, by = [\"mfd_m\"] }"],
-        &["generate.sweeps.1.select.best is 0, expected a number of at least 1"],
+        &["generate.sweeps.1.select.best is 0, expected 1 to 100000"],
     ),
     (
         &["generate.sweeps.1.select={ limits = { collision_rate = nan } }"],
@@ -84,7 +104,7 @@ pub(super) const REFUSED_GENERATION: &[(&[&str], &[&str])] = &[
             REQUEST,
             "generate.requests=[{ name = \"r\", behavior = \"cut_in\", buckets = { gap_m = [0, 10] }, per_bucket = 1, arms = [\"guided\"], budget = { n_samples = 0 } }]",
         ],
-        &["generate.requests.0.budget.n_samples is 0, expected a number of at least 1"],
+        &["generate.requests.0.budget.n_samples is 0, expected 1 to 1000000000000"],
     ),
     (
         &[

@@ -61,10 +61,6 @@ impl Stage for Report<'_> {
         self.parts.iter().filter_map(input).collect()
     }
 
-    fn outputs(&self) -> &'static [&'static str] {
-        &[REPORT, FIGURES]
-    }
-
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         context.progress.start("report", 0, "parts");
         let model = gather::model(self)?;
