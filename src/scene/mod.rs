@@ -25,7 +25,7 @@ pub use edit::{Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, ShiftTime, Time
 pub use guidance_level::{GuidanceLevel, LevelAxis};
 pub use ids::{LaneId, MapId, SceneId, TrackId};
 pub use lane_graph::{Lane, LaneAttributes, LaneDuty, LaneGraph, TurnDirection};
-pub use motion::STANDING_STEP_M;
+pub use motion::{STANDING_STEP_M, slope_at};
 pub use observation_mask::ObservationMask;
 pub use roles::Roles;
 pub use scenario::{GuidanceTag, Provenance, Scenario};

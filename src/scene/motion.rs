@@ -43,6 +43,20 @@ impl<'a> Motion<'a> {
     }
 }
 
+/// How far an agent moves in a timestep at the rate of a certain one, given its `position` by the offset from it, in
+/// timesteps: the slope of the parabola through three consecutive positions, centered if there are positions on both
+/// sides. The difference of two consecutive positions is then the mean of their slopes, except for jerk; it would itself
+/// be the slope half a timestep earlier or later. Zero for a single position.
+pub fn slope_at(position: impl Fn(isize) -> Option<Vec2>) -> Vec2 {
+    let step = |from: isize| position(from).zip(position(from + 1)).map(|(before, after)| after - before);
+    match (step(-1), step(0)) {
+        (Some(came), Some(goes)) => (came + goes) * 0.5,
+        (Some(came), None) => step(-2).map_or(came, |earlier| came + (came - earlier) * 0.5),
+        (None, Some(goes)) => step(1).map_or(goes, |later| goes - (later - goes) * 0.5),
+        (None, None) => Vec2::ZERO,
+    }
+}
+
 /// 0 before `start`, 1 from `end` on, and a smooth 3 u² - 2 u³ between.
 pub(super) fn smooth_step(time: f64, start: f64, end: f64) -> f64 {
     if time >= end {
@@ -68,7 +82,7 @@ pub(super) fn hermite(from: (Vec2, Vec2), to: (Vec2, Vec2), u: f64) -> Vec2 {
 }
 
 /// Replaces the future of an agent by a course through `positions`, one for each timestep after the present. Velocities
-/// are backward differences; headings follow the direction of motion, and are held while the agent stands.
+/// are slopes of the positions; headings follow the direction of motion, and are held while the agent stands.
 pub(super) fn with_future(scene: &mut Scene, agent_idx: usize, positions: &[Vec2]) {
     let present = scene.current_timestep();
     let old = scene.tracks[agent_idx].trajectory.clone();
@@ -86,7 +100,14 @@ pub(super) fn with_future(scene: &mut Scene, agent_idx: usize, positions: &[Vec2
         } else {
             wrap_angle(recorded.heading_rad + angle_difference(step.angle(), recorded_step.angle()))
         };
-        entries[timestep] = Some(State { position: *position, heading_rad, velocity: step * (1.0 / scene.dt_s) });
+        entries[timestep] = Some(State { position: *position, heading_rad, velocity: Vec2::ZERO });
+    }
+    let positions: Vec<Option<Vec2>> = entries.iter().map(|entry| entry.map(|state| state.position)).collect();
+    for (timestep, entry) in entries.iter_mut().enumerate().skip(present + 1) {
+        let position = |offset: isize| positions.get(timestep.checked_add_signed(offset)?).copied().flatten();
+        if let Some(state) = entry {
+            state.velocity = slope_at(position) * (1.0 / scene.dt_s);
+        }
     }
     scene.tracks[agent_idx].trajectory = Trajectory::new(entries);
 }

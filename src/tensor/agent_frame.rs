@@ -1,7 +1,7 @@
 //! The agents of a row and their frame, and the conversion of its samples to scenes.
 
 use crate::geometry::{Transform2, Vec2, wrap_angle};
-use crate::scene::{ObservationMask, STANDING_STEP_M, Scene, State, Track, Trajectory};
+use crate::scene::{ObservationMask, STANDING_STEP_M, Scene, State, Track, Trajectory, slope_at};
 
 /// The agents of a row and the frame its coordinates are in.
 #[derive(Debug, Clone, PartialEq)]
@@ -78,10 +78,7 @@ impl AgentFrame {
     }
 }
 
-/// Velocities of generated entries and, if requested, headings along the motion. A velocity is the slope of the
-/// parabola through three consecutive positions, centered if there are positions on both sides. The difference of two
-/// consecutive positions is then the mean of their velocities, except for jerk; it would itself be the velocity half a
-/// timestep earlier or later.
+/// Velocities of generated entries, which are slopes of the positions, and, if requested, headings along the motion.
 fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
     for timestep in 0..entries.len() {
         if latent[timestep] == 0 {
@@ -91,13 +88,7 @@ fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_h
             let entry = timestep.checked_add_signed(offset).and_then(|t| entries.get(t));
             entry.copied().flatten().map(|state: State| state.position)
         };
-        let step = |from: isize| position(from).zip(position(from + 1)).map(|(before, after)| after - before);
-        let moved = match (step(-1), step(0)) {
-            (Some(came), Some(goes)) => (came + goes) * 0.5,
-            (Some(came), None) => step(-2).map_or(came, |earlier| came + (came - earlier) * 0.5),
-            (None, Some(goes)) => step(1).map_or(goes, |later| goes - (later - goes) * 0.5),
-            (None, None) => Vec2::ZERO,
-        };
+        let moved = slope_at(position);
         let before = timestep.checked_sub(1).and_then(|t| entries[t]);
         let Some(state) = entries[timestep].as_mut() else { continue };
         state.velocity = moved * (1.0 / dt_s);
