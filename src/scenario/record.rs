@@ -2,7 +2,7 @@
 
 use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
-use crate::scene::Scenario;
+use crate::scene::{Scenario, Track};
 
 /// A generated scenario, with what was requested of it and what was found in it.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,5 +40,16 @@ impl ScenarioRecord {
     pub fn main_event(&self) -> Option<&BehaviorEvent> {
         let requested = self.requested_behavior.as_ref().filter(|_| self.verified)?;
         self.events.iter().find(|event| event.behavior == *requested && event.label == EventLabel::Positive)
+    }
+
+    /// The vehicle to which the requested event happens. `None` if nothing was requested or found, or if it happens to
+    /// nobody.
+    pub fn subject(&self) -> Option<&Track> {
+        self.subject_idx().map(|agent_idx| &self.scenario.scene.tracks[agent_idx])
+    }
+
+    /// The index of that vehicle among the tracks.
+    pub fn subject_idx(&self) -> Option<usize> {
+        self.main_event()?.subject_idx(&self.scenario.scene)
     }
 }

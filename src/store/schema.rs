@@ -79,6 +79,16 @@ impl TableSchema {
         Arc::new(Schema::new_with_metadata(fields, [(SCHEMA_KEY, self.id())]))
     }
 
+    /// The open columns of a file of this table.
+    pub(crate) fn open_of<'f>(&self, found: &'f Schema) -> impl Iterator<Item = &'f Field> {
+        let is_former = |name: &str| {
+            let renamed = |field: &Field| former_name(field.name()) == Some(name);
+            self.fields.iter().any(|field| renamed(field) && found.column_with_name(field.name()).is_none())
+        };
+        let fields = found.fields().iter().map(AsRef::as_ref);
+        fields.filter(move |field: &&Field| !self.has(field.name()) && !is_former(field.name()))
+    }
+
     /// Whether a column of this name is one of the fixed ones.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.fields.iter().any(|field| field.name() == name)
@@ -88,8 +98,8 @@ impl TableSchema {
     /// nullable; if it is not, raise this version.
     pub fn oldest_readable(&self) -> u32 {
         match self.name {
-            "scene" | "metric" | "verdict" => 1,
-            "scenario" => 2,
+            "scene" | "metric" | "verdict" | "recording" => 1,
+            "scenario" | "track" => 2,
             _ => self.version,
         }
     }
@@ -115,7 +125,9 @@ impl TableSchema {
             });
         };
         for field in &self.fields {
-            let other = found.fields().iter().find(|other| other.name() == field.name());
+            let named = |name: &str| found.fields().iter().find(|other| other.name() == name);
+            let former = || former_name(field.name()).filter(|_| version < self.version).and_then(named);
+            let other = named(field.name()).or_else(former);
             let fits = match other {
                 Some(other) => other.data_type().equals_datatype(field.data_type()),
                 None => version < self.version && field.is_nullable(),
@@ -128,15 +140,14 @@ impl TableSchema {
     }
 
     /// The batch with the columns of this version in their order, then its open columns; columns newer than its file
-    /// are missing in every row. Call it on batches whose schema passed [`check`](Self::check).
+    /// are missing in every row, renamed ones have their new names. Call it on batches whose schema passed [`check`](Self::check).
     ///
     /// # Errors
     /// [`Error::Corrupt`] when a required column is missing.
     pub(crate) fn conform(&self, path: &Path, batch: &RecordBatch) -> Result<RecordBatch> {
-        let is_open = |field: &&FieldRef| !self.has(field.name());
-        let open = || batch.schema_ref().fields().iter().filter(is_open);
-        let schema = self.arrow_with(open().map(|field| field.as_ref().clone()).collect());
-        let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
+        let schema = self.arrow_with(self.open_of(batch.schema_ref()).cloned().collect());
+        let named = |name: &str| batch.column_by_name(name);
+        let column = |field: &FieldRef| match named(field.name()).or_else(|| named(former_name(field.name())?)) {
             Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
             // The same type with other descriptions of its members.
             Some(column) => cast(column, field.data_type()),
@@ -171,9 +182,18 @@ impl TableSchema {
     }
 }
 
+/// What a column was called in files of earlier versions, if it was renamed.
+pub(crate) fn former_name(name: &str) -> Option<&'static str> {
+    match name {
+        "center_track_id" => Some("ego_track_id"),
+        "is_center" => Some("is_ego"),
+        _ => None,
+    }
+}
+
 /// The definitions of the frames.
 const FRAMES: FramesDoc = FramesDoc {
-    scene: "Origin at the ego's position at timestep n_history - 1, x axis along its heading there.",
+    scene: "Origin at the position of the center (the road user around which the scene was cut out) at timestep n_history - 1, x axis along its heading there.",
     world: "The frame of the recording or its map, as the dataset defines it.",
 };
 

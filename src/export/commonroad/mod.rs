@@ -46,8 +46,7 @@ impl Exporter for CommonRoad {
             return Ok(ExportOutcome::LeftOut("no_lanes"));
         }
         let present = scene.current_timestep();
-        let ego_states = item.world_states(scene.ego_idx);
-        let Some(problem) = planning_problem::of(scene, &ego_states) else {
+        let Some(problem) = planning_problem::of(item) else {
             return Ok(ExportOutcome::LeftOut("no_ego"));
         };
         // All elements of a file share their numbers.

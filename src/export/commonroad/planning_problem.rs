@@ -1,18 +1,19 @@
 //! The planning problem of the ego: from its present state to its last one.
 
 use super::{exact, point, position, speed_mps};
+use crate::export::Item;
 use crate::export::text::number;
 use crate::export::xml::{Element, element, leaf};
 use crate::geometry::wrap_angle;
-use crate::scene::{Scene, State};
 
 /// The goal may be reached this long before the scenario ends, seconds.
 const GOAL_DURATION_S: f64 = 1.0;
 
-/// The planning problem of a scenario whose ego has these states in the recording's frame. The goal is reached when the
+/// The planning problem of a scenario. The goal is reached when the
 /// ego's center lies in its own footprint at the end, within the last second. `None` if the ego has no state at
 /// present, or none after it.
-pub(super) fn of(scene: &Scene, states: &[Option<State>]) -> Option<Element> {
+pub(super) fn of(item: &Item<'_>) -> Option<Element> {
+    let (scene, states) = (item.scene(), item.world_states(item.ego_idx));
     let present = scene.current_timestep();
     let now = (*states.get(present)?)?;
     let (last, end) = states.iter().enumerate().rev().find_map(|(timestep, state)| Some((timestep, (*state)?)))?;
@@ -30,7 +31,7 @@ pub(super) fn of(scene: &Scene, states: &[Option<State>]) -> Option<Element> {
         .child(exact("slipAngle", "0"))
         .child(exact("time", 0))
         .child(exact("acceleration", number(acceleration_mps2)));
-    let extent = scene.ego().extent_or_nominal();
+    let extent = item.ego().extent_or_nominal();
     let region = element("rectangle")
         .child(leaf("length", number(extent.length_m)))
         .child(leaf("width", number(extent.width_m)))

@@ -79,7 +79,7 @@ impl Exporter for OpenScenario {
         for (agent_idx, name) in names.into_iter().enumerate() {
             let track = &scene.tracks[agent_idx];
             let mut stretches = stretches(&item.world_states(agent_idx));
-            let is_free = self.ego == EgoMotion::Free && agent_idx == scene.ego_idx;
+            let is_free = self.ego == EgoMotion::Free && agent_idx == item.ego_idx;
             if is_free {
                 stretches = up_to_present(stretches, scene.current_timestep());
             }
@@ -95,7 +95,7 @@ impl Exporter for OpenScenario {
             }
             tracks.push(Ok(name));
         }
-        if tracks.get(scene.ego_idx).is_none_or(|track| track.is_err()) {
+        if tracks.get(item.ego_idx).is_none_or(|track| track.is_err()) {
             return Ok(ExportOutcome::LeftOut("no_ego"));
         }
         let roads = self.roads(item)?;
@@ -162,7 +162,7 @@ fn names(item: &Item<'_>) -> Vec<String> {
     let mut used = BTreeSet::new();
     let name = |(agent_idx, track): (usize, &crate::scene::Track)| {
         let name =
-            if agent_idx == scene.ego_idx { EGO_NAME.to_owned() } else { format!("track_{}", plain(&track.id.0)) };
+            if agent_idx == item.ego_idx { EGO_NAME.to_owned() } else { format!("track_{}", plain(&track.id.0)) };
         if used.insert(name.clone()) { name } else { format!("{name}_number{agent_idx}") }
     };
     scene.tracks.iter().enumerate().map(name).collect()
