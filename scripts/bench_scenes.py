@@ -47,7 +47,7 @@ def read_scenes(folder):
 
 
 def scenes_of(batch):
-    plain = {name: batch.column(name).to_pylist() for name in ("scene_id", "ego_track_id", "n_history", "n_timesteps")}
+    plain = {name: batch.column(name).to_pylist() for name in ("scene_id", "center_track_id", "n_history", "n_timesteps")}
     lists = batch.column("tracks")
     offsets, tracks = lists.offsets.to_numpy(), lists.values
     columns = {name: tracks.field(name) for name in ("track_id", "class")}
@@ -61,7 +61,7 @@ def scenes_of(batch):
         span = slice(steps[first], steps[end])
         yield Scene(
             id=plain["scene_id"][row],
-            ego=plain["ego_track_id"][row],
+            ego=plain["center_track_id"][row],
             n_history=plain["n_history"][row],
             tracks=columns["track_id"][first:end].to_pylist(),
             classes=columns["class"][first:end].to_pylist(),

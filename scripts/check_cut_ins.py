@@ -1,4 +1,5 @@
-"""Are the cut-ins that djinn finds cut-ins? The definition of `cut_in` a second time, from lanes and states alone, compared pair by pair.
+"""Are the cut-ins that djinn finds cut-ins? The definition of `cut_in` a second time, from lanes and states alone, compared pair by pair; and
+what an engineer would call a cut-in, in other words and without lanes (`nobody_cut_off`), which every cut-in of djinn must be.
 
     pip install numpy pyarrow
     python scripts/check_cut_ins.py output/quickstart/main            # scenes/ and events.parquet of a run, and its corpus/
@@ -22,7 +23,7 @@ import pyarrow.ipc as ipc
 import pyarrow.parquet as pq
 
 MAX_DELAY_S, MAX_HEADING_RAD, MIN_SHIFT_M, MIN_SPEED_MPS, SETTLING_S = 3.0, math.pi / 6, 0.5, 1.0, 1.0
-NOMINAL_HALF_WIDTH_M, HYSTERESIS_M, EXTENSION_M, AHEAD_M, BEHIND_M = 1.9, 0.3, 100.0, 200.0, 100.0
+NOMINAL_HALF_WIDTH_M, LANE_HALF_WIDTH_M, HYSTERESIS_M, EXTENSION_M, AHEAD_M, BEHIND_M = 1.9, 1.75, 0.3, 100.0, 200.0, 100.0
 NOMINAL = {"vehicle": (4.6, 1.9), "unknown": (4.6, 1.9), "bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8)}  # where a dataset gives no size
 HEADING, VX = 2, 3
 
@@ -242,21 +243,78 @@ def cut_in(scene, ego, other):
             return "ego_comes_in"
     if min(np.hypot(*agent[found[0], VX:]) for agent in (own, theirs)) < MIN_SPEED_MPS:
         return "stands"
+    # Where the ego drives at the place of the other, or else where it is last.
+    last = np.flatnonzero(own_known)[-1]
+    passes = lambda t: next((k for k in range(t, last + 1) if own_known[k] and s_own[k] >= s_theirs[t]), last)
+    is_met = lambda t: own_known[t] and s_theirs[t] > s_own[t] and abs(o_theirs[t] - o_own[passes(t)]) <= (width + their_width) / 2
+    if is_met(now) or not any(is_met(t) for t in later[tracked[later]]):
+        return "ego_drives_elsewhere"
     return found
+
+
+def overlap(pair, sizes):
+    """Whether two boxes overlap, given as states and sizes: no axis of either separates them."""
+    if not np.isfinite(pair).all():
+        return False
+    halves = [np.array(size) / 2 for size in sizes]
+    axes = [unit(state[HEADING] + turn) for state in pair for turn in (0, np.pi / 2)]
+    reach = lambda axis: sum(abs(axis @ unit(s[HEADING])) * h[0] + abs(axis @ unit(s[HEADING] + np.pi / 2)) * h[1] for s, h in zip(pair, halves))
+    return all(abs((pair[1][:2] - pair[0][:2]) @ axis) <= reach(axis) for axis in axes)
 
 
 def boxes_touch(scene, ego, other):
     """Whether the boxes overlap at the same time, from the present on."""
-    for t in range(scene.present, scene.end):
-        pair = [scene.states[agent, t] for agent in (ego, other)]
-        if not np.isfinite(pair).all():
-            continue
-        halves = [np.array(scene.sizes[agent]) / 2 for agent in (ego, other)]
-        axes = [unit(state[HEADING] + turn) for state in pair for turn in (0, np.pi / 2)]
-        reach = lambda axis: sum(abs(axis @ unit(s[HEADING])) * h[0] + abs(axis @ unit(s[HEADING] + np.pi / 2)) * h[1] for s, h in zip(pair, halves))
-        if all(abs((pair[1][:2] - pair[0][:2]) @ axis) <= reach(axis) for axis in axes):
-            return True
-    return False
+    sizes = [scene.sizes[ego], scene.sizes[other]]
+    return any(overlap([scene.states[ego, t], scene.states[other, t]], sizes) for t in range(scene.present, scene.end))
+
+
+def nobody_cut_off(scene, ego, other):
+    """Why an engineer who sees the two drive, and no lanes, would not say that the ego is cut off; None if one would.
+
+    One drives along. Another, beside it, comes over onto the strip of ground that the first goes on to cover, ahead of its front, the same
+    way, and so close that the first would be there within 3 s at its speed. They do not crash. Beyond where it is last, nobody knows where
+    the first goes on: as over its last second or as over all of its way, and within a lane.
+    """
+    way = scene.states[ego, scene.present :]
+    way = way[np.isfinite(way).all(1), :2]
+    if len(way) < 2 or np.hypot(*(way[-1] - way[0])) < 1:
+        return "the ego stands"
+    second = min(len(way) - 1, round(1 / scene.dt_s))
+    reasons = [why_not(scene, ego, other, extended([*way, way[-1] + onward])) for onward in (way[-1] - way[-1 - second], way[-1] - way[0])]
+    return None if None in reasons else reasons[0]
+
+
+def why_not(scene, ego, other, path):
+    """The same, of an ego that drives this path."""
+    own, theirs = (states[scene.present :] for states in (scene.states[ego], scene.states[other]))
+    (length, width), sizes = scene.sizes[ego], [scene.sizes[ego], scene.sizes[other]]
+    if not (np.isfinite(own[0]).all() and np.isfinite(theirs[0]).all()):
+        return "one of them is not there at present"
+    station, _, direction = path.project(own[:, :2])
+
+    def gap(t, half_beyond=LANE_HALF_WIDTH_M):
+        """How far ahead of the ego's front the other is in the way, in meters; None if it is not."""
+        corners = theirs[t, :2] + np.array([[a, b] for a in (-0.5, 0, 0.5) for b in (-0.5, 0, 0.5)]) * sizes[1] @ np.array([unit(theirs[t, HEADING]), unit(theirs[t, HEADING] + np.pi / 2)])
+        s, beside, _ = path.project(corners)
+        half = np.where(s > np.nanmax(station), half_beyond, width / 2)
+        is_over = (beside < half).any() and (beside > -half).any()
+        return s.min() - station[t] - length / 2 if is_over and s.mean() > station[t] else None
+
+    if gap(0, width / 2) is not None:
+        return "the other is in its way from the start"
+    known = [t for t in range(1, len(own)) if np.isfinite(own[t]).all() and np.isfinite(theirs[t]).all()]
+    in_way = [t for t in known if gap(t) is not None]
+    if not in_way:
+        return "the other never gets where the ego drives, ahead of it"
+    first = in_way[0]
+    if gap(first) > MAX_DELAY_S * np.hypot(*own[first, VX:]):
+        return "the other is far ahead"
+    if abs(wrapped(theirs[first, HEADING] - direction[first])) > np.pi / 4:
+        return "they do not go the same way"
+    beside = abs(path.project(theirs[[0, *in_way], :2])[1])
+    if beside[0] - min(beside[1:]) < MIN_SHIFT_M:
+        return "the other does not come over"
+    return "they crash" if boxes_touch(scene, ego, other) else None
 
 
 def recorded_scenes(folder, wanted):
@@ -290,7 +348,7 @@ def check_run(folder, collision_free):
     of_scene = {}
     for event in events:
         of_scene.setdefault(event["scene_id"], []).append(event)
-    both = only_djinn = only_here = 0
+    both = only_djinn = only_here = n_wrong = 0
     for scene_id, scene in recorded_scenes(folder / "scenes", of_scene):
         for event in of_scene[scene_id]:
             ego, other = (scene.idx[event[f"{role}_track_id"]] for role in ("ego", "other"))
@@ -298,13 +356,24 @@ def check_run(folder, collision_free):
             if collision_free and not isinstance(found, str) and boxes_touch(scene, ego, other):
                 found = "collision"
             theirs = (event["start_timestep"], event["end_timestep"]) if event["label"] == "positive" else None
+            n_wrong += bool(theirs) and tell_wrong(scene_id, scene, ego, other, collision_free)
             if theirs and found == theirs:
                 both += 1
             elif theirs or not isinstance(found, str):
                 only_djinn, only_here = only_djinn + bool(theirs), only_here + (not isinstance(found, str))
                 print(f"{scene_id}: {event['other_track_id']} before {event['ego_track_id']}: djinn {theirs or 'none'}, here {found}")
     print(f"recorded: {both} cut-ins agree in {len(events)} pairs; {only_djinn} are found otherwise or only by djinn, {only_here} otherwise or only here")
-    return both, max(only_djinn, only_here)
+    print(f"recorded: in {n_wrong} of {both + only_djinn} cut-ins of djinn an engineer sees nobody cut off")
+    return both, max(only_djinn, only_here, n_wrong)
+
+
+def tell_wrong(name, scene, ego, other, collision_free=True):
+    """Says why nobody is cut off, if so."""
+    why = nobody_cut_off(scene, ego, other)
+    if why is None or (why == "they crash" and not collision_free):
+        return False
+    print(f"{name}: nobody is cut off: {why}")
+    return True
 
 
 def check_corpus(folder):
@@ -315,7 +384,7 @@ def check_corpus(folder):
     tracks = {}
     for row in part("tracks").to_table(filter=ds.field("scenario_id").isin(ids)).to_pylist() if scenarios else []:
         tracks.setdefault(row["scenario_id"], {}).setdefault(row["track_id"], []).append(row)
-    n_agree = 0
+    n_agree = n_wrong = 0
     for row in scenarios:
         own = tracks[row["scenario_id"]]
         states = np.full((len(own), row["n_timesteps"], 5), np.nan)
@@ -330,10 +399,12 @@ def check_corpus(folder):
         found = "no such roles" if None in pair else cut_in(scene, *pair)
         theirs = row["event_start_timestep"], row["event_end_timestep"]
         n_agree += found == theirs
+        n_wrong += None not in pair and tell_wrong(row["scenario_id"], scene, *pair)
         if found != theirs:
             print(f"{row['scenario_id']}: djinn {theirs}, here {found}")
     print(f"generated: {n_agree} of {len(scenarios)} verified cut-ins agree")
-    return n_agree, len(scenarios) - n_agree
+    print(f"generated: in {n_wrong} of {len(scenarios)} an engineer sees nobody cut off")
+    return n_agree, max(len(scenarios) - n_agree, n_wrong)
 
 
 def main():

@@ -19,6 +19,7 @@ import math
 import pathlib
 import sys
 
+from exports.asam import demand_clean
 from exports.opendrive import compare_roads
 from exports.openscenario import compare_trajectories, last_of_ego, play
 from exports.tables import Corpus, Export, part
@@ -166,6 +167,11 @@ def check_openscenario(export, schema):
         said.append(check_roads(etree, export))
         compared = export.compared("positions, headings, sizes; velocities are not in the format but at the start")
         said.append(f"lxml read {len(export.scenarios)} files{compared}")
+    checkers = available("qc_openscenario.main", "qc_opendrive.main")
+    if checkers is not None:
+        files = [export.folder / scenario["file"] for scenario in export.scenarios], sorted(export.folder.glob("roads/*.xodr"))
+        n_rules = [demand_clean(checker, of) for checker, of in zip(checkers, files)]
+        said.append(f"ASAM's checkers found nothing by {n_rules[0]} and {n_rules[1]} rules in {len(files[0])} scenarios and {len(files[1])} files of roads")
     player = available("scenario_gym")
     if player is not None:
         n_poses = sum(play(player, export, scenario) for scenario in export.scenarios)

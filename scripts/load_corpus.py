@@ -51,7 +51,8 @@ class Corpus:
 
     def __getitem__(self, i):
         """A dict of: states [A, T, 5] (STATES), valid [A, T], observed [A, T], size [A, 2] (length and width, NaN where not
-        recorded), agent_class [A] (CLASSES), is_ego [A], lanes [L, LANE_POINTS, 2], roles {event role: agent}, track_ids,
+        recorded), agent_class [A] (CLASSES), is_subject [A] (to whom the requested
+        event happens), lanes [L, LANE_POINTS, 2], roles {event role: agent}, track_ids,
         world_from_scene [3], dt_s, n_history, and provenance: the whole row of the scenario table."""
         row = self.scenarios[i]
         states = self.tracks.to_table(filter=ds.field("scenario_id") == row["scenario_id"])
@@ -74,7 +75,7 @@ class Corpus:
             "observed": observed,
             "size": size.reshape(-1, 2),
             "agent_class": np.array([CLASSES.index(name) for name in take("class")]),
-            "is_ego": np.array(take("is_ego"), bool),
+            "is_subject": np.array([track_id == row.get("subject_track_id") for track_id in ids]),
             "lanes": self.lanes_of(row),
             "roles": {role: a for a, role in enumerate(take("event_role")) if role},
             "track_ids": ids,
@@ -115,7 +116,7 @@ def collate(samples):
         shape = np.max([array.shape for array in arrays], axis=0)
         return torch.from_numpy(np.stack([np.pad(a, [(0, n - k) for n, k in zip(shape, a.shape)]) for a in arrays]))
 
-    batch = {name: padded(name) for name in ["states", "valid", "observed", "size", "agent_class", "is_ego", "lanes"]}
+    batch = {name: padded(name) for name in ["states", "valid", "observed", "size", "agent_class", "is_subject", "lanes"]}
     batch["is_agent"] = batch["valid"].any(-1)
     batch["is_lane"] = torch.stack([torch.arange(batch["lanes"].shape[1]) < len(sample["lanes"]) for sample in samples])
     for name in ["roles", "track_ids", "world_from_scene", "dt_s", "n_history", "provenance"]:

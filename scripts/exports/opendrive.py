@@ -22,14 +22,14 @@ def compare_roads(etree, export):
         seen.add(file.get("filepath"))
         about = export.corpus.scenarios[scenario["scenario_id"]]
         root = etree.parse(str(export.folder / file.get("filepath"))).getroot()
-        roads = {int(road.get("name").removeprefix("lane ")): road for road in root.iter("road")}
-        assert set(roads) <= set(about["lane_ids"]), f"{file.get('filepath')} has roads that are no lanes of the scenario"
-        for lane_id, road in roads.items():
+        places = {int(lane_id): (road, i) for road in root.iter("road") for i, lane_id in enumerate(road.get("name").split()[1:])}
+        assert set(places) <= set(about["lane_ids"]), f"{file.get('filepath')} has roads that are no lanes of the scenario"
+        for lane_id, place in places.items():
             left, right = export.corpus.lanes[about["map_id"], lane_id]
             if len(left) < 2 or len(right) < 2:
                 continue  # the map has no edges; usual ones are written
             n_lanes += 1
-            drawn = evaluated(road)
+            drawn = evaluated(*place)
             n_of_lane, n_beyond = 0, 0
             for line, others in ((left, [drawn[:, 0]]), (right, [drawn[:, 2]]), (drawn[:, 1], [left, right])):
                 for point in along(line, np.linspace(0.0, 1.0, 101)):
@@ -63,19 +63,21 @@ def to_line(point, line):
     return off[nearest], is_beyond
 
 
-def evaluated(road):
-    """Left edge, middle and right edge of the lane of a road, [n, 3, 2]."""
+def evaluated(road, i):
+    """Left edge, middle and right edge of a lane of a road, counted from its left, [n, 3, 2]."""
     length = float(road.get("length"))
     geometries = road.findall("planView/geometry")
     starts = [float(geometry.get("s")) for geometry in geometries]
-    lane = road.find("lanes/laneSection/right/lane")
-    offsets, widths = records(road.findall("lanes/laneOffset"), "s"), records(lane.findall("width"), "sOffset")
+    offsets = records(road.findall("lanes/laneOffset"), "s")
+    lanes = sorted(road.findall("lanes/laneSection/right/lane"), key=lambda lane: -int(lane.get("id")))
+    widths = [records(lane.findall("width"), "sOffset") for lane in lanes[: i + 1]]
     points = []
     for s in np.linspace(0.0, length, max(int(length / STEP_M), 2)):
         geometry = geometries[max(np.searchsorted(starts, s + 1e-9) - 1, 0)]
         x, y, heading = pose(geometry, s - float(geometry.get("s")))
-        offset, width = value(offsets, s), value(widths, s)
+        *before, width = (value(of_lane, s) for of_lane in widths)
         assert width >= -1e-9, f"{road.get('name')} has a negative width at {s}"
+        offset = value(offsets, s) - sum(before)
         normal = np.array([-math.sin(heading), math.cos(heading)])
         points.append([np.array([x, y]) + normal * t for t in (offset, offset - 0.5 * width, offset - width)])
     return np.array(points)

@@ -4,7 +4,8 @@ use super::config::EvaluateConfig;
 use super::error::Result;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::metrics::{
-    CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality, Violation,
+    Check, CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality,
+    Violation,
 };
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Roles, Scene};
@@ -81,16 +82,23 @@ impl<'a> Judge<'a> {
         let track = |idx: usize| scene.track_idx(&roles.get(idx)?.1);
         let pair = track(0).zip(track(1)).map(|(first, second)| [first, second]);
         let asked = record.requested_behavior.as_deref();
+        let ending = record.ending(&self.config.careful_driver);
+        let mut violations = judged.violations(&self.config.validity);
+        let is_judged = !self.config.validity.skip.contains(&Check::ContactAfterEnd);
+        violations.extend(
+            ending.filter(|_| is_judged).and_then(|(subject_idx, ending)| ending.violation(scene, subject_idx)),
+        );
         let space = asked.and_then(|asked| self.spaces.get(asked)?.as_ref());
         Assessment {
             accepted: false,
-            violations: judged.violations(&self.config.validity),
+            violations,
             plausibility: self.ranges.plausibility(scene),
             pair: pair.and_then(|pair| PairCriticality::of(scene, pair)),
             scene: SceneCriticality::of(scene),
             cut_in: pair
                 .filter(|_| asked.is_some_and(|asked| CUT_INS.contains(&asked)))
                 .and_then(|pair| CutInJudgment::of(scene, pair, &self.config.careful_driver)),
+            ending: ending.map(|(_, ending)| ending),
             nearest_recorded_event: record
                 .main_event()
                 .zip(space)

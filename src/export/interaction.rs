@@ -10,10 +10,11 @@ use std::path::{Path, PathBuf};
 pub(super) const NOTES: &str = "<split>/<place>_<split>.csv: cases as in INTERACTION v1.2 (40 frames at 10 Hz, of which 10 are \
     observed), in the split of the recordings that they continue; the present is frame 10. Maps are not here: use \
     maps/<place>.osm of the recordings themselves, for our lanes are made from it and hold less. Heading, length and width \
-    of pedestrians and cyclists are empty, as in the dataset.";
+    of pedestrians and cyclists are empty, as in the dataset. interesting_agent marks the ego, track_to_predict \
+    it and all that take part in the event; the dataset has these two columns in test cases alone.";
 
-/// The dataset's columns, in its order.
-const HEADER: [&str; 12] = [
+/// The dataset's columns, in its order, with the marks of its test cases.
+const HEADER: [&str; 14] = [
     "case_id",
     "track_id",
     "frame_id",
@@ -26,6 +27,8 @@ const HEADER: [&str; 12] = [
     "psi_rad",
     "length",
     "width",
+    "track_to_predict",
+    "interesting_agent",
 ];
 
 /// Observed frames of a case, which are the first.
@@ -88,10 +91,12 @@ impl Exporter for Interaction {
                 tracks.push(Err(if states.is_empty() { "no_states" } else { "static_object" }));
                 continue;
             }
+            let is_ego = agent_idx == item.ego_idx;
+            let marks = [is_ego || item.event_role(agent_idx).is_some(), is_ego];
             n_renumbered += u64::from(name != track.id.0);
             n_nominal += u64::from(is_vehicle(track) && track.extent.is_none());
             for (frame, state) in states {
-                table.row(&row(&case_id, &name, frame, track, &state).each_ref().map(String::as_str))?;
+                table.row(&row(&case_id, &name, frame, track, &state, marks).each_ref().map(String::as_str))?;
             }
             tracks.push(Ok(name));
         }
@@ -133,7 +138,9 @@ fn names(scene: &Scene) -> Vec<String> {
     scene.tracks.iter().enumerate().map(name).collect()
 }
 
-fn row(case_id: &str, name: &str, frame: usize, track: &Track, state: &State) -> [String; 12] {
+/// `marks` says whether the track is to be predicted, and whether it is the interesting one.
+fn row(case_id: &str, name: &str, frame: usize, track: &Track, state: &State, marks: [bool; 2]) -> [String; 14] {
+    let [to_predict, interesting] = marks.map(|is_marked| u8::from(is_marked).to_string());
     let [heading, length, width] = if is_vehicle(track) {
         let extent = track.extent_or_nominal();
         [number(state.heading_rad), number(extent.length_m), number(extent.width_m)]
@@ -153,6 +160,8 @@ fn row(case_id: &str, name: &str, frame: usize, track: &Track, state: &State) ->
         heading,
         length,
         width,
+        to_predict,
+        interesting,
     ]
 }
 
@@ -178,12 +187,12 @@ mod tests {
         assert_eq!(lines[0], HEADER.join(","));
         // 12 + 11 + 11 states a case; four observed timesteps end at frame 10.
         assert_eq!(lines.len(), 1 + 2 * (12 + 11 + 11));
-        assert_eq!(lines[1], "1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.5,1.8");
-        assert_eq!(lines[12], "1.0,1,18,1800,car,1000,2011,0,10,1.570796327,4.5,1.8");
-        assert_eq!(lines[13], "1.0,2,8,800,car,997,2001,0,10,1.570796327,4.5,1.8");
+        assert_eq!(lines[1], "1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.5,1.8,1,1");
+        assert_eq!(lines[12], "1.0,1,18,1800,car,1000,2011,0,10,1.570796327,4.5,1.8,1,1");
+        assert_eq!(lines[13], "1.0,2,8,800,car,997,2001,0,10,1.570796327,4.5,1.8,1,0");
         // Left of north is west.
-        assert_eq!(lines[24], "1.0,P3,7,700,pedestrian/bicycle,1000,2005,-1,0,,,");
-        assert_eq!(lines[26], "1.0,P3,10,1000,pedestrian/bicycle,999.7,2005,-1,0,,,");
+        assert_eq!(lines[24], "1.0,P3,7,700,pedestrian/bicycle,1000,2005,-1,0,,,,0,0");
+        assert_eq!(lines[26], "1.0,P3,10,1000,pedestrian/bicycle,999.7,2005,-1,0,,,,0,0");
         assert!(lines[35].starts_with("2.0,1,7,700,"));
         let second = outcomes[1].as_ref().unwrap();
         assert_eq!((second.file.as_str(), second.name.as_str()), ("train/Test_train.csv", "2.0"));
@@ -207,7 +216,8 @@ mod tests {
         assert_eq!(first.tracks, [Ok("1".to_owned()), Err("static_object"), Ok("P3".to_owned())]);
         assert_eq!(first.assumed, [("nominal_size", 1), ("cut_to_window", 0), ("renumbered_track", 1)]);
         assert!(
-            read(dir.path(), "train/Test_train.csv").contains("\n1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.6,1.9\n")
+            read(dir.path(), "train/Test_train.csv")
+                .contains("\n1.0,1,7,700,car,1000,2000,0,10,1.570796327,4.6,1.9,1,1\n")
         );
         assert_eq!(outcomes[1].as_ref().err(), Some(&"not_10_hz"));
         let third = outcomes[2].as_ref().unwrap();

@@ -30,24 +30,29 @@ impl LaneBounds {
         })
     }
 
-    /// The same boundaries with equally many points, the points of one beside those of the other: each line keeps its own
-    /// points and gets those that lie at the other's shares of length.
+    /// The same boundaries with equally many points.
     pub(super) fn paired(&self) -> (Vec<Vec2>, Vec<Vec2>) {
-        /// Shares of length that differ by less are equal.
-        const SAME_SHARE: f64 = 1e-6;
-        let mut shares = [shares(&self.left), shares(&self.right)].concat();
-        shares.sort_by(f64::total_cmp);
-        shares.dedup_by(|later, earlier| *later - *earlier < SAME_SHARE);
-        // The ends themselves, whatever was merged with them.
-        if let Some(last) = shares.last_mut() {
-            *last = 1.0;
-        }
-        let points = |line: &Polyline| {
-            let length_m = line.length_m();
-            shares.iter().filter_map(|share| line.point_at(share * length_m)).collect()
-        };
-        (points(&self.left), points(&self.right))
+        paired(&self.left, &self.right)
     }
+}
+
+/// The same lines with equally many points, the points of one beside those of the other: each line keeps its own points
+/// and gets those that lie at the other's shares of length.
+pub(super) fn paired(left: &Polyline, right: &Polyline) -> (Vec<Vec2>, Vec<Vec2>) {
+    /// Shares of length that differ by less are equal.
+    const SAME_SHARE: f64 = 1e-6;
+    let mut shares = [shares(left), shares(right)].concat();
+    shares.sort_by(f64::total_cmp);
+    shares.dedup_by(|later, earlier| *later - *earlier < SAME_SHARE);
+    // The ends themselves, whatever was merged with them.
+    if let Some(last) = shares.last_mut() {
+        *last = 1.0;
+    }
+    let points = |line: &Polyline| {
+        let length_m = line.length_m();
+        shares.iter().filter_map(|share| line.point_at(share * length_m)).collect()
+    };
+    (points(left), points(right))
 }
 
 /// How far along the line its points are, from 0 to 1.

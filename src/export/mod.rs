@@ -7,6 +7,7 @@
 
 mod argoverse2;
 mod commonroad;
+mod ego;
 mod error;
 mod index;
 mod interaction;
@@ -23,13 +24,14 @@ mod testing;
 mod text;
 mod xml;
 
+pub use ego::{EgoChoice, EgoMotion};
 pub use error::{Error, Result};
 pub use report::{ExportReport, LeftOut};
 pub use run::{EXPORT_FILE, INDEX_FILE, NOTICE_FILE, TRACKS_FILE, export_corpus};
 pub use selection::Selection;
 
 use crate::scenario::ScenarioRecord;
-use crate::scene::{Scene, State};
+use crate::scene::{Scene, State, Track};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -105,7 +107,7 @@ impl ExportFormat {
         matches!(self, Self::CommonRoad | Self::OpenScenario)
     }
 
-    /// The default motion of the ego. CommonRoad is for planners, which would collide with a recorded ego at their
+    /// The default motion of the ego. CommonRoad is for planners, which would collide with a replayed ego at their
     /// first step.
     pub const fn usual_ego(self) -> EgoMotion {
         match self {
@@ -113,16 +115,6 @@ impl ExportFormat {
             Self::Interaction | Self::Argoverse2 | Self::OpenScenario | Self::OpenLabel => EgoMotion::Replayed,
         }
     }
-}
-
-/// The motion of the ego agent in formats for simulation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EgoMotion {
-    /// It moves as in the scenario, like all agents.
-    Replayed,
-    /// It moves as in the scenario up to the present; then a driving function moves it.
-    Free,
 }
 
 /// A writer of one format.
@@ -150,11 +142,17 @@ struct Item<'a> {
     number: usize,
     /// The scenario's id in a form that can name a file; unique in an export.
     stem: String,
+    /// Index into the scene's tracks.
+    ego_idx: usize,
 }
 
 impl Item<'_> {
     const fn scene(&self) -> &Scene {
         &self.record.scenario.scene
+    }
+
+    fn ego(&self) -> &Track {
+        &self.scene().tracks[self.ego_idx]
     }
 
     /// The states of an agent in the recording's frame, one entry a timestep.

@@ -37,9 +37,10 @@ pub(super) fn text(report: &ExportReport) -> String {
         "tracks.tsv: the name of each track in the file, the ego, and roles in the event. In both tables, texts that a spreadsheet \
          would take for formulas begin with an apostrophe.",
     );
+    paragraph(&mut text, &format!("The ego is {}.", report.ego.words()));
     paragraph(&mut text, "export.json: the options of the export, and what was left out, by reason. Written last.");
     paragraph(&mut text, "Positions are those of the recording's frame, in meters; headings in radians.");
-    if report.ego == EgoMotion::Free {
+    if report.ego_motion == EgoMotion::Free {
         paragraph(
             &mut text,
             "From the present on, the ego is left to the driving function under test; before, it moves as in the scenario.",

@@ -1,6 +1,6 @@
 //! The report of an export: what was written, and what was left out.
 
-use super::{EgoMotion, ExportFormat, Selection, Written};
+use super::{EgoChoice, EgoMotion, ExportFormat, Selection, Written};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -22,8 +22,10 @@ pub struct ExportReport {
     pub format: ExportFormat,
     /// The selection.
     pub selection: Selection,
-    /// The motion of the ego.
-    pub ego: EgoMotion,
+    /// Which track is the ego.
+    pub ego: EgoChoice,
+    /// Who moves it.
+    pub ego_motion: EgoMotion,
     /// Number of scenarios written.
     pub n_scenarios: u64,
     /// Number of tracks written.
@@ -39,12 +41,13 @@ pub struct ExportReport {
 }
 
 impl ExportReport {
-    pub(super) fn new(format: ExportFormat, selection: &Selection, ego: EgoMotion) -> Self {
+    pub(super) fn new(format: ExportFormat, selection: &Selection, ego: &EgoChoice, ego_motion: EgoMotion) -> Self {
         Self {
-            schema: "export.v1",
+            schema: "export.v2",
             format,
             selection: selection.clone(),
-            ego,
+            ego: ego.clone(),
+            ego_motion,
             n_scenarios: 0,
             n_tracks: 0,
             scenarios_left_out: BTreeMap::new(),
@@ -64,7 +67,11 @@ impl ExportReport {
                 }
             }
         }
-        for (what, n) in written.assumed.iter().filter(|(_, n)| *n > 0) {
+        written.assumed.iter().for_each(|(what, n)| self.count_assumed(what, *n));
+    }
+
+    pub(super) fn count_assumed(&mut self, what: &'static str, n: u64) {
+        if n > 0 {
             *self.assumed.entry(what).or_default() += n;
         }
     }
@@ -103,6 +110,10 @@ pub(super) fn meaning(code: &str) -> &str {
         "no_lanes" => "the scenario has no lanes, which the format requires (no_lanes)",
         "no_future" => "the scenario ends at the present (no_future)",
         "no_ego" => "the ego has no state at present (no_ego)",
+        "no_such_track" => "it has no track of that name, which was to be the ego (no_such_track)",
+        "no_subject" => {
+            "a scenario shows no event that happens to somebody; its ego is the center of the recorded window (no_subject)"
+        }
         "not_10_hz" => "the format requires 10 Hz, which the scenario does not have (not_10_hz)",
         "no_states" => "the track has no state in the format's time window (no_states)",
         "static_object" => "the format has no class for static objects (static_object)",

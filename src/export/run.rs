@@ -1,7 +1,10 @@
 //! Exports a corpus: chooses, counts and writes scenarios, and the files of all exports.
 
 use super::index::Index;
-use super::{EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, Result, Selection, notice, text};
+use super::report::meaning;
+use super::{
+    EgoChoice, EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, Result, Selection, notice, text,
+};
 use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::store::{CorpusReader, write_atomically, write_json_atomically};
@@ -18,8 +21,8 @@ pub const NOTICE_FILE: &str = "NOTICE.txt";
 pub const EXPORT_FILE: &str = "export.json";
 
 /// Exports the scenarios of the corpus in `corpus` that pass `selection`, in the corpus's order, into the folder `out`,
-/// which must be new or empty and appears when it is complete. `ego` is the motion of the ego; `None` is the format's
-/// default. Scenarios are read and written one by one. The same corpus gives the same bytes.
+/// which must be new or empty and appears when it is complete. `ego` says which track is the ego, `motion` who moves it;
+/// `None` is the format's default. Scenarios are read and written one by one. The same corpus gives the same bytes.
 ///
 /// # Errors
 /// [`Error::Files`] when `out` is not empty or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or
@@ -30,18 +33,19 @@ pub fn export_corpus(
     format: ExportFormat,
     out: &Path,
     selection: &Selection,
-    ego: Option<EgoMotion>,
+    ego: &EgoChoice,
+    motion: Option<EgoMotion>,
     progress: &dyn Progress,
 ) -> Result<ExportReport> {
-    let ego = ego.unwrap_or(format.usual_ego());
-    if ego == EgoMotion::Free && !format.can_free_ego() {
+    let motion = motion.unwrap_or(format.usual_ego());
+    if motion == EgoMotion::Free && !format.can_free_ego() {
         return Err(Error::EgoIsReplayed { format: format.name() });
     }
     let reader = CorpusReader::open(corpus)?;
     let positions = positions(&reader, selection)?;
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let limit = selection.limit.unwrap_or(usize::MAX);
-    let mut report = ExportReport::new(format, selection, ego);
+    let mut report = ExportReport::new(format, selection, ego, motion);
     let mut writer: Option<Writer> = None;
     let mut n_chosen = 0;
     progress.start("export", positions.len().min(limit) as u64, "scenarios");
@@ -55,12 +59,17 @@ pub fn export_corpus(
         }
         n_chosen += 1;
         let stem = stem(&record.scenario.id, n_chosen);
-        let item = Item { record: &record, number: n_chosen, stem };
         let writer = match &mut writer {
             Some(writer) => writer,
-            none => none.insert(Writer::begin(format, folder.path(), ego)?),
+            none => none.insert(Writer::begin(format, folder.path(), motion)?),
         };
-        writer.add(&item, &reader, &mut report)?;
+        match ego.of(&record) {
+            Some((ego_idx, is_for_want)) => {
+                let item = Item { record: &record, number: n_chosen, stem, ego_idx };
+                writer.add(&item, is_for_want, &reader, &mut report)?;
+            }
+            None => report.count_left_out(&record.scenario.id, "no_such_track"),
+        }
         progress.advance(1);
     }
     progress.finish();
@@ -99,17 +108,25 @@ struct Writer {
 }
 
 impl Writer {
-    fn begin(format: ExportFormat, out: &Path, ego: EgoMotion) -> Result<Self> {
+    fn begin(format: ExportFormat, out: &Path, motion: EgoMotion) -> Result<Self> {
         let index = Index::begin(&out.join(INDEX_FILE), &out.join(TRACKS_FILE))?;
-        Ok(Self { exporter: format.begin(out, ego), index })
+        Ok(Self { exporter: format.begin(out, motion), index })
     }
 
-    fn add(&mut self, item: &Item<'_>, reader: &CorpusReader, report: &mut ExportReport) -> Result<()> {
+    /// Adds a scenario; `is_for_want` says that its ego is the center for want of a subject.
+    fn add(
+        &mut self,
+        item: &Item<'_>,
+        is_for_want: bool,
+        reader: &CorpusReader,
+        report: &mut ExportReport,
+    ) -> Result<()> {
         let scenario_id = item.record.scenario.id.as_str();
         match self.exporter.add(item)? {
             ExportOutcome::Written(written) => {
                 self.index.add(item, &written)?;
                 report.count_written(scenario_id, &written);
+                report.count_assumed("no_subject", u64::from(is_for_want));
                 let dataset = item.scene().source.dataset;
                 let terms = reader.manifest().sources.get(dataset.name());
                 let terms = terms.map_or_else(|| dataset.facts().terms.to_owned(), Clone::clone);
@@ -124,7 +141,7 @@ impl Writer {
         if report.n_scenarios == 0 {
             let reasons = report.scenarios_left_out.iter();
             let reasons: Vec<String> =
-                reasons.map(|(reason, left_out)| format!("{} {reason}", left_out.count)).collect();
+                reasons.map(|(reason, left_out)| format!("{}: {}", left_out.count, meaning(reason))).collect();
             let (format, n_scenarios) = (report.format.name(), report.n_left_out());
             // An unfinished export is removed when this is dropped.
             return Err(Error::NothingWritten { format, n_scenarios, reasons: reasons.join(", ") });

@@ -56,7 +56,7 @@ mod validity;
 
 pub use actor_world::ActorWorld;
 pub use aggregate::{Aggregate, AggregateTally};
-pub use careful_driver::{CarefulDriverConfig, CutInJudgment, PreventableRate};
+pub use careful_driver::{CarefulDriverConfig, CutInJudgment, Ending, PreventableRate};
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;
 pub use criticality::{PairCriticality, PairMetric, SceneCriticality, SceneMetric};

@@ -1,6 +1,6 @@
 //! The judgment of a generated scenario: could it have happened, how critical is it, is it new?
 
-use crate::metrics::{CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use crate::metrics::{CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
 use serde::{Deserialize, Serialize};
 
 /// The judgment of one scenario, independent of what guided it. Parts that are not defined for it are absent.
@@ -18,6 +18,8 @@ pub struct Assessment {
     pub scene: Option<SceneCriticality>,
     /// The judgment of the requested cut-in by UN Regulation No. 157.
     pub cut_in: Option<CutInJudgment>,
+    /// How it ends for the subject of the requested event; `None` also where a collision was requested.
+    pub ending: Option<Ending>,
     /// Distance of its event from the nearest recorded one, in typical spreads.
     pub nearest_recorded_event: Option<f64>,
     /// Distance of its requested agents' paths from those of the nearest earlier accepted scenario, meters.

@@ -2,7 +2,8 @@
 
 use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
-use crate::scene::Scenario;
+use crate::metrics::{CarefulDriverConfig, Ending};
+use crate::scene::{Scenario, Track};
 
 /// A generated scenario, with what was requested of it and what was found in it.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,5 +41,26 @@ impl ScenarioRecord {
     pub fn main_event(&self) -> Option<&BehaviorEvent> {
         let requested = self.requested_behavior.as_ref().filter(|_| self.verified)?;
         self.events.iter().find(|event| event.behavior == *requested && event.label == EventLabel::Positive)
+    }
+
+    /// The vehicle to which the requested event happens. `None` if nothing was requested or found, or if it happens to
+    /// nobody.
+    pub fn subject(&self) -> Option<&Track> {
+        self.subject_idx().map(|agent_idx| &self.scenario.scene.tracks[agent_idx])
+    }
+
+    /// How it ends for that vehicle, or for the first of the event if it happens to nobody, with its index. `None` also
+    /// where a collision was requested.
+    pub fn ending(&self, driver: &CarefulDriverConfig) -> Option<(usize, Ending)> {
+        let event = self.main_event().filter(|_| !self.asks_for_collision())?;
+        let scene = &self.scenario.scene;
+        let first = || event.roles.tracks().next().and_then(|track| scene.track_idx(track));
+        let subject_idx = event.subject_idx(scene).or_else(first)?;
+        Some((subject_idx, Ending::of(scene, subject_idx, event.start_timestep, driver)?))
+    }
+
+    /// The index of that vehicle among the tracks.
+    pub fn subject_idx(&self) -> Option<usize> {
+        self.main_event()?.subject_idx(&self.scenario.scene)
     }
 }

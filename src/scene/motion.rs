@@ -1,6 +1,6 @@
 //! Courses between and beyond recorded states, and the states of changed courses.
 
-use super::{Scene, State, Trajectory};
+use super::{Scene, State, Trajectory, velocity_at};
 use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
 
 /// A step shorter than this does not define a heading, meters.
@@ -68,7 +68,7 @@ pub(super) fn hermite(from: (Vec2, Vec2), to: (Vec2, Vec2), u: f64) -> Vec2 {
 }
 
 /// Replaces the future of an agent by a course through `positions`, one for each timestep after the present. Velocities
-/// are backward differences; headings follow the direction of motion, and are held while the agent stands.
+/// are slopes of the positions; headings follow the direction of motion, and are held while the agent stands.
 pub(super) fn with_future(scene: &mut Scene, agent_idx: usize, positions: &[Vec2]) {
     let present = scene.current_timestep();
     let old = scene.tracks[agent_idx].trajectory.clone();
@@ -86,7 +86,14 @@ pub(super) fn with_future(scene: &mut Scene, agent_idx: usize, positions: &[Vec2
         } else {
             wrap_angle(recorded.heading_rad + angle_difference(step.angle(), recorded_step.angle()))
         };
-        entries[timestep] = Some(State { position: *position, heading_rad, velocity: step * (1.0 / scene.dt_s) });
+        entries[timestep] = Some(State { position: *position, heading_rad, velocity: Vec2::ZERO });
+    }
+    let positions: Vec<Option<Vec2>> = entries.iter().map(|entry| entry.map(|state| state.position)).collect();
+    for (timestep, entry) in entries.iter_mut().enumerate().skip(present + 1) {
+        let position = |offset: isize| positions.get(timestep.checked_add_signed(offset)?).copied().flatten();
+        if let Some(state) = entry {
+            state.velocity = velocity_at(position, scene.dt_s).unwrap_or_default();
+        }
     }
     scene.tracks[agent_idx].trajectory = Trajectory::new(entries);
 }

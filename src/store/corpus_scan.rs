@@ -210,12 +210,8 @@ impl Iterator for PartBatches {
 /// The columns of the scenario table, then all other columns of `schemas`, sorted by name.
 pub(crate) fn united(schemas: &[SchemaRef]) -> SchemaRef {
     let table = CorpusTable::Scenarios.schema();
-    let open: BTreeMap<&str, &Field> = schemas
-        .iter()
-        .flat_map(|schema| schema.fields())
-        .filter(|field| !table.has(field.name()))
-        .map(|field| (field.name().as_str(), field.as_ref()))
-        .collect();
+    let open: BTreeMap<&str, &Field> =
+        schemas.iter().flat_map(|schema| table.open_of(schema)).map(|field| (field.name().as_str(), field)).collect();
     table.arrow_with(open.into_values().cloned().collect())
 }
 

@@ -148,6 +148,6 @@ mod tests {
         assert!(refused(&|r| r.scenario.scene = scene(2, None)).contains("pass the scene through as_stored"));
         assert!(refused(&|r| r.scenario.scene.id = SceneId::from("other")).contains("scene_id of its provenance"));
         assert!(refused(&|r| r.events[0].scene_id = SceneId::from("other")).contains("scene_id of its scene"));
-        assert!(refused(&|r| r.scenario.scene.ego_idx = 99).contains("ego is not among its tracks"));
+        assert!(refused(&|r| r.scenario.scene.ego_idx = 99).contains("center is not among its tracks"));
     }
 }

@@ -80,6 +80,11 @@ impl TableSchema {
         Arc::new(Schema::new_with_metadata(fields, [(SCHEMA_KEY, self.id())]))
     }
 
+    /// The open columns of a file of this table.
+    pub(crate) fn open_of<'f>(&self, found: &'f Schema) -> impl Iterator<Item = &'f Field> {
+        found.fields().iter().map(AsRef::as_ref).filter(|field: &&Field| !self.has(field.name()))
+    }
+
     /// Whether a column of this name is one of the fixed ones.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.fields.iter().any(|field| field.name() == name)
@@ -111,9 +116,7 @@ impl TableSchema {
     /// # Errors
     /// [`Error::Corrupt`] when a column is missing.
     pub(crate) fn conform(&self, path: &Path, batch: &RecordBatch) -> Result<RecordBatch> {
-        let is_open = |field: &&FieldRef| !self.has(field.name());
-        let open = || batch.schema_ref().fields().iter().filter(is_open);
-        let schema = self.arrow_with(open().map(|field| field.as_ref().clone()).collect());
+        let schema = self.arrow_with(self.open_of(batch.schema_ref()).cloned().collect());
         let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
             Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
             // The same type with other descriptions of its members.
@@ -151,7 +154,7 @@ impl TableSchema {
 
 /// The definitions of the frames.
 const FRAMES: FramesDoc = FramesDoc {
-    scene: "Origin at the ego's position at timestep n_history - 1, x axis along its heading there.",
+    scene: "Origin at the position of the center (the road user around which the scene was cut out) at timestep n_history - 1, x axis along its heading there.",
     world: "The frame of the recording or its map, as the dataset defines it.",
 };
 

@@ -3,7 +3,7 @@
 use super::as_stored;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
-use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::scenario::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId,
@@ -181,6 +181,12 @@ pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
             braking_from_s: Some(1.45),
             intrusion_ttc_s: None,
             avoidance_required: Some(true),
+        }),
+        ending: has_all.then_some(Ending {
+            contact_s: Some(0.75),
+            required_deceleration_mps2: 6.5,
+            remaining_mps: None,
+            subject_reacts: true,
         }),
         nearest_recorded_event: Some(2.5),
         nearest_scenario_m: has_all.then_some(0.125),

@@ -6,7 +6,7 @@ use djinn::store::{CorpusManifest, CorpusReader, CorpusTable};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v5";
+const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
 
 #[test]
 fn a_corpus_is_read_and_one_of_another_version_is_refused() {

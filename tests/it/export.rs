@@ -42,6 +42,13 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
             row["is_ego"] == "true" && row["left_out"].is_empty() != (format == "commonroad")
         };
         assert_eq!(tracks.iter().filter(is_ego).count(), n_scenarios, "{format}");
+        // It is the one to whom the event happens, where there is one.
+        let role_of_ego = |id: &str| {
+            let ego = tracks.iter().find(|row| row["scenario_id"] == id && row["is_ego"] == "true");
+            ego.map_or("", |row| row["event_role"].as_str())
+        };
+        let verified: Vec<_> = index.iter().filter(|row| row["verified"] == "true").collect();
+        assert!(verified.iter().all(|row| role_of_ego(&row["scenario_id"]) == "ego"), "{format}");
         let notice = fs_err::read_to_string(folder.join("NOTICE.txt")).unwrap();
         assert!(
             notice.contains("Sources and terms") && notice.contains("interaction: INTERACTION dataset"),
@@ -56,6 +63,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
             report["n_tracks"].as_u64(),
             Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64)
         );
+        assert_eq!(report["assumed"]["no_subject"].as_u64(), Some((n_scenarios - verified.len()) as u64));
         // The same again, byte by byte.
         export(format, "again", &["-q"]).expect(0);
         assert_same(&files(&folder), &files(&workspace.path("again")));
@@ -112,7 +120,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     ] {
         let out = format!("{format}_{}", option.unwrap_or("as_usual"));
         export(format, &out, &[&["--limit", "1"], option.as_slice()].concat()).expect(0);
-        assert_eq!(json(&workspace.path(&out).join("export.json"))["ego"].as_str(), Some(motion), "{out}");
+        assert_eq!(json(&workspace.path(&out).join("export.json"))["ego_motion"].as_str(), Some(motion), "{out}");
         let tracks = rows(&workspace.path(&out).join("tracks.tsv"));
         let left_out = &tracks.iter().find(|row| row["is_ego"] == "true").unwrap()["left_out"];
         assert_eq!(left_out == "ego_is_free", format == "commonroad" && motion == "free", "{out}");
@@ -125,6 +133,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         ("openlabel", "none", vec!["--behavior", "left_turn"], "asked to hold left_turn"),
         ("interaction", "none", vec!["--free-ego"], "cannot leave the ego free"),
         ("commonroad", "none", vec!["--free-ego", "--replay-ego"], "cannot be used with"),
+        ("commonroad", "none", vec!["--ego", "nobody"], "no track of that name"),
         ("opendrive", "none", vec![], "openscenario"),
         ("openlabel", "small.toml/below", vec![], "small.toml"),
     ] {

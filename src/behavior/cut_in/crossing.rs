@@ -61,7 +61,7 @@ impl LaneCrossing<'_> {
             .map(|t| if t < present { [None, None] } else { [self.place(ego, t), self.place(other, t)] })
             .collect();
         let (intrusion, reached) = self.replayed(&places)?;
-        if !self.is_ahead(&places, crossing, intrusion) {
+        if !self.is_ahead(&places, crossing, intrusion) || !self.is_met(&places) {
             return None;
         }
         let last = (crossing.max(intrusion) + self.n_settling()).min(end - 1);
@@ -118,6 +118,20 @@ impl LaneCrossing<'_> {
             && is_ahead(intrusion)
             && both(come_in).is_some_and(|(own, theirs)| self.gap_m(&own, &theirs) >= 0.0)
             && (self.scene.current_timestep()..=come_in).all(keeps)
+    }
+
+    /// Whether the other comes into the way of the ego as it drives: ahead of it, and beside the place at which the ego
+    /// passes it, or is last, by at most half of both widths.
+    fn is_met(&self, places: &[[Option<Place>; 2]]) -> bool {
+        let [own_m, their_m] = self.pair.map(|agent_idx| self.scene.tracks[agent_idx].extent_or_nominal().width_m);
+        let is_in_way = |timestep: usize| {
+            let Some((own, theirs)) = places[timestep][0].zip(places[timestep][1]) else { return false };
+            let driven = places[timestep..].iter().filter_map(|places| places[0]);
+            let passing = driven.clone().find(|place| place.station_m >= theirs.station_m).or_else(|| driven.last());
+            let beside_m = passing.map_or(f64::INFINITY, |place| (theirs.offset_m - place.offset_m).abs());
+            theirs.station_m > own.station_m && beside_m <= (own_m + their_m) / 2.0
+        };
+        !is_in_way(self.scene.current_timestep()) && (self.scene.n_history..self.scene.n_timesteps).any(is_in_way)
     }
 
     /// The relation of the two at a timestep. `None` if one of them stands still.

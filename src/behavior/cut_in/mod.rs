@@ -96,12 +96,14 @@ impl Default for CutInConfig {
 /// - The event remains when the ego is replayed straight along its lane, that is at its present offset and with its own
 ///   progress: at a future time t_other the other's box is in the strip that the replayed ego sweeps, and at t_ego with
 ///   t_other < t_ego < t_other + 3 s the ego's box is where the other's was.
+/// - The other comes into the way of the ego as it drives, too: at some future time, and not at present, it is ahead, and
+///   beside the place at which the ego passes it, or is last, by at most half of both widths.
 /// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened; and both move, with at least
 ///   1 m/s at t_other.
 ///
 /// The event *starts* at the intrusion, the first such t_other, and is *complete* at the first such t_ego.
 ///
-/// *What does not count*: an ego that moves in behind the other or changes lanes itself; boxes that graze while both
+/// *What does not count*: an ego that moves in behind the other, changes lanes itself, or makes so much room that the other is never in its way; boxes that graze while both
 /// keep their lanes; crossing, turning and oncoming traffic; agents not tracked at present; an ego that is in no lane
 /// of the map, or a scene without a map: of two paths that meet, it is then unknown which one is kept. Where the two
 /// lanes lead into each other and both vehicles keep theirs, as on a ramp, offsets do not show which one cuts in: it is

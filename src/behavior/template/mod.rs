@@ -8,7 +8,7 @@ mod checks;
 pub(super) use checks::{InTheWay, distinct, follows};
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
-use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory};
+use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory, velocity_at};
 
 /// The difference between the recorded motion at present and the template, such as a lateral drift, fades within this
 /// time, seconds.
@@ -63,7 +63,7 @@ impl Template {
         let positions: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(position).collect();
         let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
         let past: Vec<Vec2> = past.map(|state| state.position).collect();
-        let states = states(state, scene.dt_s, &rounded(&past, positions?));
+        let states = states(state, scene.dt_s, &past, &rounded(&past, positions?));
         self.motions.push(Motion { agent_idx, states });
         Some(self)
     }
@@ -84,24 +84,25 @@ impl Template {
     }
 }
 
-/// The states of an agent that is `now` somewhere and then at `positions`. Velocities are differences of positions.
-/// Headings follow the motion, and stay while the agent stands.
-fn states(now: &State, dt_s: f64, positions: &[Vec2]) -> Vec<State> {
+/// The states of an agent that was at the positions of its `past`, is `now` somewhere and then at `positions`. Velocities
+/// are slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while the agent
+/// stands.
+fn states(now: &State, dt_s: f64, past: &[Vec2], positions: &[Vec2]) -> Vec<State> {
     // A vehicle may be recorded with a heading that differs from its motion.
     let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
         true => 0.0,
         false => angle_difference(now.heading_rad, now.velocity.angle()),
     };
-    let mut before = *now;
+    let course: Vec<Vec2> = past.iter().chain(positions).copied().collect();
+    let mut held_rad = now.heading_rad;
     let state = |(step, position): (usize, &Vec2)| {
-        let way = *position - before.position;
+        let at = |offset: isize| course.get((past.len() + step).checked_add_signed(offset)?).copied();
+        let velocity = velocity_at(at, dt_s).unwrap_or_default();
         let slip_rad = slip_rad * (-((step + 1) as f64) * dt_s / FADE_S).exp();
-        let heading_rad = match way.norm() < STANDING_STEP_M {
-            true => before.heading_rad,
-            false => wrap_angle(way.angle() + slip_rad),
-        };
-        before = State { position: *position, heading_rad, velocity: way * (1.0 / dt_s) };
-        before
+        if velocity.norm() * dt_s >= STANDING_STEP_M {
+            held_rad = wrap_angle(velocity.angle() + slip_rad);
+        }
+        State { position: *position, heading_rad: held_rad, velocity }
     };
     positions.iter().enumerate().map(state).collect()
 }
@@ -183,9 +184,10 @@ mod tests {
         let state = |timestep: usize| *after.get(timestep).unwrap();
         let seam = state(scene.n_history).velocity - now.velocity;
         assert!(seam.norm() < 0.3, "{seam:?}");
-        for timestep in scene.n_history..scene.n_timesteps {
-            let step = state(timestep).position - state(timestep - 1).position;
-            assert!((step * (1.0 / scene.dt_s) - state(timestep).velocity).norm() < 1e-9);
+        // Velocities are those at the timesteps, and not half a timestep earlier.
+        for timestep in scene.n_history..scene.n_timesteps - 1 {
+            let steps = state(timestep + 1).position - state(timestep - 1).position;
+            assert!((steps * (0.5 / scene.dt_s) - state(timestep).velocity).norm() < 1e-9);
         }
         // Who comes over to where another drives is in its way, unless that one takes part and makes room.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 2.5, 0.0, 10.0)]);

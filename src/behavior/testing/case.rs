@@ -34,6 +34,8 @@ pub(crate) struct ExpectedEvent {
     pub(crate) roles: BTreeMap<String, String>,
     pub(crate) start_timestep: Option<usize>,
     pub(crate) end_timestep: Option<usize>,
+    /// The subject's track.
+    pub(crate) subject: Option<String>,
     /// Values to two decimals.
     #[serde(default)]
     pub(crate) parameters: BTreeMap<String, f64>,

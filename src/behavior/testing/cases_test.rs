@@ -1,7 +1,7 @@
 //! Checks every behavior against its example scenes in `tests/fixtures/behavior/<id>/`.
 
 use super::{Case, cases_in, random_scene, transformed};
-use crate::behavior::{ALL, BehaviorConfig, BehaviorEvent, EventLabel};
+use crate::behavior::{ALL, BehaviorConfig, BehaviorEvent, EventLabel, Subject};
 use crate::geometry::{Transform2, Vec2};
 use crate::scene::{AgentClass, Scene, State, Track, Trajectory};
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,7 +11,7 @@ fn case(id: &str, name: &str, text: &str) -> Case {
 }
 
 /// Differences between the events found and those expected, in words.
-fn differences(case: &Case, found: &[BehaviorEvent]) -> Vec<String> {
+fn differences(case: &Case, scene: &Scene, found: &[BehaviorEvent]) -> Vec<String> {
     let mut differences = Vec::new();
     if found.len() != case.events.len() {
         differences.push(format!("{} events instead of {}", found.len(), case.events.len()));
@@ -29,6 +29,10 @@ fn differences(case: &Case, found: &[BehaviorEvent]) -> Vec<String> {
             if expected.is_some_and(|expected| expected != found) {
                 differences.push(format!("event {i} {name} at {found}"));
             }
+        }
+        let subject = event.subject_idx(scene).map(|agent_idx| scene.tracks[agent_idx].id.0.clone());
+        if expected.subject.is_some() && subject != expected.subject {
+            differences.push(format!("event {i} has the subject {subject:?}"));
         }
         for (name, expected) in &expected.parameters {
             let found = event.parameters.get(name);
@@ -53,7 +57,7 @@ fn every_example_scene_holds_exactly_its_events() {
             assert_eq!(config.id(), entry.id, "{name} is in the folder of another behavior");
             let scene = case.scene.build(&name);
             let found = config.build().detect(&scene);
-            let differences = differences(&case, &found);
+            let differences = differences(&case, &scene, &found);
             if !differences.is_empty() {
                 failures.push(format!("{}/{name}: {}\n    found {found:#?}", entry.id, differences.join("; ")));
             }
@@ -93,6 +97,18 @@ fn who_may_be_asked_is_motorized_unless_the_behavior_says_otherwise() {
         assert!(behavior.admits(AgentClass::Vehicle) && !behavior.admits(AgentClass::Static), "{}", entry.id);
         let is_of_all = ["near_miss", "collision", "pedestrian_steps_out"].contains(&entry.id);
         assert_eq!(behavior.admits(AgentClass::Pedestrian), is_of_all, "{}", entry.id);
+    }
+}
+
+#[test]
+fn examples_say_of_every_behavior_who_the_subject_is() {
+    for entry in ALL {
+        let events = |(name, text): &(String, String)| case(entry.id, name, text).events;
+        let cases = cases_in(&format!("behavior/{}", entry.id));
+        assert!(cases.iter().flat_map(events).any(|event| event.subject.is_some()), "{}", entry.id);
+        if let Subject::Role(role) = entry.subject {
+            assert!(entry.roles.contains(&role), "{}", entry.id);
+        }
     }
 }
 

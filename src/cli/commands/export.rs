@@ -4,7 +4,7 @@ use crate::cli::args::{ExportArgs, OutputArgs};
 use crate::cli::printer::{Printer, stderr_line};
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
-use crate::export::{EgoMotion, Selection, export_corpus};
+use crate::export::{EgoChoice, EgoMotion, Selection, export_corpus};
 use crate::pipeline::{Failure, Result};
 use std::path::Path;
 
@@ -17,7 +17,8 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
         scenario_ids: args.scenarios.clone(),
         limit: args.limit,
     };
-    let ego = match (args.free_ego, args.replay_ego) {
+    let ego = EgoChoice::from_name(&args.ego);
+    let motion = match (args.free_ego, args.replay_ego) {
         (true, _) => Some(EgoMotion::Free),
         (false, true) => Some(EgoMotion::Replayed),
         (false, false) => None,
@@ -25,7 +26,7 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
     super::begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
     let corpus = Place::open(&args.corpus, Access::Read)?;
-    let report = export_corpus(corpus.path(), args.format, &args.out, &selection, ego, &progress);
+    let report = export_corpus(corpus.path(), args.format, &args.out, &selection, &ego, motion, &progress);
     let report = report.map_err(|error| hinted(error.into(), corpus.path()))?;
     for warning in report.warnings() {
         stderr_line(&printer.warning_line(&warning));

@@ -23,7 +23,7 @@ const FRAME_TOLERANCE_M: f64 = 0.01;
 /// The columns of states.
 struct States<'a> {
     track_id: &'a StringArray,
-    is_ego: &'a BooleanArray,
+    is_center: &'a BooleanArray,
     timestep: &'a UInt32Array,
     t_s: &'a Float64Array,
     numbers: [&'a Float32Array; 5],
@@ -35,7 +35,7 @@ impl<'a> States<'a> {
     fn of(columns: &Columns<'a>) -> Result<Self> {
         Ok(Self {
             track_id: columns.get("track_id")?,
-            is_ego: columns.get("is_ego")?,
+            is_center: columns.get("is_center")?,
             timestep: columns.get("timestep")?,
             t_s: columns.get("t_s")?,
             numbers: [
@@ -107,14 +107,14 @@ pub(super) fn check_scenario(
             format!("n_agents is {n_agents}, but {n_tracks} tracks have states"),
         );
     }
-    let ego = scenarios.text("ego_track_id", i)?;
-    let is_wrong = |row: &usize| states.is_ego.value(*row) != (states.track_id.value(*row) == ego);
-    if rows.clone().any(|row| is_wrong(&row)) || !rows.clone().any(|row| states.is_ego.value(row)) {
+    let center = scenarios.text("center_track_id", i)?;
+    let is_wrong = |row: &usize| states.is_center.value(*row) != (states.track_id.value(*row) == center);
+    if rows.clone().any(|row| is_wrong(&row)) || !rows.clone().any(|row| states.is_center.value(row)) {
         report.damage(
             "reference",
             &file.path,
             Some(row),
-            format!("the ego is {ego}, but another track is marked as the ego"),
+            format!("the center is {center}, but another track is marked as the center"),
         );
     }
     Ok(())

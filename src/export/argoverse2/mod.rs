@@ -57,7 +57,7 @@ impl Argoverse2 {
 impl Exporter for Argoverse2 {
     fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
-        if scene.ego().trajectory.n_valid() == 0 {
+        if item.ego().trajectory.n_valid() == 0 {
             return Ok(ExportOutcome::LeftOut("no_ego"));
         }
         let id = &item.stem;
@@ -119,7 +119,7 @@ fn rows(item: &Item<'_>) -> Result<RecordBatch> {
         ("start_timestamp", floats(&|_| start_ns)),
         ("end_timestamp", floats(&|_| end_ns)),
         ("num_timestamps", integers(&|_, _| scene.n_timesteps as i64)),
-        ("focal_track_id", texts(&|_| scene.ego().id.0.clone())),
+        ("focal_track_id", texts(&|_| item.ego().id.0.clone())),
         ("city", texts(&|_| scene.source.place.clone())),
     ];
     RecordBatch::try_from_iter(columns).map_err(Error::encode(Path::new(&item.stem)))
@@ -143,7 +143,7 @@ const fn object_type(class: AgentClass) -> &'static str {
 fn category(item: &Item<'_>, agent_idx: usize) -> i64 {
     let scene = item.scene();
     let is_marked = matches!(scene.tracks[agent_idx].role, TrackRole::Focal | TrackRole::Scored);
-    if agent_idx == scene.ego_idx {
+    if agent_idx == item.ego_idx {
         3
     } else if is_marked || item.event_role(agent_idx).is_some() {
         2

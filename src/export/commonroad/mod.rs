@@ -18,8 +18,8 @@ use crate::store::write_atomically;
 use std::path::{Path, PathBuf};
 
 pub(super) const NOTES: &str = "<benchmark id>.xml: CommonRoad 2020a, valid against its schema. Time step 0 is the present of the \
-    scenario; what was observed before is not written. The planning problem begins where the ego is at present and ends \
-    where it is at the end. The ego itself is no obstacle, unless the export was asked to replay it (tracks.tsv says which \
+    scenario; what was observed before is not written. The planning problem begins where the ego is at present; its goal is to survive: \
+    to drive on in the last second of the scenario, wherever the ego of the scenario is then. The ego itself is no obstacle, unless the export was asked to replay it (tracks.tsv says which \
     one it is then): take it out before you plan. velocity is that along the heading, velocityY that to the left of it. Lanelets are numbered in ascending order of the map's lane ids. The \
     date in the files is a placeholder: equal corpora give equal files.";
 
@@ -46,8 +46,7 @@ impl Exporter for CommonRoad {
             return Ok(ExportOutcome::LeftOut("no_lanes"));
         }
         let present = scene.current_timestep();
-        let ego_states = item.world_states(scene.ego_idx);
-        let Some(problem) = planning_problem::of(scene, &ego_states) else {
+        let Some(problem) = planning_problem::of(item) else {
             return Ok(ExportOutcome::LeftOut("no_ego"));
         };
         // All elements of a file share their numbers.

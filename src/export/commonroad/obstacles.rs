@@ -21,7 +21,7 @@ pub(super) fn of(item: &Item<'_>, ego: EgoMotion, first_id: usize) -> Obstacles 
     for (agent_idx, track) in scene.tracks.iter().enumerate() {
         let future = item.world_states(agent_idx).split_off(scene.current_timestep());
         let states: Vec<State> = future.iter().map_while(|state| *state).collect();
-        let left_out = if ego == EgoMotion::Free && agent_idx == scene.ego_idx {
+        let left_out = if ego == EgoMotion::Free && agent_idx == item.ego_idx {
             Some("ego_is_free")
         } else {
             match states.len() {

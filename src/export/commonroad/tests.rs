@@ -79,7 +79,7 @@ fn obstacles_move_from_the_present_on() {
 }
 
 #[test]
-fn the_planning_problem_leads_from_the_present_to_the_end() {
+fn the_planning_problem_leads_from_the_present_into_the_last_second() {
     let mut scene = testing::scene();
     // One step before the present the ego was slower by 1 m/s and headed 0.1 rad more to the right.
     let mut entries = scene.tracks[0].trajectory.entries().to_vec();
@@ -101,8 +101,8 @@ fn the_planning_problem_leads_from_the_present_to_the_end() {
     let goal = problem.at("goalState");
     // Eight steps remain; all but none of them are within the last second.
     assert_eq!((goal.at("time").number("intervalStart"), goal.at("time").number("intervalEnd")), (1.0, 8.0));
-    let region = goal.at("position").at("rectangle");
-    assert_eq!((xy(region.at("center")), region.number("length")), ((1000.0, 2011.0), 4.5));
+    // Who brakes for what happens comes through, too.
+    assert!(goal.all("position").is_empty());
 }
 
 #[test]

@@ -1,30 +1,28 @@
-//! The edges of a lane to the left and right of its reference line.
+//! The edges of lanes to the left and right of the reference line of their road.
 
 use super::reference_line::ReferenceLine;
-use crate::export::lane_bounds::LaneBounds;
 use crate::geometry::{Polyline, Vec2};
 
 /// Records that the previous one predicts to within this are left out, meters.
 const FORETOLD_M: f64 = 1e-3;
-/// A boundary farther away belongs to another part of a winding lane, meters.
+/// A boundary farther away belongs to another part of a winding road, meters.
 const MAX_OFFSET_M: f64 = 30.0;
 
-/// The edges of a lane at a place along its reference line, meters to the left.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The edges of the lanes at a place along the reference line, from left to right, meters to the left of it.
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Edges {
     pub(super) s_m: f64,
-    pub(super) left_m: f64,
-    pub(super) right_m: f64,
+    pub(super) across_m: Vec<f64>,
 }
 
 /// The edges along the line, from its start to its end; linear in between. Two at least.
-pub(super) fn edges(line: &ReferenceLine, bounds: &LaneBounds) -> Vec<Edges> {
+pub(super) fn edges(line: &ReferenceLine, lines: &[Polyline]) -> Vec<Edges> {
     let length_m = line.length_m();
     let pieces = line.pieces.iter().map(|piece| piece.s_m);
     // Boundaries bend at their points, so these are stations, too.
     let middle =
         Polyline(line.pieces.iter().map(|piece| piece.start).chain(line.at(length_m).map(|end| end.0)).collect());
-    let points = bounds.left.0.iter().chain(&bounds.right.0);
+    let points = lines.iter().flat_map(|line| &line.0);
     let bends = points.filter_map(|point| Some(middle.project(*point)?.station_m));
     let mut stations: Vec<f64> =
         pieces.chain(bends).filter(|s_m| (0.0..=length_m).contains(s_m)).chain([0.0, length_m]).collect();
@@ -35,12 +33,18 @@ pub(super) fn edges(line: &ReferenceLine, bounds: &LaneBounds) -> Vec<Edges> {
     }
     let at = |s_m: f64| {
         let (point, heading_rad) = line.at(s_m)?;
-        let (left_m, right_m) =
-            (offset_m(point, heading_rad, &bounds.left)?, offset_m(point, heading_rad, &bounds.right)?);
-        // Where the boundaries cross, the lane has no width.
-        let middle_m = 0.5 * (left_m + right_m);
-        let (left_m, right_m) = if left_m < right_m { (middle_m, middle_m) } else { (left_m, right_m) };
-        Some(Edges { s_m, left_m, right_m })
+        let across_m: Option<Vec<f64>> = lines.iter().map(|line| offset_m(point, heading_rad, line)).collect();
+        let mut across_m = across_m?;
+        // Where boundaries cross, the lane between them has no width.
+        for i in 1..across_m.len() {
+            if across_m[i - 1] < across_m[i] {
+                let middle_m = 0.5 * (across_m[i - 1] + across_m[i]);
+                across_m[..i].iter_mut().for_each(|before| *before = before.max(middle_m));
+                across_m[i] = middle_m;
+                across_m[i - 1] = middle_m;
+            }
+        }
+        Some(Edges { s_m, across_m })
     };
     let edges: Vec<Edges> = stations.into_iter().filter_map(at).collect();
     without_foretold(&edges)
@@ -71,8 +75,8 @@ fn without_foretold(edges: &[Edges]) -> Vec<Edges> {
     let is_foretold = |before: &Edges, here: &Edges, after: &Edges| {
         let share = (here.s_m - before.s_m) / (after.s_m - before.s_m);
         let between = |from: f64, to: f64| share.mul_add(to - from, from);
-        (between(before.left_m, after.left_m) - here.left_m).abs() < FORETOLD_M
-            && (between(before.right_m, after.right_m) - here.right_m).abs() < FORETOLD_M
+        let lines = before.across_m.iter().zip(&after.across_m).zip(&here.across_m);
+        lines.into_iter().all(|((before, after), here)| (between(*before, *after) - here).abs() < FORETOLD_M)
     };
     let mut kept = Vec::new();
     let mut last = 0;
@@ -82,7 +86,7 @@ fn without_foretold(edges: &[Edges]) -> Vec<Edges> {
                 .get(i + 1)
                 .is_some_and(|after| edges[last + 1..=i].iter().all(|e| is_foretold(&edges[last], e, after)));
         if !can_go {
-            kept.push(*here);
+            kept.push(here.clone());
             last = i;
         }
     }

@@ -1,24 +1,27 @@
 //! OpenDRIVE 1.7: the lanes of a scenario as roads.
 //!
-//! Each lane is a road of its own, because maps of lanes do not tell which of them run side by side throughout. A road
-//! has the lane's number -1, its reference line is the middle of the lane ([`reference_line`]), and its edges are those
-//! of the lane ([`cross_section`]).
+//! Lanes that run side by side from one cross-section to another are one road ([`bundles`]), numbered from -1 on its left
+//! to the right. Its reference line is the middle between its outer edges ([`reference_line`]), and the edges of its lanes
+//! are those of the map ([`cross_section`]).
 
+mod bundles;
 mod cross_section;
 mod links;
 mod reference_line;
 #[cfg(test)]
 mod tests;
 
-use super::lane_bounds::LaneBounds;
 use super::text::number;
 use super::xml::{Element, element};
 use crate::scene::{Lane, LaneGraph, LaneId};
+use bundles::Bundle;
 use cross_section::{Edges, edges};
-use links::Links;
+use links::{Links, Spot};
 use reference_line::{Piece, ReferenceLine, Shape};
 use std::collections::BTreeMap;
 
+/// A value that the record before foretells to within this needs none of its own, meters.
+const FORETOLD_M: f64 = 1e-4;
 /// A fixed date, because the format requires one.
 const DATE: &str = "1970-01-01T00:00:00";
 
@@ -28,36 +31,38 @@ pub(super) struct RoadNetwork {
     pub(super) assumed: Vec<(&'static str, u64)>,
 }
 
-/// A lane that becomes a road.
+/// Lanes that become a road, from left to right.
 struct Road<'l> {
-    lane: &'l Lane,
+    lanes: Vec<&'l Lane>,
     line: ReferenceLine,
     edges: Vec<Edges>,
 }
 
-/// The roads of a map, in its frame; `None` if no lane has any length. Roads are numbered from 1, in the order of the lanes.
+/// The roads of a map, in its frame; `None` if no lane has any length. Roads are numbered from 1, in the order of their leftmost lanes.
 pub(super) fn of(map: &LaneGraph) -> Option<RoadNetwork> {
     let mut n_nominal = 0;
     let mut roads = Vec::new();
-    for lane in map.lanes() {
-        let Some(bounds) = LaneBounds::of(lane) else { continue };
-        let (left, right) = bounds.paired();
-        let middle: Vec<_> = left.iter().zip(&right).map(|(left, right)| left.lerp(*right, 0.5)).collect();
-        let Some(line) = ReferenceLine::along(&middle) else { continue };
-        let edges = edges(&line, &bounds);
-        n_nominal += u64::from(bounds.is_nominal);
-        roads.push(Road { lane, line, edges });
+    for Bundle { lanes, lines, is_nominal } in Bundle::all(map) {
+        let (Some(left), Some(right)) = (lines.first(), lines.last()) else { continue };
+        let Some(line) = ReferenceLine::between(left, right) else { continue };
+        let edges = edges(&line, &lines);
+        n_nominal += u64::from(is_nominal);
+        roads.push(Road { lanes, line, edges });
     }
     if roads.is_empty() {
         return None;
     }
-    let numbers: BTreeMap<LaneId, usize> = roads.iter().enumerate().map(|(i, road)| (road.lane.id, i + 1)).collect();
-    let links = Links::of(roads.iter().map(|road| road.lane), &numbers);
+    let spots = roads.iter().enumerate().flat_map(|(i, road)| {
+        let spot = move |(k, lane): (usize, &&Lane)| (lane.id, Spot { road: i + 1, lane: -(k as i32) - 1 });
+        road.lanes.iter().enumerate().map(spot)
+    });
+    let spots: BTreeMap<LaneId, Spot> = spots.collect();
+    let links = Links::of(map.lanes().iter(), &spots);
     let root = element("OpenDRIVE")
         .child(header(&roads))
         .children(roads.iter().enumerate().map(|(i, of)| road(of, i + 1, &links)))
         .children(links.junctions());
-    let n_left_out = (map.lanes().len() - roads.len()) as u64;
+    let n_left_out = (map.lanes().len() - spots.len()) as u64;
     Some(RoadNetwork { root, assumed: vec![("nominal_lane_width", n_nominal), ("lane_without_extent", n_left_out)] })
 }
 
@@ -79,31 +84,37 @@ fn header(roads: &[Road<'_>]) -> Element {
 }
 
 fn road(of: &Road<'_>, id: usize, links: &Links) -> Element {
-    let (of_road, of_lane) = links.of_road(id);
     let plan = element("planView").children(of.line.pieces.iter().map(geometry));
-    let pairs = || of.edges.windows(2);
-    let offsets = pairs().map(|pair| record("laneOffset", "s", pair, |edges| edges.left_m));
-    let widths = pairs().map(|pair| record("width", "sOffset", pair, |edges| edges.left_m - edges.right_m));
-    let attributes = &of.lane.attributes;
-    let mark = |neighbor: Option<LaneId>| {
+    let offsets = records("laneOffset", "s", &of.edges, |edges| edges.across_m[0]);
+    let mark = |lane: &Lane, neighbor: Option<LaneId>| {
         let kind = match neighbor {
-            _ if attributes.is_intersection => "none",
+            _ if lane.attributes.is_intersection => "none",
             Some(_) => "broken",
             None => "solid",
         };
         element("roadMark").attr("sOffset", 0).attr("type", kind).attr("color", "standard").attr("width", "0.12")
     };
     let lane = |id: i32, kind: &str| element("lane").attr("id", id).attr("type", kind).attr("level", "false");
-    let middle = lane(0, "none").child(mark(of.lane.left_neighbor));
-    let right = lane(-1, kind(of.lane)).child(of_lane).children(widths).child(mark(of.lane.right_neighbor));
-    let section =
-        element("laneSection").attr("s", 0).child(element("center").child(middle)).child(element("right").child(right));
+    let middle = lane(0, "none").children(of.lanes.first().map(|lane| mark(lane, lane.left_neighbor)));
+    let right = of.lanes.iter().enumerate().map(|(k, of_map)| {
+        let number = -(k as i32) - 1;
+        let width = move |edges: &Edges| edges.across_m[k] - edges.across_m[k + 1];
+        let widths = records("width", "sOffset", &of.edges, width);
+        let links = links.of_lane(Spot { road: id, lane: number });
+        lane(number, kind(of_map)).child(links).children(widths).child(mark(of_map, of_map.right_neighbor))
+    });
+    let section = element("laneSection")
+        .attr("s", 0)
+        .child(element("center").child(middle))
+        .child(element("right").children(right));
+    let names: Vec<String> = of.lanes.iter().map(|lane| lane.id.0.to_string()).collect();
+    let name = if names.len() == 1 { "lane" } else { "lanes" };
     element("road")
-        .attr("name", format!("lane {}", of.lane.id.0))
+        .attr("name", format!("{name} {}", names.join(" ")))
         .attr("length", number(of.line.length_m()))
         .attr("id", id)
         .attr("junction", -1)
-        .child(of_road)
+        .child(links.of_road(id))
         .child(plan)
         .child(element("lanes").children(offsets).child(section))
 }
@@ -131,16 +142,25 @@ fn geometry(piece: &Piece) -> Element {
         .child(shape)
 }
 
-/// A value that is linear between two places.
-fn record(name: &'static str, place: &'static str, pair: &[Edges], of: fn(&Edges) -> f64) -> Element {
-    let (from, to) = (&pair[0], &pair[1]);
-    let slope = (of(to) - of(from)) / (to.s_m - from.s_m);
-    element(name)
-        .attr(place, number(from.s_m))
-        .attr("a", number(of(from)))
-        .attr("b", number(slope))
-        .attr("c", 0)
-        .attr("d", 0)
+/// The records of a value that is linear between the places of its edges; none repeats what the one before says.
+fn records(name: &'static str, place: &'static str, edges: &[Edges], of: impl Fn(&Edges) -> f64) -> Vec<Element> {
+    let mut found = Vec::new();
+    // Where the last record begins, its value there, and its slope.
+    let mut last: Option<(f64, f64, f64)> = None;
+    for pair in edges.windows(2) {
+        let (from, to) = (&pair[0], &pair[1]);
+        let foretold = |(s_m, value, slope): (f64, f64, f64)| {
+            [from, to].into_iter().all(|at| (value + slope * (at.s_m - s_m) - of(at)).abs() < FORETOLD_M)
+        };
+        if last.is_some_and(foretold) {
+            continue;
+        }
+        let slope = (of(to) - of(from)) / (to.s_m - from.s_m);
+        last = Some((from.s_m, of(from), slope));
+        let record = element(name).attr(place, number(from.s_m)).attr("a", number(of(from)));
+        found.push(record.attr("b", number(slope)).attr("c", 0).attr("d", 0));
+    }
+    found
 }
 
 /// The standard's type of a lane, if the map has it.

@@ -1,14 +1,20 @@
-//! A smooth curve along the middle of a lane: straight pieces with rounded corners.
+//! A smooth curve along the middle of a road: straight pieces with rounded corners.
 //!
 //! The standard requires a curve without jumps of its direction, and the map has polylines. Each corner is rounded by a
 //! parabola that stays within [`ROUNDED_BY_M`] of it, so the curve is within a centimeter of the polyline.
 
-use crate::geometry::{Vec2, wrap_angle};
+use crate::export::lane_bounds::paired;
+use crate::geometry::{Polyline, Vec2, wrap_angle};
 
 /// Largest distance of the curve from a corner, meters.
 const ROUNDED_BY_M: f64 = 0.01;
 /// Directions that differ by less are equal, radians: a millimeter over ten meters.
 const STRAIGHT_RAD: f64 = 1e-4;
+/// The curve begins and ends square to the ends of the road over this length, meters, so that roads meet there without
+/// gaps: the edges of both end in the same points.
+const SQUARE_M: f64 = 0.055;
+/// Ends that are more oblique than this are not squared, radians.
+const MOST_OBLIQUE_RAD: f64 = 1.0;
 /// Points of the polyline that are closer together are merged, because shorter pieces have no reliable direction,
 /// meters.
 const MIN_SPACING_M: f64 = 0.05;
@@ -57,6 +63,18 @@ pub(super) struct ReferenceLine {
 }
 
 impl ReferenceLine {
+    /// The curve midway between the left and the right edge of a road; `None` if it has no length.
+    pub(super) fn between(left: &Polyline, right: &Polyline) -> Option<Self> {
+        let (left, right) = paired(left, right);
+        let across: Vec<Vec2> = left.iter().zip(&right).map(|(left, right)| *left - *right).collect();
+        let mut middle: Vec<Vec2> = left.iter().zip(&right).map(|(left, right)| left.lerp(*right, 0.5)).collect();
+        square(&mut middle, *across.first()?);
+        middle.reverse();
+        square(&mut middle, *across.last()? * -1.0);
+        middle.reverse();
+        Self::along(&middle)
+    }
+
     /// The curve along these points; `None` if it has no length.
     pub(super) fn along(points: &[Vec2]) -> Option<Self> {
         let points = corners(points)?;
@@ -94,6 +112,18 @@ impl ReferenceLine {
         let i = self.pieces.partition_point(|piece| piece.s_m <= s_m).saturating_sub(1);
         let piece = self.pieces.get(i)?;
         Some(piece.at(((s_m - piece.s_m) / piece.length_m).clamp(0.0, 1.0)))
+    }
+}
+
+/// Lets the line begin square to its start, which extends `across`, to the left.
+fn square(line: &mut Vec<Vec2>, across: Vec2) {
+    let &[start, .., end] = &line[..] else { return };
+    let ahead = Vec2::new(across.y, -across.x) * (1.0 / across.norm());
+    let next = line.iter().find(|point| point.distance(start) > 2.0 * SQUARE_M).copied().unwrap_or(end);
+    let turn_rad = wrap_angle((next - start).angle() - ahead.angle()).abs();
+    if ahead.is_finite() && turn_rad < MOST_OBLIQUE_RAD && start.distance(end) > 4.0 * SQUARE_M {
+        line.retain(|point| point.distance(start) > 2.0 * SQUARE_M);
+        line.splice(0..0, [start, start + ahead * SQUARE_M]);
     }
 }
 

@@ -135,7 +135,9 @@ fn roads_follow_each_other_and_fork_in_junctions() {
     let connections = |junction: &Node| -> Vec<(String, String)> {
         assert_eq!(junction.attr("type"), "direct");
         let pair = |node: &&Node| {
-            assert_eq!(node.attr("linkedRoad"), node.attr("connectingRoad"));
+            // Where several lead into one road, none may be its only connection.
+            let named = node.attributes.iter().find(|(name, _)| name == "connectingRoad");
+            assert!(named.is_none_or(|(_, road)| road == node.attr("linkedRoad")));
             (node.attr("incomingRoad").to_owned(), node.attr("linkedRoad").to_owned())
         };
         junction.all("connection").iter().map(pair).collect()
@@ -160,4 +162,67 @@ fn lanes_of_no_length_are_left_out_and_told() {
     assert!(of(&LaneGraph::new(vec![point.clone()])).is_none());
     let network = of(&LaneGraph::new(vec![testing::lane(1), point, center])).unwrap();
     assert_eq!(network.assumed, [("nominal_lane_width", 1), ("lane_without_extent", 1)]);
+}
+
+/// Two lanes between three lines, from left to right, of which each is the neighbor of the other.
+fn side_by_side(ids: [i64; 2], lines: [Vec<Vec2>; 3]) -> Vec<Lane> {
+    let [left, middle, right] = lines;
+    let mut lanes = vec![lane(ids[0], left, middle.clone()), lane(ids[1], middle, right)];
+    (lanes[0].right_neighbor, lanes[1].left_neighbor) = (Some(lanes[1].id), Some(lanes[0].id));
+    lanes
+}
+
+#[test]
+fn lanes_side_by_side_are_one_road_in_which_lanes_can_be_changed() {
+    let line = |x: f64, y: f64| vec![Vec2::new(x, y), Vec2::new(x + 40.0, y)];
+    let mut lanes = side_by_side([1, 2], [line(0.0, 3.5), line(0.0, 0.0), line(0.0, -3.0)]);
+    lanes.extend(side_by_side([3, 4], [line(40.0, 3.5), line(40.0, 0.0), line(40.0, -3.0)]));
+    lanes.push(lane(5, line(40.0, 0.0), vec![Vec2::new(40.0, -3.0), Vec2::new(80.0, -9.0)]));
+    for (from, to) in [(0, 2), (1, 3), (1, 4)] {
+        let id = lanes[to].id;
+        lanes[from].successors.push(id);
+    }
+    let root = document(lanes.clone());
+    let roads = root.all("road");
+    assert_eq!(roads.iter().map(|road| road.attr("name")).collect::<Vec<_>>(), ["lanes 1 2", "lanes 3 4", "lane 5"]);
+    let section = roads[0].at("lanes").at("laneSection").at("right").all("lane");
+    let width = |lane: &Node| lane.at("width").attr_number("a");
+    assert_eq!(
+        section.iter().map(|lane| (lane.attr("id"), width(lane))).collect::<Vec<_>>(),
+        [("-1", 3.5), ("-2", 3.0)]
+    );
+    assert_eq!(section[0].at("roadMark").attr("type"), "broken");
+    let connections = root.at("junction").all("connection");
+    let links = |i: usize| -> Vec<(&str, &str)> {
+        connections[i].all("laneLink").iter().map(|link| (link.attr("from"), link.attr("to"))).collect()
+    };
+    assert_eq!((links(0), links(1)), (vec![("-1", "-1"), ("-2", "-2")], vec![("-2", "-1")]));
+    // Without the exit, roads and lanes follow each other.
+    lanes[1].successors.pop();
+    let root = document(lanes.drain(..4).collect());
+    let next = root.all("road")[0].at("lanes").at("laneSection").at("right").all("lane")[1].at("link").at("successor");
+    assert_eq!(next.attr("id"), "-2");
+    // Where one lane ends earlier, each is a road of its own.
+    let short = vec![Vec2::new(0.0, -3.0), Vec2::new(30.0, -3.0)];
+    let root = document(side_by_side([1, 2], [line(0.0, 3.5), line(0.0, 0.0), short]));
+    assert_eq!(root.all("road").len(), 2);
+}
+
+#[test]
+fn roads_meet_without_gaps_where_their_ends_are_oblique() {
+    // Lanes that meet at 10 degrees, across an end that is square to neither.
+    let point = |x: f64, y: f64| Vec2::new(x, y);
+    let (left, right) = (point(30.3, 3.5), point(30.0, 0.0));
+    let bend = Vec2::from_angle(0.17) * 40.0;
+    let mut lanes = vec![
+        lane(1, vec![point(0.0, 3.5), left], vec![point(0.0, 0.0), right]),
+        lane(2, vec![left, left + bend], vec![right, right + bend]),
+    ];
+    lanes[0].successors.push(LaneId(2));
+    let root = document(lanes);
+    let roads = root.all("road");
+    let (end, start) = (across(roads[0], roads[0].attr_number("length")), across(roads[1], 0.0));
+    for ((end, start), expected) in end.iter().zip(start).zip([left, left.lerp(right, 0.5), right]) {
+        assert!(end.distance(start) < 1e-3 && start.distance(expected) < 1e-3, "{end:?} {start:?} {expected:?}");
+    }
 }

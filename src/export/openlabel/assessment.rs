@@ -14,7 +14,7 @@ type Number = (&'static str, fn(&Assessment) -> Option<f64>);
 /// A truth value of an assessment, under the name of its column.
 type Flag = (&'static str, fn(&Assessment) -> Option<bool>);
 
-const NUMBERS: [Number; 15] = [
+const NUMBERS: [Number; 18] = [
     ("plausibility", |judged| judged.plausibility),
     ("pair_min_ttc_s", |judged| judged.pair?.min_ttc_s),
     ("pair_tet_s", |judged| Some(judged.pair?.tet_s)),
@@ -28,15 +28,19 @@ const NUMBERS: [Number; 15] = [
     ("scene_min_distance_m", |judged| Some(judged.scene?.min_distance_m)),
     ("careful_braking_from_s", |judged| judged.cut_in?.braking_from_s),
     ("intrusion_ttc_s", |judged| judged.cut_in?.intrusion_ttc_s),
+    ("end_contact_s", |judged| judged.ending?.contact_s),
+    ("end_required_deceleration_mps2", |judged| Some(judged.ending?.required_deceleration_mps2)),
+    ("end_remaining_mps", |judged| judged.ending?.remaining_mps),
     ("nearest_recorded_event", |judged| judged.nearest_recorded_event),
     ("nearest_scenario_m", |judged| judged.nearest_scenario_m),
 ];
 
-const FLAGS: [Flag; 4] = [
+const FLAGS: [Flag; 5] = [
     ("accepted", |judged| Some(judged.accepted)),
     ("valid", |judged| Some(judged.is_valid())),
     ("preventable", |judged| Some(judged.cut_in?.preventable)),
     ("avoidance_required", |judged| judged.cut_in?.avoidance_required),
+    ("subject_reacts", |judged| Some(judged.ending?.subject_reacts)),
 ];
 
 const NEAR_DUPLICATE_OF: &str = "near_duplicate_of";
@@ -154,6 +158,7 @@ pub(super) mod tests {
             pair: Some(pair),
             scene: Some(SceneCriticality { min_ttc_s: Some(1.0), max_drac_mps2: 4.0, min_distance_m: 1.5 }),
             cut_in: Some(cut_in),
+            ending: None,
             nearest_recorded_event: Some(0.5),
             nearest_scenario_m: Some(0.125),
             near_duplicate_of: Some("0a1b9".to_owned()),

@@ -88,7 +88,7 @@ fn scenario_tag(item: &Item<'_>) -> Value {
         value("dataset", scene.source.dataset.name()),
         value("place", &scene.source.place),
         value("split", scene.source.split.name()),
-        value("ego", &scene.ego().id.0),
+        value("ego", &item.ego().id.0),
     ];
     text.extend(record.requested_behavior.iter().map(|behavior| value("requested_behavior", behavior)));
     tag(
@@ -192,7 +192,7 @@ fn ontology() -> Value {
                     "dataset": "The dataset of the recording that it continues.",
                     "place": "City or location, as the dataset names it.",
                     "split": "Part of the dataset: train, val, test or unsplit.",
-                    "ego": "The track around which the scenario is cut out.",
+                    "ego": "The track of the vehicle to which the requested event happens, unless the export was asked for another one.",
                     "requested_behavior": "The requested behavior.",
                     "verified": "Whether that behavior was found with the requested roles.",
                     "accepted": "Whether it is verified, valid and no near-duplicate of another.",
@@ -266,7 +266,7 @@ mod tests {
         let mut record = testing::record(&testing::scene());
         record.assessment = Some(assessment::tests::judgment());
         let mut exporter = Box::new(OpenLabel::new(dir.path()));
-        exporter.add(&Item { record: &record, number: 1, stem: "0a1b0".to_owned() }).unwrap();
+        exporter.add(&Item { record: &record, number: 1, stem: "0a1b0".to_owned(), ego_idx: 0 }).unwrap();
         exporter.finish().unwrap();
         let ontology: Value = serde_json::from_str(&read(dir.path(), ONTOLOGY_FILE)).unwrap();
         let document: Value = serde_json::from_str(&read(dir.path(), "0a1b0.json")).unwrap();

@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory, \
     whose times are those of the scenario; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
     is. Who enters later is added when it does, and who leaves is deleted. roads/<id>.xodr: OpenDRIVE 1.7 with the lanes near \
-    the scenario, one file for all scenarios of a scene; each lane is a road of its own, named for it, on a plane, so that \
-    lanes side by side do not know of each other. Sizes along the vertical, axles and performance \
+    the scenario, one file for all scenarios of a scene, on a plane; roads are named for their lanes from left to right, \
+    which are side by side wherever they begin and end together. Sizes along the vertical, axles and performance \
     are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
 
 /// The folder of roads.
@@ -79,7 +79,7 @@ impl Exporter for OpenScenario {
         for (agent_idx, name) in names.into_iter().enumerate() {
             let track = &scene.tracks[agent_idx];
             let mut stretches = stretches(&item.world_states(agent_idx));
-            let is_free = self.ego == EgoMotion::Free && agent_idx == scene.ego_idx;
+            let is_free = self.ego == EgoMotion::Free && agent_idx == item.ego_idx;
             if is_free {
                 stretches = up_to_present(stretches, scene.current_timestep());
             }
@@ -95,7 +95,7 @@ impl Exporter for OpenScenario {
             }
             tracks.push(Ok(name));
         }
-        if tracks.get(scene.ego_idx).is_none_or(|track| track.is_err()) {
+        if tracks.get(item.ego_idx).is_none_or(|track| track.is_err()) {
             return Ok(ExportOutcome::LeftOut("no_ego"));
         }
         let roads = self.roads(item)?;
@@ -162,7 +162,7 @@ fn names(item: &Item<'_>) -> Vec<String> {
     let mut used = BTreeSet::new();
     let name = |(agent_idx, track): (usize, &crate::scene::Track)| {
         let name =
-            if agent_idx == scene.ego_idx { EGO_NAME.to_owned() } else { format!("track_{}", plain(&track.id.0)) };
+            if agent_idx == item.ego_idx { EGO_NAME.to_owned() } else { format!("track_{}", plain(&track.id.0)) };
         if used.insert(name.clone()) { name } else { format!("{name}_number{agent_idx}") }
     };
     scene.tracks.iter().enumerate().map(name).collect()

@@ -20,11 +20,13 @@
 mod braking;
 mod config;
 mod encounter;
+mod ending;
 mod preventable_rate;
 #[cfg(test)]
 mod tests;
 
 pub use config::CarefulDriverConfig;
+pub use ending::Ending;
 pub use preventable_rate::PreventableRate;
 
 use crate::scene::Scene;

@@ -30,11 +30,13 @@ pub enum Check {
     Collision,
     /// A vehicle leaves the road.
     Offroad,
+    /// The subject of the requested event is about to drive into somebody, too late to avoid it.
+    ContactAfterEnd,
 }
 
 impl Check {
     /// Every check, in the order of tables.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Acceleration,
         Self::Deceleration,
         Self::LateralAcceleration,
@@ -46,6 +48,7 @@ impl Check {
         Self::StartHeading,
         Self::Collision,
         Self::Offroad,
+        Self::ContactAfterEnd,
     ];
 
     /// Its name in configs and tables.
@@ -62,6 +65,7 @@ impl Check {
             Self::StartHeading => "start_heading",
             Self::Collision => "collision",
             Self::Offroad => "offroad",
+            Self::ContactAfterEnd => "contact_after_end",
         }
     }
 
@@ -78,7 +82,7 @@ impl Check {
             Self::YawRate | Self::Curvature => "rad/s",
             Self::Heading | Self::StartHeading => "rad",
             Self::StartPosition | Self::Offroad => "m",
-            Self::Collision => "m/s",
+            Self::Collision | Self::ContactAfterEnd => "m/s",
         }
     }
 
@@ -100,6 +104,9 @@ impl Check {
             }
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",
+            Self::ContactAfterEnd => {
+                "within a second after the end, the subject of the requested event touches somebody ahead of it if all go on, although a careful driver takes over at the last state; the value is their relative speed"
+            }
         }
     }
 }
@@ -120,7 +127,7 @@ pub struct Violation {
 }
 
 impl Violation {
-    pub(super) fn new(
+    pub(in crate::metrics) fn new(
         check: Check,
         scene: &Scene,
         agent_idx: usize,

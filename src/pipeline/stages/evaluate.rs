@@ -39,7 +39,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        9
+        10
     }
 
     fn check(&self) -> Result<()> {

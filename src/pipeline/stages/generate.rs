@@ -45,7 +45,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn check(&self) -> Result<()> {

@@ -64,7 +64,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn check(&self) -> Result<()> {

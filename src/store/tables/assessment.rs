@@ -3,7 +3,7 @@
 use super::columns::{
     Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
 };
-use crate::metrics::{Check, CutInJudgment, PairCriticality, SceneCriticality, Violation};
+use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::scenario::Assessment;
 use crate::scene::TrackId;
 use crate::store::Result;
@@ -79,6 +79,25 @@ pub(crate) fn fields() -> Vec<Field> {
             "avoidance_required",
             "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation requires that a collision be avoided; missing if the other is alongside.",
         ),
+        flag(
+            "subject_reacts",
+            "Whether the subject slows down by at least 1 m/s² over half a second, at some time since the event began.",
+        ),
+        number(
+            "end_contact_s",
+            "s",
+            "When the subject touches somebody ahead of it if all keep the velocities of its last state, since then; missing if it does not within a second.",
+        ),
+        number(
+            "end_required_deceleration_mps2",
+            "m/s^2",
+            "The least steady deceleration from its last state on with which the subject does not, at most 20; 0 if none is needed.",
+        ),
+        number(
+            "end_remaining_mps",
+            "m/s",
+            "The relative speed with which they touch although the careful driver takes over at the last state, and brakes 0.75 s later, or at once if the subject brakes already; missing if they do not.",
+        ),
         number(
             "nearest_recorded_event",
             "1",
@@ -150,6 +169,10 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         number(&|a| a.cut_in?.braking_from_s),
         number(&|a| a.cut_in?.intrusion_ttc_s),
         flag(&|a| a.cut_in?.avoidance_required),
+        flag(&|a| Some(a.ending?.subject_reacts)),
+        number(&|a| a.ending?.contact_s),
+        number(&|a| Some(a.ending?.required_deceleration_mps2)),
+        number(&|a| a.ending?.remaining_mps),
         number(&|a| a.nearest_recorded_event),
         number(&|a| a.nearest_scenario_m),
         optional_texts(judged().map(|a| a?.near_duplicate_of.as_deref())),
@@ -197,6 +220,15 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         }),
         None => None,
     };
+    let ending = match (columns.optional_flag("subject_reacts", row)?, number("end_required_deceleration_mps2")?) {
+        (Some(subject_reacts), Some(required_deceleration_mps2)) => Some(Ending {
+            contact_s: number("end_contact_s")?,
+            required_deceleration_mps2,
+            remaining_mps: number("end_remaining_mps")?,
+            subject_reacts,
+        }),
+        _ => None,
+    };
     Ok(Some(Assessment {
         accepted,
         violations: entries(list, row).map(violation).collect::<Result<_>>()?,
@@ -204,6 +236,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         pair,
         scene,
         cut_in,
+        ending,
         nearest_recorded_event: number("nearest_recorded_event")?,
         nearest_scenario_m: number("nearest_scenario_m")?,
         near_duplicate_of: columns.optional_text("near_duplicate_of", row)?.map(str::to_owned),

@@ -1,6 +1,6 @@
 //! The corpus table of scenarios: one row a generated scenario; its states are in the track table.
 
-use super::columns::{Columns, numbers, optional_numbers, small};
+use super::columns::{Columns, numbers, optional_numbers, optional_texts, small};
 use super::parameters::{self, Parameters};
 use super::{assessment, event_list, provenance, scene_header};
 use crate::behavior::BehaviorEvent;
@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `scenario.v5`.
+/// `scenario.v6`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -28,11 +28,17 @@ pub(crate) fn schema() -> TableSchema {
         column("event_end_timestep", DataType::UInt32, "Last timestep of the first requested event.")
             .unit("1")
             .optional(),
+        column(
+            "subject_track_id",
+            DataType::Utf8,
+            "The vehicle to which the first requested event happens, such as the one that is cut off; missing without an event, or if it happens to nobody.",
+        )
+        .optional(),
     ]);
     fields.extend(assessment::fields());
     TableSchema {
         name: "scenario",
-        version: 5,
+        version: 6,
         description: "One row a generated scenario; parameters are those of the first requested event found in it.",
         fields,
         open: vec![parameters::open_columns()],
@@ -69,6 +75,7 @@ impl ScenarioRows {
             numbers::<UInt64Type>(scenes.iter().map(n_states)),
             optional_numbers::<UInt32Type>(starts),
             optional_numbers::<UInt32Type>(ends),
+            optional_texts(records.iter().map(|record| Some(record.subject()?.id.0.as_str()))),
         ]);
         let judged: Vec<_> = records.iter().map(|r| (r.scenario.id.as_str(), r.assessment.as_ref())).collect();
         arrays.extend(assessment::encode(&judged)?);

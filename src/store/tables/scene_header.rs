@@ -10,6 +10,9 @@ use arrow::datatypes::{DataType, Field, Float64Type, Int64Type, UInt32Type};
 use std::path::Path;
 use std::sync::Arc;
 
+/// The column of the track around which the scene was cut out.
+const CENTER: &str = "center_track_id";
+
 /// The columns, in order.
 pub(crate) fn fields() -> Vec<Field> {
     vec![
@@ -30,7 +33,11 @@ pub(crate) fn fields() -> Vec<Field> {
             "Transforms scene coordinates to the recording: rotate, then translate.",
         )
         .frame(WORLD_FRAME),
-        column("ego_track_id", DataType::Utf8, "Track of the ego, which defines the scene frame."),
+        column(
+            CENTER,
+            DataType::Utf8,
+            "The track around which the scene was cut out; its present state defines the scene frame.",
+        ),
         column("map_id", DataType::Utf8, "Map of the lanes; missing if the dataset was ingested without maps.")
             .optional(),
         column(
@@ -93,7 +100,7 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<Vec<ArrayRef>> {
 fn check(scene: &Scene) -> Result<()> {
     let refuse = |detail: &str| Err(Error::invalid(&scene.id, detail));
     if scene.ego_idx >= scene.tracks.len() {
-        return refuse("its ego is not among its tracks");
+        return refuse("its center is not among its tracks");
     }
     if scene.map_id.is_none() && !scene.lanes.is_empty() {
         return refuse("it has lanes but names no map");
@@ -107,10 +114,10 @@ fn check(scene: &Scene) -> Result<()> {
 
 /// A scene without tracks and lanes, and the keys to find them.
 pub(crate) struct SceneHeader {
-    /// Everything but tracks, ego and lanes.
+    /// Everything but tracks, center and lanes.
     pub(crate) scene: Scene,
-    /// The ego, to be found among the tracks.
-    pub(crate) ego_track_id: TrackId,
+    /// The track around which it was cut out.
+    pub(crate) center_track_id: TrackId,
     /// The lanes, to be found in the map.
     pub(crate) lane_ids: Vec<LaneId>,
 }
@@ -144,7 +151,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<SceneHeader> {
         lanes: Arc::default(),
     };
     let lane_ids = columns.numbers::<Int64Type>("lane_ids", row)?.iter().copied().map(LaneId).collect();
-    Ok(SceneHeader { scene, ego_track_id: TrackId(text("ego_track_id")?), lane_ids })
+    Ok(SceneHeader { scene, center_track_id: TrackId(text(CENTER)?), lane_ids })
 }
 
 impl SceneHeader {
@@ -160,8 +167,11 @@ impl SceneHeader {
 
     /// The scene with its tracks and lanes, both in the scene frame.
     pub(crate) fn complete(self, path: &Path, tracks: Vec<Track>, lanes: Arc<LaneGraph>) -> Result<Scene> {
-        let ego_idx = tracks.iter().position(|track| track.id == self.ego_track_id).ok_or_else(|| {
-            Error::corrupt(path, format!("the ego {} of {} is not among its tracks", self.ego_track_id, self.scene.id))
+        let ego_idx = tracks.iter().position(|track| track.id == self.center_track_id).ok_or_else(|| {
+            Error::corrupt(
+                path,
+                format!("the center {} of {} is not among its tracks", self.center_track_id, self.scene.id),
+            )
         })?;
         Ok(Scene { ego_idx, tracks, lanes, ..self.scene })
     }

@@ -41,7 +41,11 @@ pub(crate) fn who_fields(unique_within: &str) -> Vec<Field> {
         ),
         column("class", DataType::Utf8, "Kind of road user."),
         column("recorded_role", DataType::Utf8, "Its role in the recording: focal, scored, recorder or context."),
-        column("is_ego", DataType::Boolean, "Whether it is the ego, which defines the scene frame."),
+        column(
+            "is_center",
+            DataType::Boolean,
+            "Whether the scene was cut out around it; its present state defines the scene frame.",
+        ),
     ]
 }
 
@@ -72,6 +76,10 @@ pub(crate) fn when(rows: &[StateRow<'_>]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
+/// What velocities of observed and of generated states are.
+const VELOCITY: &str = "It is that at the timestep: of observed states as ingested, of all others the slope of the \
+    parabola through the positions before, at and after it (the central difference), or through the last three.";
+
 /// The columns of position, motion and size.
 pub(crate) fn state_fields() -> Vec<Field> {
     let scene = |name: &str, unit: &str, description: &str| {
@@ -85,8 +93,8 @@ pub(crate) fn state_fields() -> Vec<Field> {
         scene("x_m", "m", "Position of its center along x."),
         scene("y_m", "m", "Position of its center along y."),
         scene("heading_rad", "rad", "Direction in which it points, in (-π, π]; 0 is along x."),
-        scene("vx_mps", "m/s", "Velocity along x."),
-        scene("vy_mps", "m/s", "Velocity along y."),
+        scene("vx_mps", "m/s", &format!("Velocity along x. {VELOCITY}")),
+        scene("vy_mps", "m/s", &format!("Velocity along y. {VELOCITY}")),
         world("world_x_m", "m", "Position of its center along x."),
         world("world_y_m", "m", "Position of its center along y."),
         world("world_heading_rad", "rad", "Direction in which it points, in (-π, π]; 0 is along x."),

@@ -1,0 +1,77 @@
+//! The subject of an event: the vehicle to which it happens.
+//!
+//! A driving function under test takes the place of the subject. It is therefore never the one that causes the danger,
+//! but the one that must cope with it: who is cut off, not who cuts in. Where the behavior is a task that the vehicle has
+//! to solve itself, such as a turn or a stop line, its driver is the subject.
+
+use super::driven_path::DrivenPath;
+use super::footprint::Footprint;
+use super::{BehaviorEntry, BehaviorEvent};
+use crate::geometry::Vec2;
+use crate::scene::Scene;
+use std::f64::consts::FRAC_PI_2;
+
+/// Who is farther than this from the place, at its speed, has nothing to do with the event, seconds.
+const REACH_S: f64 = 5.0;
+/// Who is slower than this comes upon nobody, m/s.
+const STANDING_MPS: f64 = 0.5;
+
+/// Which vehicle is the subject of a behavior's events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Subject {
+    /// The one in this role.
+    Role(&'static str),
+    /// Of the motorized ones among both, the one that first has the other in its way: who follows, or comes second to
+    /// where their paths cross. If neither has, the first.
+    WhoComesUpon,
+    /// Somebody without a role: the vehicle that first gets to the agent along its own path, if it does within 5 s.
+    WhoMeetsIt,
+}
+
+impl BehaviorEvent {
+    /// The index of the subject among the tracks of `scene`. `None` if nobody is.
+    pub fn subject_idx(&self, scene: &Scene) -> Option<usize> {
+        let agents: Vec<usize> = self.roles.tracks().filter_map(|id| scene.track_idx(id)).collect();
+        let is_motorized = |agent_idx: &usize| scene.tracks[*agent_idx].class.is_motorized();
+        match BehaviorEntry::of(&self.behavior)?.subject {
+            Subject::Role(role) => scene.track_idx(self.track(role)?),
+            Subject::WhoComesUpon => {
+                let [first, second] = agents[..] else { return None };
+                let pairs = [[first, second], [second, first]].into_iter().filter(|[own, _]| is_motorized(own));
+                let comes_upon = |[own, other]: &[usize; 2]| {
+                    let is_in_way = |t: &usize| arrival_s(scene, [*own, *other], *t).is_some();
+                    (0..=self.end_timestep).find(is_in_way).unwrap_or(usize::MAX)
+                };
+                pairs.min_by_key(comes_upon).map(|[own, _]| own)
+            }
+            Subject::WhoMeetsIt => {
+                let agent_idx = *agents.first()?;
+                let is_there = |idx: &usize| scene.state(*idx, scene.current_timestep()).is_some();
+                let others = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx);
+                let soonest_s = |own: usize| {
+                    let timesteps = self.start_timestep..=self.end_timestep;
+                    let times = timesteps.filter_map(|t| arrival_s(scene, [own, agent_idx], t));
+                    times.reduce(f64::min).filter(|time_s| *time_s <= REACH_S).map(|time_s| (own, time_s))
+                };
+                let met = others.filter(|idx| is_motorized(idx) && is_there(idx)).filter_map(soonest_s);
+                met.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(own, _)| own)
+            }
+        }
+    }
+}
+
+/// How long `own` takes to `other`, which is in its way at `timestep`, along the path that it drives, at its speed of
+/// then, seconds. `None` if the other is not ahead of it or not in the strip that it covers.
+fn arrival_s(scene: &Scene, [own, other]: [usize; 2], timestep: usize) -> Option<f64> {
+    let at = |agent_idx: usize| scene.state(agent_idx, timestep).filter(|state| state.is_finite());
+    let (ours, theirs) = (at(own)?, at(other)?);
+    let speed_mps = Some(ours.speed_mps()).filter(|speed_mps| *speed_mps >= STANDING_MPS)?;
+    let [own, other] = [own, other].map(|agent_idx| &scene.tracks[agent_idx]);
+    let path = DrivenPath::from(own, timestep)?;
+    let (start, place) = (path.project(ours.position)?, path.project(theirs.position)?);
+    let body = other.footprint(theirs);
+    let across = Vec2::from_angle(place.heading_rad + FRAC_PI_2);
+    let reach_m = own.extent_or_nominal().width_m / 2.0 + Footprint::new(&body).half_extent_m(across);
+    let is_in_way = place.station_m > start.station_m && place.offset_m.abs() < reach_m;
+    is_in_way.then(|| path.gap_m(&body)).flatten().map(|gap_m| gap_m.max(0.0) / speed_mps)
+}

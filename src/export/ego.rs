@@ -1,0 +1,168 @@
+//! The ego of an export: which track it is, and who moves it.
+
+use crate::scenario::ScenarioRecord;
+use crate::scene::TrackId;
+use serde::{Deserialize, Serialize};
+
+/// Which track of a scenario is its ego: the vehicle that formats mark, and that a driving function may take over.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EgoChoice {
+    /// The subject of the requested event; in scenarios without one, the center of the recorded window.
+    #[default]
+    Event,
+    /// The center of the recorded window, whatever happens.
+    Scene,
+    /// The track of this name.
+    Track(TrackId),
+}
+
+impl EgoChoice {
+    /// The choice of this name on the command line; whatever is no other choice is the name of a track.
+    pub fn from_name(name: &str) -> Self {
+        match name {
+            "event" => Self::Event,
+            "scene" => Self::Scene,
+            track => Self::Track(track.into()),
+        }
+    }
+
+    /// What it is, in words that follow "the ego is".
+    pub(super) fn words(&self) -> String {
+        match self {
+            Self::Event => {
+                "the vehicle to which the requested event happens, such as the one that is cut off".to_owned()
+            }
+            Self::Scene => "the center of the recorded window, whatever happens in the scenario".to_owned(),
+            Self::Track(id) => format!("track {id}"),
+        }
+    }
+
+    /// The ego of a scenario, and whether it is the center for want of a subject. `None` if it has no such track.
+    pub(super) fn of(&self, record: &ScenarioRecord) -> Option<(usize, bool)> {
+        let scene = &record.scenario.scene;
+        match self {
+            Self::Event => Some(record.subject_idx().map_or((scene.ego_idx, true), |subject| (subject, false))),
+            Self::Scene => Some((scene.ego_idx, false)),
+            Self::Track(id) => scene.track_idx(id).map(|agent_idx| (agent_idx, false)),
+        }
+    }
+}
+
+/// The motion of the ego in formats for simulation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EgoMotion {
+    /// It moves as in the scenario, like all agents.
+    Replayed,
+    /// It moves as in the scenario up to the present; then a driving function moves it.
+    Free,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::{self, Subject};
+    use crate::export::testing::{self, Node, read};
+    use crate::export::{ExportFormat, Item};
+    use crate::scene::testing::{Drive, scene};
+    use arrow::array::AsArray;
+    use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+    use std::path::Path;
+
+    /// Track `2` follows track `1`; the window was cut out around track `3`, which has nothing to do with it. The event
+    /// of `behavior` happens to track `2`.
+    fn record(behavior: &behavior::BehaviorEntry) -> ScenarioRecord {
+        let template = testing::scene();
+        let drives = [(20.0, 0.0, 5.0), (0.0, 0.0, 10.0), (0.0, 30.0, 8.0), (60.0, 0.0, 5.0)];
+        let mut scene = scene(&drives.map(|(x, y, speed_mps)| Drive::straight(x, y, 0.0, speed_mps)));
+        (scene.lanes, scene.world_from_scene, scene.ego_idx) = (template.lanes, template.world_from_scene, 2);
+        let mut record = testing::record(&scene);
+        let mut others = ["1", "4"].into_iter();
+        let track = |(i, role): (usize, &&str)| {
+            let is_subject = match behavior.subject {
+                Subject::Role(subject) => *role == subject,
+                Subject::WhoComesUpon => i == 1,
+                Subject::WhoMeetsIt => false,
+            };
+            ((*role).to_owned(), if is_subject { "2" } else { others.next().unwrap() }.into())
+        };
+        let roles = behavior.roles.iter().enumerate().map(track).collect();
+        record.requested_behavior = Some(behavior.id.to_owned());
+        let event = &mut record.events[0];
+        (event.behavior, event.roles, event.start_timestep) = (behavior.id.to_owned(), roles, 0);
+        record
+    }
+
+    /// The track that a file of this format says is the ego.
+    fn marked(format: ExportFormat, dir: &Path, file: &str) -> String {
+        let rows = |path: &str| -> Vec<Vec<String>> {
+            read(dir, path).lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
+        };
+        match format {
+            ExportFormat::Interaction => {
+                let mut ids: Vec<String> =
+                    rows(file).into_iter().filter(|row| row[13] == "1").map(|row| row[1].clone()).collect();
+                ids.dedup();
+                ids.concat()
+            }
+            ExportFormat::Argoverse2 => {
+                let (table, _) = fs_err::File::open(dir.join(file).join("scenario_0a1b.parquet")).unwrap().into_parts();
+                let mut batches = ParquetRecordBatchReaderBuilder::try_new(table).unwrap().build().unwrap();
+                let batch = batches.next().unwrap().unwrap();
+                batch["focal_track_id"].as_string::<i32>().value(0).to_owned()
+            }
+            ExportFormat::CommonRoad => {
+                let root = Node::parse(&read(dir, file));
+                let initial = root.at("planningProblem").at("initialState").at("position").at("point");
+                let ids: Vec<&str> = root.all("dynamicObstacle").iter().map(|node| node.attr("id")).collect();
+                // Two lanelets come first; at 10 m/s to the north track 2 is 3 m from its start at present.
+                assert_eq!(ids, ["3", "5", "6"]);
+                format!("{}", 2 + usize::from((initial.number("x"), initial.number("y")) != (1000.0, 2003.0)))
+            }
+            ExportFormat::OpenScenario => {
+                let root = Node::parse(&read(dir, file));
+                let ego = root.at("Entities").all("ScenarioObject")[0];
+                assert_eq!(ego.attr("name"), "Ego");
+                ego.at("Vehicle").at("Properties").all("Property")[0].attr("value").to_owned()
+            }
+            ExportFormat::OpenLabel => {
+                let document: serde_json::Value = serde_json::from_str(&read(dir, file)).unwrap();
+                let text = document["openlabel"]["tags"]["0"]["tag_data"]["text"].as_array().unwrap().clone();
+                text.iter().find(|entry| entry["name"] == "ego").unwrap()["val"].as_str().unwrap().to_owned()
+            }
+        }
+    }
+
+    #[test]
+    fn every_format_marks_the_subject_of_every_behavior() {
+        for behavior in behavior::ALL {
+            let record = record(behavior);
+            let (ego_idx, is_for_want) = EgoChoice::Event.of(&record).unwrap();
+            assert_eq!((ego_idx, is_for_want), (1, false), "{}", behavior.id);
+            for format in ExportFormat::ALL {
+                let dir = tempfile::tempdir().unwrap();
+                let mut exporter = format.begin(dir.path(), format.usual_ego());
+                let item = Item { record: &record, number: 1, stem: record.scenario.id.clone(), ego_idx };
+                let crate::export::ExportOutcome::Written(written) = exporter.add(&item).unwrap() else {
+                    panic!("{} cannot hold {}", format.name(), behavior.id)
+                };
+                exporter.finish().unwrap();
+                assert_eq!(marked(format, dir.path(), &written.file), "2", "{}: {}", format.name(), behavior.id);
+                let is_free = written.tracks[1] == Err("ego_is_free");
+                assert_eq!(is_free, format == ExportFormat::CommonRoad, "{}", behavior.id);
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_event_falls_back_to_the_center_and_says_so() {
+        let mut record = record(behavior::BehaviorEntry::of("cut_in").unwrap());
+        let found = |record: &ScenarioRecord, name: &str| EgoChoice::from_name(name).of(record);
+        assert_eq!(found(&record, "scene"), Some((2, false)));
+        assert_eq!(found(&record, "4"), Some((3, false)));
+        assert_eq!(found(&record, "nobody"), None);
+        record.verified = false;
+        assert_eq!(found(&record, "event"), Some((2, true)));
+    }
+}
