@@ -183,7 +183,7 @@ pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[StageId]) -> Resul
 /// When an input is missing.
 pub(super) fn expected(root: &Path, stage: &dyn Stage) -> Result<StageRecord> {
     let inputs = stage.inputs().into_iter().map(|input| Ok((input.name.clone(), identify(root, &[], &input, None)?)));
-    Ok(StageRecord::expected(stage, inputs.collect::<Result<_>>()?)?)
+    StageRecord::expected(stage, inputs.collect::<Result<_>>()?)
 }
 
 /// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done.

@@ -80,7 +80,7 @@ const MAX_NAME_BYTES: usize = 200;
 pub fn printable_name(key: &str, name: &str) -> Result {
     match name.len() {
         0 => Err(Issue::new(key, "is empty, expected a name")),
-        ..=MAX_NAME_BYTES => printable(key, name),
+        1..=MAX_NAME_BYTES => printable(key, name),
         n_bytes => Err(Issue::new(key, format_args!("has {n_bytes} bytes, expected at most {MAX_NAME_BYTES}"))),
     }
 }

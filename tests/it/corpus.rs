@@ -12,7 +12,7 @@ const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
 fn a_corpus_is_read_and_one_of_another_version_is_refused() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS);
     let reader = CorpusReader::open(&folder).unwrap();
-    assert_eq!((reader.len(), reader.manifest().n_verified), (7, 2));
+    assert_eq!((reader.len(), reader.manifest().n_verified), (7, 6));
     for i in 0..reader.len() {
         let record = reader.scenario(i).unwrap();
         assert!(record.scenario.scene.tracks.len() >= 2 && !record.scenario.scene.lanes.is_empty());
@@ -45,7 +45,7 @@ fn the_tools_work_from_the_command_line() {
     let workspace = Workspace::new();
     let (verified, two) = (workspace.arg("verified"), workspace.arg("two"));
     let outcome = djinn(&["corpus", "filter", CORPUS, "--where", "verified", "--out", &verified]).expect(0);
-    assert!(outcome.stdout.is_empty() && outcome.stderr.contains("2 scenarios (2 verified) of "), "{}", outcome.stderr);
+    assert!(outcome.stdout.is_empty() && outcome.stderr.contains("6 scenarios (6 verified) of "), "{}", outcome.stderr);
     djinn(&["corpus", "sample", &verified, "--n", "1", "--seed", "3", "--out", &two]).expect(0);
     let shown = djinn(&["corpus", "diff", &verified, &two]).expect(0).stdout;
     assert!(shown.contains("same: 1, changed: 0, only in A: 1, only in B: 0"), "{shown}");

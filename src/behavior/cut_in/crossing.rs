@@ -127,7 +127,8 @@ impl LaneCrossing<'_> {
         let is_in_way = |timestep: usize| {
             let Some((own, theirs)) = places[timestep][0].zip(places[timestep][1]) else { return false };
             let driven = places[timestep..].iter().filter_map(|places| places[0]);
-            let passing = driven.clone().find(|place| place.station_m >= theirs.station_m).or_else(|| driven.last());
+            let passing =
+                driven.clone().find(|place| place.station_m >= theirs.station_m).or_else(|| driven.clone().next_back());
             let beside_m = passing.map_or(f64::INFINITY, |place| (theirs.offset_m - place.offset_m).abs());
             theirs.station_m > own.station_m && beside_m <= (own_m + their_m) / 2.0
         };
