@@ -269,7 +269,7 @@ fn what_systems_and_others_leave_beside_plans_is_passed_over() {
     }
     fs_err::create_dir(parts.join("notes")).unwrap();
     std::os::unix::fs::symlink(&theirs, parts.join("0123456789abcdef")).unwrap();
-    assert_eq!(PartsFolder::all(root, StageId::Generate).unwrap(), [planned.folder.clone()]);
+    assert_eq!(PartsFolder::all(root, StageId::Generate).unwrap(), std::slice::from_ref(&planned.folder));
     sealed(root, StageId::Generate).unwrap();
     assert!(!planned.folder.is_there() && parts.join(".DS_Store").exists() && theirs.join("plan.json").exists());
     fs_err::rename(parts, root.join("away")).unwrap();
