@@ -15,8 +15,8 @@ const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
 /// Largest acceleration of an agent, m/s²: the limit for generated traffic.
 const MAX_ACCELERATION_MPS2: f64 = 5.0;
-/// Recorded velocities disagree with the positions if they differ by more than this in the mean of a track, m/s: twice
-/// what positions rounded to centimeters explain.
+/// Recorded velocities disagree with the positions if they differ by more than this in the mean of a track, m/s. Positions
+/// rounded to millimeters explain some 0.01 m/s.
 const MAX_VELOCITY_ERROR_MPS: f64 = 0.1;
 /// Lanes belong to a scene if they are within this distance of a place that an agent can reach, meters.
 const SURROUNDINGS_M: f64 = 10.0;
@@ -43,6 +43,7 @@ pub(super) fn assemble(
     let mut counts = IngestReport::default();
     if raw.source.dataset.facts().has_velocities {
         derive_velocities(&mut raw, &mut counts);
+        // Positions may jump faster than any agent moves.
         check_states(&raw)?;
     }
     let Some((ego_idx, ego_state)) = choose_ego(&raw, present, Seed(config.seed)) else {

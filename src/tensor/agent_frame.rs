@@ -79,11 +79,11 @@ impl AgentFrame {
     }
 }
 
-/// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz, below what any recording resolves.
+/// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz.
 const STILL_STEP_M: f64 = 0.004;
 
 /// Leaves out the steps of a sample that are too short to be motion, after the last observed state: who stands is exactly
-/// still. What follows moves along, by less than the steps that were left out.
+/// still. What follows is shifted by the sum of the steps that were left out.
 fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
     let n_entries = entries.len();
     let mut left_out = Vec2::ZERO;

@@ -180,8 +180,8 @@ mod tests {
         let continued = |observed: &dyn Fn(usize) -> bool| {
             Reference::new(&track, 0.1, 4, observed).continued(Some(&covariance), true)
         };
-        // x is t + t²/20 but turned by the heading of 0.4 rad at timestep 4: only motion along that heading is predicted here,
-        // which is that along x but for the cosine, twice.
+        // x is t + t²/20, and the heading at timestep 4 is 0.4 rad. The covariance has one dimension, so only the part of the
+        // acceleration along that heading goes on.
         let reference = continued(&|t| t <= 4);
         assert_eq!(reference.n_past(), 3);
         for (t, elapsed) in [(5, 1.0), (7, 3.0), (9, 5.0)] {
