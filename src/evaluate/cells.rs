@@ -1,5 +1,6 @@
 //! The figures of the samples of one scene, beside those of the recording and the baseline.
 
+use super::distinguishability::CellTracks;
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use crate::metrics::{MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
@@ -33,6 +34,8 @@ pub(super) struct CellFigures {
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
+    /// What a classifier sees of everybody.
+    pub(super) tracks: CellTracks,
 }
 
 /// The motion of all agents in the futures of a cell.
@@ -132,6 +135,7 @@ impl CellSamples<'_> {
                 references: self.with_references.then(motion_of_references),
                 together: MotionHistograms::of(&samples),
             },
+            tracks: CellTracks::of(&recorded, &self.records),
         }
     }
 }

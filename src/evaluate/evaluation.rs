@@ -1,6 +1,7 @@
 //! Merges measured shards of scenarios into the results of an evaluation.
 
 use super::config::EvaluateConfig;
+use super::distinguishability::{CellKey, DistinguishabilityRow, Distinguished, TellingFeatureRow};
 use super::error::Result;
 use super::gates::GateResult;
 use super::map_fits::MapFitRow;
@@ -57,6 +58,12 @@ pub struct EvaluationSummary {
     /// How many scenarios, and how many of the recordings that they continue, fail each check.
     #[serde(default)]
     pub validity: Vec<ValidityRow>,
+    /// How well a classifier tells the tracks of each series from recorded ones.
+    #[serde(default)]
+    pub distinguishability: Vec<DistinguishabilityRow>,
+    /// What gives them away.
+    #[serde(default)]
+    pub telling_features: Vec<TellingFeatureRow>,
     /// The places where the map is good enough to judge departures from the road.
     #[serde(default)]
     pub maps: Vec<MapFitRow>,
@@ -135,15 +142,22 @@ pub struct Evaluation<'a> {
     realism: RealismTable,
     sampling: SamplingTally,
     predictions: Predictions,
+    distinguished: Distinguished,
 }
 
 impl<'a> Evaluation<'a> {
-    /// Begins an evaluation in which these metrics are measured.
+    /// Begins an evaluation in which these metrics are measured, of shards whose tracks were told apart.
     ///
     /// # Errors
     /// When files cannot be made.
-    pub fn new(config: &'a EvaluateConfig, docs: Vec<MetricDoc>, files: &EvaluationFiles<'_>) -> Result<Self> {
+    pub fn new(
+        config: &'a EvaluateConfig,
+        docs: Vec<MetricDoc>,
+        distinguished: Distinguished,
+        files: &EvaluationFiles<'_>,
+    ) -> Result<Self> {
         Ok(Self {
+            distinguished,
             rows: MetricRows::create(docs.clone(), files.scratch)?,
             docs,
             verdicts: Verdicts::new(config),
@@ -179,16 +193,18 @@ impl<'a> Evaluation<'a> {
         let mut assessments: BTreeMap<String, (Assessment, Vec<Check>)> = BTreeMap::new();
         let mut recordings: BTreeMap<SceneId, Scene> = BTreeMap::new();
         for cell in cells {
-            let MeasuredCell { series, recorded, scene_idx, scenario_ids, sampled, figures, not_checked, prediction } =
-                cell;
-            let place = recorded.source.place.as_str();
-            self.sampling.add(&series, (place, scene_idx), &sampled, n_evaluations);
-            self.realism.add(&series, &figures.motion);
-            prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, scene_idx, modes))?;
+            let MeasuredCell { key, recorded, scenario_ids, sampled, mut figures, not_checked, prediction } = cell;
+            let CellKey { series, place, scene_idx } = &key;
+            for (idx, assessment) in figures.assessments.iter_mut().enumerate() {
+                assessment.recorded_likeness = self.distinguished.likeness(&key, &figures.tracks, idx);
+            }
+            self.sampling.add(series, (place, *scene_idx), &sampled, n_evaluations);
+            self.realism.add(series, &figures.motion);
+            prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, *scene_idx, modes))?;
             let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
-            self.validity.add((&series, place), judged, &not_checked);
+            self.validity.add((series, place), judged, &not_checked);
             let scenario_ids = scenario_ids.as_slice();
-            self.rows.add(&CellNames { series: &series, place, scene_id: &recorded.id, scenario_ids }, &figures)?;
+            self.rows.add(&CellNames { series, place, scene_id: &recorded.id, scenario_ids }, &figures)?;
             let judged = figures.assessments.into_iter().map(|assessment| (assessment, not_checked.clone()));
             assessments.extend(scenario_ids.iter().cloned().zip(judged));
             recordings.entry(recorded.id.clone()).or_insert(recorded);
@@ -230,6 +246,8 @@ impl<'a> Evaluation<'a> {
             acceptance,
             left_out,
             validity: self.validity.finish(),
+            distinguishability: self.distinguished.rows(),
+            telling_features: self.distinguished.telling(),
             maps: Vec::new(),
         };
         summary.gates = self.config.gates.check(&summary);

@@ -1,6 +1,7 @@
 //! Does a shard come to the same figures whenever it is measured, and does nothing of the rows stay behind?
 
 use super::config::{EvaluateConfig, Keep};
+use super::distinguishability::TrackPool;
 use super::evaluation::{Evaluation, EvaluationFiles, EvaluationSummary};
 use super::gates::GatesConfig;
 use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
@@ -38,23 +39,25 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let gates = GatesConfig { min_verified: Some(12), min_new: Some(25), ..GatesConfig::default() };
     let config = EvaluateConfig { keep: Keep::Verified, gates, ..EvaluateConfig::default() };
     let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
-    let mut measured: Vec<Option<MeasuredShard>> = (0..N_SHARDS).map(|_| None).collect();
+    let mut measured: Vec<Option<(ShardFigures, MeasuredShard)>> = (0..N_SHARDS).map(|_| None).collect();
     for idx in order {
         let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
         let figures = measurer.measure(&shard).unwrap();
         let file = dir.path().join("figures.bin");
-        write_binary_atomically(&file, "figures.v1", &figures).unwrap();
-        let read: ShardFigures = read_binary(&file, "figures.v1").unwrap();
+        write_binary_atomically(&file, "figures.v2", &figures).unwrap();
+        let read: ShardFigures = read_binary(&file, "figures.v2").unwrap();
         assert!(read == figures, "figures are the same when they were in a file");
-        measured[idx] = Some(MeasuredShard::new(shard, read, &config, &store).unwrap());
+        measured[idx] = Some((figures, MeasuredShard::new(shard, read, &config, &store).unwrap()));
     }
 
     let out = dir.path().join("out");
     fs_err::create_dir(&out).unwrap();
     let (predictions, verdicts) = (out.join("predictions"), out.join("verdicts.parquet"));
     let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: &out };
-    let mut evaluation = Evaluation::new(&config, metric_docs(&config, &[]), &files).unwrap();
-    let kept = measured.into_iter().flatten().map(|shard| evaluation.add(shard).unwrap());
+    let mut tracks = TrackPool::default();
+    measured.iter().flatten().for_each(|(figures, _)| figures.pool_tracks(&mut tracks));
+    let mut evaluation = Evaluation::new(&config, metric_docs(&config, &[]), tracks.tell_apart(), &files).unwrap();
+    let kept = measured.into_iter().flatten().map(|(_, shard)| evaluation.add(shard).unwrap());
     let kept = kept.flat_map(|kept| kept.records).map(|record| record.scenario.id).collect();
     let rejected = RejectedSample {
         scene_id: scenes[0].id.clone(),

@@ -1,5 +1,6 @@
 //! Do the results meet the bounds of the configuration? A bound that cannot be judged is not met.
 
+use super::distinguishability::DistinguishabilityRow;
 use super::error::{Error, Result};
 use super::evaluation::EvaluationSummary;
 use super::measures::BEHAVIOR_RATE;
@@ -33,6 +34,10 @@ pub struct GatesConfig {
     /// Largest off-road rate of any sweep at any strength, 0 to 1. Needs maps.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_offroad_rate: Option<f64>,
+    /// Largest share of pairs, one recorded and one generated track of any sweep at any strength, of which a classifier that
+    /// sees all features picks the generated one, .5 to 1. 0.5 is indistinguishable.
+    #[schemars(range(min = 0.5, max = 1.0))]
+    pub max_distinguishability: Option<f64>,
     /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every sweep that has
     /// some; at least one must.
     pub beat_constant_velocity: bool,
@@ -139,6 +144,9 @@ impl GatesConfig {
         let mut results: Vec<GateResult> = counts.collect();
         let measured = Measured::of(found);
         results.extend(self.rates().iter().flat_map(|rate| measured.rate(rate)));
+        if let Some(bound) = self.max_distinguishability {
+            results.extend(measured.distinguishability(bound));
+        }
         if self.beat_constant_velocity {
             results.extend(measured.beat_constant_velocity());
         }
@@ -156,6 +164,8 @@ struct Measured<'a> {
     /// The sweeps that request a behavior.
     asking: Vec<&'a str>,
     means: Vec<&'a MetricRow>,
+    /// How well tracks are told from recorded ones by all features.
+    told: Vec<&'a DistinguishabilityRow>,
 }
 
 impl<'a> Measured<'a> {
@@ -165,6 +175,7 @@ impl<'a> Measured<'a> {
         Self {
             generated: everywhere.map(|row| row.series()).collect(),
             asking: asking.map(|row| row.sweep.as_str()).collect(),
+            told: found.distinguishability.iter().filter(|row| row.is_overall()).collect(),
             means: found.aggregates.iter().filter(|row| row.place.is_empty()).collect(),
         }
     }
@@ -184,6 +195,21 @@ impl<'a> Measured<'a> {
             match is_least {
                 true => judged(gate, found >= bound, format!("at least {bound} required, {found:.4} found")),
                 false => judged(gate, found <= bound, format!("at most {bound} allowed, {found:.4} found")),
+            }
+        };
+        or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())
+    }
+
+    /// A result for each series.
+    fn distinguishability(&self, bound: f64) -> Vec<GateResult> {
+        let name = "max_distinguishability";
+        let of_series = |series: &SeriesKey| {
+            let gate = format!("{name} ({}, {})", series.sweep, series.level);
+            match self.told.iter().find(|row| row.series() == *series) {
+                Some(DistinguishabilityRow { auc, .. }) => {
+                    judged(gate, *auc <= bound, format!("at most {bound} allowed, {auc:.4} found"))
+                }
+                None => not_judged(gate, "it has too few tracks or scenes to learn from"),
             }
         };
         or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())

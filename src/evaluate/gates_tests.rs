@@ -2,7 +2,7 @@
 
 use super::evaluation::EvaluationSummary;
 use super::gates::GatesConfig;
-use super::{EvaluateConfig, GateResult, SamplingRow, ValidityRow};
+use super::{DistinguishabilityRow, EvaluateConfig, GateResult, SamplingRow, ValidityRow};
 use crate::behavior::BehaviorConfig;
 use crate::generate::GenerateConfig;
 use crate::metrics::{Group, MetricRow, SeriesKey};
@@ -82,6 +82,8 @@ fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> Evaluatio
             .iter()
             .flat_map(|place| generated.iter().map(move |key| validity_row(key, place)))
             .collect(),
+        distinguishability: Vec::new(),
+        telling_features: Vec::new(),
         maps: Vec::new(),
     }
 }
@@ -263,4 +265,35 @@ fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
     assert_eq!(raises("[0.0, 10.0]"), None);
     assert!(raises("[5.0, 10.0]").expect("no zero").contains("sweep s has no strength 0"));
     assert!(raises("[0.0]").expect("one strength").contains("no sweep requests a behavior at several strengths"));
+}
+
+#[test]
+fn every_series_must_look_recorded_by_all_features() {
+    let row = |series: SeriesKey, features: &str, place: &str, auc| DistinguishabilityRow {
+        group: series.group,
+        sweep: series.sweep,
+        level: series.level,
+        place: place.to_owned(),
+        class: String::new(),
+        features: features.to_owned(),
+        n_tracks: 100,
+        auc,
+        low: auc,
+        high: auc,
+    };
+    let told = |auc| EvaluationSummary {
+        distinguishability: vec![
+            row(unguided(), "all", "", auc),
+            row(unguided(), "seam", "", 0.99),
+            row(unguided(), "all", "X", 0.99),
+        ],
+        ..found(&[unguided()], &[])
+    };
+    for (auc, met) in [(0.7, true), (0.75, true), (0.76, false)] {
+        assert_eq!(only("max_distinguishability = 0.75", &told(auc)).0, met, "{auc}");
+    }
+    let (met, said) = only("max_distinguishability = 0.75", &found(&[unguided()], &[]));
+    assert!(!met && said.contains("cannot be judged: it has too few tracks"), "{said}");
+    let (met, said) = only("max_distinguishability = 0.75", &found(&[], &[]));
+    assert!(!met && said.contains("no scenarios to judge"), "{said}");
 }

@@ -93,6 +93,7 @@ impl<'a> Judge<'a> {
             accepted: false,
             violations,
             plausibility: self.ranges.plausibility(scene),
+            recorded_likeness: None,
             pair: pair.and_then(|pair| PairCriticality::of(scene, pair)),
             scene: SceneCriticality::of(scene),
             cut_in: pair

@@ -2,13 +2,14 @@
 
 use super::cells::{CellFigures, CellSamples, into_cells};
 use super::config::EvaluateConfig;
+use super::distinguishability::{CellKey, TrackPool};
 use super::error::{Error, Result};
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use super::predictions;
 use super::sampling::{Conduct, SampledCell};
 use crate::behavior::Behavior;
-use crate::metrics::{Check, Judged, Modes, OffroadRate, SeriesKey};
+use crate::metrics::{Check, Judged, Modes, OffroadRate};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Roles, Scene};
 use crate::store::SceneStore;
@@ -36,9 +37,17 @@ pub struct ShardFigures {
 
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 struct CellFindings {
+    key: CellKey,
     conduct: Vec<Conduct>,
     figures: CellFigures,
     not_checked: Vec<Check>,
+}
+
+impl ShardFigures {
+    /// Adds the tracks of the shard to the pool.
+    pub fn pool_tracks(&self, pool: &mut TrackPool) {
+        self.cells.iter().for_each(|cell| pool.add(&cell.key, &cell.figures.tracks));
+    }
 }
 
 /// A shard with its figures, for [`Evaluation`](super::Evaluation) to merge with others.
@@ -52,12 +61,10 @@ pub struct MeasuredShard {
 
 /// A cell with its figures.
 pub(super) struct MeasuredCell {
-    /// The series of its samples.
-    pub(super) series: SeriesKey,
+    /// Which cell it is.
+    pub(super) key: CellKey,
     /// The scene that it continues.
     pub(super) recorded: Scene,
-    /// Where the store has that scene.
-    pub(super) scene_idx: usize,
     /// The scenarios, in order.
     pub(super) scenario_ids: Vec<String>,
     /// What is counted of them.
@@ -76,18 +83,16 @@ impl MeasuredShard {
     /// # Errors
     /// When the figures are of another shard, or a scene is missing or damaged.
     pub fn new(shard: Shard<'_>, figures: ShardFigures, config: &EvaluateConfig, store: &SceneStore) -> Result<Self> {
-        let Shard { sweep, n_evaluations, records } = shard;
+        let Shard { n_evaluations, records, .. } = shard;
         let cells = into_cells(&records);
         if cells.len() != figures.cells.len() {
             return Err(Error::OtherShard { expected: cells.len(), found: figures.cells.len() });
         }
         let cells = cells.into_par_iter().zip(figures.cells).map(|(cell, findings)| {
-            let CellFindings { conduct, figures, not_checked } = findings;
-            let scene_idx = scene_idx(&cell, store)?;
+            let CellFindings { key, conduct, figures, not_checked } = findings;
             Ok(MeasuredCell {
-                series: cell.series(sweep),
-                recorded: store.scene(scene_idx)?,
-                scene_idx,
+                recorded: store.scene(scene_idx(&cell, store)?)?,
+                key,
                 scenario_ids: cell.records.iter().map(|record| record.scenario.id.clone()).collect(),
                 sampled: SampledCell::new(&cell, conduct),
                 figures,
@@ -142,13 +147,15 @@ impl<'a> Measurer<'a> {
     pub fn measure(&mut self, shard: &Shard<'_>) -> Result<ShardFigures> {
         let asked = shard.records.iter().filter_map(|record| record.requested_behavior.as_deref());
         self.judge.learn_events(asked)?;
-        let cells = into_cells(&shard.records).into_par_iter().map(|cell| self.measure_cell(&cell));
+        let cells = into_cells(&shard.records).into_par_iter().map(|cell| self.measure_cell(&cell, shard.sweep));
         Ok(ShardFigures { cells: cells.collect::<Result<_>>()? })
     }
 
-    fn measure_cell(&self, cell: &CellSamples<'_>) -> Result<CellFindings> {
-        let recorded = self.store.scene(scene_idx(cell, self.store)?)?;
+    fn measure_cell(&self, cell: &CellSamples<'_>, sweep: &str) -> Result<CellFindings> {
+        let scene_idx = scene_idx(cell, self.store)?;
+        let recorded = self.store.scene(scene_idx)?;
         Ok(CellFindings {
+            key: CellKey { series: cell.series(sweep), place: recorded.source.place.clone(), scene_idx },
             conduct: Conduct::of(cell, &recorded, &self.offroad),
             figures: cell.evaluate(&recorded, &self.measures, &self.judge),
             not_checked: Judged::future_of(&recorded, Roles::none()).not_checked(&self.config.validity),

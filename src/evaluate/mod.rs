@@ -8,6 +8,7 @@
 
 mod cells;
 mod config;
+mod distinguishability;
 mod error;
 mod evaluation;
 #[cfg(test)]
@@ -32,6 +33,7 @@ mod verdicts;
 mod verdicts_tests;
 
 pub use config::{EvaluateConfig, Keep};
+pub use distinguishability::{DistinguishabilityRow, Distinguished, TellingFeatureRow, TrackPool};
 pub use error::{Error, Result};
 pub use evaluation::{Evaluated, Evaluation, EvaluationFiles, EvaluationSummary, KeptScenarios};
 pub use gates::{GateResult, GatesConfig};

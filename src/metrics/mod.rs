@@ -28,6 +28,7 @@ mod collision_rate;
 mod constant_velocity;
 mod criticality;
 mod displacement;
+pub mod distinguishability;
 mod drivable_area;
 mod histogram;
 mod joint_consistency;

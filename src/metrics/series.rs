@@ -64,7 +64,7 @@ impl fmt::Display for Group {
 }
 
 /// The key of a series of figures in a table.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SeriesKey {
     /// The group of traffic.
     pub group: Group,

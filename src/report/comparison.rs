@@ -1,5 +1,6 @@
 //! The comparison of two runs: settings, results and figures side by side, with differences.
 
+use super::distinguishability;
 use super::model::{Chart, Fact};
 use super::number::{ABSENT, count, level, optional, percent, share, value};
 use super::plain::{PlainRow, PlainTable};
@@ -223,6 +224,11 @@ impl Comparison {
         table
     }
 
+    /// How well tracks can be told from recorded ones.
+    pub(super) fn distinguishability(&self) -> PlainTable {
+        distinguishability::comparison(&self.a.evaluation, &self.b.evaluation)
+    }
+
     /// Curves over guidance strength of both runs, overlaid.
     pub(super) fn charts(&self) -> Vec<Chart> {
         let mut both = EvaluationSummary::default();
@@ -240,7 +246,7 @@ impl Comparison {
 }
 
 /// The rows of both runs by their key, in the order of A, then those of B alone.
-fn paired<R, K: PartialEq>(a: Vec<R>, b: Vec<R>, key: impl Fn(&R) -> K) -> Vec<(K, Option<R>, Option<R>)> {
+pub(super) fn paired<R, K: PartialEq>(a: Vec<R>, b: Vec<R>, key: impl Fn(&R) -> K) -> Vec<(K, Option<R>, Option<R>)> {
     let mut pairs: Vec<(K, Option<R>, Option<R>)> = a.into_iter().map(|row| (key(&row), Some(row), None)).collect();
     for row in b {
         let of_row = key(&row);

@@ -14,6 +14,7 @@ mod comparison;
 #[cfg(test)]
 mod comparison_tests;
 mod config;
+mod distinguishability;
 mod distribution;
 mod figures;
 mod figures_of_scenarios;

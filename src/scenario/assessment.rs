@@ -12,6 +12,8 @@ pub struct Assessment {
     pub violations: Vec<Violation>,
     /// Share of its motion within the recorded ranges.
     pub plausibility: Option<f64>,
+    /// Probability that its tracks were recorded, for a classifier that has not seen its scene.
+    pub recorded_likeness: Option<f64>,
     /// How critical the encounter of the requested agents is.
     pub pair: Option<PairCriticality>,
     /// How critical the worst encounter of any two agents is.

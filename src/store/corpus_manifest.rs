@@ -41,7 +41,7 @@ pub struct FileEntry {
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v5`.
+    /// Its schema, such as `scenario.v6`.
     pub schema: String,
     /// Number of rows in all of its files.
     pub n_rows: u64,

@@ -166,6 +166,7 @@ pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
             false => Vec::new(),
         },
         plausibility: Some(0.75),
+        recorded_likeness: has_all.then_some(0.125),
         pair: has_all.then_some(PairCriticality {
             min_ttc_s: None,
             tet_s: 0.5,

@@ -14,8 +14,9 @@ type Number = (&'static str, fn(&Assessment) -> Option<f64>);
 /// A truth value of an assessment, under the name of its column.
 type Flag = (&'static str, fn(&Assessment) -> Option<bool>);
 
-const NUMBERS: [Number; 18] = [
+const NUMBERS: [Number; 19] = [
     ("plausibility", |judged| judged.plausibility),
+    ("recorded_likeness", |judged| judged.recorded_likeness),
     ("pair_min_ttc_s", |judged| judged.pair?.min_ttc_s),
     ("pair_tet_s", |judged| Some(judged.pair?.tet_s)),
     ("pair_tit_s2", |judged| Some(judged.pair?.tit_s2)),
@@ -155,6 +156,7 @@ pub(super) mod tests {
                 limit: 25.0,
             }],
             plausibility: Some(0.96875),
+            recorded_likeness: Some(0.4375),
             pair: Some(pair),
             scene: Some(SceneCriticality { min_ttc_s: Some(1.0), max_drac_mps2: 4.0, min_distance_m: 1.5 }),
             cut_in: Some(cut_in),
@@ -185,6 +187,7 @@ pub(super) mod tests {
             ("scene_min_distance_m", 1.5, "m"),
             ("pair_tit_s2", 0.05, "s^2"),
             ("plausibility", 0.968_75, "1"),
+            ("recorded_likeness", 0.4375, "1"),
         ] {
             assert_eq!(entry(0, "num", name).unwrap(), with_unit(name, number, unit));
         }

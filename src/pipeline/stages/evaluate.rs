@@ -5,14 +5,16 @@ use super::mine::MineConfig;
 use super::sample_folder::SampleManifest;
 use crate::behavior::Behavior;
 use crate::evaluate::{
-    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
-    for_maps, left_out_by_sweep, map_fits, metric_docs,
+    Distinguished, EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer,
+    Shard, ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs,
 };
 use crate::files::remove_if_present;
 use crate::generate::GenerateConfig;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
 use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
-use crate::store::{CorpusNotes, CorpusWriter, SceneStore, read_binary, write_json_atomically, write_metrics};
+use crate::store::{
+    CorpusNotes, CorpusWriter, SceneStore, read_binary, write_binary_atomically, write_json_atomically, write_metrics,
+};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -85,25 +87,16 @@ impl Stage for Evaluate<'_> {
         let ready = self.ready(None)?;
         let EvaluationReady { store, samples, behaviors, maps, config } = &ready;
         maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
-        let mut measurer = None;
+        let distinguished = self.measure_all(&ready, context)?;
         let (predictions, verdicts) = (path(PREDICTIONS), path(VERDICTS));
         let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: context.root };
-        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), &files)?;
+        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), distinguished, &files)?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
-        context.progress.start("evaluate", samples.n_scenarios, "scenarios");
+        context.progress.start("decide", samples.n_scenarios, "scenarios");
         for idx in 0..samples.shards.len() {
-            let shard = self.read(&ready, idx)?;
-            // A damaged file of figures counts as missing.
-            let figures = match read_binary(&figures_path(context.root, idx), FIGURES_FORMAT) {
-                Ok(figures) => figures,
-                Err(_) => match &mut measurer {
-                    Some(measurer) => measurer,
-                    none => none.insert(self.measurer(&ready)?),
-                }
-                .measure(&shard)?,
-            };
-            let kept = evaluation.add(MeasuredShard::new(shard, figures, config, store)?)?;
+            let figures = read_binary(&figures_path(context.root, idx), FIGURES_FORMAT)?;
+            let kept = evaluation.add(MeasuredShard::new(self.read(&ready, idx)?, figures, config, store)?)?;
             kept.recordings.iter().try_for_each(|recorded| corpus.write_recording(recorded))?;
             corpus.write_scenarios(&kept.records)?;
             context.progress.advance(samples.shards[idx].n_scenarios);
@@ -131,7 +124,7 @@ impl Stage for Evaluate<'_> {
 }
 
 /// The format of the files with figures of shards.
-pub(in crate::pipeline) const FIGURES_FORMAT: &str = "figures.v1";
+pub(in crate::pipeline) const FIGURES_FORMAT: &str = "figures.v2";
 
 /// The file in the work folder `work` in which the stage looks for figures of shard `idx` from workers.
 pub(in crate::pipeline) fn figures_path(work: &Path, idx: usize) -> PathBuf {
@@ -163,6 +156,34 @@ impl Evaluate<'_> {
             store,
             maps,
         })
+    }
+
+    /// Measures every shard of which there are no figures, from workers or from before an interruption, and keeps the figures
+    /// in files. Tells the tracks of all shards from recorded ones.
+    fn measure_all(&self, ready: &EvaluationReady, context: &StageContext<'_>) -> Result<Distinguished> {
+        let (mut measurer, mut tracks) = (None, TrackPool::default());
+        context.progress.start("evaluate", ready.samples.n_scenarios, "scenarios");
+        for idx in 0..ready.samples.shards.len() {
+            let file = figures_path(context.root, idx);
+            // A damaged file counts as missing.
+            let figures: ShardFigures = match read_binary(&file, FIGURES_FORMAT) {
+                Ok(figures) => figures,
+                Err(_) => {
+                    let measurer = match &mut measurer {
+                        Some(measurer) => measurer,
+                        none => none.insert(self.measurer(ready)?),
+                    };
+                    let figures = measurer.measure(&self.read(ready, idx)?)?;
+                    fs_err::create_dir_all(file.parent().unwrap_or(context.root))?;
+                    write_binary_atomically(&file, FIGURES_FORMAT, &figures)?;
+                    figures
+                }
+            };
+            figures.pool_tracks(&mut tracks);
+            context.progress.advance(ready.samples.shards[idx].n_scenarios);
+        }
+        context.progress.finish();
+        Ok(tracks.tell_apart())
     }
 
     /// What measures shards.

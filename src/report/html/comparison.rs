@@ -14,6 +14,7 @@ pub fn render_comparison(comparison: &Comparison) -> String {
         of_table("outcome", "Requested and generated", &comparison.sampling(), "A star marks shares whose Wilson intervals (95 %) do not overlap."),
         charts(comparison),
         metrics(comparison),
+        of_table("distinguishability", "Told from recordings", &comparison.distinguishability(), "50 % is indistinguishable. A star marks areas whose intervals (95 %) do not overlap."),
         of_table("realism", "Realism of motion", &comparison.realism(), "Wasserstein-1 distance in the quantity's unit and Jensen-Shannon divergence in bits; lower is closer to the recording."),
         of_table("mining", "Events in the recordings", &comparison.mining(), "Shares of scenes. They differ if recordings, splits or definitions do."),
     ]

@@ -16,6 +16,7 @@ mod verdict;
 
 pub use comparison::render_comparison;
 
+use super::distinguishability;
 use super::model::{Fact, ReportModel};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::borrow::Cow;
@@ -46,6 +47,7 @@ pub fn render(model: &ReportModel) -> String {
         outcome::section(model),
         requests::section(model),
         verdict::section(model),
+        distinguishability::section(&model.evaluation).as_ref().map(plain::section),
         tradeoffs::section(model),
         quality::metrics(model),
         quality::distributions(model),

@@ -3,7 +3,7 @@
 use crate::evaluate::{SamplingRow, ValidityRow};
 use crate::metrics::Group;
 use crate::report::model::ReportModel;
-use crate::report::number::{count, share, value};
+use crate::report::number::{count, percent, share, value};
 use maud::{Markup, html};
 
 /// The run in four boxes; boxes without content are left out.
@@ -86,6 +86,8 @@ fn trust(model: &ReportModel) -> Markup {
     };
     let generated = rate(over_all().filter(|row| row.group.is_generated()).collect());
     let recorded = rate(over_all().filter(|row| row.group == Group::Recorded).collect());
+    let told = model.evaluation.distinguishability.iter().filter(|row| row.is_overall()).map(|row| row.auc);
+    let most_told = told.reduce(f64::max);
     html! {
         p {
             @match model.warnings.len() {
@@ -95,6 +97,10 @@ fn trust(model: &ReportModel) -> Markup {
         }
         @if let Some(generated) = generated {
             p { strong { (generated) } " of the samples are physically valid" @if let Some(recorded) = recorded { "; of the recordings " (recorded) } }
+        }
+        @if let Some(most_told) = most_told {
+            p { "Of a recorded and a generated track, a classifier " a href="#distinguishability" { "picks the generated one" } " in up to "
+                strong { (percent(most_told)) } " of pairs; 50 % is indistinguishable" }
         }
     }
 }

@@ -28,6 +28,11 @@ pub(crate) fn fields() -> Vec<Field> {
             "Share of its motion, quantity by quantity, within the range that holds all recorded motion but a thousandth at either end.",
         ),
         number(
+            "recorded_likeness",
+            "1",
+            "Probability that its tracks were recorded, from the mean of their log odds for a classifier that has not seen its scene; missing if the sweep has too few tracks to learn from.",
+        ),
+        number(
             "pair_min_ttc_s",
             "s",
             "Least time to collision of the requested agents, in the future; missing if they would not collide within 10 s.",
@@ -155,6 +160,7 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         lists(judged().map(violations), texts(all().map(|violation| violation.check.id()))),
         lists(judged().map(violations), structs("scenario", details_field().data_type(), details)?),
         number(&|a| a.plausibility),
+        number(&|a| a.recorded_likeness),
         pair(|p| p.min_ttc_s),
         pair(|p| Some(p.tet_s)),
         pair(|p| Some(p.tit_s2)),
@@ -233,6 +239,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         accepted,
         violations: entries(list, row).map(violation).collect::<Result<_>>()?,
         plausibility: number("plausibility")?,
+        recorded_likeness: number("recorded_likeness")?,
         pair,
         scene,
         cut_in,

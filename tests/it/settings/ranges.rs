@@ -97,6 +97,7 @@ pub(super) const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
     ("evaluate.gates.min_verified", &["18446744073709551615"], "0 to 1000000000000"),
     ("evaluate.gates.min_validity_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
     ("evaluate.gates.max_collision_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
+    ("evaluate.gates.max_distinguishability", &["0.4", "1.1", "inf"], "0.5 to 1"),
     ("evaluate.gates.max_offroad_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
     ("evaluate.modes.n_modes", &["0", "1000000000000"], "1 to 1000"),
     ("evaluate.modes.n_starts", &["0"], "1 to 1000"),
