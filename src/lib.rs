@@ -6,6 +6,7 @@ pub mod containment;
 pub mod files;
 pub mod geometry;
 pub mod progress;
+pub mod quantile;
 pub mod seed;
 pub mod settings;
 

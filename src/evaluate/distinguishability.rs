@@ -181,13 +181,13 @@ impl TrackPool {
             }
             let test = TwoSampleTest::new(&pairs)?;
             let rows = rows(&key, &test, &pairs, &places, &classes);
-            Some(ToldSeries { telling: telling(&key, &test), key, rows, test })
+            Some(TestedSeries { telling: telling(&key, &test), key, rows, test })
         };
         Distinguished { series: self.series.into_par_iter().filter_map(of_series).collect() }
     }
 }
 
-struct ToldSeries {
+struct TestedSeries {
     key: SeriesKey,
     rows: Vec<DistinguishabilityRow>,
     telling: Vec<TellingFeatureRow>,
@@ -197,7 +197,7 @@ struct ToldSeries {
 /// What classifiers tell apart, and how recorded scenarios look to them. Series with too few tracks or scenes are left out.
 #[derive(Default)]
 pub struct Distinguished {
-    series: Vec<ToldSeries>,
+    series: Vec<TestedSeries>,
 }
 
 impl Distinguished {
@@ -241,12 +241,12 @@ fn rows(
     };
     let n = pairs.len();
     let mut rows = Vec::new();
-    for told in &test.told {
-        rows.push(row("", "", told.set.name(), n, told.tracks));
-        let moving = told.moving.filter(|_| told.set == FeatureSet::HalfSeconds);
+    for found in &test.by_set {
+        rows.push(row("", "", found.set.name(), n, found.tracks));
+        let moving = found.moving.filter(|_| found.set == FeatureSet::HalfSeconds);
         rows.extend(moving.map(|(n, auc)| row("", "", "half_seconds_moving", n, auc)));
     }
-    rows.extend(test.told[0].scenes.map(|auc| row("", "", "whole_scenes", n, auc)));
+    rows.extend(test.by_set[0].scenes.map(|auc| row("", "", "whole_scenes", n, auc)));
     let distinct: BTreeSet<&String> = places.iter().collect();
     if distinct.len() > 1 {
         for place in distinct {

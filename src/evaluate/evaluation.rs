@@ -59,10 +59,8 @@ pub struct EvaluationSummary {
     #[serde(default)]
     pub validity: Vec<ValidityRow>,
     /// How well a classifier tells the tracks of each series from recorded ones.
-    #[serde(default)]
     pub distinguishability: Vec<DistinguishabilityRow>,
     /// What gives them away.
-    #[serde(default)]
     pub telling_features: Vec<TellingFeatureRow>,
     /// The places where the map is good enough to judge departures from the road.
     #[serde(default)]

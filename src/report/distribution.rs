@@ -1,5 +1,6 @@
 //! Distributions of a quantity, and distances between recorded and generated ones.
 
+use crate::quantile::quantile;
 use serde::{Deserialize, Serialize};
 
 /// Histograms of one quantity over common bins.
@@ -83,14 +84,6 @@ fn bin_counts(values: &[f64], edges: &[f64]) -> Vec<u64> {
         counts[bin] += 1;
     }
     counts
-}
-
-/// The quantile at `share` of sorted values, interpolated between neighbors.
-fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    let last = sorted.len().checked_sub(1)?;
-    let at = share * last as f64;
-    let (below, above) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);
-    Some(below + (above - below) * at.fract())
 }
 
 /// The Wasserstein-1 distance of two samples: the area between their cumulative distributions.

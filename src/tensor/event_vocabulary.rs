@@ -1,5 +1,6 @@
 //! The events that a network can be told of: behaviors, roles, and the units of their values.
 
+use crate::quantile::quantile;
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -141,10 +142,11 @@ impl ValueUnit {
         let (center, spread) = if has_both_signs {
             let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
             sizes.sort_by(f64::total_cmp);
-            (0.0, quantile(&sizes, 0.5))
+            (0.0, quantile(&sizes, 0.5).unwrap_or_default())
         } else {
-            let [low, high] = ONE_DEVIATION.map(|share| quantile(&values, share));
-            (quantile(&values, 0.5), 0.5 * (high - low))
+            let at = |share: f64| quantile(&values, share).unwrap_or_default();
+            let [low, high] = ONE_DEVIATION.map(at);
+            (at(0.5), 0.5 * (high - low))
         };
         // A value that is always the same says nothing in any unit.
         let spread = if spread > 1e-6 { spread } else { 1.0 };
@@ -155,13 +157,6 @@ impl ValueUnit {
     pub fn scaled(&self, value: f64) -> f64 {
         ((value - self.center) / self.spread).clamp(-MOST_UNITS, MOST_UNITS)
     }
-}
-
-/// The quantile at `share` of sorted values, interpolated between neighbors.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let place = share * (sorted.len() - 1) as f64;
-    let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
-    below + (above - below) * place.fract()
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! The area under the ROC curve: how often does a generated item have the higher score than a recorded one?
 
+use crate::quantile::quantile;
 use crate::seed::Seed;
 
 /// Number of resampled sets of scenes behind an interval.
@@ -46,11 +47,7 @@ pub(super) fn area_with_interval(items: &[Scored]) -> Option<Auc> {
         })
         .collect();
     areas.sort_by(f64::total_cmp);
-    let quantile = |share: f64| {
-        let at = share * (areas.len() - 1) as f64;
-        areas[at as usize] + (areas[at.ceil() as usize] - areas[at as usize]) * at.fract()
-    };
-    let interval = if areas.is_empty() { [value; 2] } else { [quantile(0.025), quantile(0.975)] };
+    let interval = [0.025, 0.975].map(|share| quantile(&areas, share).unwrap_or(value));
     Some(Auc { value, interval })
 }
 

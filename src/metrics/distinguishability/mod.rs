@@ -8,10 +8,11 @@
 mod auc;
 mod boosting;
 mod features;
+mod motion;
 #[cfg(test)]
 mod tests;
 mod two_sample;
 
 pub use auc::Auc;
 pub use features::{Feature, FeatureSet, Surroundings, TrackFeatures, features};
-pub use two_sample::{MIN_TRACKS, TellingFeature, Told, TrackPair, TwoSampleTest};
+pub use two_sample::{MIN_TRACKS, SetAuc, TellingFeature, TrackPair, TwoSampleTest};

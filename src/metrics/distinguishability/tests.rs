@@ -78,14 +78,14 @@ fn features_of_a_constant_jerk_are_its_derivatives() {
         ("dy", 0.0),
         ("speed_now", (x(3) - x(2)) / 0.1),
         ("stop_share", 0.0),
-        ("B_speed_min", half_second(3)),
-        ("B_speed_last", half_second(18)),
-        ("B_acc_min", (half_second(8) - half_second(3)) / 0.5),
-        ("B_jerk_max", 6.0),
+        ("half_second_speed_min", half_second(3)),
+        ("half_second_speed_last", half_second(18)),
+        ("half_second_acc_min", (half_second(8) - half_second(3)) / 0.5),
+        ("half_second_jerk_max", 6.0),
         // Quadratics over a symmetric window keep cubics as they are.
-        ("S_jerk_q50", 6.0),
+        ("smoothed_jerk_q50", 6.0),
         // The first quadratic is all that is known up to timestep 3: at 2, it is 6 mm short of the cubic.
-        ("S_seam_acc", 3.2),
+        ("smoothed_seam_acc", 3.2),
     ];
     assert_all(&Surroundings::new(&scene).features_of(0), &expected);
 
@@ -124,8 +124,8 @@ fn who_turns_where_it_stands_has_a_yaw_rate_and_nothing_else() {
             ("stop_share", 1.0),
             ("exactly_still", 1.0),
             ("slip_max", 0.0),
-            ("B_yaw_rate_max", 0.2),
-            ("B_yaw_rate_std", 0.0),
+            ("half_second_yaw_rate_max", 0.2),
+            ("half_second_yaw_rate_std", 0.0),
             ("lane_max", 0.4),
             ("lane_dh_max", 1.1 + 0.02 * 23.0),
             ("gap_min", 0.0),
@@ -145,10 +145,10 @@ fn curves_have_lateral_acceleration_and_a_lane_left_has_a_distance() {
     let found = Surroundings::new(&scene).features_of(0);
     let slip = ((side(last) - side(last - 1.0)) / 1.0).atan();
     let tolerance = 0.06;
-    for (name, expected) in [("S_acc_lat_q50", 0.5), ("lane_last", side(last)), ("slip_max", slip)] {
+    for (name, expected) in [("smoothed_acc_lat_q50", 0.5), ("lane_last", side(last)), ("slip_max", slip)] {
         assert!((named(&found, name) - expected).abs() < tolerance, "{name}");
     }
-    let lateral = named(&found, "B_acc_lat_max");
+    let lateral = named(&found, "half_second_acc_lat_max");
     assert!((lateral - speed * (angle(13.0) - angle(8.0)) / 0.5).abs() < 0.03, "{lateral}");
 }
 
@@ -166,7 +166,7 @@ fn tracks_are_judged_that_move_by_themselves_and_last() {
     scene.tracks[0].trajectory = Trajectory::new(states);
     let around = Surroundings::new(&scene);
     assert_eq!([0, 1, 2, 3].map(|track| around.is_judged(track)), [true, false, true, false]);
-    assert_all(&around.features_of(0), &[("seam_jerk0_long", 6.0), ("jerk_max", 6.0), ("S_jerk_q50", 6.0)]);
+    assert_all(&around.features_of(0), &[("seam_jerk0_long", 6.0), ("jerk_max", 6.0), ("smoothed_jerk_q50", 6.0)]);
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn without_lanes_or_past_what_needs_them_is_missing() {
     scene.lanes = std::sync::Arc::default();
     scene.n_history = 1;
     let found = Surroundings::new(&scene).features_of(0);
-    for name in ["lane_q50", "lane_change", "seam_acc_long", "seam_turn_jump", "speed_now", "S_seam_acc"] {
+    for name in ["lane_q50", "lane_change", "seam_acc_long", "seam_turn_jump", "speed_now", "smoothed_seam_acc"] {
         assert!(named(&found, name).is_nan(), "{name}");
     }
     assert_all(&found, &[("jerk_max", 6.0), ("gap_min", 30.0)]);
@@ -220,9 +220,9 @@ fn pairs(noise_m: f64) -> Vec<TrackPair> {
 fn recorded_futures_cannot_be_told_from_recorded_ones() {
     let pairs = pairs(0.0);
     let test = TwoSampleTest::new(&pairs).expect("enough tracks");
-    for told in &test.told {
-        let Auc { value, interval: [low, high] } = told.tracks;
-        assert!((value - 0.5).abs() < 0.06 && low <= 0.5 && 0.5 <= high, "{:?}: {:?}", told.set, told.tracks);
+    for found in &test.by_set {
+        let Auc { value, interval: [low, high] } = found.tracks;
+        assert!((value - 0.5).abs() < 0.06 && low <= 0.5 && 0.5 <= high, "{:?}: {:?}", found.set, found.tracks);
     }
 }
 
@@ -230,7 +230,7 @@ fn recorded_futures_cannot_be_told_from_recorded_ones() {
 fn half_a_millimeter_of_noise_is_found_in_the_jerk_and_not_in_steps_of_half_a_second() {
     let pairs = pairs(0.000_5);
     let test = TwoSampleTest::new(&pairs).expect("enough tracks");
-    let of = |set: FeatureSet| test.told.iter().find(|told| told.set == set).expect("told").tracks.value;
+    let of = |set: FeatureSet| test.by_set.iter().find(|found| found.set == set).expect("an area").tracks.value;
     assert!(of(FeatureSet::All) > 0.85, "{}", of(FeatureSet::All));
     assert!(of(FeatureSet::HalfSeconds) < 0.6, "{}", of(FeatureSet::HalfSeconds));
     let features = features();
@@ -239,7 +239,7 @@ fn half_a_millimeter_of_noise_is_found_in_the_jerk_and_not_in_steps_of_half_a_se
     assert_eq!(test.telling.len(), 5);
 
     // Scenes are told apart by more than their tracks are, and look recorded where they are.
-    let all = &test.told[0];
+    let all = &test.by_set[0];
     assert!(all.scenes.expect("scenes").value >= all.tracks.value);
     let likeness = |of: fn(&TrackPair) -> &TrackFeatures| {
         let mean = |scene: usize| test.likeness(scene, pairs.iter().filter(|pair| pair.scene == scene).map(of));
@@ -256,7 +256,7 @@ fn the_result_does_not_depend_on_threads_and_needs_enough_tracks() {
     let with = |n_threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         let test = pool.install(|| TwoSampleTest::new(&pairs)).expect("enough tracks");
-        (test.told.clone(), test.telling.clone(), test.likeness(3, pairs.iter().map(|pair| &pair.generated)))
+        (test.by_set.clone(), test.telling.clone(), test.likeness(3, pairs.iter().map(|pair| &pair.generated)))
     };
     assert!(with(1) == with(2));
     assert!(TwoSampleTest::new(&pairs[..MIN_TRACKS - 1]).is_none());

@@ -4,6 +4,7 @@
 use super::auc::{Auc, Scored, area, area_with_interval};
 use super::boosting::BoostedTrees;
 use super::features::{FeatureSet, TrackFeatures, features};
+use crate::quantile::quantile;
 use crate::seed::Seed;
 use rayon::prelude::*;
 
@@ -31,7 +32,7 @@ pub struct TrackPair {
 
 /// How well a classifier tells tracks apart by a set of features.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Told {
+pub struct SetAuc {
     /// The features.
     pub set: FeatureSet,
     /// Over tracks.
@@ -58,7 +59,7 @@ pub struct TellingFeature {
 /// The result of the test.
 pub struct TwoSampleTest {
     /// By each set of features.
-    pub told: Vec<Told>,
+    pub by_set: Vec<SetAuc>,
     /// The features that give most away, by the classifier of all.
     pub telling: Vec<TellingFeature>,
     /// The log odds that each pair's recorded and generated track were generated, by all features.
@@ -76,7 +77,7 @@ impl TwoSampleTest {
         if pairs.len() < MIN_TRACKS || folds.len() < N_FOLDS {
             return None;
         }
-        let mut by_set: Vec<(Told, Vec<[f64; 2]>, Vec<BoostedTrees>)> = FeatureSet::ALL
+        let mut by_set: Vec<(SetAuc, Vec<[f64; 2]>, Vec<BoostedTrees>)> = FeatureSet::ALL
             .into_par_iter()
             .filter_map(|set| {
                 let indices = set.indices();
@@ -87,15 +88,15 @@ impl TwoSampleTest {
                     [&pair.recorded, &pair.generated].map(|values| trees.log_odds(|idx| values.get(indices[idx])))
                 });
                 let log_odds = log_odds.collect::<Vec<_>>();
-                let told = told(pairs, set, &log_odds)?;
-                Some((told, log_odds, trees))
+                let of_set = set_auc(pairs, set, &log_odds)?;
+                Some((of_set, log_odds, trees))
             })
             .collect();
         let (_, log_odds, trees) = by_set
             .first_mut()
-            .map(|(told, log_odds, trees)| (told.set, std::mem::take(log_odds), std::mem::take(trees)))?;
-        let told = by_set.into_iter().map(|(told, ..)| told).collect();
-        let mut test = Self { told, telling: Vec::new(), log_odds, folds, trees };
+            .map(|(of_set, log_odds, trees)| (of_set.set, std::mem::take(log_odds), std::mem::take(trees)))?;
+        let by_set = by_set.into_iter().map(|(of_set, ..)| of_set).collect();
+        let mut test = Self { by_set, telling: Vec::new(), log_odds, folds, trees };
         test.telling = test.most_telling(pairs);
         Some(test)
     }
@@ -191,7 +192,8 @@ fn fit(pairs: &[TrackPair], folds: &[(usize, usize)], fold: usize, features: &[u
     BoostedTrees::fit(&columns, &is_generated)
 }
 
-fn told(pairs: &[TrackPair], set: FeatureSet, log_odds: &[[f64; 2]]) -> Option<Told> {
+/// The areas for log odds by this set of features.
+fn set_auc(pairs: &[TrackPair], set: FeatureSet, log_odds: &[[f64; 2]]) -> Option<SetAuc> {
     let tracks = area_with_interval(&scored(pairs, &known(log_odds), |_| true))?;
     let speed = features().iter().position(|feature| feature.name == "speed_now")?;
     let moving = part(pairs, log_odds, |i| pairs[i].recorded.get(speed) > MOVING_MPS);
@@ -203,7 +205,7 @@ fn told(pairs: &[TrackPair], set: FeatureSet, log_odds: &[[f64; 2]]) -> Option<T
         let scene = pairs[of_scene[0]].scene;
         of_scenes.extend([0, 1].map(|kind| Scored { scene, generated: kind == 1, score: mean(kind) }));
     }
-    Some(Told { set, tracks, moving, scenes: area_with_interval(&of_scenes) })
+    Some(SetAuc { set, tracks, moving, scenes: area_with_interval(&of_scenes) })
 }
 
 fn part(pairs: &[TrackPair], log_odds: &[[f64; 2]], is_meant: impl Fn(usize) -> bool) -> Option<(usize, Auc)> {
@@ -226,8 +228,5 @@ fn scored(pairs: &[TrackPair], values: &[[Option<f64>; 2]], is_meant: impl Fn(us
 fn median(mut values: Vec<f64>) -> f64 {
     values.retain(|value| !value.is_nan());
     values.sort_by(f64::total_cmp);
-    match values.len() {
-        0 => f64::NAN,
-        n => (values[(n - 1) / 2] + values[n / 2]) / 2.0,
-    }
+    quantile(&values, 0.5).unwrap_or(f64::NAN)
 }

@@ -2,6 +2,7 @@
 
 use super::nearest::NearestIndex;
 use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::quantile::quantile;
 
 /// The recorded positive events of one behavior as points, one coordinate a parameter.
 ///
@@ -68,12 +69,7 @@ const LEAST_SPREAD: f64 = 0.1;
 fn spread(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();
-    let quantile = |share: f64| {
-        let at = share * (n - 1) as f64;
-        let (low, high) = (at.floor() as usize, at.ceil() as usize);
-        values[low] + (values[high] - values[low]) * at.fract()
-    };
-    let robust = 0.7413 * (quantile(0.75) - quantile(0.25));
+    let robust = 0.7413 * (quantile(&values, 0.75)? - quantile(&values, 0.25)?);
     if robust > 0.0 {
         return Some(robust.max(LEAST_SPREAD));
     }
