@@ -1,14 +1,16 @@
 //! Decides which stages must run, which can be reused and which resume, and runs them.
 
 use super::claim;
+use super::device::ComputeChoice;
 use super::failure::{Blame, Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to};
 use super::keep::{Kept, kept};
 use super::record::{InputRecord, StageRecord};
 use super::run::times_seen;
-use super::stage::{Stage, StageContext, StageId, StageInput};
+use super::shards::{self, Gathering, Makers};
+use super::stage::{Stage, StageContext, StageId, StageInput, Work};
 use super::stale;
-use super::work::Work;
+use super::work::WorkFolder;
 use crate::cloud::Recordings;
 use crate::progress::Progress;
 use serde::Serialize;
@@ -30,6 +32,8 @@ pub struct PlannedStage<'a> {
     pub kept: Vec<Kept>,
     /// Whether it may run: the user selected it, or selected nothing.
     pub is_selected: bool,
+    /// Whether it is done again whatever is there.
+    pub is_requested: bool,
 }
 
 impl PlannedStage<'_> {
@@ -83,18 +87,18 @@ pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId])
         let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
         let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
         // Work on the same contents keeps its fingerprint when files were moved, and so do the stages after it.
-        let begun = Work::started(root, stage.id())?;
+        let begun = begun(root, stage.id())?;
         if let Some(same) = earlier.iter().chain(&begun).find(|earlier| expected.is_same_work(earlier)) {
             expected.fingerprint.clone_from(&same.fingerprint);
         }
-        let is_asked = redo.contains(&stage.id());
-        let action = decide(root, &mut expected, is_asked)?;
+        let is_requested = redo.contains(&stage.id());
+        let action = decide(root, &mut expected, is_requested)?;
         if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
             return Err(failure);
         }
         let is_redone = earlier.is_some();
-        let kept = check_writable(root, stage.as_ref(), &expected, &action, is_asked)?;
-        planned.push(PlannedStage { stage, expected, action, is_redone, kept, is_selected: true });
+        let kept = check_writable(root, stage.as_ref(), &expected, &action, is_requested)?;
+        planned.push(PlannedStage { stage, expected, action, is_redone, kept, is_selected: true, is_requested });
     }
     Ok(planned)
 }
@@ -132,20 +136,20 @@ pub(super) fn check_writable(
     stage: &dyn Stage,
     expected: &StageRecord,
     action: &Action,
-    is_asked: bool,
+    is_requested: bool,
 ) -> Result<Vec<Kept>> {
     match action {
         Action::Reuse => Ok(Vec::new()),
         // Whoever began it has requested it already.
         Action::Resume => {
-            Work::check_ours(root, stage.id())?;
+            WorkFolder::check_ours(root, stage.id())?;
             claim::check_outputs(root, stage.id(), stage.outputs())?;
             kept(root, expected, "", true)
         }
         Action::Run(why) => {
-            Work::check_ours(root, stage.id())?;
+            WorkFolder::check_ours(root, stage.id())?;
             claim::check_outputs(root, stage.id(), stage.outputs())?;
-            kept(root, expected, why, is_asked)
+            kept(root, expected, why, is_requested)
         }
     }
 }
@@ -186,9 +190,20 @@ pub(super) fn expected(root: &Path, stage: &dyn Stage) -> Result<StageRecord> {
     StageRecord::expected(stage, inputs.collect::<Result<_>>()?)
 }
 
-/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done.
+/// The record of the work on a stage that was begun in `root` and not finished, if there is one.
+///
+/// # Errors
+/// When the record is damaged; those of the file system.
+pub(super) fn begun(root: &Path, stage: StageId) -> Result<Option<StageRecord>> {
+    let started = WorkFolder::started(root, stage)?;
+    started.map_or_else(|| shards::begun(root, stage), |started| Ok(Some(started)))
+}
+
+/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done. `compute` is what the
+/// context has opened.
 pub fn execute(
     planned: Vec<PlannedStage<'_>>,
+    (compute, makers): (ComputeChoice, Makers),
     context: &StageContext<'_>,
     after: &mut dyn FnMut(&StageRecord) -> anyhow::Result<()>,
     around: &mut dyn FnMut(StageId, Moment) -> anyhow::Result<()>,
@@ -197,23 +212,22 @@ pub fn execute(
     for mut planned in planned {
         planned.expected.learn_contents(&records);
         stale::revise(&mut planned, context)?;
-        let PlannedStage { stage, expected, action, kept, .. } = planned;
-        let record = if action == Action::Reuse {
+        let id = planned.stage.id();
+        let record = if planned.action == Action::Reuse {
+            let PlannedStage { expected, .. } = planned;
             // Planning has just read the same record.
-            StageRecord::done(context.root, stage.id())?
-                .unwrap_or_else(|| expected.clone())
-                .with_inputs_of(context.root, &expected)?
-                .seen(expected.times)
+            let done = StageRecord::done(context.root, id)?.unwrap_or_else(|| expected.clone());
+            shards::clean_up(context.root, &done)?;
+            done.with_inputs_of(context.root, &expected)?.seen(expected.times)
         } else {
             if context.progress.must_stop() {
-                return Err(Failure::later(format_args!("stopped before stage {}", stage.id())));
+                return Err(Failure::later(format_args!("stopped before stage {id}")));
             }
-            around(stage.id(), Moment::Start)?;
-            let named = Named { stage: stage.id(), inner: context.progress };
+            around(id, Moment::Start)?;
+            let named = Named { stage: id, inner: context.progress };
             let context = StageContext { progress: &named, ..*context };
-            let record = run_stage(stage.as_ref(), expected, &action, &kept, &context)
-                .map_err(|failure| failure.of_stage(stage.id()))?;
-            around(stage.id(), Moment::End)?;
+            let record = run_stage(&planned, (compute, makers), &context).map_err(|failure| failure.of_stage(id))?;
+            around(id, Moment::End)?;
             record
         };
         after(&record)?;
@@ -267,19 +281,32 @@ impl Progress for Named<'_> {
 }
 
 fn run_stage(
-    stage: &dyn Stage,
-    expected: StageRecord,
-    action: &Action,
-    kept: &[Kept],
+    planned: &PlannedStage<'_>,
+    made: (ComputeChoice, Makers),
     context: &StageContext<'_>,
 ) -> Result<StageRecord> {
-    let work = match action {
-        Action::Resume => Work::resume(context.root, &expected)?,
-        _ => Work::begin(context.root, &expected)?,
-    };
-    check_inputs(stage)?;
-    let summary = stage.run(&StageContext { root: work.path(), ..*context })?;
-    work.finish(expected, stage.outputs(), summary, kept)
+    let PlannedStage { stage, expected, action, kept, .. } = planned;
+    match stage.work() {
+        Work::Whole(whole) => {
+            let work = match action {
+                Action::Resume => WorkFolder::resume(context.root, expected)?,
+                _ => WorkFolder::begin(context.root, expected)?,
+            };
+            check_inputs(stage.as_ref())?;
+            let summary = whole.run(&StageContext { root: work.path(), ..*context })?;
+            work.finish(expected.clone(), stage.outputs(), summary, kept)
+        }
+        Work::Sharded(sharded) => {
+            check_inputs(stage.as_ref())?;
+            let folder = shards::ready(planned, sharded, made, context)?;
+            let work = WorkFolder::begin(context.root, expected)?;
+            let summary =
+                sharded.finish(&mut Gathering::new(&folder), &StageContext { root: work.path(), ..*context })?;
+            let record = work.finish(expected.clone(), stage.outputs(), summary, kept)?;
+            shards::clean_up(context.root, &record)?;
+            Ok(record)
+        }
+    }
 }
 
 /// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a checksum each, which is
@@ -356,11 +383,11 @@ fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<Pat
 }
 
 /// The action for a stage. If it is reused, `expected` learns when its outputs were last verified.
-fn decide(root: &Path, expected: &mut StageRecord, is_asked: bool) -> Result<Action> {
+fn decide(root: &Path, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
     let stage = expected.stage;
-    let (done, begun) = (StageRecord::done(root, stage)?, Work::started(root, stage)?);
+    let (done, begun) = (StageRecord::done(root, stage)?, begun(root, stage)?);
     let why = match &done {
-        Some(_) if is_asked => "requested by --redo".to_owned(),
+        Some(_) if is_requested => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
         Some(done) => match done.check_outputs(root, &times_seen(root, stage))? {
             Err(name) => format!("{name} is missing or was changed"),

@@ -3,7 +3,8 @@
 use super::device::ComputeChoice;
 use super::graph::{Action, plan};
 use super::run::{RunFolder, TIMINGS_FILE, run_stages};
-use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput};
+use super::shards::Makers;
+use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::files::write_atomically;
 use crate::progress::Progress;
 use serde_json::{Value, json};
@@ -48,6 +49,12 @@ impl Stage for Toy<'_> {
         self.output
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Toy<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         self.ran.borrow_mut().push(self.id);
         if self.text == "unlike" {
@@ -133,7 +140,7 @@ impl Pipeline<'_> {
         let outcome = RunFolder::open(self.root).and_then(|folder| {
             let planned = plan(self.root, stages, self.redo)?;
             actions.extend(planned.iter().map(|stage| stage.action.clone()));
-            run_stages(&folder, None, ComputeChoice::default(), planned, &self.heard).map(drop)
+            run_stages(&folder, None, (ComputeChoice::default(), Makers::Alone), planned, &self.heard).map(drop)
         });
         (actions, ran.into_inner(), outcome)
     }

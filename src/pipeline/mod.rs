@@ -1,7 +1,7 @@
 //! The pipeline: which stages are there, which must run, and where do their results lie?
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
-//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`parts`] lets several processes work on one
+//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`shards`] lets several processes work on one
 //! stage, [`cluster`] hands them to an engine, [`status`] tells how far they are. Only this module (and the command line) uses `anyhow`.
 
 mod claim;
@@ -16,18 +16,17 @@ mod fingerprint;
 pub mod graph;
 #[cfg(test)]
 mod graph_tests;
-mod identity;
 pub mod inspect;
 mod keep;
 pub mod layout;
 mod log;
 pub mod memory;
-pub mod parts;
 mod record;
 pub mod regenerate;
 pub mod run;
 #[cfg(test)]
 mod safety_tests;
+pub mod shards;
 mod stage;
 mod stage_facts;
 pub mod stages;
@@ -40,5 +39,5 @@ pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path};
 pub use keep::Kept;
 pub use record::{InputRecord, StageRecord};
-pub use stage::{Stage, StageContext, StageId, StageInput};
-pub use stage_facts::{PartFacts, StageFacts, StageOutput};
+pub use stage::{Stage, StageContext, StageId, StageInput, Whole, Work};
+pub use stage_facts::{ShardFacts, StageFacts, StageOutput};

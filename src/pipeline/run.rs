@@ -12,8 +12,9 @@ use super::failure::{Blame, Failure, Result};
 use super::graph::{Action, Moment, PlannedStage, execute};
 use super::log::{LOG_FILE, Logged};
 use super::record::{InputRecord, StageRecord};
+use super::shards::Makers;
 use super::stage::{StageContext, StageId};
-use super::work::Work;
+use super::work::WorkFolder;
 use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
@@ -103,13 +104,13 @@ pub struct StageTiming {
 pub fn run_stages(
     folder: &RunFolder,
     config: Option<&PipelineConfig>,
-    compute: ComputeChoice,
+    (choice, makers): (ComputeChoice, Makers),
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
     // A machine without the device may run what does without it.
     let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.expected.stage.computes());
-    let compute = if computes { compute.open()? } else { Compute::cpu() };
+    let compute = if computes { choice.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
     let logged = Logged::open(&root.join(LOG_FILE), progress)?;
     let place = name_elsewhere(root).unwrap_or_else(|| root.display().to_string());
@@ -149,7 +150,7 @@ pub fn run_stages(
         is_new.set(moment == Moment::End);
         clock.borrow_mut().take(stage, moment)
     };
-    let outcome = execute(planned, &context, &mut after, &mut around);
+    let outcome = execute(planned, (choice, makers), &context, &mut after, &mut around);
     match &outcome {
         Ok(_) => logged.line("done"),
         Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),
@@ -184,7 +185,7 @@ impl RunFolder {
         fs_err::create_dir_all(root)?;
         let lock = Lock::in_folder(root)?;
         claim::remove_leftovers(root)?;
-        Work::complete_all(root)?;
+        WorkFolder::complete_all(root)?;
         Ok(Self { root: root.to_owned(), lock })
     }
 }

@@ -1,6 +1,7 @@
 //! What is a stage: which section configures it, what does it read and write, and when must it be redone?
 
 use super::failure::Result;
+use super::shards::Sharded;
 use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::settings::Unreadable;
@@ -115,6 +116,20 @@ pub trait Stage {
     fn outputs(&self) -> &'static [&'static str] {
         self.id().facts().outputs
     }
+    /// How it does its work.
+    fn work(&self) -> Work<'_>;
+}
+
+/// How a stage does its work.
+pub enum Work<'a> {
+    /// One process does all of it.
+    Whole(&'a dyn Whole),
+    /// Any number of processes make shards of it.
+    Sharded(&'a dyn Sharded),
+}
+
+/// Work that one process does.
+pub trait Whole {
     /// Does the work. Returns a short summary for people and for later checks.
     fn run(&self, context: &StageContext<'_>) -> Result<serde_json::Value>;
 }

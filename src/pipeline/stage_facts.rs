@@ -6,6 +6,7 @@ use super::layout::{
     PREDICTIONS, REPORT, SAMPLES, SCENES, VERDICTS,
 };
 use super::stage::StageId;
+use super::stages::is_round_file;
 use std::path::Path;
 
 /// The facts about a stage, apart from its work ([`Stage`](super::Stage)).
@@ -25,16 +26,18 @@ pub struct StageFacts {
     /// The name and place of its output for other stages; `None` if its output is for people.
     pub output: Option<StageOutput>,
     /// The shards that several processes can make at once; `None` if one process does all the work.
-    pub parts: Option<PartFacts>,
+    pub shards: Option<ShardFacts>,
 }
 
-/// The files of shards that workers make ([`parts`](super::parts)).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PartFacts {
+/// The files of shards that workers make ([`shards`](super::shards)).
+#[derive(Debug, Clone, Copy)]
+pub struct ShardFacts {
     /// What their names begin with.
     pub shard: &'static str,
     /// What their names end in.
     pub ending: &'static str,
+    /// Whether workers write a file of this name beside the shards.
+    pub is_other: fn(&str) -> bool,
 }
 
 /// What other stages read of a stage.
@@ -49,7 +52,7 @@ const fn output(name: &'static str, path: fn(&Layout) -> &Path) -> Option<StageO
     Some(StageOutput { name, path })
 }
 
-impl PartFacts {
+impl ShardFacts {
     /// What shard `idx` is called.
     pub(super) fn shard_name(self, idx: usize) -> String {
         format!("{}-{idx:05}", self.shard)
@@ -68,7 +71,7 @@ impl StageId {
                 is_configured: |config| config.ingest.is_some(),
                 outputs: &[SCENES],
                 output: output("scenes", |layout| &layout.scenes),
-                parts: None,
+                shards: None,
             },
             Self::Mine => StageFacts {
                 name: "mine",
@@ -78,7 +81,7 @@ impl StageId {
                 is_configured: |config| config.mine.is_some(),
                 outputs: &[EVENTS, MINE_SUMMARY],
                 output: output("events", |layout| &layout.events),
-                parts: None,
+                shards: None,
             },
             Self::TrainDenoiser => StageFacts {
                 name: "train_denoiser",
@@ -88,7 +91,7 @@ impl StageId {
                 is_configured: |config| config.train.denoiser.is_some(),
                 outputs: &[DENOISER],
                 output: output("denoiser", |layout| &layout.denoiser),
-                parts: None,
+                shards: None,
             },
             Self::TrainDistill => StageFacts {
                 name: "train_distill",
@@ -98,7 +101,7 @@ impl StageId {
                 is_configured: |config| config.train.distill.is_some(),
                 outputs: &[DISTILLED],
                 output: output("distilled", |layout| &layout.distilled),
-                parts: None,
+                shards: None,
             },
             Self::TrainClassifier => StageFacts {
                 name: "train_classifier",
@@ -108,7 +111,7 @@ impl StageId {
                 is_configured: |config| config.train.classifier.is_some(),
                 outputs: &[CLASSIFIER],
                 output: output("classifier", |layout| &layout.classifier),
-                parts: None,
+                shards: None,
             },
             Self::TrainBaseline => StageFacts {
                 name: "train_baseline",
@@ -118,7 +121,7 @@ impl StageId {
                 is_configured: |config| config.train.baseline.is_some(),
                 outputs: &[BASELINE],
                 output: output("baseline", |layout| &layout.baseline),
-                parts: None,
+                shards: None,
             },
             Self::Generate => StageFacts {
                 name: "generate",
@@ -128,7 +131,7 @@ impl StageId {
                 is_configured: |config| config.generate.is_some(),
                 outputs: &[SAMPLES],
                 output: output("samples", |layout| &layout.samples),
-                parts: Some(PartFacts { shard: "samples", ending: "parquet" }),
+                shards: Some(ShardFacts { shard: "samples", ending: "parquet", is_other: is_round_file }),
             },
             Self::Evaluate => StageFacts {
                 name: "evaluate",
@@ -138,7 +141,7 @@ impl StageId {
                 is_configured: |config| config.evaluate.is_some(),
                 outputs: &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS],
                 output: output("metrics", |layout| &layout.metrics),
-                parts: Some(PartFacts { shard: "figures", ending: "bin" }),
+                shards: Some(ShardFacts { shard: "figures", ending: "bin", is_other: |_| false }),
             },
             Self::Report => StageFacts {
                 name: "report",
@@ -148,7 +151,7 @@ impl StageId {
                 is_configured: |config| config.report.is_some(),
                 outputs: &[REPORT, FIGURES],
                 output: None,
-                parts: None,
+                shards: None,
             },
         }
     }

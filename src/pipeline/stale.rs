@@ -5,10 +5,9 @@
 //! again can take hours, so the user decides.
 
 use super::failure::Result;
-use super::graph::{Action, PlannedStage, check_writable};
+use super::graph::{Action, PlannedStage, begun, check_writable};
 use super::record::StageRecord;
 use super::stage::{StageContext, StageId};
-use super::work::Work;
 
 /// Why a stage runs that read what `producer` wrote before.
 pub(super) fn why(producer: StageId) -> String {
@@ -34,7 +33,7 @@ pub(super) fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>)
     let id = planned.stage.id();
     let earlier = match planned.action {
         Action::Reuse => StageRecord::done(context.root, id)?,
-        Action::Resume => Work::started(context.root, id)?,
+        Action::Resume => begun(context.root, id)?,
         Action::Run(_) => None,
     };
     let Some((producer, earlier)) =

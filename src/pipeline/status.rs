@@ -1,10 +1,10 @@
 //! The progress of a run, judged from its folder alone.
 
 use super::layout::Layout;
-use super::parts::{ShardStatus, shard_status};
 use super::record::done_path;
 use super::run::{RUN_FILE, RunManifest};
-use super::work::Work;
+use super::shards::{ShardStatus, shard_status};
+use super::work::WorkFolder;
 use super::{Failure, Result, StageId};
 use crate::store::read_json;
 use crate::train::FitStatistics;
@@ -56,7 +56,7 @@ pub fn status(root: &Path) -> Result<Status> {
     let mut stages = Vec::new();
     for stage in StageId::ALL {
         let is_planned = manifest.as_ref().is_some_and(|manifest| manifest.stages.contains_key(stage.name()));
-        let begun = Work::started(root, stage)?;
+        let begun = WorkFolder::started(root, stage)?;
         let is_in_parts = shards.as_ref().is_some_and(|shards| shards.stage == stage);
         let state = match () {
             () if begun.is_some() || is_in_parts => ProgressState::Begun,

@@ -3,7 +3,7 @@
 //! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it.
 //! Earlier outputs stay in their places meanwhile. Once the new ones are complete, `done.json` is written in the work
 //! folder. From then on they are put in place, at the latest when the folder is opened the next time
-//! ([`Work::complete_all`]). Folders are exchanged by one system call where there is one, so that each output, old or
+//! ([`WorkFolder::complete_all`]). Folders are exchanged by one system call where there is one, so that each output, old or
 //! new, is always in place, whenever the process is killed.
 
 use super::claim;
@@ -34,7 +34,7 @@ const NEW_FILE: &str = ".djinn-new";
 const REPLACED: &str = "replaced";
 
 /// The folder in which a stage works.
-pub(super) struct Work {
+pub(super) struct WorkFolder {
     root: PathBuf,
     dir: PathBuf,
     stage: StageId,
@@ -46,7 +46,7 @@ struct KeptNames {
     names: BTreeMap<String, String>,
 }
 
-impl Work {
+impl WorkFolder {
     fn of(root: &Path, stage: StageId) -> Self {
         Self { root: root.to_owned(), dir: root.join(format!("{stage}.partial")), stage }
     }

@@ -13,7 +13,7 @@ pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCo
 use super::help;
 use crate::cloud::ObjectUrl;
 use crate::nn::Precision;
-use crate::pipeline::parts::{Part, Worker};
+use crate::pipeline::shards::{Part, Worker};
 use crate::pipeline::{DeviceChoice, StageId};
 use clap::builder::{PathBufValueParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Parser, Subcommand};

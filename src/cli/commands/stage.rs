@@ -9,6 +9,7 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::run::{RunFolder, run_stages};
+use crate::pipeline::shards::Makers;
 use crate::pipeline::{Failure, Result, StageId, graph, stages};
 use std::path::{Path, PathBuf};
 
@@ -51,7 +52,7 @@ fn run_in(
     let folder = RunFolder::open(root)?;
     let planned = plan()?;
     announce(&planned, output, printer);
-    let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;
+    let records = run_stages(&folder, None, (config.run.compute(), Makers::Alone), planned, &progress)?;
     stages::check_gates(&records)
 }
 

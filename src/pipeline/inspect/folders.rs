@@ -1,10 +1,10 @@
 //! Folders: runs, scene stores, samples, corpora, models.
 
 use super::{Description, checkpoint, requests};
+use crate::pipeline::graph::begun;
 use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::run::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
 use crate::pipeline::stages::SampleManifest;
-use crate::pipeline::work::Work;
 use crate::pipeline::{Result, StageId, StageRecord};
 use crate::store::{CorpusManifest, SceneManifest, SceneStore, TableEntry, read_json};
 use serde_json::{Map, Value, json};
@@ -16,7 +16,7 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     let found = |read: fn(&Path, StageId) -> Result<Option<StageRecord>>| {
         StageId::ALL.into_iter().filter_map(|id| read(path, id).transpose()).collect::<Result<Vec<StageRecord>>>()
     };
-    let (records, started) = (found(StageRecord::done)?, found(Work::started)?);
+    let (records, started) = (found(StageRecord::done)?, found(begun)?);
     let manifest: Option<RunManifest> = read_json(&path.join(RUN_FILE)).ok();
     if !path.is_dir() || (records.is_empty() && started.is_empty() && manifest.is_none()) {
         return Ok(None);

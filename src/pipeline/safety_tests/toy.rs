@@ -3,7 +3,8 @@
 use crate::files::write_atomically;
 use crate::pipeline::graph::{Action, PlannedStage, execute, plan};
 use crate::pipeline::run::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
-use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::pipeline::shards::Makers;
+use crate::pipeline::{ComputeChoice, Failure, Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::progress::Silent;
 use crate::store::write_record;
 use fs_err as fs;
@@ -48,6 +49,12 @@ impl Stage for Toy {
         if self.is_cheap { &["corpus", "metrics.json"] } else { &["denoiser"] }
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Toy {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let folder = context.root.join(self.outputs()[0]);
         let file = self.outputs().get(1).map(|name| context.root.join(name));
@@ -89,7 +96,7 @@ pub(super) fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
     let first = planned.first_mut().unwrap();
     let plan = Planned { action: first.action.clone(), redone: first.redone() };
     let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
-    execute(planned, &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
+    execute(planned, (ComputeChoice::default(), Makers::Alone), &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
     Ok(plan)
 }
 

@@ -3,7 +3,7 @@
 use crate::cloud::Recordings;
 use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
 use crate::pipeline::layout::SCENES;
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::store::{SceneWriter, SceneWriterOptions};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -39,6 +39,12 @@ impl Stage for Ingest<'_> {
         recordings.chain(self.config.map_inputs.iter().enumerate().map(named("map_inputs"))).collect()
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Ingest<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(SCENES);
         let (mut writer, finished) = SceneWriter::resume(&dir, SceneWriterOptions::default())?;

@@ -3,7 +3,7 @@
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEntry, BehaviorEvent};
 use crate::evaluate::MiningTally;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
-use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
+use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::progress::Progress;
 use crate::scene::Split;
 use crate::settings::Issue;
@@ -79,6 +79,12 @@ impl Stage for Mine<'_> {
         vec![StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes)]
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Mine<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let behaviors = self.config.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;

@@ -7,8 +7,6 @@ mod ingest;
 mod mine;
 mod models;
 mod report;
-mod request_rounds;
-mod sample_folder;
 mod train;
 mod train_baseline;
 mod train_classifier;
@@ -18,16 +16,12 @@ mod training_scenes;
 
 pub(in crate::pipeline) use blame::of_named_path;
 pub use evaluate::Evaluate;
-pub(in crate::pipeline) use evaluate::{FIGURES_FORMAT, figures_path};
-pub use generate::Generate;
-pub(in crate::pipeline) use generate::Ready;
+pub(in crate::pipeline) use generate::{FoundShard, find_shard, is_round_file, shard_name};
+pub use generate::{Generate, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
 pub(in crate::pipeline) use models::{LoadedModels, needed_models};
 pub use report::{About, Report};
-pub(in crate::pipeline) use request_rounds::{RoundShards, Rounds};
-pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, is_round_file, shard_name};
-pub use sample_folder::{SampleFolder, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub(in crate::pipeline) use train::checkpoint_file;
 pub use train::{Recipe, Train};
 

@@ -5,7 +5,7 @@ use super::with_precision;
 use crate::model::{ModelSpec, TrainedModel};
 use crate::nn::{Checkpoint, Precision, read_checkpoint};
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::seed::Seed;
 use crate::store::write_atomically;
 use crate::train::{MODEL_FILE, SceneChoice, TrainJob};
@@ -132,6 +132,12 @@ impl<R: Recipe> Stage for Train<'_, R> {
         made.chain(more).chain(start).collect()
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl<R: Recipe> Whole for Train<'_, R> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let StageContext { compute, progress, .. } = *context;
         let dir = context.root.join(R::STAGE.facts().outputs[0]);

@@ -4,7 +4,7 @@ mod drawings;
 mod gather;
 
 use crate::pipeline::layout::{FIGURES, Layout, REPORT};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::report::{ReportConfig, figures, render};
 use crate::store::write_atomically;
 use serde::Serialize;
@@ -61,6 +61,12 @@ impl Stage for Report<'_> {
         self.parts.iter().filter_map(input).collect()
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Report<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         context.progress.start("report", 0, "parts");
         let model = gather::model(self)?;

@@ -1,15 +1,17 @@
-//! The folder of generated scenarios: shards with their records, the plan, and finally a manifest.
+//! The folder of generated scenarios: shards, what was decided about them, and a manifest.
 
-use super::mine::MineConfig;
+use super::rounds::DecidedShard;
+use crate::files::{files_below, link_or_copy};
 use crate::generate::{
     GenerateConfig, Plan, Pool, RejectedSample, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
     Shortfall,
 };
 use crate::metrics::MetricSettings;
+use crate::pipeline::stages::MineConfig;
 use crate::pipeline::{Classify, Failure, Result};
 use crate::scenario::ScenarioRecord;
 use crate::store::{
-    FileStamp, MapSource, read_if_whole, read_json, read_samples, write_atomically, write_json_atomically,
+    FileStamp, MapSource, SceneStore, read_if_whole, read_json, read_samples, write_atomically, write_json_atomically,
     write_samples,
 };
 use serde::{Deserialize, Serialize};
@@ -17,7 +19,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The record of a finished shard; written beside the shard, after it.
+/// The record of a finished shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SampleSidecar {
     /// Name of the shard's file.
@@ -76,22 +78,17 @@ pub struct SampledWith {
     pub shortfalls: Vec<Shortfall>,
 }
 
-/// A folder of generated scenarios.
+/// A folder of generated scenarios that is being written.
 #[derive(Debug)]
-pub struct SampleFolder {
+pub(super) struct SampleFolder {
     dir: PathBuf,
 }
 
 impl SampleFolder {
-    /// Creates the folder, or resumes an unfinished one.
-    pub(in crate::pipeline) fn open_for_writing(dir: &Path) -> Result<Self> {
+    /// Creates the folder.
+    pub(super) fn create(dir: &Path) -> Result<Self> {
         fs_err::create_dir_all(dir)?;
         Ok(Self { dir: dir.to_owned() })
-    }
-
-    /// The plan of an interrupted run, if there is one.
-    pub(super) fn plan(&self) -> Result<Option<Plan>> {
-        Ok(read_if_whole(&self.dir.join(PLAN_FILE))?)
     }
 
     /// Keeps the settings, so that the folder can be understood, and its scenarios generated again, without the run's
@@ -102,25 +99,9 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// The cells of request `request`, if an interrupted run has fixed them.
-    pub(super) fn pool(&self, request: usize) -> Result<Option<Pool>> {
-        Ok(read_if_whole(&self.dir.join(pool_file(request)))?)
-    }
-
-    /// Keeps the cells of a request.
-    pub(in crate::pipeline) fn write_pool(&self, request: usize, pool: &Pool) -> Result<()> {
-        write_json_atomically(&self.dir.join(pool_file(request)), pool)?;
-        Ok(())
-    }
-
-    /// Round `round` of request `request`, if it has been decided.
-    pub(super) fn round(&self, request: usize, round: usize) -> Result<Option<Round>> {
-        Ok(read_if_whole(&self.dir.join(round_file(request, round)))?)
-    }
-
-    /// Keeps what was decided for a round.
-    pub(super) fn write_round(&self, request: usize, round: &Round) -> Result<()> {
-        write_json_atomically(&self.dir.join(round_file(request, round.round)), round)?;
+    /// Keeps the plan of the sweeps.
+    pub(super) fn write_plan(&self, plan: &Plan) -> Result<()> {
+        write_json_atomically(&self.dir.join(PLAN_FILE), plan)?;
         Ok(())
     }
 
@@ -130,67 +111,33 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// Keeps the plan.
-    pub(in crate::pipeline) fn write_plan(&self, plan: &Plan) -> Result<()> {
-        write_json_atomically(&self.dir.join(PLAN_FILE), plan)?;
-        Ok(())
+    /// Keeps the cells of requests, and what was decided for their rounds in the folder `made`.
+    pub(super) fn take_rounds(&self, made: &Path, pools: &[Pool]) -> Result<()> {
+        for (request, pool) in pools.iter().enumerate() {
+            write_json_atomically(&self.dir.join(pool_file(request)), pool)?;
+        }
+        let names = files_below(made)?.into_iter().filter_map(|name| Some(name.to_str()?.to_owned()));
+        names.filter(|name| is_round_file(name)).try_for_each(|name| self.take(made, &name))
     }
 
-    /// The record of shard `idx`, if it is finished. A damaged shard is sampled again, and not one that cannot be read now.
-    pub(in crate::pipeline) fn finished(&self, idx: usize) -> Result<Option<SampleSidecar>> {
-        let sidecar: Option<SampleSidecar> = read_if_whole(&self.dir.join(format!("{}.json", shard_name(idx))))?;
-        let Some(sidecar) = sidecar.filter(|sidecar| sidecar.file == table_name(idx)) else { return Ok(None) };
-        Ok(sidecar.stamp.is_of(&self.dir.join(&sidecar.file))?.then_some(sidecar))
+    /// Takes a file from the folder `made`.
+    pub(super) fn take(&self, made: &Path, file: &str) -> Result<()> {
+        Ok(link_or_copy(&made.join(file), &self.dir.join(file))?)
     }
 
-    /// Where a file of the folder is.
-    pub(in crate::pipeline) fn path(&self, file: &str) -> PathBuf {
-        self.dir.join(file)
-    }
-
-    /// Writes shard `idx` of the plan, of the sweep of this name and this many evaluations of the denoiser a sample.
-    pub(in crate::pipeline) fn write_shard(
+    /// Writes the table of a shard of a request in the folder `made` again, with what was decided of its scenarios.
+    pub(super) fn write_decided(
         &self,
-        idx: usize,
-        described: (&str, u64),
-        output: ShardOutput,
-        request: Option<ShardTally>,
+        made: &Path,
+        DecidedShard { idx, sidecar, tags }: DecidedShard,
+        store: &SceneStore,
     ) -> Result<SampleSidecar> {
-        let sidecar = self.write_table(idx, described, output, request)?;
-        self.write_sidecar(idx, &sidecar)?;
-        Ok(sidecar)
-    }
-
-    /// Declares shard `idx` finished; its table must be complete.
-    pub(in crate::pipeline) fn write_sidecar(&self, idx: usize, sidecar: &SampleSidecar) -> Result<()> {
-        write_json_atomically(&self.dir.join(format!("{}.json", shard_name(idx))), sidecar)?;
-        Ok(())
-    }
-
-    /// Writes the table of shard `idx` and returns its record.
-    pub(in crate::pipeline) fn write_table(
-        &self,
-        idx: usize,
-        (sweep, n_evaluations): (&str, u64),
-        output: ShardOutput,
-        request: Option<ShardTally>,
-    ) -> Result<SampleSidecar> {
-        let file = table_name(idx);
-        let ShardOutput { records, rejected, unselected } = output;
-        let stamp = write_samples(&self.dir.join(&file), &records)?;
-        let n_verified = records.iter().filter(|record| record.verified).count() as u64;
-        let sweep = sweep.to_owned();
-        Ok(SampleSidecar {
-            file,
-            stamp,
-            sweep,
-            n_evaluations,
-            n_scenarios: records.len() as u64,
-            n_verified,
-            rejected,
-            unselected,
-            request,
-        })
+        let mut records = read_samples(&made.join(&sidecar.file), store)?;
+        records.iter_mut().zip(tags).for_each(|(record, tag)| record.request = Some(tag));
+        let SampleSidecar { sweep, n_evaluations, rejected, unselected, request, .. } = sidecar;
+        let output = ShardOutput { records, rejected, unselected };
+        let written = write_table(&self.dir, idx, (&sweep, n_evaluations), output)?;
+        Ok(SampleSidecar { request, ..written })
     }
 
     /// Declares the folder whole.
@@ -215,6 +162,39 @@ impl SampleFolder {
         write_json_atomically(&self.dir.join(MANIFEST_FILE), &manifest)?;
         Ok(manifest)
     }
+}
+
+/// Writes the table of shard `idx` into the folder `dir` and returns its record. The shard is of the sweep of this name with this
+/// many evaluations of the denoiser a sample.
+pub(super) fn write_table(
+    dir: &Path,
+    idx: usize,
+    (sweep, n_evaluations): (&str, u64),
+    ShardOutput { records, rejected, unselected }: ShardOutput,
+) -> Result<SampleSidecar> {
+    let file = format!("{}.parquet", shard_name(idx));
+    Ok(SampleSidecar {
+        stamp: write_samples(&dir.join(&file), &records)?,
+        file,
+        sweep: sweep.to_owned(),
+        n_evaluations,
+        n_scenarios: records.len() as u64,
+        n_verified: records.iter().filter(|record| record.verified).count() as u64,
+        rejected,
+        unselected,
+        request: None,
+    })
+}
+
+/// Round `round` of request `request` in the folder `dir`, if it has been decided.
+pub(super) fn read_round(dir: &Path, request: usize, round: usize) -> Result<Option<Round>> {
+    Ok(read_if_whole(&dir.join(round_file(request, round)))?)
+}
+
+/// Keeps what was decided for a round in the folder `dir`.
+pub(super) fn write_round(dir: &Path, request: usize, round: &Round) -> Result<()> {
+    write_json_atomically(&dir.join(round_file(request, round.round)), round)?;
+    Ok(())
 }
 
 impl SampleManifest {
@@ -340,10 +320,6 @@ pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
     format!("samples-{idx:05}")
 }
 
-fn table_name(idx: usize) -> String {
-    format!("{}.parquet", shard_name(idx))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -363,19 +339,16 @@ mod tests {
     }
 
     #[test]
-    fn a_flipped_bit_of_a_shard_is_an_error_and_the_shard_is_sampled_again() {
+    fn a_flipped_bit_of_a_shard_is_an_error() {
         let dir = tempfile::tempdir().unwrap();
-        let folder = SampleFolder::open_for_writing(dir.path()).unwrap();
         let output = ShardOutput { records: Vec::new(), rejected: Vec::new(), unselected: BTreeMap::new() };
-        let sidecar = folder.write_shard(3, ("sweep", 1), output, None).unwrap();
-        assert_eq!(folder.finished(3).unwrap().as_ref(), Some(&sidecar));
+        let sidecar = write_table(dir.path(), 3, ("sweep", 1), output).unwrap();
         assert!(SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).is_ok());
         let path = dir.path().join(&sidecar.file);
         let mut bytes = fs_err::read(&path).unwrap();
         let middle = bytes.len() / 2;
         bytes[middle] ^= 1;
         fs_err::write(&path, bytes).unwrap();
-        assert_eq!(folder.finished(3).unwrap(), None);
         let failure = SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).unwrap_err();
         assert_eq!(failure.blame, Blame::Fault);
         let said = format!("{failure:?}");

@@ -1,19 +1,18 @@
-//! Who samples which shard, and what becomes of shards that cannot be sampled? On shards without scenarios.
+//! Who makes which shard, and what becomes of shards that cannot be made? On shards of a few bytes.
 
-use super::Identity;
-use super::folder::PartsFolder;
+use super::folder::ShardFolder;
 use super::gathering::Gathering;
-use super::generation::{SampledShard, gather, work_through};
-use super::tries;
-use super::work::{Shards, Worker};
-use super::{sealed, shard_status};
-use crate::generate::{GenerateConfig, Plan, ResolvedGeneration, ShardOutput, ShardPlan};
-use crate::pipeline::stages::{SampleFolder, SampleSidecar};
+use super::identity::Identity;
+use super::make::{Shards, Worker};
+use super::{Division, clean_up, shard_status, tries};
+use crate::files::{FileStamp, write_atomically};
 use crate::pipeline::{Blame, Failure, Result, StageId, StageRecord};
 use crate::progress::Silent;
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 
 fn identity() -> Identity {
     let stage = StageRecord {
@@ -30,48 +29,59 @@ fn identity() -> Identity {
     Identity { stage, program: "1 (a)".to_owned(), compute: "cpu, f32".to_owned() }
 }
 
-/// A plan of two sweeps with `n_shards` each, the second of which needs `enough` verified scenarios.
+/// A new plan of some shards in a run folder.
+pub(in crate::pipeline) fn shard_folder(root: &Path, n_shards: usize, is_shared: bool) -> ShardFolder {
+    let division = Division::new(n_shards, &serde_json::json!({})).unwrap();
+    ShardFolder::write(root, identity(), &division, is_shared).unwrap()
+}
+
+/// A plan of some shards.
 struct Planned {
-    _root: tempfile::TempDir,
-    folder: PartsFolder,
-    plan: Plan,
-    resolved: ResolvedGeneration,
+    root: tempfile::TempDir,
+    folder: ShardFolder,
+    n_shards: usize,
 }
 
 impl Planned {
-    fn new(n_shards: usize, enough: usize) -> Self {
+    fn new(n_shards: usize) -> Self {
+        Self::of(n_shards, true)
+    }
+
+    fn of(n_shards: usize, is_shared: bool) -> Self {
         let root = tempfile::tempdir().unwrap();
-        let text = format!(
-            "[[sweeps]]\nname = 'a'\nn_scenes = 4\n[[sweeps]]\nname = 'b'\nn_scenes = 4\nbehavior = 'cut_in'\nstop_after_verified = {enough}"
-        );
-        let behaviors = crate::pipeline::stages::MineConfig::default().build().unwrap();
-        let resolved = toml::from_str::<GenerateConfig>(&text).unwrap().resolve(&behaviors).unwrap();
-        let shard = |idx| ShardPlan { idx, sweep_idx: idx / n_shards, cells: Vec::new(), first_sample: 0 };
-        let plan = Plan { shards: (0..2 * n_shards).map(shard).collect(), shortfalls: Vec::new() };
-        let folder = PartsFolder::write(root.path(), identity(), &plan, plan.shards.len()).unwrap();
-        Self { _root: root, folder, plan, resolved }
+        Self { folder: shard_folder(root.path(), n_shards, is_shared), root, n_shards }
     }
 
-    fn work(&self, worker: &str, sample: &dyn Fn(&ShardPlan) -> Result<SampleSidecar>) -> Result<()> {
+    fn work(&self, worker: &str, make: &dyn Fn(usize) -> Result<FileStamp>) -> Result<()> {
         let shards = Shards::new(&self.folder, worker.parse().unwrap(), &Silent);
-        work_through(&shards, &self.plan, &self.resolved, &mut |shard| sample(shard))
+        shards.go_about(0..self.n_shards, &|_| 1, &|_| true, &mut |idx| Ok((make(idx)?, ())))
     }
 
-    /// Writes an empty shard that claims to hold `n_verified` scenarios.
-    fn write(&self, shard: &ShardPlan, n_verified: u64) -> Result<SampleSidecar> {
-        let samples = SampleFolder::open_for_writing(self.folder.dir())?;
-        let sidecar = samples.write_table(shard.idx, ("a", 1), ShardOutput::default(), None)?;
-        Ok(SampleSidecar { n_verified, ..sidecar })
+    /// Writes the file of a shard.
+    fn write(&self, idx: usize) -> Result<FileStamp> {
+        let path = self.folder.dir().join(self.folder.file_name(idx));
+        Ok(write_atomically::<std::io::Error>(&path, |file| write!(file, "shard {idx}"))?)
     }
 
-    fn collected(&self) -> Result<Vec<usize>> {
-        Ok(self.gathered()?.whole()?.into_iter().map(|(idx, _)| idx).collect())
+    fn finish(&self, idx: usize, seconds: f64) {
+        let stamp = self.write(idx).unwrap();
+        self.folder.finish(idx, ("1/2", seconds), (stamp, ())).unwrap();
     }
 
-    fn gathered(&self) -> Result<Gathering<'_, SampledShard>> {
-        let mut shards = Gathering::new(&self.folder, self.plan.shards.len());
-        gather(&self.plan, &self.resolved, &mut shards)?;
-        Ok(shards)
+    fn check_whole(&self) -> Result<()> {
+        let mut shards = Gathering::new(&self.folder);
+        for idx in 0..self.n_shards {
+            shards.look_up::<()>(idx)?;
+        }
+        shards.check_whole()
+    }
+
+    fn root(&self) -> &Path {
+        self.root.path()
+    }
+
+    fn clean_up(&self) -> Result<()> {
+        clean_up(self.root(), &identity().stage)
     }
 }
 
@@ -99,47 +109,46 @@ fn every_worker_comes_to_every_shard_once_and_to_its_own_first() {
 }
 
 #[test]
-fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_sampled() {
-    let planned = Planned::new(3, 100);
-    assert_eq!(planned.collected().unwrap_err().blame, Blame::Later);
+fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_made() {
+    let planned = Planned::new(6);
+    assert_eq!(planned.check_whole().unwrap_err().blame, Blame::Later);
     let n_crashes = Cell::new(0);
-    let sample = |shard: &ShardPlan| {
-        if shard.idx == 1 {
+    let make = |idx: usize| {
+        if idx == 1 {
             n_crashes.set(n_crashes.get() + 1);
             panic!("scene x has no lanes");
         }
-        planned.write(shard, 0)
+        planned.write(idx)
     };
     // Each process ends with the panic and is started again, as a scheduler does.
-    let run = || catch_unwind(AssertUnwindSafe(|| planned.work("1/1", &sample)));
+    let run = || catch_unwind(AssertUnwindSafe(|| planned.work("1/1", &make)));
     for _ in 0..3 {
         assert!(run().is_err());
     }
     run().unwrap().unwrap();
     assert_eq!(n_crashes.get(), 3);
-    let failure = planned.collected().unwrap_err();
+    let failure = planned.check_whole().unwrap_err();
     let said = format!("{failure:?}");
     assert_eq!(failure.blame, Blame::Fault);
     assert!(
         said.contains("1 of 6 shards were given up: samples-00001 (failed 3 times, last: a bug: scene x has no lanes)")
     );
     assert!(said.contains("marks *.try-*"), "{said}");
-    // Mended, and its marks removed, it is sampled like any other.
+    // Mended, and its marks removed, it is made like any other.
     for number in 1..=3 {
         fs_err::remove_file(planned.folder.try_path(1, number)).unwrap();
     }
-    let mended = |shard: &ShardPlan| planned.write(shard, 0);
-    planned.work("1/1", &mended).unwrap();
-    assert_eq!(planned.collected().unwrap(), [0, 1, 2, 3, 4, 5]);
+    planned.work("1/1", &|idx| planned.write(idx)).unwrap();
+    planned.check_whole().unwrap();
 }
 
 #[test]
 fn a_stop_is_no_failed_try_and_an_error_is() {
-    let planned = Planned::new(1, 100);
+    let planned = Planned::new(1);
     for (failure, n_marks) in [(Failure::later("stopped"), 0), (Failure::fault(anyhow::anyhow!("disk full")), 1)] {
         let failure = RefCell::new(Some(failure));
-        let sample = |_: &ShardPlan| Err(failure.take().unwrap());
-        assert!(planned.work("1/1", &sample).is_err());
+        let make = |_: usize| Err(failure.take().unwrap());
+        assert!(planned.work("1/1", &make).is_err());
         let marks = (1..=10).filter(|number| planned.folder.try_path(0, *number).exists());
         assert_eq!(marks.count(), n_marks);
     }
@@ -148,62 +157,43 @@ fn a_stop_is_no_failed_try_and_an_error_is() {
 }
 
 #[test]
-fn what_one_process_would_not_have_sampled_is_not_published() {
-    let planned = Planned::new(4, 3);
-    let sampled = RefCell::new(Vec::new());
-    let sample = |shard: &ShardPlan| {
-        sampled.borrow_mut().push(shard.idx);
-        planned.write(shard, 2)
-    };
-    // The second worker comes to the end of the second sweep before the first one has come to its beginning.
-    planned.work("2/2", &sample).unwrap();
-    planned.work("1/2", &sample).unwrap();
-    assert_eq!(planned.collected().unwrap(), [0, 1, 2, 3, 4, 5], "4 verified in two shards of the second sweep");
-    assert!(sampled.borrow().contains(&7), "nobody knew");
-    let n_sampled = sampled.borrow().len();
-    planned.work("1/1", &sample).unwrap();
-    assert_eq!(sampled.borrow().len(), n_sampled, "what is finished or unwanted is not sampled again");
-}
-
-#[test]
-fn one_process_takes_over_no_shard_that_it_might_not_want() {
-    let planned = Planned::new(3, 3);
-    // The second shard of either sweep is missing.
-    for idx in [0, 2, 3, 5] {
-        let sidecar = planned.write(&planned.plan.shards[idx], 1).unwrap();
-        planned.folder.finish(idx, "1/1", 1.0, &SampledShard::of_sweep(sidecar)).unwrap();
-    }
-    let (found, n_shards) = planned.gathered().unwrap().found();
-    assert_eq!((found.into_iter().map(|(idx, _)| idx).collect::<Vec<_>>(), n_shards), (vec![0, 2, 3], 6));
-}
-
-#[test]
 fn a_damaged_shard_is_missing_again() {
-    let planned = Planned::new(1, 100);
-    let sample = |shard: &ShardPlan| planned.write(shard, 0);
-    planned.work("1/1", &sample).unwrap();
-    let table = planned.folder.dir().join("samples-00001.parquet");
-    let mut bytes = fs_err::read(&table).unwrap();
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    fs_err::write(&table, bytes).unwrap();
-    let failure = planned.collected().unwrap_err();
+    let planned = Planned::new(2);
+    let make = |idx: usize| planned.write(idx);
+    planned.work("1/1", &make).unwrap();
+    fs_err::write(planned.folder.dir().join("samples-00001.parquet"), "shard 2").unwrap();
+    let failure = planned.check_whole().unwrap_err();
     assert!(
         failure.blame == Blame::Later && format!("{failure:?}").contains("1 of 2 shards are missing: samples-00001")
     );
-    planned.work("1/1", &sample).unwrap();
-    assert_eq!(planned.collected().unwrap(), [0, 1]);
+    planned.work("1/1", &make).unwrap();
+    planned.check_whole().unwrap();
+}
+
+#[test]
+fn a_process_that_goes_on_alone_tries_again_what_failed_or_was_killed() {
+    for (is_shared, n_left) in [(false, 0), (true, 1)] {
+        let planned = Planned::of(3, is_shared);
+        planned.finish(2, 1.0);
+        fs_err::write(planned.folder.dir().join("samples-00002.parquet"), "damage!").unwrap();
+        fs_err::write(planned.folder.try_path(0, 1), "").unwrap();
+        tries::fail(&planned.folder.try_path(1, 2), "1/1", "disk full").unwrap();
+        Shards::new(&planned.folder, Worker::ALONE, &Silent).try_again().unwrap();
+        // Whether somebody else is at work on the first one is not known where there may be somebody else.
+        assert_eq!(planned.folder.tried().unwrap().len(), n_left);
+        assert!(planned.folder.seconds(2).is_none());
+    }
 }
 
 #[test]
 fn what_others_are_at_is_left_to_them_for_a_while() {
-    let planned = Planned::new(2, 100);
+    let planned = Planned::new(4);
     fs_err::write(planned.folder.try_path(1, 1), "").unwrap();
     let shards = Shards::new(&planned.folder, worker("1/1"), &Silent);
     let made = RefCell::new(Vec::new());
     let mut make = |idx: usize| {
         made.borrow_mut().push(idx);
-        Ok(SampledShard::of_sweep(planned.write(&planned.plan.shards[idx], 0)?))
+        Ok((planned.write(idx)?, ()))
     };
     assert!(shards.complete(0..3, &|_| 0, &mut make).unwrap());
     assert_eq!(*made.borrow(), [0, 2, 1]);
@@ -215,9 +205,9 @@ fn what_others_are_at_is_left_to_them_for_a_while() {
 
 #[test]
 fn a_plan_of_others_is_refused_by_what_differs() {
-    let planned = Planned::new(1, 100);
-    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
-    assert_eq!(PartsFolder::of(root, &identity()).unwrap(), Some(planned.folder.clone()));
+    let planned = Planned::new(1);
+    let root = planned.root();
+    assert!(ShardFolder::of(root, &identity()).unwrap().is_some());
     let mut other = [identity(), identity(), identity()];
     other[0].program = "1 (b)".to_owned();
     other[1].compute = "cuda NVIDIA H200, f32".to_owned();
@@ -225,7 +215,7 @@ fn a_plan_of_others_is_refused_by_what_differs() {
     other[2].stage.config = serde_json::json!({ "seed": 2 });
     let expected = ["program: the plan's is 1 (a), this one is 1 (b)", "device: ", "changed: generate.seed 1 -> 2"];
     for (other, expected) in other.iter().zip(expected) {
-        let failure = PartsFolder::of(root, other).unwrap_err();
+        let failure = ShardFolder::of(root, other).unwrap_err();
         let said = format!("{failure:?}");
         assert!(failure.blame == Blame::Input && said.contains(expected) && said.contains("--redo generate"), "{said}");
     }
@@ -233,9 +223,8 @@ fn a_plan_of_others_is_refused_by_what_differs() {
 
 #[test]
 fn only_our_files_are_discarded() {
-    let planned = Planned::new(2, 100);
-    let sample = |shard: &ShardPlan| planned.write(shard, 0);
-    planned.work("1/1", &sample).unwrap();
+    let planned = Planned::new(4);
+    planned.work("1/1", &|idx| planned.write(idx)).unwrap();
     let dir = planned.folder.dir();
     fs_err::write(planned.folder.log(3), "line\n").unwrap();
     fs_err::write(dir.join("samples-00001.try-2"), "").unwrap();
@@ -250,18 +239,17 @@ fn only_our_files_are_discarded() {
     }
     // A process that was killed while it removed the plan has removed this first.
     fs_err::remove_file(dir.join("parts.json")).unwrap();
-    let root = dir.parent().unwrap().parent().unwrap();
-    assert!(PartsFolder::all(root, StageId::Generate).unwrap().is_empty());
-    sealed(root, StageId::Generate).unwrap();
+    assert!(ShardFolder::all(planned.root(), StageId::Generate).unwrap().is_empty());
+    planned.clean_up().unwrap();
     assert!(!dir.parent().unwrap().exists());
 }
 
 #[cfg(unix)]
 #[test]
 fn what_systems_and_others_leave_beside_plans_is_passed_over() {
-    let planned = Planned::new(1, 100);
+    let planned = Planned::new(1);
     let parts = planned.folder.dir().parent().unwrap();
-    let (root, theirs) = (parts.parent().unwrap(), parts.parent().unwrap().join("theirs"));
+    let (root, theirs) = (planned.root(), planned.root().join("theirs"));
     fs_err::create_dir(&theirs).unwrap();
     fs_err::write(theirs.join("plan.json"), "years of work").unwrap();
     for name in [".DS_Store", ".nfs0000000012", "0123456789abcdee"] {
@@ -269,34 +257,21 @@ fn what_systems_and_others_leave_beside_plans_is_passed_over() {
     }
     fs_err::create_dir(parts.join("notes")).unwrap();
     std::os::unix::fs::symlink(&theirs, parts.join("0123456789abcdef")).unwrap();
-    assert_eq!(PartsFolder::all(root, StageId::Generate).unwrap(), std::slice::from_ref(&planned.folder));
-    sealed(root, StageId::Generate).unwrap();
+    assert_eq!(ShardFolder::all(root, StageId::Generate).unwrap().len(), 1);
+    planned.clean_up().unwrap();
     assert!(!planned.folder.is_there() && parts.join(".DS_Store").exists() && theirs.join("plan.json").exists());
     fs_err::rename(parts, root.join("away")).unwrap();
     std::os::unix::fs::symlink(&theirs, parts).unwrap();
-    assert_eq!(sealed(root, StageId::Generate).unwrap_err().blame, Blame::Input);
+    assert_eq!(planned.clean_up().unwrap_err().blame, Blame::Input);
 }
 
 #[test]
-fn what_leads_out_of_a_plan_counts_for_nothing() {
-    let planned = Planned::new(2, 100);
-    let sidecar = planned.write(&planned.plan.shards[0], 0).unwrap();
-    let finish = |file: &str| {
-        let sidecar = SampleSidecar { file: file.to_owned(), ..sidecar.clone() };
-        planned.folder.finish(0, "1/1", 1.0, &SampledShard::of_sweep(sidecar)).unwrap();
-        planned.folder.finished::<SampledShard>(0).is_some()
-    };
-    let absolute = planned.folder.dir().join(&sidecar.file);
-    assert!(finish(&sidecar.file));
-    for file in ["./samples-00000.parquet", &absolute.to_string_lossy(), "samples-00001.parquet", ""] {
-        assert!(!finish(file), "{file}");
-    }
-    // The record of a plan is damaged: nobody takes it for none.
-    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
+fn a_damaged_record_of_a_plan_is_not_taken_for_none() {
+    let planned = Planned::new(2);
     let path = planned.folder.dir().join("parts.json");
     let text = fs_err::read_to_string(&path).unwrap();
     fs_err::write(&path, text.replacen("cpu", "cpv", 1)).unwrap();
-    let failure = PartsFolder::all(root, StageId::Generate).unwrap_err();
+    let failure = ShardFolder::all(planned.root(), StageId::Generate).unwrap_err();
     let said = format!("{failure:?}");
     assert!(
         failure.blame == Blame::Fault && said.contains("parts.json is damaged: ") && said.contains("move "),
@@ -306,13 +281,11 @@ fn what_leads_out_of_a_plan_counts_for_nothing() {
 
 #[test]
 fn the_folder_alone_tells_how_far_the_shards_are() {
-    let planned = Planned::new(3, 100);
-    let root = planned.folder.dir().parent().unwrap().parent().unwrap();
-    let status = || shard_status(root).unwrap().unwrap();
+    let planned = Planned::new(6);
+    let status = || shard_status(planned.root()).unwrap().unwrap();
     assert!(status().n_missing == 6 && status().seconds_left.is_none());
     for (idx, seconds) in [(0, 30.0), (5, 50.0)] {
-        let sidecar = planned.write(&planned.plan.shards[idx], 0).unwrap();
-        planned.folder.finish(idx, "1/2", seconds, &SampledShard::of_sweep(sidecar)).unwrap();
+        planned.finish(idx, seconds);
     }
     assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
     // Two are at work; one died long ago, in another ten did.

@@ -1,22 +1,24 @@
-//! The second part: any number of processes make shards.
+//! Any number of processes make shards.
 
-use super::Identity;
-use super::folder::{PartShard, PartsFolder};
+use super::folder::ShardFolder;
+use super::identity::Identity;
+use super::open;
 use super::tries::{self, Tries};
-use super::{PartFile, PartedStage};
-use crate::files::{remove_if_present, tell_committed};
+use crate::files::{FileStamp, remove_if_present, tell_committed};
 use crate::pipeline::graph::{check_inputs, expected};
 use crate::pipeline::log::Logged;
+use crate::pipeline::stage::{Stage, Work};
 use crate::pipeline::{Blame, ComputeChoice, Failure, Result, StageRecord};
 use crate::progress::Progress;
 use crate::settings::Unreadable;
+use serde::Serialize;
+use serde::de::{DeserializeOwned, IgnoredAny};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::fmt;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::{Duration, Instant};
 
@@ -57,6 +59,9 @@ impl fmt::Display for Worker {
 }
 
 impl Worker {
+    /// The only one.
+    pub(super) const ALONE: Self = Self { number: 1, of: 1 };
+
     /// The order in which this worker takes the shards: its own first, then those of other workers from the end
     /// backward, because those are reached last. Every worker starts at a different shard, so that they do not all take
     /// the same one.
@@ -67,31 +72,36 @@ impl Worker {
     }
 }
 
-/// See [`InParts::work`](super::InParts::work).
-pub(super) fn work<S: PartedStage>(
-    stage: &S,
+/// Makes shards of the stage's plan in the run folder `root` until none is left to start.
+///
+/// # Errors
+/// When there is no plan yet ([`Blame::Later`]), or the plan belongs to another configuration, program or kind of device; those
+/// of the work.
+pub fn work(
+    stage: &dyn Stage,
     root: &Path,
     worker: Worker,
     compute: ComputeChoice,
     progress: &dyn Progress,
 ) -> Result<()> {
+    let Work::Sharded(sharded) = stage.work() else { return Ok(()) };
     let no_plan = || {
         Failure::later(format_args!("{} holds no plan to work on yet", root.display()))
             .with_hint("run the part plan first; this command can be repeated until then")
     };
     let done = StageRecord::done(root, stage.id())?;
-    if done.is_none() && PartsFolder::all(root, stage.id())?.is_empty() {
+    if done.is_none() && ShardFolder::all(root, stage.id())?.is_empty() {
         return Err(no_plan());
     }
     let record = expected(root, stage)?;
     let is_done = done.is_some_and(|done| done.fingerprint == record.fingerprint || record.is_same_work(&done));
-    let Some(folder) = PartsFolder::of(root, &Identity::own(record, compute)?)? else {
+    let Some(folder) = ShardFolder::of(root, &Identity::own(record, compute)?)? else {
         return if is_done { Ok(()) } else { Err(no_plan()) };
     };
     let logged = Logged::open(&folder.log(worker.number), progress)?;
     logged.line(&format!("djinn {} begins as worker {worker}", env!("CARGO_PKG_VERSION")));
     let shards = Shards::new(&folder, worker, &logged);
-    let outcome = check_inputs(stage).and_then(|()| stage.work(&folder.plan()?, &shards, compute));
+    let outcome = check_inputs(stage).and_then(|()| sharded.make(&shards, &open(stage, compute)?));
     match &outcome {
         Ok(()) => logged.line("no shard is left to start"),
         Err(failure) => logged.line(&format!("ended: {:#}", failure.error)),
@@ -103,60 +113,89 @@ pub(super) fn work<S: PartedStage>(
 }
 
 /// The shards of a plan, as one worker sees them.
-pub(super) struct Shards<'a, S> {
-    folder: &'a PartsFolder,
+pub struct Shards<'a> {
+    folder: &'a ShardFolder,
     worker: Worker,
     /// Receives the progress.
-    pub(super) progress: &'a dyn Progress,
-    /// Records of shards that are known to be finished.
-    finished: RefCell<BTreeMap<usize, PartShard<S>>>,
+    pub progress: &'a dyn Progress,
+    /// How long the shards took that are known to be finished, seconds.
+    seconds: RefCell<BTreeMap<usize, f64>>,
 }
 
-impl<'a, S: PartFile> Shards<'a, S> {
+impl<'a> Shards<'a> {
     /// The shards in `folder`; none has been looked up yet.
-    pub(super) fn new(folder: &'a PartsFolder, worker: Worker, progress: &'a dyn Progress) -> Self {
-        Self { folder, worker, progress, finished: RefCell::default() }
+    pub(in crate::pipeline) fn new(folder: &'a ShardFolder, worker: Worker, progress: &'a dyn Progress) -> Self {
+        Self { folder, worker, progress, seconds: RefCell::default() }
+    }
+
+    /// Makes sure that shards are made again that failed before, or were damaged since.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn try_again(&self) -> Result<()> {
+        for idx in 0..self.folder.n_shards()? {
+            self.folder.verified::<IgnoredAny>(idx)?;
+        }
+        self.folder.forget_tries()
+    }
+
+    /// The decisions made before any shard.
+    ///
+    /// # Errors
+    /// When they are damaged.
+    pub fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
+        self.folder.decisions()
+    }
+
+    /// Whether other workers make shards, too.
+    pub fn has_others(&self) -> bool {
+        self.worker.of > 1
     }
 
     /// The folder that workers write into.
-    pub(super) fn dir(&self) -> &Path {
+    pub fn dir(&self) -> &Path {
         self.folder.dir()
     }
 
-    /// The name of the file of shard `idx`.
-    pub(super) fn file_name(&self, idx: usize) -> String {
-        self.folder.file_name(idx)
+    /// Where the file of shard `idx` is to be.
+    pub fn file(&self, idx: usize) -> PathBuf {
+        self.dir().join(self.folder.file_name(idx))
     }
 
-    /// The record of shard `idx`, if it is finished.
-    pub(super) fn finished(&self, idx: usize) -> Option<S> {
-        Some(match self.finished.borrow_mut().entry(idx) {
-            Entry::Occupied(known) => known.get().shard.clone(),
-            Entry::Vacant(place) => {
-                self.folder.refresh();
-                place.insert(self.folder.finished::<S>(idx)?).shard.clone()
-            }
-        })
+    /// What is known of shard `idx`, if it is finished.
+    pub fn finished<S: DeserializeOwned>(&self, idx: usize) -> Option<S> {
+        let found = || self.folder.finished::<S>(idx);
+        let shard = found().or_else(|| {
+            self.folder.refresh();
+            found()
+        })?;
+        self.seconds.borrow_mut().insert(idx, shard.seconds);
+        Some(shard.facts)
+    }
+
+    fn is_finished(&self, idx: usize) -> bool {
+        self.seconds.borrow().contains_key(&idx) || self.finished::<IgnoredAny>(idx).is_some()
     }
 
     /// Tries each of these shards once, in the worker's order. Afterwards each is finished, not needed or given up.
-    /// `make` makes a shard, advances the progress by its `worth`, and returns its record.
+    /// `make` makes a shard, advances the progress by its `worth`, and returns the stamp of its file with what the stage wants to
+    /// know of it later.
     ///
     /// # Errors
     /// When the process must stop; those of making a shard, which its mark then records.
-    pub(super) fn go_about(
+    pub fn go_about<S: Serialize>(
         &self,
         range: Range<usize>,
         worth: &dyn Fn(usize) -> u64,
         is_wanted: &dyn Fn(usize) -> bool,
-        make: &mut dyn FnMut(usize) -> Result<S>,
+        make: &mut dyn FnMut(usize) -> Result<(FileStamp, S)>,
     ) -> Result<()> {
         for idx in self.worker.order(range.len()).map(|at| range.start + at) {
             // Stopping here leaves time to remove the mark of a try.
             if self.progress.must_stop() {
                 return Err(Failure::later("stopped between shards"));
             }
-            if self.finished(idx).is_some() || !is_wanted(idx) {
+            if self.is_finished(idx) || !is_wanted(idx) {
                 self.progress.advance(worth(idx));
                 continue;
             }
@@ -170,16 +209,16 @@ impl<'a, S: PartFile> Shards<'a, S> {
     ///
     /// # Errors
     /// As [`Shards::go_about`].
-    pub(super) fn complete(
+    pub fn complete<S: Serialize>(
         &self,
         range: Range<usize>,
         worth: &dyn Fn(usize) -> u64,
-        make: &mut dyn FnMut(usize) -> Result<S>,
+        make: &mut dyn FnMut(usize) -> Result<(FileStamp, S)>,
     ) -> Result<bool> {
         self.go_about(range.clone(), worth, &|idx| Tries::of(self.folder, idx).age.is_none(), make)?;
         let mut began = Instant::now();
         loop {
-            let left: Vec<usize> = range.clone().filter(|idx| self.finished(*idx).is_none()).collect();
+            let left: Vec<usize> = range.clone().filter(|idx| !self.is_finished(*idx)).collect();
             if left.is_empty() {
                 return Ok(true);
             }
@@ -199,12 +238,12 @@ impl<'a, S: PartFile> Shards<'a, S> {
 
     /// How long other workers may take for a shard: three times the longest time so far.
     fn patience(&self) -> Duration {
-        let longest = self.finished.borrow().values().map(|finished| finished.seconds).fold(0.0, f64::max);
+        let longest = self.seconds.borrow().values().copied().fold(0.0, f64::max);
         let patience = if longest > 0.0 { Duration::from_secs_f64(3.0 * longest) } else { UNKNOWN };
         patience.max(LEAST_PATIENCE)
     }
 
-    fn try_once(&self, idx: usize, make: &mut dyn FnMut(usize) -> Result<S>) -> Result<()> {
+    fn try_once<S: Serialize>(&self, idx: usize, make: &mut dyn FnMut(usize) -> Result<(FileStamp, S)>) -> Result<()> {
         let name = self.worker.to_string();
         let Some(mark) = tries::begin(self.folder, idx, &name)? else {
             let why = Tries::of(self.folder, idx).describe();
@@ -221,7 +260,8 @@ impl<'a, S: PartFile> Shards<'a, S> {
                 resume_unwind(panic)
             }
         };
-        match outcome.and_then(|shard| self.folder.finish(idx, &name, began.elapsed().as_secs_f64(), &shard)) {
+        let seconds = began.elapsed().as_secs_f64();
+        match outcome.and_then(|made| self.folder.finish(idx, (&name, seconds), made)) {
             Ok(()) => Ok(remove_if_present(&mark)?),
             Err(failure) => {
                 match failure.blame {

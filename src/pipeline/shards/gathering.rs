@@ -1,38 +1,45 @@
-//! Which shards have the workers finished, and what does the message say of the others?
+//! Which shards are finished, and what does the message say of the others?
 
-use super::PartFile;
-use super::folder::PartsFolder;
+use super::folder::ShardFolder;
 use super::tries::Tries;
 use crate::pipeline::{Failure, Result};
-use std::path::Path;
+use serde::de::DeserializeOwned;
+use std::path::{Path, PathBuf};
 
 /// The most shards that a message names.
 const SHOWN: usize = 5;
 
 /// The shards of a plan that were examined so far.
-pub(super) struct Gathering<'a, S> {
-    parts: &'a PartsFolder,
-    found: Vec<(usize, S)>,
+pub struct Gathering<'a> {
+    folder: &'a ShardFolder,
     missing: Vec<String>,
     given_up: Vec<String>,
     n_shards: usize,
 }
 
-impl<'a, S: PartFile> Gathering<'a, S> {
-    /// Starts with none of the `n_shards` shards examined.
-    pub(super) fn new(parts: &'a PartsFolder, n_shards: usize) -> Self {
-        Self { parts, found: Vec::new(), missing: Vec::new(), given_up: Vec::new(), n_shards }
+impl<'a> Gathering<'a> {
+    /// Starts with none of the shards examined.
+    pub(in crate::pipeline) fn new(folder: &'a ShardFolder) -> Self {
+        Self { folder, missing: Vec::new(), given_up: Vec::new(), n_shards: folder.n_planned() }
     }
 
-    /// Shard `idx`, if it is finished and undamaged; otherwise notes that it is missing.
+    /// The decisions made before any shard.
+    ///
+    /// # Errors
+    /// When they are damaged.
+    pub fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
+        self.folder.decisions()
+    }
+
+    /// What is known of shard `idx`, if it is finished and undamaged; otherwise notes that it is missing.
     ///
     /// # Errors
     /// Those of the file system.
-    pub(super) fn look_up(&mut self, idx: usize) -> Result<Option<S>> {
-        if let Some(finished) = self.parts.verified::<S>(idx)? {
-            return Ok(Some(finished.shard));
+    pub fn look_up<S: DeserializeOwned>(&mut self, idx: usize) -> Result<Option<S>> {
+        if let Some(finished) = self.folder.verified::<S>(idx)? {
+            return Ok(Some(finished.facts));
         }
-        let (name, tries) = (self.parts.shard_name(idx), Tries::of(self.parts, idx));
+        let (name, tries) = (self.folder.shard_name(idx), Tries::of(self.folder, idx));
         match tries.are_over() {
             true => self.given_up.push(format!("{name} ({})", tries.describe())),
             false => self.missing.push(name),
@@ -41,40 +48,35 @@ impl<'a, S: PartFile> Gathering<'a, S> {
     }
 
     /// Where the shards are.
-    pub(super) fn dir(&self) -> &Path {
-        self.parts.dir()
+    pub fn dir(&self) -> &Path {
+        self.folder.dir()
+    }
+
+    /// Where the file of shard `idx` is.
+    pub fn file(&self, idx: usize) -> PathBuf {
+        self.dir().join(self.folder.file_name(idx))
     }
 
     /// Adds shards that the plan did not know of.
-    pub(super) fn expect_more(&mut self, n_shards: usize) {
+    pub fn expect_more(&mut self, n_shards: usize) {
         self.n_shards += n_shards;
     }
 
-    /// Adds shard `idx` to those to be published.
-    pub(super) fn take(&mut self, idx: usize, shard: S) {
-        self.found.push((idx, shard));
-    }
-
-    /// The shards to be published, with their indices, and the number of shards in the plan.
-    pub(super) fn found(self) -> (Vec<(usize, S)>, usize) {
-        (self.found, self.n_shards)
-    }
-
-    /// The shards to be published, if none is missing.
+    /// Refuses to go on while one of the examined shards is missing.
     ///
     /// # Errors
     /// When shards are missing: [`Blame::Later`](crate::pipeline::Blame::Later) while they may still come, a fault once all of them are
     /// given up.
-    pub(super) fn whole(self) -> Result<Vec<(usize, S)>> {
-        let Self { parts, found, missing, given_up, n_shards } = self;
-        let given_up_text = few(&given_up);
+    pub fn check_whole(&self) -> Result<()> {
+        let Self { folder, missing, given_up, n_shards } = self;
+        let given_up_text = few(given_up);
         match (missing.is_empty(), given_up.is_empty()) {
-            (true, true) => Ok(found),
+            (true, true) => Ok(()),
             (true, false) => {
                 let message = format!("{} of {n_shards} shards were given up: {given_up_text}", given_up.len());
                 Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
                     "find the cause in {}, fix it, remove the marks *.try-* there, and run workers again",
-                    parts.dir().display()
+                    folder.dir().display()
                 )))
             }
             (false, none_given_up) => {
@@ -82,7 +84,7 @@ impl<'a, S: PartFile> Gathering<'a, S> {
                     true => String::new(),
                     false => format!("; {} more were given up: {given_up_text}", given_up.len()),
                 };
-                let (n_missing, names) = (missing.len(), few(&missing));
+                let (n_missing, names) = (missing.len(), few(missing));
                 Err(Failure::later(format_args!("{n_missing} of {n_shards} shards are missing: {names}{more}"))
                     .with_hint("run workers until no shard is missing, then seal again"))
             }

@@ -2,15 +2,14 @@
 //!
 //! The plan's id is in the path, so that a worker of a discarded plan cannot write into another one.
 
-use super::Identity;
-use super::PartFile;
-use super::tries::is_try_of;
-use crate::files::{self, files_below, foreign, is_link, mirror_above, remove_if_present, remove_listed};
+use super::Division;
+use super::identity::Identity;
+use super::tries::{MAX_TRIES, Tries, is_try_of};
+use crate::files::{self, FileStamp, files_below, foreign, is_link, mirror_above, remove_if_present, remove_listed};
 use crate::pipeline::record::unreadable;
-use crate::pipeline::stages::is_round_file;
-use crate::pipeline::{Failure, PartFacts, Result, StageId};
+use crate::pipeline::{Failure, Result, ShardFacts, StageId};
 use crate::store::{self, read_record, write_record};
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -21,10 +20,10 @@ const PLAN_FILE: &str = "plan.json";
 const ABOUT_FILE: &str = "parts.json";
 
 /// The folder of a plan.
-#[derive(Debug, Clone, PartialEq)]
-pub(in crate::pipeline) struct PartsFolder {
+#[derive(Debug, Clone)]
+pub(in crate::pipeline) struct ShardFolder {
     dir: PathBuf,
-    facts: PartFacts,
+    facts: ShardFacts,
     about: About,
 }
 
@@ -36,28 +35,33 @@ struct About {
     identity: Identity,
     /// Number of its shards.
     n_shards: usize,
+    /// Whether it was made for several workers. Nobody else knows of a plan that a process made for itself, and that is discarded
+    /// without asking.
+    is_shared: bool,
 }
 
 /// The record of a finished shard; written beside the shard, after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct PartShard<S> {
+pub(super) struct FinishedShard<S> {
     /// The plan.
     pub(super) plan_id: String,
     /// The worker.
     pub(super) worker: String,
     /// How long it took, seconds.
     pub(super) seconds: f64,
-    /// What is published with the shard.
-    pub(super) shard: S,
+    /// Size and hash of its file.
+    pub(super) stamp: FileStamp,
+    /// What the stage wants to know of it later.
+    pub(super) facts: S,
 }
 
-impl PartsFolder {
+impl ShardFolder {
     /// The plans of a stage in a run folder; incomplete plans do not count.
     ///
     /// # Errors
     /// When the record of a plan is damaged; those of the file system.
     pub(in crate::pipeline) fn all(root: &Path, stage: StageId) -> Result<Vec<Self>> {
-        let Some(facts) = stage.facts().parts else { return Ok(Vec::new()) };
+        let Some(facts) = stage.facts().shards else { return Ok(Vec::new()) };
         let mut found = Vec::new();
         for dir in plan_dirs(root, stage)? {
             let about = read_record(&dir.join(ABOUT_FILE)).map_err(|error| damaged(error, &dir))?;
@@ -69,9 +73,9 @@ impl PartsFolder {
     /// Removes the remains of plans that a killed process had not finished writing or removing.
     ///
     /// # Errors
-    /// As [`PartsFolder::discard`].
+    /// As [`ShardFolder::discard`].
     pub(super) fn remove_remains(root: &Path, stage: StageId) -> Result<()> {
-        let Some(facts) = stage.facts().parts else { return Ok(()) };
+        let Some(facts) = stage.facts().shards else { return Ok(()) };
         let remains = plan_dirs(root, stage)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
         remains.into_iter().try_for_each(|dir| discard(&dir, facts))
     }
@@ -95,25 +99,40 @@ impl PartsFolder {
     ///
     /// # Errors
     /// When other people's files are in its place; those of the file system.
-    pub(super) fn write(root: &Path, identity: Identity, plan: &impl Serialize, n_shards: usize) -> Result<Self> {
+    pub(super) fn write(root: &Path, identity: Identity, division: &Division, is_shared: bool) -> Result<Self> {
         let stage = identity.stage.stage;
-        let facts = stage.facts().parts;
-        let facts = facts.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {stage} cannot be run in parts")))?;
-        let dir = parts_of(root, stage).join(identity.plan_id()?);
-        let folder = Self { dir, facts, about: About { identity, n_shards } };
+        let facts = stage.facts().shards;
+        let facts = facts.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {stage} has no shards")))?;
+        let dir = plans_of(root, stage).join(identity.plan_id()?);
+        let folder = Self { dir, facts, about: About { identity, n_shards: division.n_shards, is_shared } };
         // The remains of a killed process have no plan, so no worker has used them.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
-        write_record(&folder.dir.join(PLAN_FILE), plan)?;
+        write_record(&folder.dir.join(PLAN_FILE), &division.decisions)?;
         write_record(&folder.dir.join(ABOUT_FILE), &folder.about)?;
         Ok(folder)
     }
 
-    /// The plan.
+    /// Lets several workers use the plan.
     ///
     /// # Errors
-    /// When it is damaged, or was removed meanwhile.
-    pub(super) fn plan<P: DeserializeOwned>(&self) -> Result<P> {
+    /// Those of the file system.
+    pub(super) fn share(&self) -> Result<()> {
+        let about = About { is_shared: true, ..self.about.clone() };
+        write_record(&self.dir.join(ABOUT_FILE), &about)?;
+        Ok(())
+    }
+
+    /// Whether several workers may use the plan.
+    pub(super) fn is_shared(&self) -> bool {
+        self.about.is_shared
+    }
+
+    /// The decisions made before any shard.
+    ///
+    /// # Errors
+    /// When they are damaged, or were removed meanwhile.
+    pub(super) fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
         let path = self.dir.join(PLAN_FILE);
         let plan = read_record(&path).map_err(|error| damaged(error, &self.dir))?;
         plan.ok_or_else(|| Failure::fault(anyhow::anyhow!("{} is missing", path.display())))
@@ -143,6 +162,11 @@ impl PartsFolder {
     /// What its workers have in common.
     pub(super) fn identity(&self) -> &Identity {
         &self.about.identity
+    }
+
+    /// Number of shards that were known from the start.
+    pub(super) fn n_planned(&self) -> usize {
+        self.about.n_shards
     }
 
     /// Number of shards in the plan, or begun since.
@@ -187,21 +211,30 @@ impl PartsFolder {
     }
 
     /// The record of shard `idx`, if it is finished. Its content is verified when it is published.
-    pub(super) fn finished<S: PartFile>(&self, idx: usize) -> Option<PartShard<S>> {
+    pub(super) fn finished<S: DeserializeOwned>(&self, idx: usize) -> Option<FinishedShard<S>> {
         // A damaged record counts for nothing: the shard is made again.
-        let shard: PartShard<S> = read_record(&self.sidecar(idx)).ok()??;
-        let (file, stamp) = shard.shard.file();
-        let is_whole = file == self.file_name(idx) && self.n_bytes(file) == Some(stamp.n_bytes);
+        let shard: FinishedShard<S> = read_record(&self.sidecar(idx)).ok()??;
+        let is_whole = self.n_bytes(&self.file_name(idx)) == Some(shard.stamp.n_bytes);
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
+    }
+
+    /// How long shard `idx` took, if it is finished, seconds.
+    pub(super) fn seconds(&self, idx: usize) -> Option<f64> {
+        self.finished::<IgnoredAny>(idx).map(|shard| shard.seconds)
     }
 
     /// Declares a shard finished; its file must be complete.
     ///
     /// # Errors
     /// Those of the file system.
-    pub(super) fn finish<S: PartFile>(&self, idx: usize, worker: &str, seconds: f64, shard: &S) -> Result<()> {
+    pub(super) fn finish<S: Serialize>(
+        &self,
+        idx: usize,
+        (worker, seconds): (&str, f64),
+        (stamp, facts): (FileStamp, S),
+    ) -> Result<()> {
         let plan_id = self.dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let shard = PartShard { plan_id, worker: worker.to_owned(), seconds, shard };
+        let shard = FinishedShard { plan_id, worker: worker.to_owned(), seconds, stamp, facts };
         write_record(&self.sidecar(idx), &shard)?;
         Ok(())
     }
@@ -210,14 +243,30 @@ impl PartsFolder {
     ///
     /// # Errors
     /// Those of the file system: a shard that cannot be read now is none that is damaged.
-    pub(super) fn verified<S: PartFile>(&self, idx: usize) -> Result<Option<PartShard<S>>> {
+    pub(super) fn verified<S: DeserializeOwned>(&self, idx: usize) -> Result<Option<FinishedShard<S>>> {
         let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
-        let (file, stamp) = shard.shard.file();
-        if stamp.is_of(&self.dir.join(file))? {
+        if shard.stamp.is_of(&self.dir.join(self.file_name(idx)))? {
             return Ok(Some(shard));
         }
         remove_if_present(&self.sidecar(idx))?;
         Ok(None)
+    }
+
+    /// Removes the marks of tries that failed, so that these shards are tried again; where nobody else can be at work, all marks.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn forget_tries(&self) -> Result<()> {
+        for name in self.tried()? {
+            let Some(idx) = name.strip_prefix(self.facts.shard).and_then(|rest| rest.strip_prefix('-')?.parse().ok())
+            else {
+                continue;
+            };
+            if !self.is_shared() || !Tries::of(self, idx).failed.is_empty() {
+                (1..=MAX_TRIES).try_for_each(|number| remove_if_present(&self.try_path(idx, number)))?;
+            }
+        }
+        Ok(())
     }
 
     /// Removes the plan and everything that workers wrote for it. Workers that are still running find no plan.
@@ -267,7 +316,7 @@ impl PartsFolder {
 
 /// The folders of the plans of a stage, in order, complete or not.
 fn plan_dirs(root: &Path, stage: StageId) -> Result<Vec<PathBuf>> {
-    let parts = parts_of(root, stage);
+    let parts = plans_of(root, stage);
     if is_link(&parts) {
         return Err(files::Error::Link { path: parts }.into());
     }
@@ -292,8 +341,8 @@ fn damaged(error: store::Error, dir: &Path) -> Failure {
     unreadable(error, || format!("move {} away, and plan again", dir.display()))
 }
 
-/// See [`PartsFolder::discard`].
-fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
+/// See [`ShardFolder::discard`].
+fn discard(dir: &Path, facts: ShardFacts) -> Result<()> {
     let found = files_below(dir)?;
     let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, facts)).collect();
     let theirs = foreign(dir, &ours)?;
@@ -311,7 +360,7 @@ fn discard(dir: &Path, facts: PartFacts) -> Result<()> {
 }
 
 /// Whether plans or workers write files of this name, or temporary files for them.
-fn is_ours(name: &Path, facts: PartFacts) -> bool {
+fn is_ours(name: &Path, facts: ShardFacts) -> bool {
     let name = name.to_string_lossy();
     let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
     let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
@@ -323,12 +372,12 @@ fn is_ours(name: &Path, facts: PartFacts) -> bool {
         let shard = facts.shard_name(idx.parse().ok()?);
         ([facts.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
     };
-    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || is_round_file(name)
+    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || (facts.is_other)(name)
 }
 
 const LOG: &str = "worker-";
 
 /// Where the plans of a stage are, in the run folder.
-fn parts_of(root: &Path, stage: StageId) -> PathBuf {
+fn plans_of(root: &Path, stage: StageId) -> PathBuf {
     root.join(format!("{stage}.parts"))
 }

@@ -4,7 +4,7 @@
 //! A mark is made before the work and removed after it. Marks that stay belong to tries that failed or died; a failed
 //! try writes its reason into the mark.
 
-use super::folder::PartsFolder;
+use super::folder::ShardFolder;
 use crate::files::tell_committed;
 use crate::pipeline::clock::utc_now;
 use crate::pipeline::{Failure, Result};
@@ -47,7 +47,7 @@ pub(super) struct Tries {
 
 impl Tries {
     /// Those of shard `idx`.
-    pub(super) fn of(folder: &PartsFolder, idx: usize) -> Self {
+    pub(super) fn of(folder: &ShardFolder, idx: usize) -> Self {
         let mut tries = Self::default();
         for number in 1..=MAX_TRIES {
             let path = folder.try_path(idx, number);
@@ -89,7 +89,7 @@ impl Tries {
 ///
 /// # Errors
 /// Those of the file system.
-pub(super) fn begin(folder: &PartsFolder, idx: usize, worker: &str) -> Result<Option<PathBuf>> {
+pub(super) fn begin(folder: &ShardFolder, idx: usize, worker: &str) -> Result<Option<PathBuf>> {
     if Tries::of(folder, idx).are_over() {
         return Ok(None);
     }

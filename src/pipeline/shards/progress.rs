@@ -1,7 +1,6 @@
 //! How many shards are done, running, missing, and how long will the rest take?
 
-use super::StampedFile;
-use super::folder::PartsFolder;
+use super::folder::ShardFolder;
 use super::tries::Tries;
 use crate::pipeline::{Result, StageId};
 use serde::Serialize;
@@ -42,20 +41,20 @@ pub struct ShardStatus {
 /// Those of the file system.
 pub fn shard_status(root: &Path) -> Result<Option<ShardStatus>> {
     for stage in StageId::ALL.into_iter().rev() {
-        if let Some(folder) = PartsFolder::all(root, stage)?.first() {
+        if let Some(folder) = ShardFolder::all(root, stage)?.first() {
             return Ok(Some(status_of(stage, folder)?));
         }
     }
     Ok(None)
 }
 
-fn status_of(stage: StageId, folder: &PartsFolder) -> Result<ShardStatus> {
+fn status_of(stage: StageId, folder: &ShardFolder) -> Result<ShardStatus> {
     let n_shards = folder.n_shards()?;
     let (mut seconds, mut unfinished) = (Vec::new(), Vec::new());
     let tried = folder.tried()?;
     for idx in 0..n_shards {
-        match folder.finished::<StampedFile>(idx) {
-            Some(finished) => seconds.push(finished.seconds),
+        match folder.seconds(idx) {
+            Some(took) => seconds.push(took),
             None if tried.contains(&folder.shard_name(idx)) => unfinished.push((idx, Tries::of(folder, idx))),
             None => unfinished.push((idx, Tries::default())),
         }

@@ -1,18 +1,19 @@
 //! What must all processes that work on one plan have in common?
 
 use crate::pipeline::fingerprint::fingerprint_value;
+use crate::pipeline::stale::why;
 use crate::pipeline::{ComputeChoice, Failure, Result, StageRecord};
 use serde::{Deserialize, Serialize};
 
 /// The work, the program and the kind of machine: together they determine every byte of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Identity {
+pub(in crate::pipeline) struct Identity {
     /// The stage with its section and inputs.
-    pub stage: StageRecord,
+    pub(in crate::pipeline) stage: StageRecord,
     /// Version and revision of the program.
-    pub program: String,
+    pub(super) program: String,
     /// The kind of device, and the precision of matrix products.
-    pub compute: String,
+    pub(super) compute: String,
 }
 
 impl Identity {
@@ -20,7 +21,7 @@ impl Identity {
     ///
     /// # Errors
     /// When the program cannot be read.
-    pub(in crate::pipeline) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
+    pub(super) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
         let compute = if stage.stage.computes() { compute } else { ComputeChoice::default() };
         Ok(Self { stage, program: program()?, compute: compute.class() })
     }
@@ -29,20 +30,25 @@ impl Identity {
     ///
     /// # Errors
     /// Those of JSON.
-    pub(in crate::pipeline) fn plan_id(&self) -> Result<String> {
+    pub(super) fn plan_id(&self) -> Result<String> {
         let mut id = fingerprint_value(&(&self.stage.fingerprint, &self.program, &self.compute))?;
         id.truncate(16);
         Ok(id)
     }
 
+    /// Whether the plan is for the work with this record, which may have been done elsewhere.
+    pub(super) fn is_work_of(&self, record: &StageRecord) -> bool {
+        self.stage.fingerprint == record.fingerprint || self.stage.is_same_work(record)
+    }
+
     /// What differs between this process and a `plan` of another one; `None` if they fit together.
-    pub(in crate::pipeline) fn difference(&self, plan: &Self) -> Option<String> {
-        let is_same_stage = self.stage.fingerprint == plan.stage.fingerprint || self.stage.is_same_work(&plan.stage);
+    pub(super) fn difference(&self, plan: &Self) -> Option<String> {
+        let rewritten = self.stage.rewritten_since(&plan.stage).map(why);
         let named = |what: &str, own: &str, plans: &str| {
             (own != plans).then(|| format!("{what}: the plan's is {plans}, this one is {own}"))
         };
         let differences = [
-            (!is_same_stage).then(|| self.stage.changes_since(&plan.stage)),
+            (!self.is_work_of(&plan.stage)).then(|| self.stage.changes_since(&plan.stage)).or(rewritten),
             named("program", &self.program, &plan.program),
             named("device", &self.compute, &plan.compute),
         ];
@@ -51,7 +57,7 @@ impl Identity {
     }
 
     /// The error of a process that differs from this plan in this way; it says how many shards would be lost.
-    pub(in crate::pipeline) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
+    pub(super) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
         let stage = self.stage.stage;
         Failure::input_message(format_args!(
             "this run folder holds another plan of stage {stage}: {difference}; nothing was changed"
