@@ -5,12 +5,14 @@ use crate::cli::args::{OutputArgs, RunArgs, RunPlace};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
+use crate::engine::plan;
+use crate::engine::plan::PlannedStage;
+use crate::engine::run_folder::{RunFolder, run_stages};
+use crate::engine::shards::{self, Makers, Part};
+use crate::engine::{Failure, Result};
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::shards::{self, Makers, Part};
-use crate::pipeline::{Failure, Result, StageId, graph, stages};
+use crate::pipeline::{KINDS, StageId, kinds, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -36,8 +38,8 @@ fn run_in(
 ) -> Result<()> {
     let layout = Layout::below(root);
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
-        let planned = graph::plan(root, stages::of_pipeline(config, &layout)?, &args.redo)?;
-        let planned = if args.stage.is_empty() { planned } else { graph::select(planned, &args.stage)? };
+        let planned = plan::plan(root, &KINDS, stages::of_pipeline(config, &layout)?, &kinds(&args.redo))?;
+        let planned = if args.stage.is_empty() { planned } else { plan::select(planned, &kinds(&args.stage))? };
         refuse_too_large(config, &layout, &planned)?;
         Ok(planned)
     };
@@ -51,16 +53,16 @@ fn run_in(
     if let (Some(id), Some(worker)) = (in_parts, args.worker) {
         return shards::work(stages::alone(id, config, &layout)?.as_ref(), root, worker, compute, &progress);
     }
-    let folder = RunFolder::open(root)?;
+    let folder = RunFolder::open(root, &KINDS)?;
     let planned = plan()?;
     if args.part == Some(Part::Plan) {
         // It is selected, and planning has found it.
-        let selected = planned.iter().find(|planned| Some(planned.stage.id()) == in_parts);
+        let selected = planned.iter().find(|planned| Some(planned.stage.kind()) == in_parts.map(StageId::kind));
         return selected.map_or(Ok(()), |planned| shards::plan(&folder, planned, compute, &progress));
     }
     let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
-    let records = run_stages(&folder, Some(config), (compute, makers), planned, &progress)?;
+    let records = run_stages(&folder, Some(&config.about()?), (compute, makers), planned, &progress)?;
     printer.message(format_args!("results are in {}", root.display()));
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
@@ -71,8 +73,8 @@ fn check_part(args: &RunArgs, part: Part) -> Result<StageId> {
     let &[stage] = args.stage.as_slice() else {
         return Err(Failure::input_message(format_args!("--part {part} goes with one --stage, not with several")));
     };
-    if stage.facts().shards.is_none() {
-        let with_parts = StageId::ALL.into_iter().filter(|stage| stage.facts().shards.is_some());
+    if stage.kind().shards.is_none() {
+        let with_parts = StageId::ALL.into_iter().filter(|stage| stage.kind().shards.is_some());
         let names: Vec<&str> = with_parts.map(StageId::name).collect();
         return Err(Failure::input_message(format_args!(
             "--part {part} needs --stage {}, which have parts; {stage} has none",

@@ -3,15 +3,16 @@
 use super::generate::SampleManifest;
 use super::mine::MineConfig;
 use crate::behavior::Behavior;
+use crate::engine::shards::{Division, Gathering, Sharded, Shards};
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::evaluate::{
     EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
     ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs,
 };
 use crate::generate::GenerateConfig;
 use crate::nn::Compute;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
-use crate::pipeline::shards::{Division, Gathering, Sharded, Shards};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput, Work};
 use crate::progress::Progress;
 use crate::store::{
     CorpusNotes, CorpusWriter, SceneStore, read_binary, write_binary_atomically, write_json_atomically, write_metrics,
@@ -37,8 +38,8 @@ pub struct Evaluate<'a> {
 }
 
 impl Stage for Evaluate<'_> {
-    fn id(&self) -> StageId {
-        StageId::Evaluate
+    fn kind(&self) -> &'static StageKind {
+        StageId::Evaluate.kind()
     }
 
     fn version(&self) -> u32 {

@@ -1,9 +1,10 @@
 //! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
 
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEntry, BehaviorEvent};
+use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::evaluate::MiningTally;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
-use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::progress::Progress;
 use crate::scene::Split;
 use crate::settings::Issue;
@@ -59,8 +60,8 @@ pub struct Mine<'a> {
 }
 
 impl Stage for Mine<'_> {
-    fn id(&self) -> StageId {
-        StageId::Mine
+    fn kind(&self) -> &'static StageKind {
+        StageId::Mine.kind()
     }
 
     fn version(&self) -> u32 {

@@ -14,12 +14,13 @@ use super::mine::MineConfig;
 use super::models::needed_models;
 use super::with_precision;
 use crate::diffusion::Edm;
+use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
 use crate::evaluate::{for_maps, map_fits};
 use crate::generate::{self, GenerateConfig, Pool, RequestSummary, ResolvedGeneration};
 use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
 use crate::nn::{Compute, Precision};
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Failure, Result, Stage, StageId, StageInput, Work};
 use crate::store::{SceneStore, read_json};
 use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
@@ -45,8 +46,8 @@ pub struct Generate<'a> {
 }
 
 impl Stage for Generate<'_> {
-    fn id(&self) -> StageId {
-        StageId::Generate
+    fn kind(&self) -> &'static StageKind {
+        StageId::Generate.kind()
     }
 
     fn version(&self) -> u32 {

@@ -2,11 +2,12 @@
 
 use super::sample_folder::{SampledWith, write_table};
 use super::{Generate, SampleSidecar};
+use crate::engine::Result;
 use crate::generate::{Generator, Plan, Pool, ResolvedGeneration, ShardOutput, ShardPlan};
 use crate::metrics::MetricSettings;
 use crate::nn::Compute;
+use crate::pipeline::StageId;
 use crate::pipeline::stages::LoadedModels;
-use crate::pipeline::{Result, StageId};
 use crate::progress::Progress;
 use crate::store::SceneStore;
 use std::path::Path;

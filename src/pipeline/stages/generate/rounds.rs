@@ -9,11 +9,11 @@
 use super::ready::Ready;
 use super::sample_folder::{SampleSidecar, read_round, write_round};
 use super::sharded::{GenerationPlan, SampledShard};
+use crate::engine::shards::{Gathering, Shards};
+use crate::engine::{Failure, Result};
 use crate::generate::{
     Ledger, Pool, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally,
 };
-use crate::pipeline::shards::{Gathering, Shards};
-use crate::pipeline::{Failure, Result};
 use crate::progress::{Progress, Silent};
 use crate::scenario::RequestTag;
 use crate::seed::Seed;

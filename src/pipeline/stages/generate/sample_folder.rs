@@ -1,6 +1,7 @@
 //! The folder of generated scenarios: shards, what was decided about them, and a manifest.
 
 use super::rounds::DecidedShard;
+use crate::engine::{Classify, Failure, Result};
 use crate::files::{files_below, link_or_copy};
 use crate::generate::{
     GenerateConfig, Plan, Pool, RejectedSample, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
@@ -8,7 +9,6 @@ use crate::generate::{
 };
 use crate::metrics::MetricSettings;
 use crate::pipeline::stages::MineConfig;
-use crate::pipeline::{Classify, Failure, Result};
 use crate::scenario::ScenarioRecord;
 use crate::store::{
     FileStamp, MapSource, SceneStore, read_if_whole, read_json, read_samples, write_atomically, write_json_atomically,
@@ -323,7 +323,7 @@ pub(in crate::pipeline) fn shard_name(idx: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::Blame;
+    use crate::engine::Blame;
     use crate::scene::{LaneGraph, LaneId, MapId};
 
     struct NoMaps;

@@ -3,12 +3,12 @@
 use super::rounds::{self, DecidedShard, warn_of_short};
 use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::{Generate, differs_from_default};
+use crate::engine::shards::{Division, Gathering, Sharded, Shards};
+use crate::engine::{Result, StageContext};
 use crate::generate::{PlacedScenario, Plan, Pool, ResolvedGeneration, ShardPlan, Shortfall};
 use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::layout::SAMPLES;
-use crate::pipeline::shards::{Division, Gathering, Sharded, Shards};
-use crate::pipeline::{Result, StageContext};
 use crate::progress::Progress;
 use crate::store::SceneStore;
 use rayon::prelude::*;

@@ -3,8 +3,8 @@
 use super::sample_folder::write_table;
 use super::sharded::{gather_sweeps, make_sweeps};
 use super::*;
+use crate::engine::shards::{Gathering, Shards, shard_folder};
 use crate::generate::{Plan, ShardOutput, ShardPlan};
-use crate::pipeline::shards::{Gathering, Shards, shard_folder};
 use crate::progress::Silent;
 use crate::scene::MapId;
 use crate::store::testing::{map, scene};

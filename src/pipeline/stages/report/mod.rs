@@ -3,8 +3,9 @@
 mod drawings;
 mod gather;
 
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{FIGURES, Layout, REPORT};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::report::{ReportConfig, figures, render};
 use crate::store::write_atomically;
 use serde::Serialize;
@@ -37,8 +38,8 @@ pub struct About {
 }
 
 impl Stage for Report<'_> {
-    fn id(&self) -> StageId {
-        StageId::Report
+    fn kind(&self) -> &'static StageKind {
+        StageId::Report.kind()
     }
 
     fn version(&self) -> u32 {

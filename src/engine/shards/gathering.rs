@@ -2,7 +2,7 @@
 
 use super::folder::ShardFolder;
 use super::tries::Tries;
-use crate::pipeline::{Failure, Result};
+use crate::engine::{Failure, Result};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ pub struct Gathering<'a> {
 
 impl<'a> Gathering<'a> {
     /// Starts with none of the shards examined.
-    pub(in crate::pipeline) fn new(folder: &'a ShardFolder) -> Self {
+    pub(crate) fn new(folder: &'a ShardFolder) -> Self {
         Self { folder, missing: Vec::new(), given_up: Vec::new(), n_shards: folder.n_planned() }
     }
 
@@ -65,7 +65,7 @@ impl<'a> Gathering<'a> {
     /// Refuses to go on while one of the examined shards is missing.
     ///
     /// # Errors
-    /// When shards are missing: [`Blame::Later`](crate::pipeline::Blame::Later) while they may still come, a fault once all of them are
+    /// When shards are missing: [`Blame::Later`](crate::engine::Blame::Later) while they may still come, a fault once all of them are
     /// given up.
     pub fn check_whole(&self) -> Result<()> {
         let Self { folder, missing, given_up, n_shards } = self;

@@ -5,9 +5,9 @@
 //! try writes its reason into the mark.
 
 use super::folder::ShardFolder;
+use crate::engine::clock::utc_now;
+use crate::engine::{Failure, Result};
 use crate::files::tell_committed;
-use crate::pipeline::clock::utc_now;
-use crate::pipeline::{Failure, Result};
 use crate::store::{read_json, write_json_atomically};
 use serde::{Deserialize, Serialize};
 use std::io::{ErrorKind, Write};

@@ -1,15 +1,16 @@
 //! What must all processes that work on one plan have in common?
 
-use crate::pipeline::fingerprint::fingerprint_value;
-use crate::pipeline::stale::why;
-use crate::pipeline::{ComputeChoice, Failure, Result, StageRecord};
+use crate::engine::fingerprint::fingerprint_value;
+use crate::engine::kind::StageKind;
+use crate::engine::stale::why;
+use crate::engine::{ComputeChoice, Failure, Result, StageRecord};
 use serde::{Deserialize, Serialize};
 
 /// The work, the program and the kind of machine: together they determine every byte of a shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(in crate::pipeline) struct Identity {
+pub(in crate::engine) struct Identity {
     /// The stage with its section and inputs.
-    pub(in crate::pipeline) stage: StageRecord,
+    pub(in crate::engine) stage: StageRecord,
     /// Version and revision of the program.
     pub(super) program: String,
     /// The kind of device, and the precision of matrix products.
@@ -21,8 +22,8 @@ impl Identity {
     ///
     /// # Errors
     /// When the program cannot be read.
-    pub(super) fn own(stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
-        let compute = if stage.stage.computes() { compute } else { ComputeChoice::default() };
+    pub(super) fn own(kind: &StageKind, stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
+        let compute = if kind.computes { compute } else { ComputeChoice::default() };
         Ok(Self { stage, program: program()?, compute: compute.class() })
     }
 
@@ -42,13 +43,13 @@ impl Identity {
     }
 
     /// What differs between this process and a `plan` of another one; `None` if they fit together.
-    pub(super) fn difference(&self, plan: &Self) -> Option<String> {
+    pub(super) fn difference(&self, kind: &StageKind, plan: &Self) -> Option<String> {
         let rewritten = self.stage.rewritten_since(&plan.stage).map(why);
         let named = |what: &str, own: &str, plans: &str| {
             (own != plans).then(|| format!("{what}: the plan's is {plans}, this one is {own}"))
         };
         let differences = [
-            (!self.is_work_of(&plan.stage)).then(|| self.stage.changes_since(&plan.stage)).or(rewritten),
+            (!self.is_work_of(&plan.stage)).then(|| self.stage.changes_since(kind, &plan.stage)).or(rewritten),
             named("program", &self.program, &plan.program),
             named("device", &self.compute, &plan.compute),
         ];
@@ -57,8 +58,12 @@ impl Identity {
     }
 
     /// The error of a process that differs from this plan in this way; it says how many shards would be lost.
-    pub(super) fn refusal(&self, difference: &str, (n_finished, n_shards): (usize, usize)) -> Failure {
-        let stage = self.stage.stage;
+    pub(super) fn refusal(
+        &self,
+        stage: &StageKind,
+        difference: &str,
+        (n_finished, n_shards): (usize, usize),
+    ) -> Failure {
         Failure::input_message(format_args!(
             "this run folder holds another plan of stage {stage}: {difference}; nothing was changed"
         ))

@@ -1,9 +1,10 @@
 //! Does a run folder that somebody else made cost files outside of it, whatever its records and lists say?
 
 use super::toy::{FOREIGN, Toy, put, run, snapshot, toy};
+use crate::engine::record::StageRecord;
+use crate::engine::testing::kind;
+use crate::engine::{Blame, StageKind};
 use crate::files::{LIST_FILE, enter_all, files_below, keep_list, stays_below};
-use crate::pipeline::record::StageRecord;
-use crate::pipeline::{Blame, StageId};
 use crate::store::write_record;
 use fs_err as fs;
 use proptest::prelude::*;
@@ -100,7 +101,7 @@ fn crafted() -> impl Strategy<Value = Crafted> {
 
 impl Crafted {
     /// Writes it into the finished run folder `root` below `outside`. Whether any name leads out of the place where it stands.
-    fn write(&self, root: &Path, outside: &Path, stage: StageId) -> bool {
+    fn write(&self, root: &Path, outside: &Path, stage: &'static StageKind) -> bool {
         let named = |name: &String| name.replace(ABSOLUTE, &outside.to_string_lossy());
         let mut record = StageRecord::done(root, stage).unwrap().unwrap();
         let content = record.outputs.values().next().unwrap().clone();
@@ -145,7 +146,7 @@ proptest! {
         fs::create_dir_all(&root).unwrap();
         let toy = |text: &str| Toy { is_cheap: crafted.is_cheap, ..toy(text) };
         run(&root, &toy("old"), &[]).unwrap();
-        let stage = if crafted.is_cheap { StageId::Evaluate } else { StageId::TrainDenoiser };
+        let stage = if crafted.is_cheap { kind("evaluate") } else { kind("train_denoiser") };
         THEIRS.iter().for_each(|name| put(&outside.join(name), FOREIGN));
         if crafted.list.is_none() {
             fs::write(outside.join("theirs").join(LIST_FILE), "").unwrap();
@@ -182,7 +183,7 @@ fn a_record_that_names_files_of_others_is_refused() {
     let toy = |text: &str| Toy { is_cheap: true, ..toy(text) };
     run(&root, &toy("old"), &[]).unwrap();
     let path = root.join("evaluate.done.json");
-    let record = StageRecord::done(&root, StageId::Evaluate).unwrap().unwrap();
+    let record = StageRecord::done(&root, kind("evaluate")).unwrap().unwrap();
     for name in [
         "../../victim.txt",
         "",

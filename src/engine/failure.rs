@@ -1,6 +1,6 @@
 //! Who has to act when something fails: the user, or those who maintain the program and the machine?
 
-use super::stage::StageId;
+use super::kind::StageKind;
 use crate::cloud;
 use std::{fmt, io};
 
@@ -58,7 +58,7 @@ impl Failure {
 
     /// The same failure, as that of a stage.
     #[must_use]
-    pub(super) fn of_stage(self, stage: StageId) -> Self {
+    pub(super) fn of_stage(self, stage: &StageKind) -> Self {
         let what = if self.blame == Blame::Later { "was stopped" } else { "failed" };
         self.context(format!("stage {stage} {what}"))
     }

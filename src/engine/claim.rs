@@ -1,10 +1,11 @@
 //! May a command write into this folder, and which of the files there are its own?
 
 use super::failure::{Failure, Result};
+use super::kind::StageKind;
 use super::log::LOG_FILE;
 use super::record::{StageRecord, done_path, unreadable};
-use super::run::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
-use super::stage::{Stage, StageId, StageInput};
+use super::run_folder::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
+use super::stage::{Stage, StageInput};
 use crate::cloud::ObjectUrl;
 use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
 use crate::store::{Error as StoreError, read_record};
@@ -19,14 +20,14 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
     for writer in stages {
         for reader in stages {
             // What a stage makes is there to be read by later ones.
-            let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.id()));
+            let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.kind()));
             for input in inputs {
                 for name in writer.outputs() {
                     check_urls(&root.join(name), &input)?;
                     check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
                         |error| {
-                            let failure = Failure::from(error).context(format!("stage {} cannot run", writer.id()));
-                            match writer.id().facts().trains {
+                            let failure = Failure::from(error).context(format!("stage {} cannot run", writer.kind()));
+                            match writer.kind().trains {
                                 true => failure.with_hint(
                                     "to continue from a model in this folder, copy it elsewhere and pass the copy",
                                 ),
@@ -53,7 +54,7 @@ fn check_urls(output: &Path, input: &StageInput) -> Result<()> {
 }
 
 /// Refuses a folder with a file of somebody else's under a name that every command writes.
-pub(super) fn check_root(root: &Path) -> Result<()> {
+pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
     if let Some(file) = root.ancestors().find(|path| path.exists()).filter(|path| !path.is_dir()) {
         let message = format!("{} is not a folder; output is written into a folder", file.display());
         return Err(Failure::input_message(message).with_hint("name another folder with --output"));
@@ -73,7 +74,7 @@ pub(super) fn check_root(root: &Path) -> Result<()> {
     check(LOG_FILE, &|| is_log(root));
     // It is written after the manifest.
     check(CONFIG_FILE, &|| root.join(RUN_FILE).exists());
-    for stage in StageId::ALL {
+    for stage in kinds {
         let name = done_path(Path::new(""), stage).to_string_lossy().into_owned();
         let is_ours =
             is_record(&root.join(&name)).or_else(|_| StageRecord::done(root, stage).map(|done| done.is_some()))?;
@@ -115,8 +116,8 @@ fn is_record(path: &Path) -> Result<bool, StoreError> {
 }
 
 /// Removes half-written files of those that every command writes. The folder must be locked.
-pub(super) fn remove_leftovers(root: &Path) -> Result<()> {
-    let records = StageId::ALL.map(|stage| format!("{stage}.done.json"));
+pub(super) fn remove_leftovers(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
+    let records: Vec<String> = kinds.iter().map(|stage| format!("{stage}.done.json")).collect();
     for entry in fs_err::read_dir(root)? {
         let entry = entry?;
         let name = entry.file_name().to_string_lossy().into_owned();
@@ -129,12 +130,12 @@ pub(super) fn remove_leftovers(root: &Path) -> Result<()> {
 }
 
 /// The files in `root` that the finished stage wrote, relative to it.
-pub(super) fn owned(root: &Path, stage: StageId) -> Result<BTreeSet<PathBuf>> {
+pub(super) fn owned(root: &Path, stage: &StageKind) -> Result<BTreeSet<PathBuf>> {
     Ok(StageRecord::done(root, stage)?.map(|record| record.files).unwrap_or_default())
 }
 
 /// Refuses the outputs of a stage whose places hold anything that the stage did not write.
-pub(super) fn check_outputs(root: &Path, stage: StageId, outputs: &[&str]) -> Result<()> {
+pub(super) fn check_outputs(root: &Path, stage: &StageKind, outputs: &[&str]) -> Result<()> {
     let owned = owned(root, stage)?;
     for name in outputs {
         let place = root.join(name);

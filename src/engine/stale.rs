@@ -5,18 +5,19 @@
 //! again can take hours, so the user decides.
 
 use super::failure::Result;
-use super::graph::{Action, PlannedStage, begun, check_writable};
+use super::kind::StageKind;
+use super::plan::{Action, PlannedStage, begun, check_writable};
 use super::record::StageRecord;
-use super::stage::{StageContext, StageId};
+use super::stage::StageContext;
 
 /// Why a stage runs that read what `producer` wrote before.
-pub(super) fn why(producer: StageId) -> String {
+pub(super) fn why(producer: &str) -> String {
     format!("{producer} wrote other bytes than before")
 }
 
 /// Whether its results stay although they are stale: a trained model.
-pub(super) fn is_kept(done: &StageRecord) -> bool {
-    done.stage.facts().trains && done.summary["trained"] == true
+pub(super) fn is_kept(stage: &StageKind, done: &StageRecord) -> bool {
+    stage.trains && done.summary["trained"] == true
 }
 
 /// Whether the work that was begun goes on from what `expected` reads.
@@ -30,25 +31,25 @@ pub(super) fn can_resume(expected: &StageRecord, begun: &StageRecord) -> bool {
 /// # Errors
 /// When it must run again and would overwrite what is not its own.
 pub(super) fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
-    let id = planned.stage.id();
+    let kind = planned.stage.kind();
     let earlier = match planned.action {
-        Action::Reuse => StageRecord::done(context.root, id)?,
-        Action::Resume => begun(context.root, id)?,
+        Action::Reuse => StageRecord::done(context.root, kind)?,
+        Action::Resume => begun(context.root, kind)?,
         Action::Run(_) => None,
     };
     let Some((producer, earlier)) =
-        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?, earlier)))
+        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?.to_owned(), earlier)))
     else {
         return Ok(());
     };
-    if planned.action == Action::Reuse && (is_kept(&earlier) || !planned.is_selected) {
+    if planned.action == Action::Reuse && (is_kept(kind, &earlier) || !planned.is_selected) {
         context.progress.warn(&format!(
-            "{id} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo {id}"
+            "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo {kind}"
         ));
         return Ok(());
     }
-    planned.action = Action::Run(why(producer));
+    planned.action = Action::Run(why(&producer));
     planned.kept = check_writable(context.root, planned.stage.as_ref(), &planned.expected, &planned.action, false)?;
-    context.progress.note(&format!("{id} runs again: {}", why(producer)));
+    context.progress.note(&format!("{kind} runs again: {}", why(&producer)));
     Ok(())
 }

@@ -1,18 +1,17 @@
-//! Decides which stages must run, which can be reused and which resume, and runs them.
+//! Decides which stages must run, which can be reused and which resume.
 
 use super::claim;
-use super::device::ComputeChoice;
 use super::failure::{Blame, Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to};
 use super::keep::{Kept, kept};
+use super::kind::StageKind;
 use super::record::{InputRecord, StageRecord};
-use super::run::times_seen;
-use super::shards::{self, Gathering, Makers};
-use super::stage::{Stage, StageContext, StageId, StageInput, Work};
+use super::run_folder::times_seen;
+use super::shards;
+use super::stage::{Stage, StageInput};
 use super::stale;
-use super::work::WorkFolder;
+use super::work_folder::WorkFolder;
 use crate::cloud::Recordings;
-use crate::progress::Progress;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -73,26 +72,31 @@ impl fmt::Display for Action {
 /// # Errors
 /// When a section cannot work, an input is missing, an output overlaps an input or holds files that the stage did not write,
 /// or a trained model would be replaced unasked.
-pub fn plan<'a>(root: &Path, stages: Vec<Box<dyn Stage + 'a>>, redo: &[StageId]) -> Result<Vec<PlannedStage<'a>>> {
+pub fn plan<'a>(
+    root: &Path,
+    kinds: &'static [StageKind],
+    stages: Vec<Box<dyn Stage + 'a>>,
+    redo: &[&'static StageKind],
+) -> Result<Vec<PlannedStage<'a>>> {
     // All sections are checked before recordings are read, so that mistakes are found at once.
     stages.iter().try_for_each(|stage| stage.check())?;
-    if let Some(stage) = redo.iter().find(|id| !stages.iter().any(|stage| stage.id() == **id)) {
+    if let Some(stage) = redo.iter().find(|kind| !stages.iter().any(|stage| stage.kind() == **kind)) {
         return Err(Failure::input_message(format_args!("--redo {stage}: the pipeline has no such stage")));
     }
     claim::check_overlaps(root, &stages)?;
-    claim::check_root(root)?;
+    claim::check_root(root, kinds)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
-        let earlier = StageRecord::done(root, stage.id())?;
+        let earlier = StageRecord::done(root, stage.kind())?;
         let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
         let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
         // Work on the same contents keeps its fingerprint when files were moved, and so do the stages after it.
-        let begun = begun(root, stage.id())?;
+        let begun = begun(root, stage.kind())?;
         if let Some(same) = earlier.iter().chain(&begun).find(|earlier| expected.is_same_work(earlier)) {
             expected.fingerprint.clone_from(&same.fingerprint);
         }
-        let is_requested = redo.contains(&stage.id());
-        let action = decide(root, &mut expected, is_requested)?;
+        let is_requested = redo.contains(&stage.kind());
+        let action = decide(root, stage.kind(), &mut expected, is_requested)?;
         if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
             return Err(failure);
         }
@@ -142,14 +146,14 @@ pub(super) fn check_writable(
         Action::Reuse => Ok(Vec::new()),
         // Whoever began it has requested it already.
         Action::Resume => {
-            WorkFolder::check_ours(root, stage.id())?;
-            claim::check_outputs(root, stage.id(), stage.outputs())?;
-            kept(root, expected, "", true)
+            WorkFolder::check_ours(root, stage.kind())?;
+            claim::check_outputs(root, stage.kind(), stage.outputs())?;
+            kept(root, stage.kind(), expected, "", true)
         }
         Action::Run(why) => {
-            WorkFolder::check_ours(root, stage.id())?;
-            claim::check_outputs(root, stage.id(), stage.outputs())?;
-            kept(root, expected, why, is_requested)
+            WorkFolder::check_ours(root, stage.kind())?;
+            claim::check_outputs(root, stage.kind(), stage.outputs())?;
+            kept(root, stage.kind(), expected, why, is_requested)
         }
     }
 }
@@ -159,23 +163,23 @@ pub(super) fn check_writable(
 /// # Errors
 /// When one is selected that the pipeline does not have, or that reads from one which is neither done nor selected
 /// ([`Blame::Later`](super::Blame::Later)).
-pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[StageId]) -> Result<Vec<PlannedStage<'a>>> {
-    if let Some(stage) = selected.iter().find(|id| !planned.iter().any(|planned| planned.stage.id() == **id)) {
+pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[&'static StageKind]) -> Result<Vec<PlannedStage<'a>>> {
+    if let Some(stage) = selected.iter().find(|kind| !planned.iter().any(|planned| planned.stage.kind() == **kind)) {
         return Err(Failure::input_message(format_args!("--stage {stage}: the pipeline has no such stage")));
     }
     let is_ready =
-        |planned: &PlannedStage<'_>| planned.action == Action::Reuse || selected.contains(&planned.stage.id());
-    for PlannedStage { stage, .. } in planned.iter().filter(|planned| selected.contains(&planned.stage.id())) {
-        let producers: Vec<StageId> = stage.inputs().iter().filter_map(|input| input.producer).collect();
-        let waits_for = planned.iter().find(|other| producers.contains(&other.stage.id()) && !is_ready(other));
+        |planned: &PlannedStage<'_>| planned.action == Action::Reuse || selected.contains(&planned.stage.kind());
+    for PlannedStage { stage, .. } in planned.iter().filter(|planned| selected.contains(&planned.stage.kind())) {
+        let producers: Vec<&StageKind> = stage.inputs().iter().filter_map(|input| input.producer).collect();
+        let waits_for = planned.iter().find(|other| producers.contains(&other.stage.kind()) && !is_ready(other));
         if let Some(PlannedStage { expected, action, .. }) = waits_for {
-            let producer = expected.stage;
-            return Err(Failure::later(format_args!("stage {} waits for stage {producer}: {action}", stage.id()))
+            let producer = &expected.stage;
+            return Err(Failure::later(format_args!("stage {} waits for stage {producer}: {action}", stage.kind()))
                 .with_hint(format!("run --stage {producer} first; this command can be repeated until then")));
         }
     }
     let marked = planned.into_iter().filter(is_ready).map(|planned| {
-        let is_selected = selected.contains(&planned.stage.id());
+        let is_selected = selected.contains(&planned.stage.kind());
         PlannedStage { is_selected, ..planned }
     });
     Ok(marked.collect())
@@ -194,144 +198,9 @@ pub(super) fn expected(root: &Path, stage: &dyn Stage) -> Result<StageRecord> {
 ///
 /// # Errors
 /// When the record is damaged; those of the file system.
-pub(super) fn begun(root: &Path, stage: StageId) -> Result<Option<StageRecord>> {
+pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
     let started = WorkFolder::started(root, stage)?;
     started.map_or_else(|| shards::begun(root, stage), |started| Ok(Some(started)))
-}
-
-/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done. `compute` is what the
-/// context has opened.
-pub fn execute(
-    planned: Vec<PlannedStage<'_>>,
-    (compute, makers): (ComputeChoice, Makers),
-    context: &StageContext<'_>,
-    after: &mut dyn FnMut(&StageRecord) -> anyhow::Result<()>,
-    around: &mut dyn FnMut(StageId, Moment) -> anyhow::Result<()>,
-) -> Result<Vec<StageRecord>> {
-    let mut records = Vec::new();
-    for mut planned in planned {
-        planned.expected.learn_contents(&records);
-        stale::revise(&mut planned, context)?;
-        let id = planned.stage.id();
-        let record = if planned.action == Action::Reuse {
-            let PlannedStage { expected, .. } = planned;
-            // Planning has just read the same record.
-            let done = StageRecord::done(context.root, id)?.unwrap_or_else(|| expected.clone());
-            shards::clean_up(context.root, &done)?;
-            done.with_inputs_of(context.root, &expected)?.seen(expected.times)
-        } else {
-            if context.progress.must_stop() {
-                return Err(Failure::later(format_args!("stopped before stage {id}")));
-            }
-            around(id, Moment::Start)?;
-            let named = Named { stage: id, inner: context.progress };
-            let context = StageContext { progress: &named, ..*context };
-            let record = run_stage(&planned, (compute, makers), &context).map_err(|failure| failure.of_stage(id))?;
-            around(id, Moment::End)?;
-            record
-        };
-        after(&record)?;
-        records.push(record);
-    }
-    Ok(records)
-}
-
-/// When a stage's time is taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Moment {
-    /// Before its work.
-    Start,
-    /// After its outputs are whole.
-    End,
-}
-
-/// Prefixes the names of phases with the stage.
-struct Named<'a> {
-    stage: StageId,
-    inner: &'a dyn Progress,
-}
-
-impl Progress for Named<'_> {
-    fn start(&self, phase: &str, total: u64, unit: &str) {
-        let stage = self.stage.facts().command;
-        let is_whole = stage.split(' ').any(|word| word == phase);
-        let name = if is_whole { stage.to_owned() } else { format!("{stage}: {phase}") };
-        self.inner.start(&name, total, unit);
-    }
-
-    fn advance(&self, n: u64) {
-        self.inner.advance(n);
-    }
-
-    fn note(&self, message: &str) {
-        self.inner.note(message);
-    }
-
-    fn warn(&self, message: &str) {
-        self.inner.warn(message);
-    }
-
-    fn finish(&self) {
-        self.inner.finish();
-    }
-
-    fn must_stop(&self) -> bool {
-        self.inner.must_stop()
-    }
-}
-
-fn run_stage(
-    planned: &PlannedStage<'_>,
-    made: (ComputeChoice, Makers),
-    context: &StageContext<'_>,
-) -> Result<StageRecord> {
-    let PlannedStage { stage, expected, action, kept, .. } = planned;
-    match stage.work() {
-        Work::Whole(whole) => {
-            let work = match action {
-                Action::Resume => WorkFolder::resume(context.root, expected)?,
-                _ => WorkFolder::begin(context.root, expected)?,
-            };
-            check_inputs(stage.as_ref())?;
-            let summary = whole.run(&StageContext { root: work.path(), ..*context })?;
-            work.finish(expected.clone(), stage.outputs(), summary, kept)
-        }
-        Work::Sharded(sharded) => {
-            check_inputs(stage.as_ref())?;
-            let folder = shards::ready(planned, sharded, made, context)?;
-            let work = WorkFolder::begin(context.root, expected)?;
-            let summary =
-                sharded.finish(&mut Gathering::new(&folder), &StageContext { root: work.path(), ..*context })?;
-            let record = work.finish(expected.clone(), stage.outputs(), summary, kept)?;
-            shards::clean_up(context.root, &record)?;
-            Ok(record)
-        }
-    }
-}
-
-/// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a checksum each, which is
-/// compared when it is read.
-pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
-    for input in stage.inputs() {
-        let Some(producer) = input.producer.filter(|id| !matches!(id, StageId::Ingest | StageId::Generate)) else {
-            continue;
-        };
-        let folder = input.path.parent().unwrap_or(Path::new("."));
-        let Some(record) = StageRecord::done(folder, producer)? else { continue };
-        let own = input.path.file_name().unwrap_or_default().to_string_lossy();
-        let is_read = |name: &&String| **name == own || folder.join(name).is_file();
-        for name in record.outputs.keys().filter(is_read) {
-            if record.is_whole(folder, name)? {
-                continue;
-            }
-            let path = folder.join(name);
-            let message = format!("{}: it is not what stage {producer} wrote there", path.display());
-            return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
-                "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo {producer}"
-            )));
-        }
-    }
-    Ok(())
 }
 
 /// What a stage's input holds: a fingerprint of the stage that makes it, or of its content.
@@ -345,24 +214,22 @@ fn identify(
 ) -> Result<InputRecord> {
     if let Some(producer) = input.producer {
         let folder = input.path.parent().unwrap_or(Path::new("."));
-        let here = planned.iter().find(|other| other.stage.id() == producer && folder == root);
+        let here = planned.iter().find(|other| other.stage.kind() == producer && folder == root);
         let done =
             StageRecord::done(folder, producer)?.filter(|_| here.is_none_or(|here| here.action == Action::Reuse));
         let content = done.as_ref().and_then(StageRecord::content);
         let fingerprint =
             here.map(|here| here.expected.fingerprint.clone()).or_else(|| done.map(|record| record.fingerprint));
         if let Some(fingerprint) = fingerprint {
-            return Ok(InputRecord::Stage { producer, fingerprint, content });
+            return Ok(InputRecord::Stage { producer: producer.name.to_owned(), fingerprint, content });
         }
     }
     let known = earlier.and_then(|earlier| earlier.known_content(&input.name, &input.path));
     let content = fingerprint_input(&input.path, known).map_err(|failure| {
         let failure = failure.context(format!("failed to read the input {}", input.name));
         match input.producer {
-            Some(producer) => failure.with_hint(format!(
-                "`djinn {}` writes it; see --help for how to use another path",
-                producer.facts().command
-            )),
+            Some(producer) => failure
+                .with_hint(format!("`djinn {}` writes it; see --help for how to use another path", producer.command)),
             None => failure.with_hint("relative paths are relative to the current directory"),
         }
     })?;
@@ -383,24 +250,23 @@ fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<Pat
 }
 
 /// The action for a stage. If it is reused, `expected` learns when its outputs were last verified.
-fn decide(root: &Path, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
-    let stage = expected.stage;
+fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
     let (done, begun) = (StageRecord::done(root, stage)?, begun(root, stage)?);
     let why = match &done {
         Some(_) if is_requested => "requested by --redo".to_owned(),
-        Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(done),
+        Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(stage, done),
         Some(done) => match done.check_outputs(root, &times_seen(root, stage))? {
             Err(name) => format!("{name} is missing or was changed"),
             Ok(times) => {
                 expected.times = times;
                 match expected.rewritten_since(done) {
-                    Some(producer) if !stale::is_kept(done) => stale::why(producer),
+                    Some(producer) if !stale::is_kept(stage, done) => stale::why(producer),
                     _ => return Ok(Action::Reuse),
                 }
             }
         },
         None => match &begun {
-            Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(started),
+            Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(stage, started),
             _ => "not done yet".to_owned(),
         },
     };

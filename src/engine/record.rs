@@ -1,12 +1,13 @@
 //! The record of a stage, by which the next run decides whether to redo it.
 //!
-//! `<stage>.done.json` is written after its outputs are whole; [`work`](super::work) keeps the same of a stage at work. Both
+//! `<stage>.done.json` is written after its outputs are whole; [`work_folder`](super::work_folder) keeps the same of a stage at work. Both
 //! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
 //! stage wrote: these, and no others, may be removed when it is redone.
 
 use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
-use super::stage::{Stage, StageId, StageInput};
+use super::kind::StageKind;
+use super::stage::{Stage, StageInput};
 use crate::files::stays_below;
 use crate::store::{Error, read_record, write_record};
 use serde::{Deserialize, Serialize};
@@ -17,8 +18,8 @@ use std::path::{Path, PathBuf};
 /// What a stage was run on and, once it is done, its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
-    /// Which stage.
-    pub stage: StageId,
+    /// Name of the kind of stage.
+    pub stage: String,
     /// The version of its code.
     pub version: u32,
     /// Its section.
@@ -27,6 +28,8 @@ pub struct StageRecord {
     pub inputs: BTreeMap<String, InputRecord>,
     /// Hash of all of the above.
     pub fingerprint: String,
+    /// Hash of the version, and of the section without the paths of what it reads: inputs count by their content.
+    pub settings: String,
     /// What it wrote, by name within the output folder; empty until it is done.
     pub outputs: BTreeMap<String, PathFingerprint>,
     /// Every file that it wrote, relative to the output folder and sorted; empty until it is done.
@@ -45,8 +48,8 @@ pub struct StageRecord {
 pub enum InputRecord {
     /// The outputs of another stage, with that stage's fingerprint.
     Stage {
-        /// The stage that made it.
-        producer: StageId,
+        /// Name of the kind of stage that made it.
+        producer: String,
         /// Its fingerprint.
         fingerprint: String,
         /// Hash of what it wrote; `None` while that is not known. No part of the fingerprint: a changed program may write other
@@ -87,13 +90,16 @@ impl StageRecord {
         let config = stage.config()?;
         let identities: BTreeMap<&str, &str> =
             inputs.iter().map(|(name, input)| (name.as_str(), input.identity())).collect();
-        let fingerprint = fingerprint_value(&(stage.id(), stage.version(), &config, identities))?;
+        let kind = stage.kind();
+        let fingerprint = fingerprint_value(&(kind.name, stage.version(), &config, identities))?;
+        let settings = fingerprint_value(&(stage.version(), without_places(&config, kind.places)))?;
         Ok(Self {
-            stage: stage.id(),
+            stage: kind.name.to_owned(),
             version: stage.version(),
             config,
             inputs,
             fingerprint,
+            settings,
             outputs: BTreeMap::new(),
             files: BTreeSet::new(),
             summary: Value::Null,
@@ -107,10 +113,7 @@ impl StageRecord {
         let agree = |(name, input): (&String, &InputRecord)| {
             earlier.inputs.get(name).is_some_and(|then| input.agrees_with(then))
         };
-        self.version == earlier.version
-            && self.inputs.len() == earlier.inputs.len()
-            && self.inputs.iter().all(agree)
-            && without_places(&self.config) == without_places(&earlier.config)
+        self.settings == earlier.settings && self.inputs.len() == earlier.inputs.len() && self.inputs.iter().all(agree)
     }
 
     /// What it read as an input from outside that is not there any more.
@@ -136,12 +139,12 @@ impl StageRecord {
     }
 
     /// A stage that `earlier` read, if it wrote other bytes than it has written now, as far as both are known.
-    pub(super) fn rewritten_since(&self, earlier: &Self) -> Option<StageId> {
+    pub(super) fn rewritten_since(&self, earlier: &Self) -> Option<&str> {
         self.inputs.iter().find_map(|(name, input)| match (input, earlier.inputs.get(name)?) {
             (
                 InputRecord::Stage { producer, content: Some(now), .. },
                 InputRecord::Stage { content: Some(then), .. },
-            ) => (now != then).then_some(*producer),
+            ) => (now != then).then_some(producer.as_str()),
             _ => None,
         })
     }
@@ -157,7 +160,7 @@ impl StageRecord {
 
     /// This record of a finished stage, with where its inputs are now and what is known of them. What earlier stages had written when
     /// it read them stays.
-    pub(super) fn with_inputs_of(mut self, root: &Path, expected: &Self) -> Result<Self> {
+    pub(super) fn with_inputs_of(mut self, root: &Path, stage: &StageKind, expected: &Self) -> Result<Self> {
         let mut inputs = expected.inputs.clone();
         for (name, input) in &mut inputs {
             if let (InputRecord::Stage { content, .. }, Some(InputRecord::Stage { content: then @ Some(_), .. })) =
@@ -168,7 +171,7 @@ impl StageRecord {
         }
         if self.inputs != inputs {
             self.inputs = inputs;
-            write_record(&done_path(root, self.stage), &self)?;
+            write_record(&done_path(root, stage), &self)?;
         }
         Ok(self)
     }
@@ -177,10 +180,10 @@ impl StageRecord {
     ///
     /// # Errors
     /// When it is damaged; those of the file system.
-    pub fn done(root: &Path, stage: StageId) -> Result<Option<Self>> {
+    pub fn done(root: &Path, stage: &StageKind) -> Result<Option<Self>> {
         Self::read(&done_path(root, stage), stage).map_err(|error| {
             unreadable(error, || {
-                let outputs = stage.facts().outputs.join(", ");
+                let outputs = stage.outputs.join(", ");
                 format!("restore it from a copy, or move it away together with {outputs}: then {stage} runs again")
             })
         })
@@ -190,7 +193,7 @@ impl StageRecord {
     ///
     /// # Errors
     /// When it is damaged, or names what the stage does not write; those of the file system.
-    pub(super) fn read(path: &Path, stage: StageId) -> Result<Option<Self>, Error> {
+    pub(super) fn read(path: &Path, stage: &StageKind) -> Result<Option<Self>, Error> {
         let record: Option<Self> = read_record(path)?;
         match record.as_ref().and_then(|record| record.impossible(stage)) {
             Some(detail) => Err(Error::Record { path: path.to_owned(), detail }),
@@ -199,15 +202,15 @@ impl StageRecord {
     }
 
     /// What in a record the stage cannot have written: whatever it names is replaced and removed.
-    fn impossible(&self, stage: StageId) -> Option<String> {
-        let known = stage.facts().outputs;
+    fn impossible(&self, stage: &StageKind) -> Option<String> {
+        let known = stage.outputs;
         let is_output = |name: &str| known.contains(&name);
         let is_file = |file: &Path| {
             let output = file.iter().next().and_then(|part| part.to_str());
             file.to_str().is_some_and(stays_below) && output.is_some_and(is_output)
         };
         let is_hash = self.fingerprint.len() == 32 && self.fingerprint.bytes().all(|byte| byte.is_ascii_hexdigit());
-        if self.stage != stage {
+        if self.stage != stage.name {
             return Some(format!("it is of stage {}", self.stage));
         }
         if !is_hash {
@@ -301,12 +304,12 @@ impl StageRecord {
     }
 
     /// What differs from `earlier`, in a few words: versions, keys of the section, inputs.
-    pub fn changes_since(&self, earlier: &Self) -> String {
+    pub fn changes_since(&self, stage: &StageKind, earlier: &Self) -> String {
         let mut changes = Vec::new();
         if self.version != earlier.version {
             changes.push(format!("stage version {} -> {}", earlier.version, self.version));
         }
-        changed_keys(self.stage.facts().section, &earlier.config, &self.config, &mut changes);
+        changed_keys(stage.section, &earlier.config, &self.config, &mut changes);
         let names: std::collections::BTreeSet<&String> = self.inputs.keys().chain(earlier.inputs.keys()).collect();
         for name in names {
             let (now, then) = (self.inputs.get(name), earlier.inputs.get(name));
@@ -321,16 +324,16 @@ impl StageRecord {
     }
 }
 
-/// A section without the paths of what is read: inputs count by their content.
-fn without_places(config: &Value) -> Value {
+/// A section without the keys `places`, of which `list.key` is one in every item of a list.
+fn without_places(config: &Value, places: &[&str]) -> Value {
     let mut config = config.clone();
-    for key in ["inputs", "map_inputs", "checkpoint", "start_from"] {
-        config.as_object_mut().map(|section| section.remove(key));
-    }
-    for (list, key) in [("data", "scenes"), ("requests", "prior")] {
-        for more in config.get_mut(list).and_then(Value::as_array_mut).into_iter().flatten() {
-            more.as_object_mut().map(|more| more.remove(key));
-        }
+    for place in places {
+        let (list, key) = place.split_once('.').unwrap_or(("", place));
+        let items = match list {
+            "" => std::slice::from_mut(&mut config),
+            list => config.get_mut(list).and_then(Value::as_array_mut).map_or(&mut [][..], Vec::as_mut_slice),
+        };
+        items.iter_mut().filter_map(Value::as_object_mut).for_each(|item| drop(item.remove(key)));
     }
     config
 }
@@ -348,7 +351,7 @@ pub(super) fn unreadable(error: Error, advice: impl FnOnce() -> String) -> Failu
 }
 
 /// Where the record of a finished stage lies.
-pub(super) fn done_path(root: &Path, stage: StageId) -> PathBuf {
+pub fn done_path(root: &Path, stage: &StageKind) -> PathBuf {
     root.join(format!("{stage}.done.json"))
 }
 
@@ -362,10 +365,6 @@ fn changed_keys(path: &str, earlier: &Value, now: &Value, changes: &mut Vec<Stri
             }
         }
         (earlier, now) if earlier == now => {}
-        (earlier, now) if path.ends_with(".precision") => {
-            let named = |value: &Value| value.as_str().unwrap_or("f32").to_owned();
-            changes.push(format!("run.precision {} -> {}", named(earlier), named(now)));
-        }
         (earlier, now) if earlier.to_string().len() + now.to_string().len() < 40 => {
             changes.push(format!("{path} {earlier} -> {now}"));
         }

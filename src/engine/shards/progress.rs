@@ -2,7 +2,7 @@
 
 use super::folder::ShardFolder;
 use super::tries::Tries;
-use crate::pipeline::{Result, StageId};
+use crate::engine::{Result, StageKind};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::Path;
@@ -17,8 +17,8 @@ const AT_LEAST: Duration = Duration::from_secs(120);
 /// The shards of a plan.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ShardStatus {
-    /// The stage.
-    pub stage: StageId,
+    /// Name of the kind of stage.
+    pub stage: &'static str,
     /// Number of shards in the plan.
     pub n_shards: usize,
     /// Of these, finished.
@@ -39,8 +39,8 @@ pub struct ShardStatus {
 ///
 /// # Errors
 /// Those of the file system.
-pub fn shard_status(root: &Path) -> Result<Option<ShardStatus>> {
-    for stage in StageId::ALL.into_iter().rev() {
+pub fn shard_status(root: &Path, kinds: &'static [StageKind]) -> Result<Option<ShardStatus>> {
+    for stage in kinds.iter().rev() {
         if let Some(folder) = ShardFolder::all(root, stage)?.first() {
             return Ok(Some(status_of(stage, folder)?));
         }
@@ -48,7 +48,7 @@ pub fn shard_status(root: &Path) -> Result<Option<ShardStatus>> {
     Ok(None)
 }
 
-fn status_of(stage: StageId, folder: &ShardFolder) -> Result<ShardStatus> {
+fn status_of(stage: &'static StageKind, folder: &ShardFolder) -> Result<ShardStatus> {
     let n_shards = folder.n_shards()?;
     let (mut seconds, mut unfinished) = (Vec::new(), Vec::new());
     let tried = folder.tried()?;
@@ -66,7 +66,7 @@ fn status_of(stage: StageId, folder: &ShardFolder) -> Result<ShardStatus> {
     let n_running = left.iter().filter(|(_, tries)| tries.age.is_some_and(|age| age < patience)).count();
     let describe = |(idx, tries): &(usize, Tries)| format!("{} ({})", folder.shard_name(*idx), tries.describe());
     Ok(ShardStatus {
-        stage,
+        stage: stage.name,
         n_shards,
         n_done,
         n_running,

@@ -1,10 +1,12 @@
 //! A stage that writes a few lines, and what can be done to its run folder.
 
+use crate::engine::execute::execute;
+use crate::engine::plan::{Action, PlannedStage, plan};
+use crate::engine::run_folder::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
+use crate::engine::shards::Makers;
+use crate::engine::testing::{KINDS, kind};
+use crate::engine::{ComputeChoice, Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::files::write_atomically;
-use crate::pipeline::graph::{Action, PlannedStage, execute, plan};
-use crate::pipeline::run::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
-use crate::pipeline::shards::Makers;
-use crate::pipeline::{ComputeChoice, Failure, Result, Stage, StageContext, StageId, StageInput, Whole, Work};
 use crate::progress::Silent;
 use crate::store::write_record;
 use fs_err as fs;
@@ -25,8 +27,8 @@ pub(super) struct Toy {
 }
 
 impl Stage for Toy {
-    fn id(&self) -> StageId {
-        if self.is_cheap { StageId::Evaluate } else { StageId::TrainDenoiser }
+    fn kind(&self) -> &'static StageKind {
+        if self.is_cheap { kind("evaluate") } else { kind("train_denoiser") }
     }
 
     fn version(&self) -> u32 {
@@ -90,9 +92,9 @@ pub(super) struct Planned {
 }
 
 /// Runs the stage as the program does.
-pub(super) fn run(root: &Path, toy: &Toy, redo: &[StageId]) -> Result<Planned> {
-    let _folder = RunFolder::open(root)?;
-    let mut planned: Vec<PlannedStage<'_>> = plan(root, vec![Box::new(toy.clone())], redo)?;
+pub(super) fn run(root: &Path, toy: &Toy, redo: &[&'static StageKind]) -> Result<Planned> {
+    let _folder = RunFolder::open(root, &KINDS)?;
+    let mut planned: Vec<PlannedStage<'_>> = plan(root, &KINDS, vec![Box::new(toy.clone())], redo)?;
     let first = planned.first_mut().unwrap();
     let plan = Planned { action: first.action.clone(), redone: first.redone() };
     let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };

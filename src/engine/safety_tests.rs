@@ -3,8 +3,9 @@
 mod crafted;
 mod toy;
 
-use super::graph::Action;
-use super::{Blame, StageId, StageInput};
+use super::plan::Action;
+use super::testing::kind;
+use super::{Blame, StageInput};
 use crate::files::{enter_all, write_atomically};
 use fs_err as fs;
 use serde_json::Value;
@@ -64,7 +65,7 @@ fn files_of_others_survive_everywhere() {
     let (mut n_done, mut n_refused) = (0, 0);
     for (state, prepare) in states() {
         for place in places {
-            for (next, redo) in [("old", vec![]), ("next", vec![]), ("old", vec![StageId::TrainDenoiser])] {
+            for (next, redo) in [("old", vec![]), ("next", vec![]), ("old", vec![kind("train_denoiser")])] {
                 let dir = tempfile::tempdir().unwrap();
                 let root = dir.path().join("run");
                 fs::create_dir(&root).unwrap();
@@ -272,7 +273,7 @@ fn a_model_that_took_hours_is_kept_unless_it_is_asked_for() {
         assert!(snapshot(&root) == before);
     }
     // Asked for by its name, or by a setting of its own section; then the old one is moved aside, with what it was.
-    let planned = run(&root, &toy("old"), &[StageId::TrainDenoiser]).unwrap();
+    let planned = run(&root, &toy("old"), &[kind("train_denoiser")]).unwrap();
     let redone = planned.redone.unwrap();
     let first = redone.split("moved to ").nth(1).unwrap();
     assert!(redone.starts_with("train_denoiser runs again: requested") && first.starts_with("denoiser.earlier-"));

@@ -4,11 +4,12 @@ use super::folder::ShardFolder;
 use super::identity::Identity;
 use super::open;
 use super::tries::{self, Tries};
+use crate::engine::execute::check_inputs;
+use crate::engine::log::Logged;
+use crate::engine::plan::expected;
+use crate::engine::stage::{Stage, Work};
+use crate::engine::{Blame, ComputeChoice, Failure, Result, StageRecord};
 use crate::files::{FileStamp, remove_if_present, tell_committed};
-use crate::pipeline::graph::{check_inputs, expected};
-use crate::pipeline::log::Logged;
-use crate::pipeline::stage::{Stage, Work};
-use crate::pipeline::{Blame, ComputeChoice, Failure, Result, StageRecord};
 use crate::progress::Progress;
 use crate::settings::Unreadable;
 use serde::Serialize;
@@ -89,13 +90,13 @@ pub fn work(
         Failure::later(format_args!("{} holds no plan to work on yet", root.display()))
             .with_hint("run the part plan first; this command can be repeated until then")
     };
-    let done = StageRecord::done(root, stage.id())?;
-    if done.is_none() && ShardFolder::all(root, stage.id())?.is_empty() {
+    let done = StageRecord::done(root, stage.kind())?;
+    if done.is_none() && ShardFolder::all(root, stage.kind())?.is_empty() {
         return Err(no_plan());
     }
     let record = expected(root, stage)?;
     let is_done = done.is_some_and(|done| done.fingerprint == record.fingerprint || record.is_same_work(&done));
-    let Some(folder) = ShardFolder::of(root, &Identity::own(record, compute)?)? else {
+    let Some(folder) = ShardFolder::of(root, stage.kind(), &Identity::own(stage.kind(), record, compute)?)? else {
         return if is_done { Ok(()) } else { Err(no_plan()) };
     };
     let logged = Logged::open(&folder.log(worker.number), progress)?;
@@ -124,7 +125,7 @@ pub struct Shards<'a> {
 
 impl<'a> Shards<'a> {
     /// The shards in `folder`; none has been looked up yet.
-    pub(in crate::pipeline) fn new(folder: &'a ShardFolder, worker: Worker, progress: &'a dyn Progress) -> Self {
+    pub(crate) fn new(folder: &'a ShardFolder, worker: Worker, progress: &'a dyn Progress) -> Self {
         Self { folder, worker, progress, seconds: RefCell::default() }
     }
 

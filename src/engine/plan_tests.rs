@@ -1,10 +1,11 @@
 //! Which stages run again after which changes? On stages that write a line of text.
 
 use super::device::ComputeChoice;
-use super::graph::{Action, plan};
-use super::run::{RunFolder, TIMINGS_FILE, run_stages};
+use super::plan::{Action, plan};
+use super::run_folder::{RunFolder, TIMINGS_FILE, run_stages};
 use super::shards::Makers;
-use super::{Blame, Failure, Result, Stage, StageContext, StageId, StageInput, Whole, Work};
+use super::testing::{KINDS, kind};
+use super::{Blame, Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::files::write_atomically;
 use crate::progress::Progress;
 use serde_json::{Value, json};
@@ -15,18 +16,18 @@ use std::sync::Mutex;
 
 /// A stage that writes its text and what it reads into a file.
 struct Toy<'a> {
-    id: StageId,
+    kind: &'static StageKind,
     text: &'a str,
     version: u32,
     inputs: Vec<StageInput>,
     output: &'static [&'static str],
-    ran: &'a RefCell<Vec<StageId>>,
+    ran: &'a RefCell<Vec<&'static StageKind>>,
     fails: bool,
 }
 
 impl Stage for Toy<'_> {
-    fn id(&self) -> StageId {
-        self.id
+    fn kind(&self) -> &'static StageKind {
+        self.kind
     }
 
     fn version(&self) -> u32 {
@@ -56,7 +57,7 @@ impl Stage for Toy<'_> {
 
 impl Whole for Toy<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        self.ran.borrow_mut().push(self.id);
+        self.ran.borrow_mut().push(self.kind);
         if self.text == "unlike" {
             // As another version of the program would write it.
             write(&context.root.join(self.output[0]), &format!("{:?}", std::time::Instant::now()))?;
@@ -88,9 +89,9 @@ struct Pipeline<'a> {
     second: &'a str,
     version: u32,
     fails: bool,
-    redo: &'a [StageId],
+    redo: Vec<&'static StageKind>,
     /// The second stage.
-    id: StageId,
+    kind: &'static StageKind,
     heard: Heard,
 }
 
@@ -113,12 +114,12 @@ impl Progress for Heard {
 
 impl Pipeline<'_> {
     /// Runs it; says what was planned and what ran.
-    fn run(&self) -> (Vec<Action>, Vec<StageId>, Result<()>) {
+    fn run(&self) -> (Vec<Action>, Vec<&'static StageKind>, Result<()>) {
         let ran = RefCell::new(Vec::new());
         let recording = self.root.parent().unwrap().join("recording.csv");
         let stages: Vec<Box<dyn Stage + '_>> = vec![
             Box::new(Toy {
-                id: StageId::Ingest,
+                kind: kind("ingest"),
                 text: self.first,
                 version: self.version,
                 inputs: vec![StageInput::external("recording", &recording)],
@@ -127,18 +128,18 @@ impl Pipeline<'_> {
                 fails: false,
             }),
             Box::new(Toy {
-                id: self.id,
+                kind: self.kind,
                 text: self.second,
                 version: 1,
-                inputs: vec![StageInput::made_by(StageId::Ingest, "scenes", &self.root.join("scenes"))],
-                output: &self.id.facts().outputs[..1],
+                inputs: vec![StageInput::made_by(kind("ingest"), "scenes", &self.root.join("scenes"))],
+                output: &self.kind.outputs[..1],
                 ran: &ran,
                 fails: self.fails,
             }),
         ];
         let mut actions = Vec::new();
-        let outcome = RunFolder::open(self.root).and_then(|folder| {
-            let planned = plan(self.root, stages, self.redo)?;
+        let outcome = RunFolder::open(self.root, &KINDS).and_then(|folder| {
+            let planned = plan(self.root, &KINDS, stages, &self.redo)?;
             actions.extend(planned.iter().map(|stage| stage.action.clone()));
             run_stages(&folder, None, (ComputeChoice::default(), Makers::Alone), planned, &self.heard).map(drop)
         });
@@ -165,8 +166,8 @@ fn in_folder(test: impl FnOnce(Pipeline<'_>)) {
         second: "b",
         version: 1,
         fails: false,
-        redo: &[],
-        id: StageId::Mine,
+        redo: Vec::new(),
+        kind: kind("mine"),
         heard: Heard::default(),
     });
 }
@@ -176,24 +177,24 @@ fn what_comes_out_differently_is_read_again() {
     in_folder(|mut pipeline| {
         pipeline.first = "unlike";
         pipeline.run().2.unwrap();
-        pipeline.redo = &[StageId::Ingest];
+        pipeline.redo = vec![kind("ingest")];
         let (_, ran, outcome) = pipeline.run();
         outcome.unwrap();
-        assert_eq!(ran, [StageId::Ingest, StageId::Mine]);
+        assert_eq!(ran, [kind("ingest"), kind("mine")]);
         // Somebody who stops it in between finds out the next time.
         pipeline.fails = true;
         let (_, ran, outcome) = pipeline.run();
         assert!(outcome.is_err() && ran.len() == 2);
-        (pipeline.fails, pipeline.redo) = (false, &[]);
+        (pipeline.fails, pipeline.redo) = (false, Vec::new());
         let (actions, ran, outcome) = pipeline.run();
         outcome.unwrap();
-        assert_eq!((why(&actions[1]), ran), ("resume", vec![StageId::Mine]), "it was begun on what is there");
-        assert_eq!(pipeline.run().1, []);
+        assert_eq!((why(&actions[1]), ran), ("resume", vec![kind("mine")]), "it was begun on what is there");
+        assert!(pipeline.run().1.is_empty());
     });
     in_folder(|mut pipeline| {
         pipeline.run().2.unwrap();
-        pipeline.redo = &[StageId::Ingest];
-        assert_eq!(pipeline.run().1, [StageId::Ingest], "the same came out");
+        pipeline.redo = vec![kind("ingest")];
+        assert_eq!(pipeline.run().1, [kind("ingest")], "the same came out");
         assert!(pipeline.heard.take().is_empty());
     });
 }
@@ -203,7 +204,7 @@ fn a_stage_that_was_interrupted_begins_anew_where_its_input_came_out_differently
     in_folder(|mut pipeline| {
         (pipeline.first, pipeline.fails) = ("unlike", true);
         assert!(pipeline.run().2.is_err());
-        (pipeline.fails, pipeline.redo) = (false, &[StageId::Ingest]);
+        (pipeline.fails, pipeline.redo) = (false, vec![kind("ingest")]);
         let (actions, _, outcome) = pipeline.run();
         outcome.unwrap();
         assert_eq!(actions[1], Action::Resume, "nobody could know when it was planned");
@@ -215,18 +216,18 @@ fn a_stage_that_was_interrupted_begins_anew_where_its_input_came_out_differently
 #[test]
 fn models_trained_on_what_came_out_differently_are_kept_with_a_warning() {
     in_folder(|mut pipeline| {
-        (pipeline.first, pipeline.id) = ("unlike", StageId::TrainDenoiser);
+        (pipeline.first, pipeline.kind) = ("unlike", kind("train_denoiser"));
         pipeline.run().2.unwrap();
-        pipeline.redo = &[StageId::Ingest];
-        assert_eq!(pipeline.run().1, [StageId::Ingest]);
+        pipeline.redo = vec![kind("ingest")];
+        assert_eq!(pipeline.run().1, [kind("ingest")]);
         let warning = "train_denoiser is kept, but ingest, which it read, has written other bytes since";
         assert!(pipeline.heard.take().contains(warning));
-        pipeline.redo = &[];
-        assert_eq!(pipeline.run().1, []);
+        pipeline.redo = vec![];
+        assert!(pipeline.run().1.is_empty());
         assert!(pipeline.heard.take().contains(warning), "it stays true until somebody trains it again");
-        pipeline.redo = &[StageId::TrainDenoiser];
-        assert_eq!(pipeline.run().1, [StageId::TrainDenoiser]);
-        pipeline.redo = &[];
+        pipeline.redo = vec![kind("train_denoiser")];
+        assert_eq!(pipeline.run().1, [kind("train_denoiser")]);
+        pipeline.redo = vec![];
         assert!(pipeline.run().1.is_empty() && pipeline.heard.take().is_empty());
     });
 }
@@ -250,11 +251,11 @@ fn a_change_reaches_everything_after_it_and_nothing_before_it() {
         pipeline.run().2.unwrap();
         let changed_second = Pipeline { second: "c", ..pipeline };
         let (actions, ran, _) = changed_second.run();
-        assert_eq!(ran, [StageId::Mine]);
+        assert_eq!(ran, [kind("mine")]);
         assert_eq!(why(&actions[1]), "changed: mine.text \"b\" -> \"c\"");
         let changed_first = Pipeline { first: "z", ..changed_second };
         let (actions, ran, _) = changed_first.run();
-        assert_eq!(ran, [StageId::Ingest, StageId::Mine]);
+        assert_eq!(ran, [kind("ingest"), kind("mine")]);
         assert_eq!(why(&actions[1]), "changed: input scenes");
         // Old outputs are gone before the stage begins: nothing was appended to them.
         assert_eq!(fs_err::read_to_string(changed_first.root.join("events.parquet")).unwrap(), "cz1,2");
@@ -271,7 +272,7 @@ fn changed_recordings_and_damaged_outputs_are_noticed() {
         fs_err::write(pipeline.root.join("scenes"), "tampered").unwrap();
         let (actions, ran, _) = pipeline.run();
         assert_eq!(why(&actions[0]), "scenes is missing or was changed");
-        assert_eq!(ran, [StageId::Ingest], "the same bytes again: what follows stays as it is");
+        assert_eq!(ran, [kind("ingest")], "the same bytes again: what follows stays as it is");
         fs_err::write(pipeline.root.parent().unwrap().join("recording.csv"), "3,4").unwrap();
         let (actions, ran, _) = pipeline.run();
         assert_eq!(why(&actions[0]), "changed: input recording");
@@ -293,7 +294,7 @@ fn large_outputs_count_to_their_last_byte_and_are_read_again_only_when_they_are_
         fs_err::write(&scenes, &damaged).unwrap();
         let (actions, ran, _) = pipeline.run();
         assert_eq!(why(&actions[0]), "scenes is missing or was changed");
-        assert_eq!(ran, [StageId::Ingest]);
+        assert_eq!(ran, [kind("ingest")]);
 
         let set_modified = |time| {
             let file = fs_err::OpenOptions::new().write(true).open(&scenes).unwrap();
@@ -318,7 +319,7 @@ fn unfinished_work_is_taken_up_if_nothing_changed_and_dropped_otherwise() {
         let whole = Pipeline { fails: false, ..broken };
         let (actions, ran, outcome) = whole.run();
         outcome.unwrap();
-        assert_eq!((actions, ran), (vec![Action::Reuse, Action::Resume], vec![StageId::Mine]));
+        assert_eq!((actions, ran), (vec![Action::Reuse, Action::Resume], vec![kind("mine")]));
         assert_eq!(
             fs_err::read_to_string(whole.root.join("events.parquet")).unwrap(),
             "bba1,2",

@@ -1,75 +1,11 @@
 //! What is a stage: which section configures it, what does it read and write, and when must it be redone?
 
 use super::failure::Result;
+use super::kind::StageKind;
 use super::shards::Sharded;
 use crate::nn::Compute;
 use crate::progress::Progress;
-use crate::settings::Unreadable;
-use serde::{Deserialize, Serialize};
-use std::fmt;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
-
-/// The stages, in the order in which they run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StageId {
-    /// Recordings to scenes.
-    Ingest,
-    /// Scenes to events.
-    Mine,
-    /// Scenes to a denoiser.
-    TrainDenoiser,
-    /// A denoiser to one that needs few evaluations.
-    TrainDistill,
-    /// Scenes and events to a classifier of noised scenes.
-    TrainClassifier,
-    /// Scenes to a Scene Transformer, to compare the denoiser with.
-    TrainBaseline,
-    /// Scenes and models to generated scenarios.
-    Generate,
-    /// Generated scenarios to metrics and the corpus.
-    Evaluate,
-    /// Metrics and corpus to a page for people.
-    Report,
-}
-
-impl StageId {
-    /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 9] = [
-        Self::Ingest,
-        Self::Mine,
-        Self::TrainDenoiser,
-        Self::TrainDistill,
-        Self::TrainClassifier,
-        Self::TrainBaseline,
-        Self::Generate,
-        Self::Evaluate,
-        Self::Report,
-    ];
-
-    /// The name in file names and messages.
-    pub const fn name(self) -> &'static str {
-        self.facts().name
-    }
-}
-
-impl FromStr for StageId {
-    type Err = Unreadable;
-
-    fn from_str(name: &str) -> Result<Self, Unreadable> {
-        Self::ALL.into_iter().find(|stage| stage.name() == name).ok_or_else(|| {
-            let known: Vec<&str> = Self::ALL.iter().map(|stage| stage.name()).collect();
-            Unreadable(format!("unknown stage; known stages: {}", known.join(", ")))
-        })
-    }
-}
-
-impl fmt::Display for StageId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
 
 /// Something a stage reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -79,13 +15,13 @@ pub struct StageInput {
     /// Where it is.
     pub path: PathBuf,
     /// The stage that makes such things; `None` for recordings and other files from outside.
-    pub producer: Option<StageId>,
+    pub producer: Option<&'static StageKind>,
 }
 
 impl StageInput {
     /// Something that another stage made.
-    pub fn made_by(producer: StageId, name: &str, path: &Path) -> Self {
-        Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer) }
+    pub fn made_by(producer: impl Into<&'static StageKind>, name: &str, path: &Path) -> Self {
+        Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer.into()) }
     }
 
     /// Something from outside.
@@ -100,7 +36,7 @@ impl StageInput {
 /// unfinished work of its own, it may resume it, because that work has the same fingerprint.
 pub trait Stage {
     /// Which stage this is.
-    fn id(&self) -> StageId;
+    fn kind(&self) -> &'static StageKind;
     /// Raised whenever the code changes what the stage writes, so that old outputs are redone.
     fn version(&self) -> u32;
     /// Refuses a section that cannot work, before anything runs.
@@ -108,13 +44,13 @@ pub trait Stage {
     /// # Errors
     /// When a value cannot work, naming it.
     fn check(&self) -> Result<()>;
-    /// Its section, as JSON.
+    /// Its section, as JSON, without the paths of what it reads: inputs count by their content.
     fn config(&self) -> anyhow::Result<serde_json::Value>;
     /// What it reads.
     fn inputs(&self) -> Vec<StageInput>;
-    /// What it writes: names of files and folders within the output folder, of those that its facts name.
+    /// What it writes: names of files and folders within the output folder, of those that its kind names.
     fn outputs(&self) -> &'static [&'static str] {
-        self.id().facts().outputs
+        self.kind().outputs
     }
     /// How it does its work.
     fn work(&self) -> Work<'_>;

@@ -5,9 +5,9 @@
 use super::Division;
 use super::identity::Identity;
 use super::tries::{MAX_TRIES, Tries, is_try_of};
+use crate::engine::record::unreadable;
+use crate::engine::{Failure, Result, ShardNames, StageKind};
 use crate::files::{self, FileStamp, files_below, foreign, is_link, mirror_above, remove_if_present, remove_listed};
-use crate::pipeline::record::unreadable;
-use crate::pipeline::{Failure, Result, ShardFacts, StageId};
 use crate::store::{self, read_record, write_record};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
@@ -21,9 +21,10 @@ const ABOUT_FILE: &str = "parts.json";
 
 /// The folder of a plan.
 #[derive(Debug, Clone)]
-pub(in crate::pipeline) struct ShardFolder {
+pub(crate) struct ShardFolder {
     dir: PathBuf,
-    facts: ShardFacts,
+    kind: &'static StageKind,
+    names: ShardNames,
     about: About,
 }
 
@@ -60,12 +61,12 @@ impl ShardFolder {
     ///
     /// # Errors
     /// When the record of a plan is damaged; those of the file system.
-    pub(in crate::pipeline) fn all(root: &Path, stage: StageId) -> Result<Vec<Self>> {
-        let Some(facts) = stage.facts().shards else { return Ok(Vec::new()) };
+    pub(in crate::engine) fn all(root: &Path, kind: &'static StageKind) -> Result<Vec<Self>> {
+        let Some(names) = kind.shards else { return Ok(Vec::new()) };
         let mut found = Vec::new();
-        for dir in plan_dirs(root, stage)? {
+        for dir in plan_dirs(root, kind)? {
             let about = read_record(&dir.join(ABOUT_FILE)).map_err(|error| damaged(error, &dir))?;
-            found.extend(about.map(|about| Self { dir, facts, about }));
+            found.extend(about.map(|about| Self { dir, kind, names, about }));
         }
         Ok(found)
     }
@@ -74,20 +75,20 @@ impl ShardFolder {
     ///
     /// # Errors
     /// As [`ShardFolder::discard`].
-    pub(super) fn remove_remains(root: &Path, stage: StageId) -> Result<()> {
-        let Some(facts) = stage.facts().shards else { return Ok(()) };
-        let remains = plan_dirs(root, stage)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
-        remains.into_iter().try_for_each(|dir| discard(&dir, facts))
+    pub(super) fn remove_remains(root: &Path, kind: &'static StageKind) -> Result<()> {
+        let Some(names) = kind.shards else { return Ok(()) };
+        let remains = plan_dirs(root, kind)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
+        remains.into_iter().try_for_each(|dir| discard(&dir, names))
     }
 
     /// The plan for processes of this `identity`, if there is one.
     ///
     /// # Errors
     /// When there are only plans of other identities; those of the file system.
-    pub(super) fn of(root: &Path, identity: &Identity) -> Result<Option<Self>> {
+    pub(super) fn of(root: &Path, kind: &'static StageKind, identity: &Identity) -> Result<Option<Self>> {
         let mut differs = None;
-        for folder in Self::all(root, identity.stage.stage)? {
-            match identity.difference(folder.identity()) {
+        for folder in Self::all(root, kind)? {
+            match folder.difference(identity) {
                 None => return Ok(Some(folder)),
                 Some(difference) => differs = Some(folder.refusal(&difference)),
             }
@@ -99,12 +100,17 @@ impl ShardFolder {
     ///
     /// # Errors
     /// When other people's files are in its place; those of the file system.
-    pub(super) fn write(root: &Path, identity: Identity, division: &Division, is_shared: bool) -> Result<Self> {
-        let stage = identity.stage.stage;
-        let facts = stage.facts().shards;
-        let facts = facts.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {stage} has no shards")))?;
-        let dir = plans_of(root, stage).join(identity.plan_id()?);
-        let folder = Self { dir, facts, about: About { identity, n_shards: division.n_shards, is_shared } };
+    pub(super) fn write(
+        root: &Path,
+        kind: &'static StageKind,
+        identity: Identity,
+        division: &Division,
+        is_shared: bool,
+    ) -> Result<Self> {
+        let names = kind.shards;
+        let names = names.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {kind} has no shards")))?;
+        let dir = plans_of(root, kind).join(identity.plan_id()?);
+        let folder = Self { dir, kind, names, about: About { identity, n_shards: division.n_shards, is_shared } };
         // The remains of a killed process have no plan, so no worker has used them.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
@@ -159,6 +165,11 @@ impl ShardFolder {
         here.or_else(|| mirror_above(&path)?.n_bytes_elsewhere(&path))
     }
 
+    /// What differs between the plan and a process of this identity; `None` if they fit together.
+    pub(super) fn difference(&self, own: &Identity) -> Option<String> {
+        own.difference(self.kind, self.identity())
+    }
+
     /// What its workers have in common.
     pub(super) fn identity(&self) -> &Identity {
         &self.about.identity
@@ -175,7 +186,7 @@ impl ShardFolder {
     /// Those of the file system.
     pub(super) fn n_shards(&self) -> Result<usize> {
         let after = |name: PathBuf| {
-            let (shard, _) = name.to_str()?.strip_prefix(self.facts.shard)?.strip_prefix('-')?.split_once('.')?;
+            let (shard, _) = name.to_str()?.strip_prefix(self.names.shard)?.strip_prefix('-')?.split_once('.')?;
             Some(shard.parse::<usize>().ok()? + 1)
         };
         let begun = files_below(&self.dir)?.into_iter().filter_map(after).max();
@@ -187,7 +198,7 @@ impl ShardFolder {
         // An unreadable folder does not matter here: the refusal is the message.
         let n_shards = self.n_shards().unwrap_or_default();
         let n_finished = (0..n_shards).filter(|idx| self.sidecar(*idx).exists()).count();
-        self.identity().refusal(difference, (n_finished, n_shards))
+        self.identity().refusal(self.kind, difference, (n_finished, n_shards))
     }
 
     /// Where it is.
@@ -202,12 +213,12 @@ impl ShardFolder {
 
     /// What shard `idx` is called.
     pub(super) fn shard_name(&self, idx: usize) -> String {
-        self.facts.shard_name(idx)
+        self.names.shard_name(idx)
     }
 
     /// The name of its file.
     pub(super) fn file_name(&self, idx: usize) -> String {
-        format!("{}.{}", self.shard_name(idx), self.facts.ending)
+        format!("{}.{}", self.shard_name(idx), self.names.ending)
     }
 
     /// The record of shard `idx`, if it is finished. Its content is verified when it is published.
@@ -258,7 +269,7 @@ impl ShardFolder {
     /// Those of the file system.
     pub(super) fn forget_tries(&self) -> Result<()> {
         for name in self.tried()? {
-            let Some(idx) = name.strip_prefix(self.facts.shard).and_then(|rest| rest.strip_prefix('-')?.parse().ok())
+            let Some(idx) = name.strip_prefix(self.names.shard).and_then(|rest| rest.strip_prefix('-')?.parse().ok())
             else {
                 continue;
             };
@@ -274,7 +285,7 @@ impl ShardFolder {
     /// # Errors
     /// When other people's files are in the folder; those of the file system.
     pub(super) fn discard(&self) -> Result<()> {
-        discard(&self.dir, self.facts)
+        discard(&self.dir, self.names)
     }
 
     /// The names of shards that were tried and are not finished. Reads the folder's list once: on a network file system
@@ -315,8 +326,8 @@ impl ShardFolder {
 }
 
 /// The folders of the plans of a stage, in order, complete or not.
-fn plan_dirs(root: &Path, stage: StageId) -> Result<Vec<PathBuf>> {
-    let parts = plans_of(root, stage);
+fn plan_dirs(root: &Path, kind: &'static StageKind) -> Result<Vec<PathBuf>> {
+    let parts = plans_of(root, kind);
     if is_link(&parts) {
         return Err(files::Error::Link { path: parts }.into());
     }
@@ -342,9 +353,9 @@ fn damaged(error: store::Error, dir: &Path) -> Failure {
 }
 
 /// See [`ShardFolder::discard`].
-fn discard(dir: &Path, facts: ShardFacts) -> Result<()> {
+fn discard(dir: &Path, names: ShardNames) -> Result<()> {
     let found = files_below(dir)?;
-    let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, facts)).collect();
+    let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, names)).collect();
     let theirs = foreign(dir, &ours)?;
     if !theirs.is_empty() {
         return Err(files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
@@ -360,7 +371,7 @@ fn discard(dir: &Path, facts: ShardFacts) -> Result<()> {
 }
 
 /// Whether plans or workers write files of this name, or temporary files for them.
-fn is_ours(name: &Path, facts: ShardFacts) -> bool {
+fn is_ours(name: &Path, names: ShardNames) -> bool {
     let name = name.to_string_lossy();
     let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
     let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
@@ -368,16 +379,16 @@ fn is_ours(name: &Path, facts: ShardFacts) -> bool {
     let is_log = || name.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")).is_some_and(is_number);
     let is_shard = || {
         let (stem, ending) = name.split_once('.')?;
-        let idx = stem.strip_prefix(facts.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
-        let shard = facts.shard_name(idx.parse().ok()?);
-        ([facts.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
+        let idx = stem.strip_prefix(names.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
+        let shard = names.shard_name(idx.parse().ok()?);
+        ([names.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
     };
-    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || (facts.is_other)(name)
+    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || (names.is_other)(name)
 }
 
 const LOG: &str = "worker-";
 
 /// Where the plans of a stage are, in the run folder.
-fn plans_of(root: &Path, stage: StageId) -> PathBuf {
-    root.join(format!("{stage}.parts"))
+fn plans_of(root: &Path, kind: &'static StageKind) -> PathBuf {
+    root.join(format!("{kind}.parts"))
 }

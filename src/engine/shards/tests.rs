@@ -5,8 +5,9 @@ use super::gathering::Gathering;
 use super::identity::Identity;
 use super::make::{Shards, Worker};
 use super::{Division, clean_up, shard_status, tries};
+use crate::engine::testing::{KINDS, kind};
+use crate::engine::{Blame, Failure, Result, StageRecord};
 use crate::files::{FileStamp, write_atomically};
-use crate::pipeline::{Blame, Failure, Result, StageId, StageRecord};
 use crate::progress::Silent;
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,11 +17,12 @@ use std::path::Path;
 
 fn identity() -> Identity {
     let stage = StageRecord {
-        stage: StageId::Generate,
+        stage: "generate".to_owned(),
         version: 1,
         config: serde_json::json!({ "seed": 1 }),
         inputs: BTreeMap::new(),
         fingerprint: "f".repeat(32),
+        settings: "f".repeat(32),
         outputs: BTreeMap::new(),
         files: BTreeSet::new(),
         summary: serde_json::Value::Null,
@@ -30,9 +32,9 @@ fn identity() -> Identity {
 }
 
 /// A new plan of some shards in a run folder.
-pub(in crate::pipeline) fn shard_folder(root: &Path, n_shards: usize, is_shared: bool) -> ShardFolder {
+pub(crate) fn shard_folder(root: &Path, n_shards: usize, is_shared: bool) -> ShardFolder {
     let division = Division::new(n_shards, &serde_json::json!({})).unwrap();
-    ShardFolder::write(root, identity(), &division, is_shared).unwrap()
+    ShardFolder::write(root, kind("generate"), identity(), &division, is_shared).unwrap()
 }
 
 /// A plan of some shards.
@@ -81,7 +83,7 @@ impl Planned {
     }
 
     fn clean_up(&self) -> Result<()> {
-        clean_up(self.root(), &identity().stage)
+        clean_up(self.root(), kind("generate"), &identity().stage)
     }
 }
 
@@ -207,7 +209,7 @@ fn what_others_are_at_is_left_to_them_for_a_while() {
 fn a_plan_of_others_is_refused_by_what_differs() {
     let planned = Planned::new(1);
     let root = planned.root();
-    assert!(ShardFolder::of(root, &identity()).unwrap().is_some());
+    assert!(ShardFolder::of(root, kind("generate"), &identity()).unwrap().is_some());
     let mut other = [identity(), identity(), identity()];
     other[0].program = "1 (b)".to_owned();
     other[1].compute = "cuda NVIDIA H200, f32".to_owned();
@@ -215,7 +217,7 @@ fn a_plan_of_others_is_refused_by_what_differs() {
     other[2].stage.config = serde_json::json!({ "seed": 2 });
     let expected = ["program: the plan's is 1 (a), this one is 1 (b)", "device: ", "changed: generate.seed 1 -> 2"];
     for (other, expected) in other.iter().zip(expected) {
-        let failure = ShardFolder::of(root, other).unwrap_err();
+        let failure = ShardFolder::of(root, kind("generate"), other).unwrap_err();
         let said = format!("{failure:?}");
         assert!(failure.blame == Blame::Input && said.contains(expected) && said.contains("--redo generate"), "{said}");
     }
@@ -239,7 +241,7 @@ fn only_our_files_are_discarded() {
     }
     // A process that was killed while it removed the plan has removed this first.
     fs_err::remove_file(dir.join("parts.json")).unwrap();
-    assert!(ShardFolder::all(planned.root(), StageId::Generate).unwrap().is_empty());
+    assert!(ShardFolder::all(planned.root(), kind("generate")).unwrap().is_empty());
     planned.clean_up().unwrap();
     assert!(!dir.parent().unwrap().exists());
 }
@@ -257,7 +259,7 @@ fn what_systems_and_others_leave_beside_plans_is_passed_over() {
     }
     fs_err::create_dir(parts.join("notes")).unwrap();
     std::os::unix::fs::symlink(&theirs, parts.join("0123456789abcdef")).unwrap();
-    assert_eq!(ShardFolder::all(root, StageId::Generate).unwrap().len(), 1);
+    assert_eq!(ShardFolder::all(root, kind("generate")).unwrap().len(), 1);
     planned.clean_up().unwrap();
     assert!(!planned.folder.is_there() && parts.join(".DS_Store").exists() && theirs.join("plan.json").exists());
     fs_err::rename(parts, root.join("away")).unwrap();
@@ -271,7 +273,7 @@ fn a_damaged_record_of_a_plan_is_not_taken_for_none() {
     let path = planned.folder.dir().join("parts.json");
     let text = fs_err::read_to_string(&path).unwrap();
     fs_err::write(&path, text.replacen("cpu", "cpv", 1)).unwrap();
-    let failure = ShardFolder::all(planned.root(), StageId::Generate).unwrap_err();
+    let failure = ShardFolder::all(planned.root(), kind("generate")).unwrap_err();
     let said = format!("{failure:?}");
     assert!(
         failure.blame == Blame::Fault && said.contains("parts.json is damaged: ") && said.contains("move "),
@@ -282,7 +284,7 @@ fn a_damaged_record_of_a_plan_is_not_taken_for_none() {
 #[test]
 fn the_folder_alone_tells_how_far_the_shards_are() {
     let planned = Planned::new(6);
-    let status = || shard_status(planned.root()).unwrap().unwrap();
+    let status = || shard_status(planned.root(), &KINDS).unwrap().unwrap();
     assert!(status().n_missing == 6 && status().seconds_left.is_none());
     for (idx, seconds) in [(0, 30.0), (5, 50.0)] {
         planned.finish(idx, seconds);

@@ -121,7 +121,7 @@ fn combined(root: Option<&Path>, files: &[PathBuf], reading: Reading, are_own: b
 }
 
 /// The fingerprint of a value: of its JSON, in which struct fields keep their order and maps are sorted.
-pub(super) fn fingerprint_value(value: &impl Serialize) -> Result<String> {
+pub fn fingerprint_value(value: &impl Serialize) -> Result<String> {
     Ok(short_hex(&blake3::hash(&serde_json::to_vec(value)?)))
 }
 

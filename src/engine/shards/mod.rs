@@ -19,13 +19,15 @@ pub use gathering::Gathering;
 pub use make::{Shards, Worker, work};
 pub use progress::{ShardStatus, shard_status};
 #[cfg(test)]
-pub(super) use tests::shard_folder;
+pub(crate) use tests::shard_folder;
 
+use super::execute::check_inputs;
 use super::failure::{Failure, Result};
-use super::graph::{Action, PlannedStage, check_inputs};
+use super::kind::StageKind;
+use super::plan::{Action, PlannedStage};
 use super::record::StageRecord;
-use super::run::RunFolder;
-use super::stage::{Stage, StageContext, StageId, Work};
+use super::run_folder::RunFolder;
+use super::stage::{Stage, StageContext, Work};
 use super::{ComputeChoice, log};
 use crate::nn::Compute;
 use crate::progress::Progress;
@@ -38,8 +40,8 @@ use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-/// The work of a stage that is divided into shards. Its facts name their files
-/// ([`ShardFacts`](super::stage_facts::ShardFacts)).
+/// The work of a stage that is divided into shards. Its kind names their files
+/// ([`ShardNames`](super::ShardNames)).
 pub trait Sharded {
     /// Decides what shards there are.
     fn plan(&self, compute: &Compute, progress: &dyn Progress) -> Result<Division>;
@@ -90,9 +92,9 @@ pub fn plan(
     if planned.action == Action::Reuse {
         return Ok(());
     }
-    let identity = Identity::own(planned.expected.clone(), compute)?;
-    for other in ShardFolder::all(folder.root(), stage.id())? {
-        match identity.difference(other.identity()) {
+    let identity = Identity::own(planned.stage.kind(), planned.expected.clone(), compute)?;
+    for other in ShardFolder::all(folder.root(), stage.kind())? {
+        match other.difference(&identity) {
             _ if planned.is_requested => other.discard()?,
             None => return other.share(),
             Some(_) if !other.is_shared() => other.discard()?,
@@ -101,7 +103,7 @@ pub fn plan(
     }
     check_inputs(stage)?;
     let division = sharded.plan(&open(stage, compute)?, progress)?;
-    ShardFolder::write(folder.root(), identity, &division, true).map(drop)
+    ShardFolder::write(folder.root(), stage.kind(), identity, &division, true).map(drop)
 }
 
 /// The shards from which a stage is finished: those of workers, or else whatever this process makes of them.
@@ -111,10 +113,10 @@ pub(super) fn ready(
     (compute, makers): (ComputeChoice, Makers),
     context: &StageContext<'_>,
 ) -> Result<ShardFolder> {
-    let identity = Identity::own(planned.expected.clone(), compute)?;
+    let identity = Identity::own(planned.stage.kind(), planned.expected.clone(), compute)?;
     match makers {
         Makers::Alone => alone(planned, sharded, identity, context),
-        Makers::Workers => ShardFolder::of(context.root, &identity)?.ok_or_else(|| {
+        Makers::Workers => ShardFolder::of(context.root, planned.stage.kind(), &identity)?.ok_or_else(|| {
             Failure::later(format_args!("{} holds no plan to seal yet", context.root.display()))
                 .with_hint("run the parts plan and work first; this command can be repeated until then")
         }),
@@ -129,22 +131,22 @@ fn alone(
     context: &StageContext<'_>,
 ) -> Result<ShardFolder> {
     let StageContext { root, compute, progress } = *context;
-    let id = planned.stage.id();
-    ShardFolder::remove_remains(root, id)?;
+    let kind = planned.stage.kind();
+    ShardFolder::remove_remains(root, kind)?;
     let mut begun = None;
-    for other in ShardFolder::all(root, id)? {
-        match identity.difference(other.identity()) {
+    for other in ShardFolder::all(root, kind)? {
+        match other.difference(&identity) {
             None if !(planned.is_requested && other.is_shared()) => begun = Some(other),
             Some(difference) if other.is_shared() && !planned.is_requested => progress.warn(&format!(
-                "{id}: the shards of workers in {id}.parts belong to another plan and are not used: {difference}; discard them \
-                 with --stage {id} --part plan --redo {id}"
+                "{kind}: the shards of workers in {kind}.parts belong to another plan and are not used: {difference}; discard them \
+                 with --stage {kind} --part plan --redo {kind}"
             )),
             _ => other.discard()?,
         }
     }
     let folder = match begun {
         Some(folder) => folder,
-        None => ShardFolder::write(root, identity, &sharded.plan(compute, progress)?, false)?,
+        None => ShardFolder::write(root, kind, identity, &sharded.plan(compute, progress)?, false)?,
     };
     let shards = Shards::new(&folder, Worker::ALONE, progress);
     shards.try_again()?;
@@ -153,28 +155,28 @@ fn alone(
 }
 
 /// The record of the work on `stage` in `root` that was planned and not finished.
-pub(super) fn begun(root: &Path, stage: StageId) -> Result<Option<StageRecord>> {
+pub(super) fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
     Ok(ShardFolder::all(root, stage)?.pop().map(|folder| folder.identity().stage.clone()))
 }
 
-/// Removes the plans and shards of the stage with this record, once it is finished. Plans of other workers stay; workers' logs are
+/// Removes the plans and shards of the stage with this record, once it is finished. Plans for other work stay; workers' logs are
 /// appended to the log of the run.
 ///
 /// # Errors
 /// Those of the file system; when somebody else put files there.
-pub(super) fn clean_up(root: &Path, done: &StageRecord) -> Result<()> {
-    for folder in ShardFolder::all(root, done.stage)? {
-        if !folder.is_shared() || folder.identity().is_work_of(done) {
+pub(super) fn clean_up(root: &Path, stage: &'static StageKind, done: &StageRecord) -> Result<()> {
+    for folder in ShardFolder::all(root, stage)? {
+        if folder.identity().is_work_of(done) {
             folder.append_logs(&root.join(log::LOG_FILE))?;
             folder.discard()?;
         }
     }
-    ShardFolder::remove_remains(root, done.stage)
+    ShardFolder::remove_remains(root, stage)
 }
 
 /// Opens the device for a stage; one without networks needs none.
 fn open(stage: &dyn Stage, compute: ComputeChoice) -> Result<Compute> {
-    if stage.id().computes() { compute.open() } else { Ok(Compute::cpu()) }
+    if stage.kind().computes { compute.open() } else { Ok(Compute::cpu()) }
 }
 
 /// A part of a stage in shards.

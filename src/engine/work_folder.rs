@@ -9,8 +9,8 @@
 use super::claim;
 use super::failure::{Failure, Result};
 use super::keep::{self, Kept};
+use super::kind::StageKind;
 use super::record::{StageRecord, done_path, unreadable};
-use super::stage::StageId;
 use crate::files::{
     self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
     sync_folder, write_atomically,
@@ -37,7 +37,7 @@ const REPLACED: &str = "replaced";
 pub(super) struct WorkFolder {
     root: PathBuf,
     dir: PathBuf,
-    stage: StageId,
+    stage: &'static StageKind,
 }
 
 /// Names under which earlier outputs stay in the output folder, by the names that they had.
@@ -46,16 +46,21 @@ struct KeptNames {
     names: BTreeMap<String, String>,
 }
 
+/// Where a stage works.
+pub fn work_path(root: &Path, stage: &StageKind) -> PathBuf {
+    root.join(format!("{stage}.partial"))
+}
+
 impl WorkFolder {
-    fn of(root: &Path, stage: StageId) -> Self {
-        Self { root: root.to_owned(), dir: root.join(format!("{stage}.partial")), stage }
+    fn of(root: &Path, stage: &'static StageKind) -> Self {
+        Self { root: root.to_owned(), dir: work_path(root, stage), stage }
     }
 
     /// The record of the stage that was at work in `root` and was interrupted, if there is one.
     ///
     /// # Errors
     /// When the record is damaged; those of the file system.
-    pub(super) fn started(root: &Path, stage: StageId) -> Result<Option<StageRecord>> {
+    pub(super) fn started(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
         let work = Self::of(root, stage);
         match work.record(STARTED_FILE)? {
             Some(record) => Ok(Some(record)),
@@ -72,7 +77,7 @@ impl WorkFolder {
         let path = self.dir.join(KEEP_FILE);
         let kept: Option<KeptNames> = read_record(&path).map_err(|error| self.unreadable(error))?;
         let names = kept.unwrap_or_default().names;
-        let outputs = self.stage.facts().outputs;
+        let outputs = self.stage.outputs;
         let may_be =
             |(name, as_name): (&String, &String)| outputs.contains(&name.as_str()) && keep::is_kept(name, as_name);
         match names.iter().find(|names| !may_be(*names)) {
@@ -90,9 +95,9 @@ impl WorkFolder {
     }
 
     /// Takes up the work that an interrupted run left.
-    pub(super) fn resume(root: &Path, expected: &StageRecord) -> Result<Self> {
-        let work = Self::of(root, expected.stage);
-        if Self::started(root, expected.stage)?.is_none() {
+    pub(super) fn resume(root: &Path, stage: &'static StageKind, expected: &StageRecord) -> Result<Self> {
+        let work = Self::of(root, stage);
+        if Self::started(root, stage)?.is_none() {
             work.discard()?;
             work.announce(expected)?;
         }
@@ -101,15 +106,15 @@ impl WorkFolder {
     }
 
     /// Begins anew, in place of what an interrupted run left.
-    pub(super) fn begin(root: &Path, expected: &StageRecord) -> Result<Self> {
-        let work = Self::of(root, expected.stage);
+    pub(super) fn begin(root: &Path, stage: &'static StageKind, expected: &StageRecord) -> Result<Self> {
+        let work = Self::of(root, stage);
         work.discard()?;
         work.announce(expected)?;
         Ok(work)
     }
 
     /// Refuses a work folder that holds what is not ours.
-    pub(super) fn check_ours(root: &Path, stage: StageId) -> Result<()> {
+    pub(super) fn check_ours(root: &Path, stage: &'static StageKind) -> Result<()> {
         let path = Self::of(root, stage).dir;
         if files::is_link(&path) {
             return Err(Error::Link { path }.into());
@@ -149,8 +154,8 @@ impl WorkFolder {
 
     /// Finishes what earlier processes left unfinished: brings whole outputs to their places, and removes what was about to be
     /// removed.
-    pub(super) fn complete_all(root: &Path) -> Result<()> {
-        for stage in StageId::ALL {
+    pub(super) fn complete_all(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
+        for stage in kinds {
             let work = Self::of(root, stage);
             if let Some(record) = work.record(DONE_FILE)? {
                 work.publish(&record)?;
@@ -258,7 +263,7 @@ impl WorkFolder {
     /// Makes place for new work. An unfinished training is moved aside: it may have cost hours.
     fn discard(&self) -> Result<()> {
         Self::check_ours(&self.root, self.stage)?;
-        if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.facts().trains) {
+        if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.trains) {
             keep::keep_unfinished(&started, &self.dir, &self.root)?;
         }
         self.clean_up()

@@ -2,9 +2,9 @@
 //! request.
 
 use super::failure::{Failure, Result};
+use super::kind::StageKind;
 use super::record::StageRecord;
-use super::run::seconds_spent;
-use super::stage::StageId;
+use super::run_folder::seconds_spent;
 use crate::store::write_json_atomically;
 use std::path::Path;
 
@@ -29,17 +29,22 @@ pub struct Kept {
 /// Decides about the trained models that running a stage would replace.
 ///
 /// # Errors
-/// When a long training would be repeated without a request: neither by `is_asked` nor by a setting of the stage's own
+/// When a long training would be repeated without a request: neither by `is_requested` nor by a setting of the stage's own
 /// section.
-pub(super) fn kept(root: &Path, expected: &StageRecord, why: &str, is_asked: bool) -> Result<Vec<Kept>> {
-    let stage = expected.stage;
-    let Some(earlier) = StageRecord::done(root, stage)?.filter(|_| stage.facts().trains) else { return Ok(Vec::new()) };
+pub(super) fn kept(
+    root: &Path,
+    stage: &StageKind,
+    expected: &StageRecord,
+    why: &str,
+    is_requested: bool,
+) -> Result<Vec<Kept>> {
+    let Some(earlier) = StageRecord::done(root, stage)?.filter(|_| stage.trains) else { return Ok(Vec::new()) };
     let there: Vec<&String> = earlier.outputs.keys().filter(|name| root.join(name).is_dir()).collect();
     if earlier.summary["trained"] != true || there.is_empty() {
         return Ok(Vec::new());
     }
     let seconds = seconds_spent(root, stage);
-    if !is_asked && !expected.section_differs(&earlier) && seconds.is_none_or(|seconds| seconds > PRECIOUS_S) {
+    if !is_requested && !expected.section_differs(&earlier) && seconds.is_none_or(|seconds| seconds > PRECIOUS_S) {
         return Err(refusal(root, stage, why, seconds));
     }
     let kept = |name: &String| {
@@ -49,7 +54,7 @@ pub(super) fn kept(root: &Path, expected: &StageRecord, why: &str, is_asked: boo
     Ok(there.into_iter().map(kept).collect())
 }
 
-fn refusal(root: &Path, stage: StageId, why: &str, seconds: Option<f64>) -> Failure {
+fn refusal(root: &Path, stage: &StageKind, why: &str, seconds: Option<f64>) -> Failure {
     let cost =
         seconds.map_or_else(String::new, |seconds| format!(", which took {:.1} hours to train", seconds / 3600.0));
     let message = format!(
@@ -59,7 +64,7 @@ fn refusal(root: &Path, stage: StageId, why: &str, seconds: Option<f64>) -> Fail
     let redo = format!("--redo {stage}");
     Failure::input_message(message).with_hint(format!(
         "add {redo} to retrain (the old model is moved aside), undo the change, or copy the model elsewhere and use it with {}.checkpoint",
-        stage.facts().section
+        stage.section
     ))
 }
 

@@ -6,15 +6,16 @@
 
 use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
-use super::config::PipelineConfig;
 use super::device::ComputeChoice;
+use super::execute::{Moment, execute};
 use super::failure::{Blame, Failure, Result};
-use super::graph::{Action, Moment, PlannedStage, execute};
+use super::kind::StageKind;
 use super::log::{LOG_FILE, Logged};
+use super::plan::{Action, PlannedStage};
 use super::record::{InputRecord, StageRecord};
 use super::shards::Makers;
-use super::stage::{StageContext, StageId};
-use super::work::WorkFolder;
+use super::stage::StageContext;
+use super::work_folder::WorkFolder;
 use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
@@ -99,17 +100,30 @@ pub struct StageTiming {
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// Runs planned stages in a folder, keeping its log and timings; with `config`, also its configuration and manifest.
+/// What a run says of itself.
+#[derive(Debug, Clone)]
+pub struct RunAbout {
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// What the tensors are computed on.
+    pub device: String,
+    /// The resolved configuration, as TOML.
+    pub config: String,
+}
+
+/// Runs planned stages in a folder, keeping its log and timings; with `about`, also its configuration and manifest.
 /// The stages must have been planned while the folder was open, so that no other process changed it since.
 pub fn run_stages(
     folder: &RunFolder,
-    config: Option<&PipelineConfig>,
+    about: Option<&RunAbout>,
     (choice, makers): (ComputeChoice, Makers),
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
     // A machine without the device may run what does without it.
-    let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.expected.stage.computes());
+    let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.stage.kind().computes);
     let compute = if computes { choice.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
     let logged = Logged::open(&root.join(LOG_FILE), progress)?;
@@ -123,7 +137,7 @@ pub fn run_stages(
             "the file system of the run folder does not support locks: make sure that no other process writes there",
         );
     }
-    let mut manifest = config.map(|config| RunManifest::new(config, &planned));
+    let mut manifest = about.map(|about| RunManifest::new(about, &planned));
     let mut save = |record: Option<&StageRecord>| -> anyhow::Result<()> {
         let Some(manifest) = &mut manifest else { return Ok(()) };
         if let Some(record) = record {
@@ -134,9 +148,8 @@ pub fn run_stages(
     };
     save(None)?;
     // After the manifest, beside which nobody takes it for somebody else's.
-    if let Some(config) = config {
-        let text = config.portable().to_toml()?;
-        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(text.as_bytes()))?;
+    if let Some(RunAbout { config, .. }) = about {
+        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(config.as_bytes()))?;
     }
     let clock = RefCell::new(StageClock::open(root));
     let context = StageContext { root, compute: &compute, progress: &logged };
@@ -146,7 +159,7 @@ pub fn run_stages(
         save(Some(record))?;
         if is_new.take() { publish(root) } else { Ok(()) }
     };
-    let mut around = |stage: StageId, moment: Moment| {
+    let mut around = |stage: &'static StageKind, moment: Moment| {
         is_new.set(moment == Moment::End);
         clock.borrow_mut().take(stage, moment)
     };
@@ -180,18 +193,18 @@ impl RunFolder {
     ///
     /// # Errors
     /// When another process has the lock, or files of the folder that would be written are somebody else's.
-    pub fn open(root: &Path) -> Result<Self> {
-        claim::check_root(root)?;
+    pub fn open(root: &Path, kinds: &'static [StageKind]) -> Result<Self> {
+        claim::check_root(root, kinds)?;
         fs_err::create_dir_all(root)?;
         let lock = Lock::in_folder(root)?;
-        claim::remove_leftovers(root)?;
-        WorkFolder::complete_all(root)?;
+        claim::remove_leftovers(root, kinds)?;
+        WorkFolder::complete_all(root, kinds)?;
         Ok(Self { root: root.to_owned(), lock })
     }
 }
 
 impl RunManifest {
-    fn new(config: &PipelineConfig, planned: &[PlannedStage<'_>]) -> Self {
+    fn new(about: &RunAbout, planned: &[PlannedStage<'_>]) -> Self {
         let external = planned.iter().flat_map(|PlannedStage { expected, .. }| {
             let paths = expected.inputs.iter().filter(|(_, input)| matches!(input, InputRecord::Path { .. }));
             paths.map(|(name, input)| (format!("{}/{name}", expected.stage), input.clone()))
@@ -204,9 +217,9 @@ impl RunManifest {
         Self {
             djinn_version: env!("CARGO_PKG_VERSION").to_owned(),
             revision: option_env!("DJINN_REVISION").map(str::to_owned),
-            pipeline: config.run.name.clone(),
-            seed: config.run.seed,
-            device: config.run.compute().to_string(),
+            pipeline: about.pipeline.clone(),
+            seed: about.seed,
+            device: about.device.clone(),
             inputs: external.collect(),
             stages: planned.iter().map(pending).collect(),
         }
@@ -221,15 +234,15 @@ impl StageState {
 
 /// How long the stage was at work in all in the folder `root`, seconds; `None` where that is not known, as when it was
 /// interrupted.
-pub(super) fn seconds_spent(root: &Path, stage: StageId) -> Option<f64> {
+pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
-    timings.stages.get(stage.name())?.iter().map(|timing| timing.seconds).sum()
+    timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
 }
 
 /// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by output.
-pub(super) fn times_seen(root: &Path, stage: StageId) -> BTreeMap<String, String> {
+pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
-    timings.outputs.get(stage.name()).cloned().unwrap_or_default()
+    timings.outputs.get(stage.name).cloned().unwrap_or_default()
 }
 
 /// Keeps `timings.json`.
@@ -246,7 +259,7 @@ impl<'a> StageClock<'a> {
         Self { root, timings, began: Instant::now() }
     }
 
-    fn take(&mut self, stage: StageId, moment: Moment) -> anyhow::Result<()> {
+    fn take(&mut self, stage: &'static StageKind, moment: Moment) -> anyhow::Result<()> {
         let entries = self.timings.stages.entry(stage.to_string()).or_default();
         match (moment, entries.last_mut()) {
             (Moment::End, Some(entry)) => {
