@@ -13,7 +13,7 @@ use candle_core::{Device, Tensor};
 fn batch(scenes: &[Scene], ego_idx: usize) -> SceneBatch {
     let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);
     let views: Vec<SceneView<'_>> = scenes.iter().map(|scene| SceneView { scene, ego_idx, mask: &mask }).collect();
-    let spec = denoiser_spec(StateParametrization::Residual);
+    let spec = denoiser_spec(StateParametrization::Motion);
     spec.collator().collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
 }
 
@@ -30,7 +30,7 @@ fn contexts_know_who_is_who() {
     let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);
     let views: Vec<SceneView<'_>> =
         scenes.iter().zip(egos).map(|(scene, ego_idx)| SceneView { scene, ego_idx, mask: &mask }).collect();
-    let collator = denoiser_spec(StateParametrization::Residual).collator();
+    let collator = denoiser_spec(StateParametrization::Motion).collator();
     let batch = collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap();
     let rows: Vec<ContextRow<'_>> =
         scenes.iter().zip(egos).map(|(scene, ego_idx)| ContextRow { scene, ego_idx, roles: &roles }).collect();
@@ -62,7 +62,7 @@ impl CleanPotential for Along {
 
 #[test]
 fn gradients_go_through_the_network() {
-    let spec = denoiser_spec(StateParametrization::Residual);
+    let spec = denoiser_spec(StateParametrization::Motion);
     let mut params = Params::new(&Compute::cpu()).frozen();
     let network = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let batch = batch(&[scene(3)], 1);
@@ -93,7 +93,7 @@ fn gradients_go_through_the_network() {
 
 #[test]
 fn objectives_with_nothing_to_say_change_nothing() {
-    let spec = denoiser_spec(StateParametrization::Residual);
+    let spec = denoiser_spec(StateParametrization::Motion);
     let network =
         SceneDenoiser::new(&mut Params::new(&Compute::cpu()).frozen(), &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let (scene, roles) = (scene(3), roles());

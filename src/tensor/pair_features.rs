@@ -74,7 +74,7 @@ impl PairFeatures {
             }
         }
         let rotation = match parametrization {
-            StateParametrization::Residual | StateParametrization::Motion => None,
+            StateParametrization::Motion => None,
             StateParametrization::Scene => {
                 let angles = Tensor::from_vec(headings, (n_rows * 2, 1, 1), device)?;
                 Some((angles.cos()?, angles.sin()?))

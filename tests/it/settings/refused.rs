@@ -152,7 +152,7 @@ pub(super) const REFUSED: &[(&[&str], &[&str])] = &[
         &["train.denoiser.diffusion.sigma_min is 90, expected at most diffusion.sigma_max"],
     ),
     (
-        &["train.denoiser.network.geometry={ patch = 4 }", "train.denoiser.state_parametrization=residual"],
+        &["train.denoiser.network.geometry={ patch = 4 }", "train.denoiser.state_parametrization=scene"],
         &["train.denoiser.network.geometry needs state_parametrization"],
     ),
     (
