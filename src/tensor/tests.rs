@@ -193,7 +193,7 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
         let collator = collator([&scene], parametrization);
         let features = |ego_idx: usize| {
             let batch = collate(&collator, &scene, ego_idx, &mask);
-            let features = PairFeatures::new(&batch, &[(1, 0)], parametrization, 0.5).unwrap();
+            let features = PairFeatures::new(&batch, &[(1, 0)], parametrization).unwrap();
             let all = features.forward(&batch.x0, &sigma).unwrap();
             assert_eq!(all.dims(), &[1, PairFeatures::n_features(12, 3)]);
             values(&all)
