@@ -4,14 +4,14 @@ use super::karras_schedule;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// σ_data: standard deviation of the diffused data; the normalizer scales every diffused feature to it.
+pub const SIGMA_DATA: f64 = 0.5;
+
 /// EDM's constants and the functions of the noise level that follow from them (DJINN, appendix A, table "Scaling
 /// functions"): D(x; σ) = c_skip(σ) x + c_out(σ) F(c_in(σ) x, c_noise(σ)).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Edm {
-    /// Standard deviation of the diffused data; the normalizer scales every diffused feature to it.
-    #[schemars(range(min = 0.5, max = 0.5))]
-    pub sigma_data: f64,
     /// The smallest positive noise level of a sampling schedule.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_min: f64,
@@ -25,7 +25,7 @@ pub struct Edm {
 
 impl Default for Edm {
     fn default() -> Self {
-        Self { sigma_data: 0.5, sigma_min: 0.002, sigma_max: 80.0, rho: 7.0 }
+        Self { sigma_min: 0.002, sigma_max: 80.0, rho: 7.0 }
     }
 }
 
@@ -43,17 +43,17 @@ pub enum LossWeight {
 impl Edm {
     /// Weight of the noisy input in the clean estimate: σ_data² / (σ² + σ_data²).
     pub fn c_skip(&self, sigma: f64) -> f64 {
-        self.sigma_data.powi(2) / self.total_variance(sigma)
+        SIGMA_DATA.powi(2) / total_variance(sigma)
     }
 
     /// Scale of the network's output: σ σ_data / √(σ² + σ_data²).
     pub fn c_out(&self, sigma: f64) -> f64 {
-        sigma * self.sigma_data / self.total_variance(sigma).sqrt()
+        sigma * SIGMA_DATA / total_variance(sigma).sqrt()
     }
 
     /// Scale of the network's input, which brings noisy data to unit variance: 1 / √(σ² + σ_data²).
     pub fn c_in(&self, sigma: f64) -> f64 {
-        self.total_variance(sigma).sqrt().recip()
+        total_variance(sigma).sqrt().recip()
     }
 
     /// The noise level as the network sees it: ln(σ) / 4.
@@ -64,7 +64,7 @@ impl Edm {
     /// Weight λ(σ) of the squared error at this noise level.
     pub fn loss_weight(&self, kind: LossWeight, sigma: f64) -> f64 {
         match kind {
-            LossWeight::Edm => self.total_variance(sigma) / (sigma * self.sigma_data).powi(2),
+            LossWeight::Edm => total_variance(sigma) / (sigma * SIGMA_DATA).powi(2),
             LossWeight::Unit => 1.0,
         }
     }
@@ -79,10 +79,10 @@ impl Edm {
     pub fn schedule_from(&self, sigma_start: f64, n_steps: usize) -> Vec<f64> {
         karras_schedule(self.sigma_min, sigma_start, self.rho, n_steps)
     }
+}
 
-    fn total_variance(&self, sigma: f64) -> f64 {
-        sigma.powi(2) + self.sigma_data.powi(2)
-    }
+fn total_variance(sigma: f64) -> f64 {
+    sigma.powi(2) + SIGMA_DATA.powi(2)
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ pub mod sampler;
 mod schedule;
 
 pub use denoiser::{Denoiser, rows_like, sigma_rows};
-pub use edm::{Edm, LossWeight};
+pub use edm::{Edm, LossWeight, SIGMA_DATA};
 pub use noise::NoiseSource;
 pub use noise_level::NoiseDistribution;
 pub use sampler::{SamplerConfig, Step};

@@ -8,6 +8,7 @@ use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, scene};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Scene, State};
 use crate::store::as_stored;
+use crate::tensor::StateParametrization;
 
 /// A sweep of three scenes with two samples each.
 fn sweep(more: &str) -> GenerateConfig {
@@ -104,8 +105,9 @@ fn weights_lead_from_ignoring_goals_to_reaching_them() {
 
 #[test]
 fn at_weight_one_samples_are_as_if_goals_were_observed() {
-    // The bystander drives straight on: noise is the same under both masks, and so is everything else. Both start from the
-    // recording plus noise, because pure noise has its origin in the coordinates of its mask.
+    // Places in the scene are the same numbers under every mask, and so is their noise. Both start from the recording plus
+    // noise, because pure noise has its origin in the coordinates of its mask.
+    let generate = |config: &GenerateConfig| generate_in(StateParametrization::Scene, config);
     let start = "edit = { tau = 2.0 }\nvalidity_strength = 0.0";
     let observe =
         "observe = [{ agents = 'all', times = 'history' }, { agents = { track = 'bystander' }, times = 'goal' }]";

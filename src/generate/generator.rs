@@ -197,7 +197,7 @@ impl<'a> Generator<'a> {
 
 /// Whether two normalizers are the same up to the last digits, which may differ after a round trip through JSON.
 fn same_scales(a: &Normalizer, b: &Normalizer) -> bool {
-    let units = |n: &Normalizer| [n.scene_units(), n.residual_units(), n.motion_units()].concat();
+    let units = |n: &Normalizer| [n.scene_units(), n.motion_units()].concat();
     a.parametrization == b.parametrization
         && a.state_dim == b.state_dim
         && units(a).iter().zip(units(b)).all(|(a, b)| (a / b - 1.0).abs() < 1e-9)

@@ -199,7 +199,6 @@ impl<'g> Generator<'g> {
             strength: validity_strength,
             gate: GuidanceConfig::default(),
             config: ObjectiveGuidanceConfig::default(),
-            sigma_data: self.spec().edm.sigma_data,
         })
     }
 
@@ -216,7 +215,6 @@ impl<'g> Generator<'g> {
             strength: level.strength,
             gate: diffusion.guidance.gate,
             config: diffusion.guidance.objective_guidance,
-            sigma_data: self.spec().edm.sigma_data,
         }
     }
 

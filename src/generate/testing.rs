@@ -86,7 +86,11 @@ impl Behavior for Drift {
 }
 
 pub(super) fn denoiser(n_nan: usize) -> TrainedDenoiser {
-    let spec: DenoiserSpec = denoiser_spec(StateParametrization::Residual);
+    denoiser_of(StateParametrization::Motion, n_nan)
+}
+
+fn denoiser_of(parametrization: StateParametrization, n_nan: usize) -> TrainedDenoiser {
+    let spec: DenoiserSpec = denoiser_spec(parametrization);
     let mut params = Params::new(&Compute::cpu()).frozen();
     let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     if n_nan > 0 {
@@ -99,7 +103,7 @@ pub(super) fn denoiser(n_nan: usize) -> TrainedDenoiser {
 }
 
 pub(super) fn classifier() -> TrainedClassifier {
-    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let denoiser = denoiser_spec(StateParametrization::Motion);
     let spec = ClassifierSpec {
         kind: ClassifierKind::BehaviorClassifier,
         behavior: "drift".to_owned(),
@@ -143,8 +147,16 @@ pub(super) fn load(scene_idx: usize) -> Result<Scene, Box<dyn std::error::Error 
 
 /// Calls `use_it` with a generator for `config`, and returns what it returns.
 pub(super) fn with_generator<T>(config: &GenerateConfig, n_nan: usize, use_it: impl FnOnce(&Generator<'_>) -> T) -> T {
-    let (denoiser, classifiers) = (denoiser(n_nan), [classifier()]);
-    let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
+    with_denoiser(&denoiser(n_nan), config, use_it)
+}
+
+fn with_denoiser<T>(
+    denoiser: &TrainedDenoiser,
+    config: &GenerateConfig,
+    use_it: impl FnOnce(&Generator<'_>) -> T,
+) -> T {
+    let classifiers = [classifier()];
+    let models = Models { denoiser, classifiers: &classifiers, distilled: None, baseline: None };
     let (behaviors, config) = (drift(), config.resolve(&drift()).unwrap());
     use_it(&Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap())
 }
@@ -174,7 +186,11 @@ pub(super) fn index(n: usize) -> SceneIndex {
 }
 
 pub(super) fn generate(config: &GenerateConfig) -> Vec<ScenarioRecord> {
-    with_generator(config, 0, |generator| {
+    generate_in(StateParametrization::Motion, config)
+}
+
+pub(super) fn generate_in(parametrization: StateParametrization, config: &GenerateConfig) -> Vec<ScenarioRecord> {
+    with_denoiser(&denoiser_of(parametrization, 0), config, |generator| {
         let plan = generator.plan(&index(12)).unwrap();
         let shards = plan.shards.iter().map(|shard| generator.generate(shard, &Silent).unwrap());
         shards.flat_map(|output| output.records).collect()

@@ -220,7 +220,7 @@ fn models_must_fit_each_other_and_the_sweeps() {
     let beyond = SWEEPS.replace("n_scenes = 5", sampler);
     assert!(refusal(&beyond, &[classifier()]).unwrap().contains("above the denoiser's largest, 80"));
     let mut foreign = classifier();
-    foreign.spec.normalizer.lateral_unit_m *= 1.01;
+    foreign.spec.normalizer.motion_lateral_unit_m *= 1.01;
     assert!(refusal(SWEEPS, &[foreign]).unwrap().contains("different normalization"));
 }
 

@@ -3,7 +3,7 @@
 use super::guided_denoiser::limit_norm;
 use super::objectives::nothing;
 use super::{GuidanceConfig, ObjectiveConfig, SceneContext};
-use crate::diffusion::{Denoiser, rows_like, sigma_rows};
+use crate::diffusion::{Denoiser, SIGMA_DATA, rows_like, sigma_rows};
 use crate::tensor::SceneBatch;
 use candle_core::{Error, Result, Tensor, Var};
 use schemars::JsonSchema;
@@ -113,8 +113,6 @@ pub struct CleanGuidedDenoiser<'a> {
     pub gate: GuidanceConfig,
     /// How potentials become shifts.
     pub config: ObjectiveGuidanceConfig,
-    /// Standard deviation σ_data of the diffused data.
-    pub sigma_data: f64,
 }
 
 /// The estimate of the inner denoiser, and what multiplies gradients by its covariance.
@@ -152,7 +150,7 @@ impl CleanGuidedDenoiser<'_> {
         let rows = |value: &dyn Fn(f64) -> f64| rows_like(sigma_rows(sigma)?.into_iter().map(value).collect(), x);
         match self.config.gradient {
             CleanGradient::Clean => {
-                let data = self.sigma_data.powi(2);
+                let data = SIGMA_DATA.powi(2);
                 let weight = rows(&|sigma| sigma.powi(2) * data / (sigma.powi(2) + data))?;
                 Ok(Estimate::Clean(self.inner.denoise(x, sigma)?, weight))
             }

@@ -259,9 +259,7 @@ mod tests {
 
     #[test]
     fn both_branches_describe_the_same_scene() {
-        for parametrization in
-            [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion]
-        {
+        for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
             let (base, extended) = batches(parametrization);
             let change = MaskChange::new(&base, &extended).unwrap();
             let x = noise(&base);
@@ -303,8 +301,6 @@ mod tests {
     fn noise_stays_white_even_where_a_goal_lies_behind_a_bend() {
         // Latent timesteps of the first agent: 4 to 10 without 7; of the second: 4 to 10.
         let cases = [
-            (StateParametrization::Residual, 0, vec![4, 5, 6, 8, 9, 10]),
-            (StateParametrization::Residual, 1, vec![4, 5, 6, 7, 8, 9, 10]),
             (StateParametrization::Motion, 0, vec![4, 5, 6, 8, 9, 10]),
             (StateParametrization::Motion, 1, vec![4, 5, 6, 7, 8, 9, 10]),
             (StateParametrization::Scene, 0, vec![4, 5, 6, 8, 9, 10]),

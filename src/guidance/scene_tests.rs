@@ -13,7 +13,7 @@ use candle_core::{Device, Tensor};
 fn batch(scenes: &[Scene], ego_idx: usize) -> SceneBatch {
     let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);
     let views: Vec<SceneView<'_>> = scenes.iter().map(|scene| SceneView { scene, ego_idx, mask: &mask }).collect();
-    let spec = denoiser_spec(StateParametrization::Residual);
+    let spec = denoiser_spec(StateParametrization::Motion);
     spec.collator().collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap()
 }
 
@@ -30,7 +30,7 @@ fn contexts_know_who_is_who() {
     let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);
     let views: Vec<SceneView<'_>> =
         scenes.iter().zip(egos).map(|(scene, ego_idx)| SceneView { scene, ego_idx, mask: &mask }).collect();
-    let collator = denoiser_spec(StateParametrization::Residual).collator();
+    let collator = denoiser_spec(StateParametrization::Motion).collator();
     let batch = collator.collate(&views, FutureValidity::Everything, &Device::Cpu).unwrap();
     let rows: Vec<ContextRow<'_>> =
         scenes.iter().zip(egos).map(|(scene, ego_idx)| ContextRow { scene, ego_idx, roles: &roles }).collect();
@@ -62,7 +62,7 @@ impl CleanPotential for Along {
 
 #[test]
 fn gradients_go_through_the_network() {
-    let spec = denoiser_spec(StateParametrization::Residual);
+    let spec = denoiser_spec(StateParametrization::Motion);
     let mut params = Params::new(&Compute::cpu()).frozen();
     let network = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let batch = batch(&[scene(3)], 1);
@@ -76,7 +76,6 @@ fn gradients_go_through_the_network() {
         strength: 0.25,
         gate: GuidanceConfig::UNRESTRICTED,
         config: ObjectiveGuidanceConfig { gradient: CleanGradient::ThroughNetwork, damped: false, inner_steps: 1 },
-        sigma_data: 0.5,
     };
     // α σ² = 1: the shift is the gradient of the projection itself.
     let estimate = guided.denoise(&x, &sigma).unwrap();
@@ -93,7 +92,7 @@ fn gradients_go_through_the_network() {
 
 #[test]
 fn objectives_with_nothing_to_say_change_nothing() {
-    let spec = denoiser_spec(StateParametrization::Residual);
+    let spec = denoiser_spec(StateParametrization::Motion);
     let network =
         SceneDenoiser::new(&mut Params::new(&Compute::cpu()).frozen(), &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let (scene, roles) = (scene(3), roles());
@@ -109,7 +108,6 @@ fn objectives_with_nothing_to_say_change_nothing() {
         strength: 1.0,
         gate: GuidanceConfig::UNRESTRICTED,
         config: ObjectiveGuidanceConfig::default(),
-        sigma_data: 0.5,
     };
     let x = NoiseSource::new(vec![Seed(1)]).draw_like(&batch.x0).unwrap();
     let sigma = Tensor::new(&[1.0f32], &Device::Cpu).unwrap();

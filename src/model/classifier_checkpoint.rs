@@ -21,6 +21,7 @@ pub struct ClassifierSpec {
     /// Shape of the network.
     pub network: BehaviorClassifierConfig,
     /// Constants of the diffusion.
+    #[serde(with = "super::named_edm")]
     pub edm: Edm,
     /// Scales: those of the denoiser that the classifier guides, which must be the same.
     pub normalizer: Normalizer,
@@ -58,7 +59,7 @@ impl ClassifierSpec {
     /// # Errors
     /// Fails when there is not one pair a row or a place lies outside the agent axis.
     pub fn features(&self, batch: &SceneBatch, pairs: &[(usize, usize)]) -> Result<PairFeatures> {
-        PairFeatures::new(batch, pairs, self.normalizer.parametrization, self.edm.sigma_data)
+        PairFeatures::new(batch, pairs, self.normalizer.parametrization)
     }
 }
 

@@ -18,6 +18,7 @@ pub struct DenoiserSpec {
     /// The network.
     pub network: NetworkConfig,
     /// Constants of the diffusion.
+    #[serde(with = "super::named_edm")]
     pub edm: Edm,
     /// Scales, from the training scenes.
     pub normalizer: Normalizer,

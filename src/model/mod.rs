@@ -16,6 +16,7 @@ mod geometric_network;
 mod geometric_tests;
 mod known_input;
 mod memory;
+mod named_edm;
 mod network;
 mod relations;
 mod scene_denoiser;

@@ -2,7 +2,7 @@
 
 use super::geometric_network::{GeometricNetwork, KnownTokens};
 use super::network::{Known, NetworkConfig, SceneNetwork};
-use crate::diffusion::{Denoiser, Edm, rows_like, sigma_rows};
+use crate::diffusion::{Denoiser, Edm, SIGMA_DATA, rows_like, sigma_rows};
 use crate::nn::ops::mode_filter;
 use crate::nn::{Params, Scope};
 use crate::seed::Seed;
@@ -176,7 +176,7 @@ impl Denoiser for BoundDenoiser<'_> {
             Bound::Geometric(bound) => {
                 let BoundGeometric { network, known, batch, path } = &**bound;
                 let variance = rows(&|s| s * s)?;
-                let factors = ModeFactors::new(batch, &variance, edm.sigma_data)?;
+                let factors = ModeFactors::new(batch, &variance)?;
                 let skipped = factors.skip(&x)?;
                 // Sums of smooth motion are some two times as large as those of white motion.
                 let path_of_skipped = (path.matmul(&skipped)? * 0.5)?;
@@ -202,12 +202,12 @@ struct ModeFactors<'a> {
 
 impl<'a> ModeFactors<'a> {
     /// At noise of `variance` σ² (B, 1, 1, 1).
-    fn new(batch: &'a SceneBatch, variance: &Tensor, sigma_data: f64) -> Result<Self> {
+    fn new(batch: &'a SceneBatch, variance: &Tensor) -> Result<Self> {
         let Some(surroundings) = &batch.surroundings else {
             candle_core::bail!("the batch was collated without what surrounds its agents");
         };
         let of_modes = &surroundings.variances;
-        let trusted = of_modes.minimum(sigma_data * sigma_data)?;
+        let trusted = of_modes.minimum(SIGMA_DATA * SIGMA_DATA)?;
         let skip = trusted.div(&trusted.broadcast_add(variance)?)?;
         let missed = ((1.0 - &skip)?.sqr()? * of_modes)?;
         let out = (missed + skip.sqr()?.broadcast_mul(variance)?)?.sqrt()?;

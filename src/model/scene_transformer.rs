@@ -137,7 +137,7 @@ impl SceneTransformer {
             StateParametrization::Motion => {
                 Some(Linear::new(&mut scope.enter("input"), "observed_motion", state_dim, width)?)
             }
-            StateParametrization::Scene | StateParametrization::Residual => None,
+            StateParametrization::Scene => None,
         };
         let trunk = |layers| TrunkConfig { layers, width, n_heads, feed_forward };
         Ok(Self {

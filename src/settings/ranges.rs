@@ -163,7 +163,6 @@ fn range_in_words(schema: &Schema) -> String {
     let low = bound("minimum").map(|least| (least, true)).or(bound("exclusiveMinimum").map(|limit| (limit, false)));
     let high = bound("maximum").map(|most| (most, true)).or(bound("exclusiveMaximum").map(|limit| (limit, false)));
     let range = match (low, high) {
-        (Some((low, true)), Some((high, true))) if low == high => format!("{low}: it is fixed"),
         (Some((low, true)), Some((high, true))) => format!("{low} to {high}"),
         (Some((low, true)), Some((high, false))) => format!("{low} up to below {high}"),
         (Some((low, false)), Some((high, true))) => format!("more than {low} and at most {high}"),

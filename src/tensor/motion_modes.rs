@@ -6,6 +6,7 @@
 use super::continuation::Continuations;
 use super::eigen::{Eigen, symmetric_eigen};
 use super::motion::MotionChain;
+use super::normalizer::Normalizer;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -110,14 +111,13 @@ pub(super) struct ModeTable {
 
 impl ModeTable {
     /// The modes of an agent that is observed at `observed` and generated at `latent` timesteps, both ascending, of
-    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps. An agent that is never observed has the variance `sigma_data`² everywhere.
+    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps. An agent that is never observed has the variance σ_data² everywhere.
     pub(super) fn modes(
         &self,
         covariance: &MotionCovariance,
         (observed, n_past): (&[usize], usize),
         latent: &[usize],
         n_timesteps: usize,
-        sigma_data: f64,
     ) -> MotionModes {
         let n_dims = covariance.values.len();
         let size = n_timesteps * n_timesteps;
@@ -125,7 +125,7 @@ impl ModeTable {
         if observed.is_empty() {
             for (dim, t) in (0..n_dims).flat_map(|dim| latent.iter().map(move |t| (dim, *t))) {
                 modes.vectors[dim * size + t * n_timesteps + t] = 1.0;
-                modes.variances[dim * n_timesteps + t] = sigma_data.powi(2) as f32;
+                modes.variances[dim * n_timesteps + t] = Normalizer::SIGMA_DATA.powi(2) as f32;
             }
             return modes;
         }
@@ -221,7 +221,7 @@ mod tests {
     fn white_motion_stays_white_in_every_stretch() {
         // A Brownian path given its end is the bridge that the chain is made of: its motion is white again.
         let table = ModeTable::default();
-        let modes = table.modes(&white(6), (&[3, 8], 0), &[0, 1, 2, 4, 5, 7, 9, 11], 12, 0.5);
+        let modes = table.modes(&white(6), (&[3, 8], 0), &[0, 1, 2, 4, 5, 7, 9, 11], 12);
         for t in 0..12 {
             let expected = if [3, 6, 8, 10].contains(&t) { 0.0 } else { 2.0 };
             assert!((modes.variances[t] - expected).abs() < 1e-5, "{t}: {:?}", modes.variances);
@@ -236,7 +236,7 @@ mod tests {
         let n = 5;
         let values = (0..n * n).map(|k| ((k / n + 1) * (k % n + 1)) as f64).collect();
         let covariance = MotionCovariance::new(0, n, vec![values], Vec::new());
-        let modes = ModeTable::default().modes(&covariance, (&[0], 0), &[1, 2, 3, 4, 5], 6, 0.5);
+        let modes = ModeTable::default().modes(&covariance, (&[0], 0), &[1, 2, 3, 4, 5], 6);
         let total: f32 = modes.variances.iter().sum();
         let largest = modes.variances.iter().copied().fold(0.0, f32::max);
         assert!((total - 55.0).abs() < 1e-3 && (largest - 55.0).abs() < 1e-3, "{:?}", modes.variances);
@@ -244,7 +244,7 @@ mod tests {
 
     #[test]
     fn who_is_never_observed_is_white() {
-        let modes = ModeTable::default().modes(&white(3), (&[], 0), &[1, 3], 4, 0.5);
+        let modes = ModeTable::default().modes(&white(3), (&[], 0), &[1, 3], 4);
         assert_eq!(modes.variances, [0.0, 0.25, 0.0, 0.25]);
     }
 
@@ -254,7 +254,7 @@ mod tests {
         let values = vec![2.0, 2.0, 0.0, 2.0, 2.5, 0.0, 0.0, 0.0, 3.0];
         let covariance = MotionCovariance::new(1, 2, vec![values], vec![0.0]);
         let variances = |n_past: usize, latent: &[usize]| {
-            let mut found = ModeTable::default().modes(&covariance, (&[0, 1], n_past), latent, 4, 0.5).variances;
+            let mut found = ModeTable::default().modes(&covariance, (&[0, 1], n_past), latent, 4).variances;
             found.sort_by(f32::total_cmp);
             found
         };

@@ -14,10 +14,8 @@ use serde::{Deserialize, Serialize};
 pub enum StateParametrization {
     /// The paper's: positions and headings in the ego frame.
     Scene,
-    /// Each agent's residual to a kinematic reference that follows from the observed states, in the agent's own
-    /// frame: an invertible change of variables, which a network learns about five times closer in the same time.
-    Residual,
-    /// The residual's motion from timestep to timestep: its paths are smooth whatever the network's small errors.
+    /// The motion, from timestep to timestep, of each agent's residual to a kinematic reference that follows from the
+    /// observed states, in the agent's own frame: its paths are smooth whatever the network's small errors.
     #[default]
     Motion,
 }
@@ -27,16 +25,15 @@ impl StateParametrization {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Scene => "scene",
-            Self::Residual => "residual",
             Self::Motion => "motion",
         }
     }
 }
 
 /// Scales from normalized units to meters and radians. Constants of the training set, so that nothing of a
-/// scene's future leaks into its scaling, and any scene can be mapped back.
+/// scene's future leaks into its scaling, and any scene can be mapped back. Readers ignore the units of other
+/// parametrizations that a checkpoint has, too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Normalizer {
     /// What is diffused.
     pub parametrization: StateParametrization,
@@ -46,12 +43,6 @@ pub struct Normalizer {
     pub position_unit_m: f64,
     /// Radians per unit of heading in the ego frame.
     pub heading_unit_rad: f64,
-    /// Meters per unit of residual along the agent's heading.
-    pub longitudinal_unit_m: f64,
-    /// Meters per unit of residual across the agent's heading.
-    pub lateral_unit_m: f64,
-    /// Radians per unit of residual heading.
-    pub residual_heading_unit_rad: f64,
     /// Meters per timestep per unit of residual motion along the agent's heading.
     pub motion_longitudinal_unit_m: f64,
     /// Meters per timestep per unit of residual motion across the agent's heading.
@@ -76,11 +67,6 @@ impl Normalizer {
         [self.position_unit_m, self.position_unit_m, self.heading_unit_rad]
     }
 
-    /// Units of (longitudinal, lateral, heading) residuals in an agent's frame.
-    pub const fn residual_units(&self) -> [f64; 3] {
-        [self.longitudinal_unit_m, self.lateral_unit_m, self.residual_heading_unit_rad]
-    }
-
     /// Units of (longitudinal, lateral, heading) residual motion in an agent's frame.
     pub const fn motion_units(&self) -> [f64; 3] {
         [self.motion_longitudinal_unit_m, self.motion_lateral_unit_m, self.motion_heading_unit_rad]
@@ -90,7 +76,6 @@ impl Normalizer {
     pub(super) const fn agent_units(&self) -> [f64; 3] {
         match self.parametrization {
             StateParametrization::Scene => self.scene_units(),
-            StateParametrization::Residual => self.residual_units(),
             StateParametrization::Motion => self.motion_units(),
         }
     }
@@ -148,7 +133,6 @@ struct TrackMotion {
 pub struct NormalizerFit {
     position: RootMeanSquare,
     heading: RootMeanSquare,
-    residual: [RootMeanSquare; 3],
     /// Motions of each agent that is present: of the steps in its history, and of the timesteps after it, both counted from 0;
     /// turns are NaN where they are not known.
     motions: Vec<TrackMotion>,
@@ -199,7 +183,6 @@ impl NormalizerFit {
             let latent: Vec<usize> = residuals.iter().map(|(timestep, _)| *timestep).collect();
             let mut values = residuals.iter().map(|(_, residual)| *residual);
             let motion = MotionChain::new(&observed, &latent).encode(|_| values.next());
-            add_all(&mut self.residual, residuals.iter().map(|(_, residual)| residual));
             let is_present = observed.last() == Some(&scene.current_timestep());
             if is_present && self.n_motions < MAX_MOTIONS && !motion.is_empty() {
                 self.n_motions += motion.len();
@@ -233,9 +216,6 @@ impl NormalizerFit {
             state_dim,
             position_unit_m: self.position.unit(),
             heading_unit_rad: self.heading.unit(),
-            longitudinal_unit_m: self.residual[0].unit(),
-            lateral_unit_m: self.residual[1].unit(),
-            residual_heading_unit_rad: self.residual[2].unit(),
             motion_longitudinal_unit_m: motion_units[0],
             motion_lateral_unit_m: motion_units[1],
             motion_heading_unit_rad: motion_units[2],
@@ -312,14 +292,6 @@ impl NormalizerFit {
             *unit *= if share > MIN_REST { share } else { 1.0 };
         }
         Some(in_units(units))
-    }
-}
-
-fn add_all<'a>(moments: &mut [RootMeanSquare; 3], values: impl Iterator<Item = &'a [f64; 3]>) {
-    for value in values {
-        for (moment, value) in moments.iter_mut().zip(value) {
-            moment.add(*value);
-        }
     }
 }
 

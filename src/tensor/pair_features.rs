@@ -1,6 +1,6 @@
 //! The inputs of a pairwise classifier: two agents whose future is diffused.
 
-use super::{SceneBatch, StateParametrization};
+use super::{Normalizer, SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use candle_core::{Result, Tensor};
 
@@ -14,8 +14,8 @@ const FIXED: usize = 6;
 /// Everything is expressed in the pair's frame: that of the first agent at its last observed state. Known values
 /// (observed states, kinematic reference) are fixed; diffused states are scaled by c_in(σ), so that their magnitude
 /// does not depend on the noise level. In the scene parametrization they are turned into the pair's frame; in the
-/// residual one they already are in each agent's own; in the motion one the features are the sums of motion, with rows
-/// of equal noise, so that gradients move whole paths and not single timesteps.
+/// motion one they already are in each agent's own, and the features are the sums of motion, with rows of equal noise,
+/// so that gradients move whole paths and not single timesteps.
 #[derive(Debug, Clone)]
 pub struct PairFeatures {
     rows: Tensor,
@@ -24,7 +24,6 @@ pub struct PairFeatures {
     path: Option<Tensor>,
     fixed: Tensor,
     n_pairs: usize,
-    sigma_data: f64,
 }
 
 impl PairFeatures {
@@ -37,12 +36,7 @@ impl PairFeatures {
     ///
     /// # Errors
     /// Fails when there is not one pair a row or a place lies outside the agent axis.
-    pub fn new(
-        batch: &SceneBatch,
-        pairs: &[(usize, usize)],
-        parametrization: StateParametrization,
-        sigma_data: f64,
-    ) -> Result<Self> {
+    pub fn new(batch: &SceneBatch, pairs: &[(usize, usize)], parametrization: StateParametrization) -> Result<Self> {
         let (n_rows, n_agents, n_timesteps, _) = batch.x0.dims4()?;
         if pairs.len() != n_rows || pairs.iter().any(|(first, second)| (*first).max(*second) >= n_agents) {
             candle_core::bail!("{} pairs given for {n_rows} rows of {n_agents} agents", pairs.len());
@@ -74,7 +68,7 @@ impl PairFeatures {
             }
         }
         let rotation = match parametrization {
-            StateParametrization::Residual | StateParametrization::Motion => None,
+            StateParametrization::Motion => None,
             StateParametrization::Scene => {
                 let angles = Tensor::from_vec(headings, (n_rows * 2, 1, 1), device)?;
                 Some((angles.cos()?, angles.sin()?))
@@ -83,7 +77,7 @@ impl PairFeatures {
         let path = batch.unit_path()?;
         let path = path.map(|path| select(&path, &[n_rows * n_agents, n_timesteps, n_timesteps])).transpose()?;
         let fixed = Tensor::from_vec(fixed, (n_rows, 2 * n_timesteps * FIXED), device)?;
-        Ok(Self { rows, latent: latent.unsqueeze(2)?, rotation, path, fixed, n_pairs: n_rows, sigma_data })
+        Ok(Self { rows, latent: latent.unsqueeze(2)?, rotation, path, fixed, n_pairs: n_rows })
     }
 
     /// The features (B, F) for diffused states `x` (B, A, T, D) at noise levels `sigma` (B).
@@ -108,7 +102,7 @@ impl PairFeatures {
                 Tensor::cat(&parts, 2)?
             }
         };
-        let c_in = (sigma.sqr()? + self.sigma_data * self.sigma_data)?.sqrt()?.recip()?;
+        let c_in = (sigma.sqr()? + Normalizer::SIGMA_DATA.powi(2))?.sqrt()?.recip()?;
         let x = x.reshape((self.n_pairs, 2 * n_timesteps * state_dim))?.broadcast_mul(&c_in.unsqueeze(1)?)?;
         Tensor::cat(&[&self.fixed, &x], 1)
     }

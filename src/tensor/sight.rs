@@ -3,7 +3,7 @@
 use super::motion_modes::{ModeTable, MotionModes};
 use super::reference::Reference;
 use super::surroundings::{AgentPath, agent_attributes};
-use super::{AgentFrame, MotionCovariance, Normalizer, RowSurroundings, SceneView, Surroundings, SurroundingsLayout};
+use super::{AgentFrame, MotionCovariance, RowSurroundings, SceneView, Surroundings, SurroundingsLayout};
 use crate::geometry::Vec2;
 use candle_core::{Device, Result, Tensor};
 use rayon::prelude::*;
@@ -32,7 +32,7 @@ impl Sight {
         latent: &[usize],
         n_timesteps: usize,
     ) -> MotionModes {
-        self.modes.modes(covariance, observed, latent, n_timesteps, Normalizer::SIGMA_DATA)
+        self.modes.modes(covariance, observed, latent, n_timesteps)
     }
 
     /// The surroundings of the agents of all rows, A agents and T timesteps with D diffused dimensions a row.

@@ -33,7 +33,7 @@ const TASKS: [MaskTask; 7] = [
 #[test]
 fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
     let scene = three_cars();
-    for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
         for (i, task) in TASKS.into_iter().enumerate() {
             let mask = task.sample(&scene, 1, &mut Seed(i as u64).rng());
             let batch = collate(&collator([&scene], parametrization), &scene, 1, &mask);
@@ -51,19 +51,17 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
 }
 
 #[test]
-fn a_zero_residual_is_constant_velocity() {
+fn no_motion_is_constant_velocity() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     // Three cars are too few to predict motion from.
-    for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
-        let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
-        let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
-        let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
-        assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
-        // The car that drives straight on has no residual at all.
-        let x0 = values(&batch.x0.get(0).unwrap().get(0).unwrap());
-        assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
-    }
+    let batch = collate(&collator([&scene], StateParametrization::Motion), &scene, 0, &mask);
+    let decoded = &batch.decode_scenes(&batch.x0.zeros_like().unwrap(), &[&scene]).unwrap()[0];
+    let (last, found) = (scene.state(1, 3).unwrap(), decoded.state(1, 11).unwrap());
+    assert!(found.position.distance(last.position + last.velocity * 0.8) < 1e-4);
+    // The car that drives straight on has no residual at all.
+    let x0 = values(&batch.x0.get(0).unwrap().get(0).unwrap());
+    assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
 }
 
 #[test]
@@ -101,13 +99,11 @@ fn diffused_states_have_the_standard_deviation_sigma_data() {
         track.trajectory = Trajectory::new(track.trajectory.entries().iter().enumerate().map(depart).collect());
     }
     let mask = ObservationMask::predictive(4, 12, 4);
-    for parametrization in [StateParametrization::Residual, StateParametrization::Motion] {
-        let batch = collate(&collator([&scene], parametrization), &scene, 0, &mask);
-        let x0 = batch.x0.flatten_to(2).unwrap();
-        let latent = scalar(&batch.latent.sum_all().unwrap());
-        let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / latent).unwrap().to_vec1::<f32>().unwrap();
-        assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
-    }
+    let batch = collate(&collator([&scene], StateParametrization::Motion), &scene, 0, &mask);
+    let x0 = batch.x0.flatten_to(2).unwrap();
+    let latent = scalar(&batch.latent.sum_all().unwrap());
+    let mean_square = (x0.sqr().unwrap().sum(0).unwrap() / latent).unwrap().to_vec1::<f32>().unwrap();
+    assert!(mean_square.iter().all(|m| (m - 0.25).abs() < 1e-3), "{mean_square:?}");
 }
 
 #[test]
@@ -128,7 +124,7 @@ fn what_is_to_be_generated_never_shows_in_what_the_network_is_given() {
         track.trajectory = Trajectory::new(shifted.collect());
     }
     let mask = ObservationMask::predictive(3, 12, 4);
-    for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
         let collator = collator([&scene], parametrization);
         let (a, b) = (collate(&collator, &scene, 0, &mask), collate(&collator, &altered, 0, &mask));
         let same = |x: &Tensor, y: &Tensor| values(x) == values(y);
@@ -177,7 +173,7 @@ fn the_papers_weights_are_normalized_from_their_110_percent() {
 fn sampling_covers_every_future_state_of_agents_seen() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
-    let collator = collator([&scene], StateParametrization::Residual);
+    let collator = collator([&scene], StateParametrization::Motion);
     let history_only = Scene { n_timesteps: 4, ..scene.clone() };
     for source in [&scene, &history_only] {
         let view = SceneView { scene: source, ego_idx: 0, mask: &mask };
@@ -193,11 +189,11 @@ fn pair_features_do_not_change_when_the_scene_is_seen_from_another_agent() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);
     let sigma = Tensor::new(&[0.3f32], &Device::Cpu).unwrap();
-    for parametrization in [StateParametrization::Scene, StateParametrization::Residual, StateParametrization::Motion] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
         let collator = collator([&scene], parametrization);
         let features = |ego_idx: usize| {
             let batch = collate(&collator, &scene, ego_idx, &mask);
-            let features = PairFeatures::new(&batch, &[(1, 0)], parametrization, 0.5).unwrap();
+            let features = PairFeatures::new(&batch, &[(1, 0)], parametrization).unwrap();
             let all = features.forward(&batch.x0, &sigma).unwrap();
             assert_eq!(all.dims(), &[1, PairFeatures::n_features(12, 3)]);
             values(&all)

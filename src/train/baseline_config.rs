@@ -15,7 +15,7 @@ scene_training_section! {
         pub preset: Preset,
         /// The network, to override the preset's.
         pub network: Option<SceneTransformerConfig>,
-        /// The output of the network: `scene`, `residual` or `motion`.
+        /// The output of the network: `scene` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
         /// Weight of -ln p of the best future in the loss, relative to its mean error.
         #[schemars(extend("exclusiveMinimum" = 0))]

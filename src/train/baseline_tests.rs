@@ -28,7 +28,7 @@ fn batch(parametrization: StateParametrization, n_rows: usize) -> SceneBatch {
 
 #[test]
 fn the_loss_is_that_of_the_best_future_by_hand() {
-    let batch = batch(StateParametrization::Residual, 2);
+    let batch = batch(StateParametrization::Scene, 2);
     // Futures that are the recorded one, moved along the agent's axis by so many meters in every latent state.
     let unit = batch.unit.narrow(2, 0, 1).unwrap().unsqueeze(2).unwrap();
     let moved = |row: usize, meters: f64| {
@@ -48,7 +48,7 @@ fn the_loss_is_that_of_the_best_future_by_hand() {
 
 #[test]
 fn rows_without_hidden_states_do_not_count() {
-    let whole = batch(StateParametrization::Residual, 2);
+    let whole = batch(StateParametrization::Scene, 2);
     let keep = Tensor::new(&[1f32, 0.0], &Device::Cpu).unwrap().reshape((2, 1, 1)).unwrap();
     let latent = whole.latent.broadcast_mul(&keep).unwrap();
     let partly = SceneBatch::new(SceneTensors { latent, ..SceneTensors::clone(&whole) }).unwrap();
@@ -56,7 +56,7 @@ fn rows_without_hidden_states_do_not_count() {
     let logits = Tensor::new(&[[0.5f32, 0.1], [9.0, -9.0]], &Device::Cpu).unwrap();
     let found = JointLoss::new(&JointFutures { x0: x0.clone(), logits: logits.clone() }, &partly).unwrap();
     let alone = JointFutures { x0: x0.narrow(0, 0, 2).unwrap(), logits: logits.narrow(0, 0, 1).unwrap() };
-    let expected = JointLoss::new(&alone, &batch(StateParametrization::Residual, 1)).unwrap();
+    let expected = JointLoss::new(&alone, &batch(StateParametrization::Scene, 1)).unwrap();
     assert!((scalar(&found.regression) - scalar(&expected.regression)).abs() < 1e-5);
     assert!((scalar(&found.mode) - scalar(&expected.mode)).abs() < 1e-5);
 }

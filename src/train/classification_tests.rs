@@ -70,7 +70,7 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
 
 #[test]
 fn it_separates_the_better_the_less_noise_there_is() {
-    for parametrization in [StateParametrization::Residual, StateParametrization::Scene, StateParametrization::Motion] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
         let dir = tempfile::tempdir().unwrap();
         let report = train(&denoiser_spec(parametrization), 150, dir.path(), &Silent).unwrap();
         assert_eq!((report.spec.n_positive, report.spec.n_negative, report.spec.pos_weight), (60, 180, 3.0));
@@ -90,7 +90,7 @@ fn it_separates_the_better_the_less_noise_there_is() {
 #[test]
 fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
     let (dir, examples) = (tempfile::tempdir().unwrap(), examples(&pairs(0..240, 1000)));
-    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let denoiser = denoiser_spec(StateParametrization::Motion);
     for (pos_weight, share_of_positive) in [(1.0, 0.25), (3.0, 0.5), (9.0, 0.75)] {
         let spec = train(&denoiser, 1, dir.path(), &Silent).unwrap().spec;
         let mut params = Params::new(&Compute::cpu());
@@ -125,7 +125,7 @@ fn a_killed_training_resumes_to_the_same_weights() {
             assert!(self.0.fetch_sub(1, Ordering::Relaxed) > 1, "killed");
         }
     }
-    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let denoiser = denoiser_spec(StateParametrization::Motion);
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let undisturbed = train(&denoiser, 30, whole.path(), &Silent).unwrap();
     for after in [4, 9, 13] {
@@ -143,7 +143,7 @@ fn a_killed_training_resumes_to_the_same_weights() {
 
 #[test]
 fn its_gradient_pushes_the_second_agent_toward_the_first() {
-    for parametrization in [StateParametrization::Residual, StateParametrization::Scene, StateParametrization::Motion] {
+    for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
         let denoiser = denoiser_spec(parametrization);
         let dir = tempfile::tempdir().unwrap();
         train(&denoiser, 150, dir.path(), &Silent).unwrap();
@@ -213,7 +213,7 @@ fn missing_examples_and_tracks_are_named() {
     };
     let dir = tempfile::tempdir().unwrap();
     let config = ClassifierTrainingConfig::default();
-    let denoiser = denoiser_spec(StateParametrization::Residual);
+    let denoiser = denoiser_spec(StateParametrization::Motion);
     let error = train_classifier(&config, &denoiser, &data, job(0, dir.path())).unwrap_err();
     assert!(error.to_string().contains("0 positive and 3 negative"), "{error}");
 

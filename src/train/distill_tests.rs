@@ -35,7 +35,7 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
             path_input: false,
             geometry: None,
         }),
-        state_parametrization: Some(StateParametrization::Residual),
+        state_parametrization: Some(StateParametrization::Motion),
         path_loss: Some(0.0),
         tasks: ONLY_PREDICTIVE,
         steps: Some(steps),
@@ -170,7 +170,7 @@ fn objectives_shape_where_the_steps_end() {
     };
     // All recorded cars drive at 15 m/s, 3 m/s beyond the limit.
     let (free, limited) = (final_cost(1e-6), final_cost(1.0));
-    assert!(free > 1.0 && limited < 0.3 * free, "{free} without the objective, {limited} with it");
+    assert!(free > 0.1 && limited < 0.3 * free, "{free} without the objective, {limited} with it");
 }
 
 #[test]

@@ -47,7 +47,7 @@ scene_training_section! {
         pub preset: Preset,
         /// The network, to override the preset's.
         pub network: Option<NetworkConfig>,
-        /// What is diffused: `scene` (the paper's), `residual` or `motion`.
+        /// What is diffused: `scene` (the paper's) or `motion`.
         pub state_parametrization: Option<StateParametrization>,
         /// Constants of the diffusion.
         pub diffusion: Edm,
@@ -289,7 +289,7 @@ mod tests {
     fn the_geometry_of_a_preset_is_left_out_where_it_does_not_fit() {
         let config = DenoiserTrainingConfig {
             preset: Preset::Small,
-            state_parametrization: Some(StateParametrization::Residual),
+            state_parametrization: Some(StateParametrization::Scene),
             ..Default::default()
         };
         let network = config.resolve().unwrap().network;

@@ -1,26 +1,38 @@
 //! Is every setting that cannot work refused before anything runs, by its key, its value and what was expected?
 //!
-//! A new setting gets its row: with a range in `settings/ranges.rs`, anything else in `settings/refused.rs` or, if it is of
-//! sampling or requests, in `settings/refused_generation.rs`.
+//! Ranges and names are tested as the schema states them (`settings/ranges.rs`); anything else gets its lines in
+//! `settings/refused.txt`.
 
 mod ranges;
-mod refused;
-mod refused_generation;
 
 use crate::support::{SMALL_PIPELINE, Workspace};
 use djinn::pipeline::config::parse;
-use ranges::{BEYOND_RANGES, NOT_NAN, WITHIN_RANGES};
-use refused::REFUSED;
-use refused_generation::REFUSED_GENERATION;
+use ranges::{Case, cases};
+
+/// Settings, and what the message must contain.
+type Row<'a> = (Vec<&'a str>, Vec<&'a str>);
+
+/// The rows of `settings/refused.txt`.
+fn rows(text: &str) -> Vec<Row<'_>> {
+    let mut rows: Vec<Row<'_>> = Vec::new();
+    for line in text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
+        match (line.strip_prefix("    "), rows.last_mut()) {
+            (Some(words), Some(row)) => row.1.push(words),
+            (_, Some(row)) if row.1.is_empty() => row.0.push(line),
+            _ => rows.push((vec![line], Vec::new())),
+        }
+    }
+    rows
+}
 
 /// Dry runs with these settings end with 1 and say these words, in one line that names no type of the program.
-fn expect_refusals(rows: &[(Vec<String>, Vec<String>)]) {
+fn expect_refusals(rows: &[Row<'_>]) {
     let workspace = Workspace::new();
-    let check = |(settings, words): &(Vec<String>, Vec<String>)| {
+    let check = |(settings, words): &Row<'_>| {
         let set = settings.iter().flat_map(|setting| ["--set", setting]);
         let outcome = workspace.run("out", &["--dry-run"].into_iter().chain(set).collect::<Vec<_>>());
         let found = &outcome.stderr;
-        let is_told = words.iter().all(|word| found.contains(word));
+        let is_told = words.iter().all(|word| found.contains(*word));
         let leaks =
             ["usize", "f64", "untagged", "Some(", "panicked", "\u{1b}"].iter().find(|text| found.contains(**text));
         match outcome.code == 1 && is_told && leaks.is_none() && outcome.stdout.is_empty() {
@@ -39,52 +51,64 @@ fn expect_refusals(rows: &[(Vec<String>, Vec<String>)]) {
     assert!(!workspace.path("out").exists());
 }
 
+/// What a pipeline with such a setting is refused with, in words that name no type of the program.
+fn refusal(more: &[String]) -> Option<String> {
+    let error = parse(None, SMALL_PIPELINE, more).err()?.to_string();
+    assert!(!["usize", "f64", "untagged", "Some("].iter().any(|text| error.contains(text)), "{more:?}: {error}");
+    Some(error)
+}
+
 #[test]
-fn numbers_beyond_their_ranges_are_refused_with_the_range() {
-    let beyond = BEYOND_RANGES.iter().flat_map(|(key, values, range)| {
-        values
-            .iter()
-            .map(move |value| (vec![format!("{key}={value}")], vec![format!("{key} is "), format!("expected {range}")]))
+fn every_bound_of_the_schema_is_kept_and_named() {
+    let schema = include_str!("../../schemas/config.schema.json");
+    let cases = cases(&serde_json::from_str(schema).unwrap());
+    // A seed beyond the numbers of TOML switches no check off.
+    let seed = "run.seed=9223372036854775808".to_owned();
+    let check = |case: &Case| -> Vec<String> {
+        let mut wrong = Vec::new();
+        let mut expected = None;
+        for setting in &case.beyond {
+            let error = refusal(&[seed.clone(), setting.clone()]).unwrap_or_default();
+            let is_nan = setting.contains("nan");
+            if !error.contains(&case.said) || !is_nan && !case.words.iter().all(|word| error.contains(word)) {
+                wrong.push(format!("{setting}: {error}"));
+            }
+            expected = expected.or(error.split_once(", expected ").map(|(_, range)| range.to_owned()));
+        }
+        for (setting, end) in &case.ends {
+            let range = format!("{} is {end}, expected {}", case.key, expected.as_deref().unwrap_or_default());
+            let error = refusal(std::slice::from_ref(setting)).filter(|error| error.contains(&range));
+            wrong.extend(error.map(|error| format!("{setting}: {error}")));
+        }
+        wrong
+    };
+    let wrong: Vec<String> = std::thread::scope(|scope| {
+        let parts: Vec<_> = cases
+            .chunks(cases.len().div_ceil(4))
+            .map(|part| scope.spawn(|| part.iter().flat_map(check).collect::<Vec<_>>()))
+            .collect();
+        parts.into_iter().flat_map(|part| part.join().unwrap()).collect()
     });
-    let not_nan = NOT_NAN.iter().map(|key| (vec![format!("{key}=nan")], vec![format!("{key} is NaN")]));
-    expect_refusals(&beyond.chain(not_nan).collect::<Vec<_>>());
+    assert!(wrong.is_empty(), "{} settings of {} numbers:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
 }
 
 #[test]
 fn what_cannot_work_is_refused_in_words() {
-    let owned = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect();
-    expect_refusals(
-        &REFUSED
-            .iter()
-            .chain(REFUSED_GENERATION)
-            .map(|(settings, words)| (owned(settings), owned(words)))
-            .collect::<Vec<_>>(),
-    );
+    expect_refusals(&rows(include_str!("settings/refused.txt")));
 }
 
+#[cfg(not(feature = "cloud"))]
 #[test]
-fn the_ends_of_ranges_work() {
-    for setting in WITHIN_RANGES {
-        let outcome = parse(None, SMALL_PIPELINE, &[(*setting).to_owned()]);
-        assert!(outcome.is_ok(), "{setting}: {}", outcome.unwrap_err());
-    }
-}
-
-#[test]
-fn a_seed_beyond_the_numbers_of_toml_switches_no_check_off() {
-    for seed in ["run.seed=9223372036854775808", "run.seed=18446744073709551615"] {
-        for (key, values, range) in BEYOND_RANGES {
-            for value in *values {
-                let settings = [seed.to_owned(), format!("{key}={value}")];
-                let error = parse(None, SMALL_PIPELINE, &settings).unwrap_err().to_string();
-                assert!(error.contains(&format!("{key} is ")) && error.contains(range), "{settings:?}: {error}");
-            }
-        }
-        for key in NOT_NAN {
-            let error = parse(None, SMALL_PIPELINE, &[seed.to_owned(), format!("{key}=nan")]).unwrap_err().to_string();
-            assert!(error.contains(&format!("{key} is NaN")), "{error}");
-        }
-    }
+fn object_stores_need_their_feature() {
+    expect_refusals(&rows(
+        "ingest.inputs=[\"s3://bucket/x.zip\"]
+    ingest.inputs.0 is s3://bucket/x.zip
+    built without object stores
+    --features cloud
+run.output=az://container/runs
+    run.output is az://container/runs
+    built without object stores",
+    ));
 }
 
 #[test]

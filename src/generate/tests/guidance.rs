@@ -73,12 +73,15 @@ fn collides(scene: &Scene) -> bool {
 fn samples_are_kept_apart_unless_told_otherwise() {
     let n_colliding = |options: &str| {
         let sampler = SamplerConfig::Heun(HeunConfig::with_steps(12));
-        let toml = format!("{options}\nsplits = ['train']\n[[sweeps]]\nname = 'plain'\nn_scenes = 8\nn_samples = 8");
+        let toml = format!(
+            "{options}\nsplits = ['train']\n[[sweeps]]\nname = 'plain'\nn_scenes = 8\nn_samples = 8\nedit.tau = 2.0\n\
+             edit.edits = [{{ kind = 'meet', agent = {{ track = 'ahead' }}, with = {{ track = 'behind' }}, at_s = 0.8 }}]"
+        );
         let records = generate(&GenerateConfig { sampler, ..config(&toml) });
         assert_eq!(kinds(&records), ["none"]);
         records.iter().filter(|record| collides(&record.scenario.scene)).count()
     };
-    // An untrained network knows nothing of cars.
+    // Two cars are led into each other, and an untrained network knows nothing of cars.
     let (raw, kept) = (n_colliding("validity_strength = 0.0"), n_colliding("validity_strength = 100.0"));
     assert!(raw >= 8 && kept < raw / 2, "{raw} of 64 raw samples collide, {kept} of those that are kept apart");
     let default = n_colliding("");

@@ -48,7 +48,7 @@ fn guided<'a>(
     inner_steps: usize,
 ) -> CleanGuidedDenoiser<'a> {
     let config = ObjectiveGuidanceConfig { gradient, damped, inner_steps };
-    CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, config, sigma_data: 0.5 }
+    CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, config }
 }
 
 fn estimate(denoiser: &dyn Denoiser, sigma: f64) -> [f64; 2] {

@@ -10,7 +10,9 @@
 mod mutate;
 mod targets;
 
-use mutate::Mutator;
+use mutate::damaged;
+use proptest::strategy::{Strategy, ValueTree};
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use std::io::Write;
 use std::path::Path;
 use std::process::Command;
@@ -84,7 +86,7 @@ fn one_target() {
     let target = TARGETS.iter().find(|target| target.name == name).unwrap();
     let input = std::env::var(INPUT).unwrap();
     let seconds: f64 = std::env::var("DJINN_FUZZ_SECONDS").unwrap().parse().unwrap();
-    let seed = std::env::var("DJINN_FUZZ_SEED").map_or(1, |text| text.parse().unwrap());
+    let seed: u64 = std::env::var("DJINN_FUZZ_SEED").map_or(1, |text| text.parse().unwrap());
     run(target, Path::new(&input), Duration::from_secs_f64(seconds), seed);
 }
 
@@ -95,10 +97,12 @@ fn run(target: &Target, input: &Path, time: Duration, seed: u64) {
         fs_err::write(input, seed).unwrap();
         assert!((target.read)(folder.path(), seed), "{}: a file as it was made cannot be read", target.name);
     }
-    let mut mutator = Mutator::new(seed, seeds);
+    let strategy = damaged(seeds);
+    let rng = TestRng::from_seed(RngAlgorithm::ChaCha, &[seed.to_le_bytes(); 4].concat());
+    let mut runner = TestRunner::new_with_rng(Config::default(), rng);
     let (began, mut n_executions, mut n_read) = (Instant::now(), 0_u64, 0_u64);
     while began.elapsed() < time {
-        let bytes = mutator.next_input();
+        let bytes = strategy.new_tree(&mut runner).unwrap().current();
         fs_err::write(input, &bytes).unwrap();
         let began = Instant::now();
         n_read += u64::from((target.read)(folder.path(), &bytes));

@@ -1,160 +1,173 @@
-//! Numbers beyond the ranges of their settings, and at their ends.
+//! Every bound that `schemas/config.schema.json` states, as settings beyond it and at it.
 
-/// Keys, values that are refused, and what the message says was expected. Every value is a case of its own.
-pub(super) const BEYOND_RANGES: &[(&str, &[&str], &str)] = &[
-    ("run.threads", &["1000000000000", "1025", "18446744073709551615"], "0 to 1024"),
-    ("run.memory_limit_gb", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("ingest.n_history", &["0", "1000000000000", "9223372036854775808"], "1 to 10000"),
-    ("ingest.n_future", &["1000000000000"], "0 to 10000"),
-    ("ingest.window_stride", &["0", "9223372036854775807"], "1 to 1000000"),
-    ("ingest.holdout_share", &["-0.1", "1.5", "inf"], "0 to 1"),
-    ("ingest.max_agents", &["0", "1000000000000"], "1 to 10000"),
-    ("ingest.map_radius_m", &["0.0", "-5.0", "inf"], "a positive number"),
-    ("ingest.limit", &["0", "18446744073709551615"], "1 to 1000000000000"),
-    ("cluster.workers", &["0", "100001"], "1 to 100000"),
-    ("cluster.retries", &["1001"], "0 to 1000"),
-    ("cluster.gpus", &["65"], "0 to 64"),
-    ("cluster.cpus", &["1025"], "0 to 1024"),
-    ("cluster.notice_s", &["9", "3601"], "10 to 3600"),
-    ("train.denoiser.steps", &["0", "9223372036854775807"], "1 to 1000000000"),
-    ("train.denoiser.batch_size", &["0", "1000000000"], "1 to 16384"),
-    ("train.denoiser.learning_rate", &["0.0", "-1e-3", "inf"], "a positive number"),
-    ("train.denoiser.warmup_steps", &["9223372036854775807"], "0 to 1000000000"),
-    ("train.denoiser.clip_norm", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("train.denoiser.ema_decay", &["-0.1", "1.0", "2.0"], "0 up to below 1"),
-    ("train.denoiser.max_agents", &["0", "1000000000000"], "1 to 10000"),
-    ("train.denoiser.max_lanes", &["1000000000000"], "0 to 100000"),
-    ("train.denoiser.state_dim", &["0", "1", "4", "5"], "2 to 3"),
-    ("train.denoiser.n_eval_scenes", &["9223372036854775807"], "0 to 1000000"),
-    ("train.denoiser.evaluate_every", &["0"], "1 to 1000000000"),
-    ("train.denoiser.save_every", &["0"], "1 to 1000000000"),
-    ("train.denoiser.own_weight", &["-0.5", "inf"], "a number of at least 0"),
-    ("train.denoiser.path_loss", &["-0.1", "inf"], "a number of at least 0"),
-    ("train.denoiser.objectives_below_sigma", &["0.0", "inf"], "a positive number"),
-    ("train.denoiser.diffusion.sigma_data", &["0.0", "0.7", "1.0"], "0.5: it is fixed"),
-    ("train.denoiser.diffusion.sigma_min", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("train.denoiser.diffusion.sigma_max", &["0.0", "-1.0", "inf"], "more than 0 and at most 1000000"),
-    ("train.denoiser.diffusion.rho", &["0.0", "-7.0", "inf"], "more than 0 and at most 100"),
-    ("train.denoiser.noise.p_mean", &["inf", "-21.0", "1e9"], "-20 to 20"),
-    ("train.denoiser.noise.p_std", &["-1.0", "inf"], "0 to 10"),
-    ("train.denoiser.tasks.predictive", &["-1.0", "inf"], "a number of at least 0"),
-    ("train.denoiser.network.width", &["0", "9223372036854775807"], "1 to 16384"),
-    ("train.denoiser.network.n_heads", &["0", "1000000000000"], "1 to 1024"),
-    ("train.denoiser.network.feed_forward", &["0", "1000000000000"], "1 to 65536"),
-    ("train.denoiser.network.encoding", &["0", "1", "15", "1000000000000"], "2 to 16384, a multiple of 2"),
-    ("train.denoiser.network.geometry.patch", &["0", "101"], "1 to 100"),
-    ("train.denoiser.network.geometry.n_lanes", &["0", "201"], "1 to 200"),
-    ("train.denoiser.network.geometry.n_neighbors", &["201"], "0 to 200"),
-    ("train.denoiser.network.geometry.n_nearest_lanes", &["201"], "0 to 200"),
-    ("train.denoiser.network.geometry.relation_width", &["0", "4097"], "1 to 4096"),
-    ("train.classifier.network.width", &["0", "9223372036854775807"], "1 to 16384"),
-    ("train.classifier.network.n_hidden", &["1000000"], "0 to 100"),
-    ("train.classifier.network.encoding", &["0", "3"], "2 to 16384, a multiple of 2"),
-    ("train.classifier.pos_weight", &["0.0", "-2.0", "inf"], "a positive number"),
-    ("train.classifier.noise.p_std", &["-1.0"], "0 to 10"),
-    ("train.classifier.max_examples", &["0"], "1 to 1000000000"),
-    ("train.classifier.steps", &["0"], "1 to 1000000000"),
-    ("train.classifier.batch_size", &["0", "1000000000"], "1 to 16384"),
-    ("train.classifier.learning_rate", &["0.0", "inf"], "a positive number"),
-    ("train.classifier.clip_norm", &["0.0"], "a positive number"),
-    ("train.classifier.evaluate_every", &["0"], "1 to 1000000000"),
-    ("train.classifier.save_every", &["0"], "1 to 1000000000"),
-    ("train.baseline.steps", &["0"], "1 to 1000000000"),
-    ("train.baseline.batch_size", &["0", "1000000000"], "1 to 16384"),
-    ("train.baseline.mode_loss", &["0.0", "inf"], "a positive number"),
-    ("train.baseline.ema_decay", &["1.0"], "0 up to below 1"),
-    ("train.baseline.state_dim", &["0", "5"], "2 to 3"),
-    ("train.baseline.network.n_modes", &["0", "1000000000000"], "1 to 1000"),
-    ("train.baseline.network.encoding", &["7"], "2 to 16384, a multiple of 2"),
-    ("train.distill.steps", &["0"], "1 to 1000000000"),
-    ("train.distill.batch_size", &["0", "1000000000"], "1 to 16384"),
-    ("train.distill.huber", &["-0.1", "inf"], "a number of at least 0"),
-    ("train.distill.path_loss", &["-0.1"], "a number of at least 0"),
-    ("train.distill.ema_decay", &["-0.5", "1.0"], "0 up to below 1"),
-    ("generate.batch_size", &["0", "1000000000", "1000000000000"], "1 to 10000"),
-    ("generate.scenes_per_shard", &["0", "9223372036854775807"], "1 to 100000"),
-    ("generate.validity_strength", &["-1.0", "inf"], "0 to 1000000"),
-    ("generate.sweeps.1.validity_strength", &["-1.0", "inf"], "0 to 1000000"),
-    ("generate.sampler.n_steps", &["0", "1000000000", "1000000000000"], "1 to 10000"),
-    ("generate.sampler.s_churn", &["-1.0", "inf"], "a number of at least 0"),
-    ("generate.sampler.s_tmin", &["-1.0", "inf"], "a number of at least 0"),
-    ("generate.sampler.s_tmax", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("generate.sampler.s_noise", &["-1.0", "inf", "11.0"], "0 to 10"),
-    ("generate.sampler.grid.rho", &["0.0", "-1.0", "inf"], "more than 0 and at most 100"),
-    ("generate.sampler.grid.sigma_min", &["0.0", "inf"], "a positive number"),
-    ("generate.sampler.grid.sigma_max", &["0.0", "inf"], "more than 0 and at most 1000000"),
-    ("generate.sweeps.1.n_samples", &["0", "1000000000000", "18446744073709551615"], "1 to 100000"),
-    ("generate.sweeps.1.stop_after_verified", &["0", "18446744073709551615"], "1 to 1000000000"),
-    ("generate.sweeps.1.pairs.per_scene", &["0", "1000000000000"], "1 to 10000"),
-    ("generate.sweeps.1.pairs.max_distance_m", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("generate.sweeps.1.pairs.n_scenes_ranked", &["0", "18446744073709551615"], "1 to 1000000000"),
-    ("generate.sweeps.1.guidance.sigma_lo", &["-1.0", "inf"], "a number of at least 0"),
-    ("generate.sweeps.1.guidance.sigma_hi", &["0.0", "inf"], "a positive number"),
-    ("generate.sweeps.1.guidance.max_shift", &["0.0", "inf"], "a positive number"),
-    ("generate.sweeps.1.objective_guidance.inner_steps", &["0", "1001"], "1 to 1000"),
-    ("generate.sweeps.1.edit.tau", &["-0.1", "inf"], "0 to 1000000"),
-    ("evaluate.duplicate_distance_m", &["-1.0", "inf"], "a number of at least 0"),
-    ("evaluate.gates.min_verified", &["18446744073709551615"], "0 to 1000000000000"),
-    ("evaluate.gates.min_validity_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
-    ("evaluate.gates.max_collision_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
-    ("evaluate.gates.max_distinguishability", &["0.4", "1.1", "inf"], "0.5 to 1"),
-    ("evaluate.gates.max_offroad_rate", &["-0.1", "1.1", "inf"], "0 to 1"),
-    ("evaluate.modes.n_modes", &["0", "1000000000000"], "1 to 1000"),
-    ("evaluate.modes.n_starts", &["0"], "1 to 1000"),
-    ("evaluate.modes.max_iterations", &["0"], "1 to 1000000"),
-    ("evaluate.modes.min_std_m", &["0.0", "-1.0"], "a positive number"),
-    ("evaluate.validity.window_s", &["0.0", "-1.0", "700.0", "inf"], "more than 0 and at most 5"),
-    ("evaluate.validity.max_acceleration_mps2", &["-1.0", "inf"], "a number of at least 0"),
-    ("evaluate.validity.max_jerk_mps3", &["-1.0", "inf"], "a number of at least 0"),
-    ("evaluate.validity.max_slip_rad", &["-1.0", "inf"], "a number of at least 0"),
-    ("evaluate.validity.offroad_slack_m", &["-1.0", "inf"], "a number of at least 0"),
-    ("evaluate.validity.max_recorded_offroad", &["-0.1", "1.5", "inf"], "0 to 1"),
-    ("evaluate.careful_driver.ramp_s", &["0.0", "-1.0", "inf"], "a positive number"),
-    ("evaluate.careful_driver.delay_s", &["-1.0", "inf"], "a number of at least 0"),
-    ("report.n_drawn", &["1000000000000", "18446744073709551615"], "0 to 100000"),
-    ("report.n_compared", &["1000000000000"], "0 to 100000"),
-];
+use serde_json::Value as Schema;
+use std::collections::BTreeSet;
 
-/// Numbers that must not be NaN; the message names the key.
-pub(super) const NOT_NAN: &[&str] = &[
-    "run.memory_limit_gb",
-    "ingest.holdout_share",
-    "ingest.map_radius_m",
-    "train.denoiser.learning_rate",
-    "train.denoiser.noise.p_mean",
-    "train.denoiser.diffusion.rho",
-    "train.classifier.noise.p_mean",
-    "generate.sampler.s_churn",
-    "generate.sampler.s_noise",
-    "generate.sampler.s_tmax",
-    "generate.sweeps.1.guidance.sigma_lo",
-    "generate.sweeps.1.guidance.max_shift",
-    "generate.sweeps.1.pairs.max_distance_m",
-    "evaluate.gates.max_collision_rate",
-    "evaluate.duplicate_distance_m",
-    "evaluate.validity.max_jerk_mps3",
-    "evaluate.careful_driver.delay_s",
-];
+/// A bounded number, or a choice among names, and settings of it.
+#[derive(Debug, PartialEq)]
+pub(super) struct Case {
+    /// Its key, as messages name it.
+    pub(super) key: String,
+    /// Settings that are refused.
+    pub(super) beyond: Vec<String>,
+    /// Values at the ends of the range, which are not: `key is VALUE` must not be said of them.
+    pub(super) ends: Vec<(String, String)>,
+    /// What every refusal says, that of NaN included.
+    pub(super) said: String,
+    /// What refusals say was expected: the bounds, or the names.
+    pub(super) words: Vec<String>,
+}
 
-/// Values at the ends of ranges, which work.
-pub(super) const WITHIN_RANGES: &[&str] = &[
-    "run.memory_limit_gb=0.5",
-    "run.seed=18446744073709551615",
-    "ingest.holdout_share=0.0",
-    "ingest.holdout_share=1.0",
-    "ingest.limit=1",
-    "train.denoiser.ema_decay=0.0",
-    "train.denoiser.state_dim=2",
-    "train.denoiser.diffusion.sigma_data=0.5",
-    "train.denoiser.network.encoding=2",
-    "generate.sampler.n_steps=10000",
-    "generate.sampler.s_noise=0.0",
-    "generate.sweeps.1.guidance.sigma_lo=0.0",
-    "generate.sweeps.1.guidance.max_shift=1e9",
-    "evaluate.gates.max_collision_rate=1.0",
-    "evaluate.gates.max_collision_rate=0.0",
-    "evaluate.validity.window_s=5.0",
-    "evaluate.validity.max_jerk_mps3=0.0",
-    "mine.behaviors=[{ kind = \"hard_brake\", smoothing_s = 0.0 }]",
-    "generate.sweeps.1.select={ limits = { pair_min_ttc_s = [2.0, inf] } }",
-];
+/// The cases of the schema.
+pub(super) fn cases(root: &Schema) -> Vec<Case> {
+    let mut cases = Vec::new();
+    Walk { root, seen: BTreeSet::new(), cases: &mut cases }.visit(root, &Place::default(), &mut Vec::new());
+    cases
+}
+
+/// Where a value stands: `before` + value + `after` is a setting.
+#[derive(Default, Clone)]
+struct Place {
+    key: String,
+    before: String,
+    after: String,
+}
+
+impl Place {
+    fn setting(&self, value: &str) -> String {
+        format!("{}{value}{}", self.before, self.after)
+    }
+
+    /// An entry of the table here, which is written out with `others`, or exists already.
+    fn entry(&self, name: &str, others: Option<&str>) -> Self {
+        let key = if self.key.is_empty() { name.to_owned() } else { format!("{}.{name}", self.key) };
+        match others {
+            None => Self { before: format!("{key}="), after: String::new(), key },
+            Some(others) => Self {
+                before: format!("{}{{ {others}{name} = ", self.before),
+                after: format!(" }}{}", self.after),
+                key,
+            },
+        }
+    }
+}
+
+struct Walk<'a> {
+    root: &'a Schema,
+    /// The definitions that have all their cases; where one is used again, one setting of each will do.
+    seen: BTreeSet<&'a str>,
+    cases: &'a mut Vec<Case>,
+}
+
+impl<'a> Walk<'a> {
+    fn visit(&mut self, schema: &'a Schema, place: &Place, above: &mut Vec<&'a str>) {
+        if let Some(name) = schema["$ref"].as_str() {
+            if !above.contains(&name) {
+                let (is_new, before) = (self.seen.insert(name), self.cases.len());
+                above.push(name);
+                self.visit(self.referred(name), place, above);
+                above.pop();
+                let repeated = self.cases[before..].iter_mut().filter(|_| !is_new);
+                repeated.for_each(|case| (case.beyond.truncate(1), case.ends.clear()).1);
+            }
+            return;
+        }
+        self.cases.extend(case(schema, place));
+        for part in list(&schema["allOf"]).chain(list(&schema["oneOf"])).chain(list(&schema["anyOf"])) {
+            self.visit(part, place, above);
+        }
+        if schema["items"].is_object() {
+            let n = schema["minItems"].as_u64().unwrap_or(1).max(1) as usize;
+            let more = format!(", {}", self.sample(&schema["items"])).repeat(n - 1);
+            let item = Place {
+                key: format!("{}.0", place.key),
+                before: format!("{}[", place.before),
+                after: format!("{more}]{}", place.after),
+            };
+            self.visit(&schema["items"], &item, above);
+        }
+        for (name, property) in schema["properties"].as_object().into_iter().flatten() {
+            let is_written_out = place.before.contains(['[', '{']) || !schema["required"].is_null();
+            let others = is_written_out.then(|| self.required(schema, name));
+            self.visit(property, &place.entry(name, others.as_deref()), above);
+        }
+    }
+
+    fn referred(&self, name: &str) -> &'a Schema {
+        self.root.pointer(name.trim_start_matches('#')).unwrap()
+    }
+
+    /// The entries that a table must have, but for `name`.
+    fn required(&self, schema: &Schema, name: &str) -> String {
+        let needed = list(&schema["required"]).filter_map(Schema::as_str).filter(|other| *other != name);
+        needed.map(|other| format!("{other} = {}, ", self.sample(&schema["properties"][other]))).collect()
+    }
+
+    /// A value that the schema allows.
+    fn sample(&self, schema: &Schema) -> String {
+        if let Some(name) = schema["$ref"].as_str() {
+            return self.sample(self.referred(name));
+        }
+        if let Some(first) = list(&schema["oneOf"]).chain(list(&schema["anyOf"])).next() {
+            return self.sample(first);
+        }
+        if let Some(text) = schema["const"].as_str().or(schema["enum"][0].as_str()) {
+            return format!("{text:?}");
+        }
+        let least = schema["minimum"].as_f64().unwrap_or_default().max(1.0);
+        match schema["type"].as_str() {
+            Some("object") => format!("{{ {} }}", self.required(schema, "").trim_end_matches(", ")),
+            Some("array") => "[]".to_owned(),
+            Some("integer") => format!("{least}"),
+            Some("number") => format!("{:?}", schema["maximum"].as_f64().unwrap_or(least).min(least)),
+            Some("boolean") => "true".to_owned(),
+            _ => "\"x\"".to_owned(),
+        }
+    }
+}
+
+fn list(schema: &Schema) -> impl Iterator<Item = &Schema> {
+    schema.as_array().into_iter().flatten()
+}
+
+/// The settings of a number with bounds, or of one of several names.
+fn case(schema: &Schema, place: &Place) -> Option<Case> {
+    let names: Vec<String> = list(&schema["oneOf"]).filter_map(|one| Some(one["const"].as_str()?.to_owned())).collect();
+    if !names.is_empty() && names.len() == list(&schema["oneOf"]).count() {
+        let beyond = vec![place.setting("\"nonsense\"")];
+        let said = "unknown value `nonsense`".to_owned();
+        return Some(Case { key: place.key.clone(), beyond, ends: Vec::new(), said, words: names });
+    }
+    let bound = |name: &str| schema[name].as_f64();
+    let (low, above) = (bound("minimum"), bound("exclusiveMinimum"));
+    let (high, below, divisor) = (bound("maximum"), bound("exclusiveMaximum"), bound("multipleOf"));
+    let bounds: Vec<f64> = [low, above, high, below].into_iter().flatten().collect();
+    if bounds.is_empty() {
+        return None;
+    }
+    let is_of_type = |name: &str| schema["type"] == name || list(&schema["type"]).any(|one| one == name);
+    let is_whole = is_of_type("integer");
+    let step = if is_whole { 1.0 } else { 0.5 };
+    let written = |value: f64| if is_whole { format!("{value}") } else { format!("{value:?}") };
+    let beyond =
+        [low.map(|low| low - step), above, high.map(|high| high + step), below, divisor.and(low.map(|low| low + 1.0))];
+    // Numbers below 0 are none of those that count.
+    let beyond = beyond.into_iter().flatten().filter(|value| !is_whole || *value >= 0.0).map(written);
+    let others: &[&str] = match schema["format"].as_str() {
+        Some("uint" | "uint64") if high.is_some() => &["9223372036854775808", "18446744073709551615"],
+        _ if is_whole => &[],
+        _ => &["inf", "nan"],
+    };
+    // Words say "a positive number" for one beyond 0.
+    let words = bounds.iter().filter(|bound| **bound != 0.0).map(f64::to_string).collect();
+    Some(Case {
+        key: place.key.clone(),
+        beyond: beyond
+            .chain(others.iter().map(|other| (*other).to_owned()))
+            .map(|value| place.setting(&value))
+            .collect(),
+        said: format!("{} is ", place.key),
+        ends: [low, high].into_iter().flatten().map(|end| (place.setting(&written(end)), end.to_string())).collect(),
+        words,
+    })
+}
