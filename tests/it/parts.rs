@@ -1,11 +1,9 @@
-//! Do any number of workers, killed at will, write the bytes of one process? And do they keep away from what is not theirs?
+//! Do the parts of a stage wait for each other, and refuse what does not fit?
 
-use crate::support::{Outcome, Workspace, assert_same, command, djinn, files, start, wait_for_part};
+use crate::support::{Outcome, Workspace, assert_same, command, djinn, files, wait_for_part};
 use djinn::store::{read_record, write_record};
-use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Child, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Stdio;
 
 /// Seven shards.
 const SETTINGS: [&str; 2] = ["--set", "generate.scenes_per_shard=1"];
@@ -18,137 +16,6 @@ fn run(workspace: &Workspace, output: &str, more: &[&str]) -> Outcome {
 
 fn part(workspace: &Workspace, output: &str, part: &str, more: &[&str]) -> Outcome {
     run(workspace, output, &[&["--stage", "generate", "--part", part][..], more].concat())
-}
-
-/// Starts a part without waiting for it.
-fn begin(workspace: &Workspace, output: &str, stage: &str, part: &[&str]) -> Child {
-    let args = workspace.run_args(output, &[&SETTINGS[..], &["--stage", stage, "--part"], part].concat());
-    start(&args.iter().map(String::as_str).collect::<Vec<_>>())
-}
-
-/// Runs a stage in parts by `n` workers. One process that plans is killed, then so many times one of the workers, then one that seals.
-fn run_in_parts(workspace: &Workspace, output: &str, stage: &str, (n, n_kills): (usize, usize), draws: &mut Draws) {
-    let folder = workspace.run_folder(output);
-    let to_its_end = |part: &str| run(workspace, output, &["--stage", stage, "--part", part]).expect(0);
-    let mut killed = begin(workspace, output, stage, &["plan"]);
-    std::thread::sleep(Duration::from_millis(200));
-    killed.kill().unwrap();
-    killed.wait().unwrap();
-    let began = Instant::now();
-    to_its_end("plan");
-    let typical = began.elapsed();
-
-    let begin_worker = |k: usize| begin(workspace, output, stage, &["work", "--worker", &format!("{}/{n}", k + 1)]);
-    let mut workers: Vec<Child> = (0..n).map(begin_worker).collect();
-    for _ in 0..n_kills {
-        std::thread::sleep(typical.mul_f64(0.2 + 1.5 * draws.next()));
-        let k = (draws.next() * n as f64) as usize;
-        workers[k].kill().unwrap();
-        workers[k].wait().unwrap();
-        workers[k] = begin_worker(k);
-    }
-    for worker in &mut workers {
-        assert_eq!(worker.wait().unwrap().code(), Some(0));
-    }
-    let mut killed = begin(workspace, output, stage, &["seal"]);
-    std::thread::sleep(typical.mul_f64(draws.next()));
-    killed.kill().unwrap();
-    killed.wait().unwrap();
-    to_its_end("seal");
-    assert!(!folder.join(format!("{stage}.parts")).exists());
-    let log = fs_err::read_to_string(folder.join("log.txt")).unwrap();
-    assert!(log.contains("worker 00001: "), "{log}");
-    // Who comes late finds nothing to do.
-    run(workspace, output, &["--stage", stage, "--part", "work", "--worker", "1/2"]).expect(0);
-}
-
-fn copy(from: &Path, to: &Path) {
-    for (name, bytes) in files(from) {
-        fs_err::create_dir_all(to.join(&name).parent().unwrap()).unwrap();
-        fs_err::write(to.join(name), bytes).unwrap();
-    }
-}
-
-/// Numbers from 0 to 1, the same ones from the same seed.
-struct Draws(u64);
-
-impl Draws {
-    fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as f64 / (1_u64 << 31) as f64
-    }
-}
-
-/// Set `DJINN_KILLS=20` for so many kills for each number of workers, seven workers among them.
-#[test]
-fn any_number_of_workers_killed_at_will_write_the_bytes_of_one_process() {
-    let workspace = Workspace::new();
-    run(&workspace, "before", &BEFORE).expect(0);
-    copy(&workspace.run_folder("before"), &workspace.run_folder("one"));
-    run(&workspace, "one", &[]).expect(0);
-    let expected = files(&workspace.run_folder("one"));
-    let asked: Option<usize> = std::env::var("DJINN_KILLS").ok().map(|kills| kills.parse().unwrap());
-    let (numbers, n_kills) = asked.map_or((vec![1, 2, 3], 3), |n_kills| (vec![1, 2, 3, 7], n_kills));
-    for n in numbers {
-        let output = format!("workers{n}");
-        let folder = workspace.run_folder(&output);
-        copy(&workspace.run_folder("before"), &folder);
-        let mut draws = Draws(n as u64);
-        for stage in ["generate", "evaluate"] {
-            run_in_parts(&workspace, &output, stage, (n, n_kills), &mut draws);
-        }
-        run(&workspace, &output, &["--stage", "report"]).expect(0);
-        assert_same(&expected, &files(&folder));
-    }
-    one_process_goes_on(&workspace, &expected);
-}
-
-/// What workers had begun, a plain run takes over; what they left goes.
-fn one_process_goes_on(workspace: &Workspace, expected: &BTreeMap<String, Vec<u8>>) {
-    let folder = workspace.run_folder("taken");
-    copy(&workspace.run_folder("before"), &folder);
-    for (stage, shard) in [("generate", "samples-00000.json"), ("evaluate", "figures-00000.json")] {
-        run(workspace, "taken", &["--stage", stage, "--part", "plan"]).expect(0);
-        let mut worker = begin(workspace, "taken", stage, &["work", "--worker", "1/1"]);
-        wait_for_part(&folder, stage, shard);
-        worker.kill().unwrap();
-        worker.wait().unwrap();
-        run(workspace, "taken", &["--stage", stage]).expect(0);
-        assert!(!folder.join(format!("{stage}.parts")).exists());
-    }
-    run(workspace, "taken", &["--stage", "report"]).expect(0);
-    assert_same(expected, &files(&folder));
-}
-
-/// The rounds of a request are decided by whoever sees the one before whole.
-#[test]
-fn requests_are_fulfilled_by_any_number_of_workers_to_the_same_bytes() {
-    let workspace = Workspace::new();
-    fs_err::write(workspace.path("small.toml"), crate::requests::pipeline()).unwrap();
-    run(&workspace, "before", &BEFORE).expect(0);
-    copy(&workspace.run_folder("before"), &workspace.run_folder("one"));
-    run(&workspace, "one", &["--stage", "generate"]).expect(0);
-    let expected = files(&workspace.run_folder("one"));
-    let n_rounds = expected.keys().filter(|name| name.starts_with("samples/request-00-round-")).count();
-    assert!(n_rounds > 5, "{n_rounds}");
-    for n in [1, 2, 3] {
-        let output = format!("workers{n}");
-        copy(&workspace.run_folder("before"), &workspace.run_folder(&output));
-        run_in_parts(&workspace, &output, "generate", (n, 3), &mut Draws(n as u64));
-        assert_same(&expected, &files(&workspace.run_folder(&output)));
-    }
-    // One process goes on in the midst of the rounds.
-    let folder = workspace.run_folder("taken");
-    copy(&workspace.run_folder("before"), &folder);
-    part(&workspace, "taken", "plan", &[]).expect(0);
-    let mut worker = begin(&workspace, "taken", "generate", &["work", "--worker", "1/1"]);
-    wait_for_part(&folder, "generate", "request-00-round-00002.json");
-    worker.kill().unwrap();
-    worker.wait().unwrap();
-    let said = part(&workspace, "taken", "seal", &[]).expect(75).stderr;
-    assert!(said.contains("are missing"), "{said}");
-    run(&workspace, "taken", &["--stage", "generate"]).expect(0);
-    assert_same(&expected, &files(&folder));
 }
 
 #[test]

@@ -1,68 +1,13 @@
 //! Are events found by their parameters, counted as they should be, resumed to the same bytes, and generated again?
 
-use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files, start, wait_for_part};
+use crate::support::{Workspace, assert_same, djinn, files, start, wait_for_part};
 use djinn::pipeline::stages::{SampleManifest, SampleSidecar, read_requests};
 use djinn::scenario::{RequestOutcome, ScenarioRecord};
 use djinn::store::{CorpusReader, SceneStore, sample_ids};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Arms of every kind, and buckets that even a denoiser without training reaches.
-const REQUEST: &str = r#"
-[[generate.arms]]
-name = "unguided"
-n_samples = 2
-
-[[generate.arms]]
-name = "guided"
-n_samples = 2
-strengths = [2.0, 20.0]
-
-[[generate.arms]]
-name = "edited"
-n_samples = 2
-edit = { tau = 0.4, edits = [{ kind = "scale_speed", agent = { role = "ego" }, factor = 1.2 }] }
-
-[[generate.arms]]
-name = "free"
-n_samples = 2
-classifier_free = { extra = [{ agents = { role = "other" }, times = "goal" }], weights = [1.0], goal_std_m = 2.0 }
-
-[[generate.arms]]
-name = "slow"
-n_samples = 2
-strengths = [1.0]
-classifier_scope = "none"
-objectives = [{ kind = "target_speed", agents = "ego", speed_mps = 5.0 }]
-
-[[generate.arms]]
-name = "aimed"
-n_samples = 2
-strengths = [20.0]
-classifier_scope = "none"
-objectives = [{ kind = "cut_in" }]
-
-[[generate.requests]]
-name = "tight"
-behavior = "cut_in_paper"
-buckets = { relative_speed_mps = [-900, 0, 900], side = ["left", "right"] }
-per_bucket = 3
-where = { gap_m = [-4, 900] }
-limits = { collision_rate = 1.0 }
-arms = ["unguided", "guided", "edited", "free", "slow", "aimed"]
-n_scenes = 8
-pairs = { per_scene = 2, only_feasible = false }
-max_per_scene = 2
-shards_per_round = 2
-budget = { n_samples = 72 }
-"#;
-
-pub(crate) fn pipeline() -> String {
-    // A denoiser without training finds cut-ins of the wider definition alone.
-    let sampling = SMALL_PIPELINE.replace("\"cut_in\"", "\"cut_in_paper\"");
-    let sampling = sampling.replace("[evaluate]", &format!("{REQUEST}\n[evaluate]"));
-    sampling.replace("keep = \"all\"", "keep = \"verified\"")
-}
+const PIPELINE: &str = include_str!("../pipelines/requests.toml");
 
 fn records(root: &Path) -> Vec<(SampleSidecar, Vec<ScenarioRecord>)> {
     let (samples, store) = (root.join("samples"), SceneStore::open(&root.join("scenes")).unwrap());
@@ -73,8 +18,7 @@ fn records(root: &Path) -> Vec<(SampleSidecar, Vec<ScenarioRecord>)> {
 
 #[test]
 fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
-    let workspace = Workspace::new();
-    fs_err::write(workspace.path("small.toml"), pipeline()).unwrap();
+    let workspace = Workspace::of(PIPELINE);
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
     for part in [
         "request tight: 12 scenarios in 4 buckets; 72 samples, 216 evaluations",
@@ -91,32 +35,25 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     counts_agree_with_the_rows(&root);
     rows_are_generated_again(&workspace, &root);
 
-    // On two threads, and after being killed within a round and after the last one: the same bytes.
-    workspace.run("two", &["--threads", "2"]).expect(0);
-    assert_same(&before, &files(&workspace.run_folder("two")));
-    let rounds = before.keys().filter(|name| name.starts_with("samples/request-00-round")).count();
-    assert!(rounds > 2, "{rounds}");
-    let last = before.keys().filter_map(|name| name.strip_prefix("samples/")?.strip_suffix(".parquet")).next_back();
-    for sign in ["request-00-round-00001.json", &format!("{}.json", last.unwrap())] {
-        fs_err::remove_dir_all(root.join("samples")).unwrap();
-        fs_err::remove_file(root.join("generate.done.json")).unwrap();
-        let args = workspace.run_args("out", &[]);
-        let mut child = start(&args.iter().map(String::as_str).collect::<Vec<_>>());
-        wait_for_part(&root, "generate", sign);
-        child.kill().unwrap();
-        child.wait().unwrap();
-        let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
-        assert!(plan.contains("#   generate          fresh (resumes"), "{plan}");
-        assert!(plan.contains(&format!("3 wanted, {n_pairs} pairs can reach it")), "{plan}");
-        workspace.run("out", &[]).expect(0);
-        assert_same(&before, &files(&root));
-    }
+    // Killed in the midst of the rounds, it goes on to the same bytes.
+    fs_err::remove_dir_all(root.join("samples")).unwrap();
+    fs_err::remove_file(root.join("generate.done.json")).unwrap();
+    let args = workspace.run_args("out", &[]);
+    let mut child = start(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    wait_for_part(&root, "generate", "request-00-round-00001.json");
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
+    assert!(plan.contains("#   generate          fresh (resumes"), "{plan}");
+    assert!(plan.contains(&format!("3 wanted, {n_pairs} pairs can reach it")), "{plan}");
+    workspace.run("out", &[]).expect(0);
+    assert_same(&before, &files(&root));
+    an_earlier_run_teaches(&workspace);
     // No sample is the recording itself: within a limit that asks for it nothing is accepted.
     workspace.run("out", &["--set", "generate.requests.0.limits.min_scene_ade_m=0.0"]).expect(0);
     let summary = read_requests(&root.join("samples")).unwrap().remove(0);
     assert!(summary.arms.iter().any(|arm| arm.total.n_beyond_limits > 0), "{summary:?}");
     assert_eq!(summary.n_accepted, 0);
-    an_earlier_run_teaches(&workspace);
     let misspelt =
         workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
     assert!(misspelt.stderr.contains("gap is not a parameter of cut_in_paper; similar: gap_m"), "{}", misspelt.stderr);
@@ -124,7 +61,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
 
 /// With the figures of an earlier run no round tries all arms; they count by their content, not by their path.
 fn an_earlier_run_teaches(workspace: &Workspace) {
-    let earlier = workspace.run_folder("two").join("samples/requests.json");
+    let earlier = workspace.run_folder("out").join("samples/requests.json");
     let prior = |path: &Path| format!("generate.requests.0.prior={:?}", path.to_str().unwrap());
     workspace.run("taught", &["--set", &prior(&earlier)]).expect(0);
     let taught = read_requests(&workspace.run_folder("taught").join("samples")).unwrap().remove(0);

@@ -57,68 +57,7 @@ pub(crate) fn wait_for_part(root: &Path, stage: &str, file: &str) {
 }
 
 /// A whole pipeline that takes seconds; its models learn next to nothing.
-pub(crate) const SMALL_PIPELINE: &str = r#"
-[run]
-seed = 3
-
-[ingest]
-dataset = "interaction"
-inputs = ["tests/fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
-splits = ["train", "val"]
-limit = 125
-
-[mine]
-behaviors = [{ kind = "cut_in" }]
-
-[train.denoiser]
-preset = "tiny"
-network = { layers = "TAM", width = 16, n_heads = 2, feed_forward = 16, geometry = { relation_width = 8 } }
-steps = 12
-batch_size = 2
-warmup_steps = 2
-evaluate_every = 6
-save_every = 3
-n_eval_scenes = 2
-max_agents = 6
-max_lanes = 8
-
-[train.classifier]
-behavior = "cut_in"
-network = { width = 16, n_hidden = 1, encoding = 4 }
-max_examples = 200
-max_held_out = 50
-steps = 20
-batch_size = 16
-warmup_steps = 2
-evaluate_every = 10
-save_every = 5
-
-[generate]
-sampler = { kind = "heun", n_steps = 2 }
-scenes_per_shard = 2
-batch_size = 4
-
-[[generate.sweeps]]
-name = "as_recorded"
-n_scenes = 3
-n_samples = 2
-
-[[generate.sweeps]]
-name = "cut_ins"
-behavior = "cut_in"
-n_scenes = 4
-n_samples = 2
-strengths = [0.0, 2.0]
-
-[evaluate]
-keep = "all"
-modes = { n_modes = 1, by = ["mean", "medoid"] }
-predictions = ["interaction", "argoverse2"]
-
-[report]
-n_drawn = 2
-n_compared = 4
-"#;
+pub(crate) const SMALL_PIPELINE: &str = include_str!("../pipelines/small.toml");
 
 /// A folder for a test, with the small pipeline in it.
 pub(crate) struct Workspace {
@@ -127,8 +66,13 @@ pub(crate) struct Workspace {
 
 impl Workspace {
     pub(crate) fn new() -> Self {
+        Self::of(SMALL_PIPELINE)
+    }
+
+    /// A folder with this pipeline in its place.
+    pub(crate) fn of(pipeline: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        fs_err::write(folder.path().join("small.toml"), SMALL_PIPELINE).unwrap();
+        fs_err::write(folder.path().join("small.toml"), pipeline).unwrap();
         Self { folder }
     }
 
