@@ -30,7 +30,6 @@ impl StepGrid {
             sigma_max: self.sigma_max.unwrap_or(edm.sigma_max),
             sigma_min: self.sigma_min.unwrap_or(edm.sigma_min),
             rho: self.rho.unwrap_or(edm.rho),
-            ..*edm
         }
     }
 
