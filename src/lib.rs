@@ -36,6 +36,8 @@ pub mod evaluate;
 pub mod export;
 pub mod report;
 
+pub mod engine;
+
 pub mod pipeline;
 
 pub mod cli;

@@ -2,6 +2,11 @@
 //!
 //! One behavior per file. A new one needs its file, an entry in the list `behaviors!`, and example scenes in
 //! `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
+//!
+//! [`Behavior::feasible`] predicts, from the observed past and the map, which events a pair can still reach;
+//! [`Behavior::template`] is a maneuver that leads to a wanted one. A cut-in is solved directly. The other behaviors
+//! draw up candidates, one file each in `maneuver`; kept are those that stay on the road, within the limits of vehicles
+//! and clear of others, and in which the behavior's own miner finds the event.
 
 mod agent_filter;
 mod collision;

@@ -1,6 +1,6 @@
 //! Which exit code does the program end with? The help text lists them too.
 
-use crate::pipeline::{Blame, Failure};
+use crate::engine::{Blame, Failure};
 use std::process::ExitCode;
 
 /// Everything was done.

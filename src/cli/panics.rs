@@ -1,7 +1,7 @@
 //! What does the user read when the program has a bug?
 
 use crate::containment::is_contained;
-use crate::pipeline::{Failure, Result};
+use crate::engine::{Failure, Result};
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::sync::{Mutex, PoisonError};
 
@@ -37,7 +37,7 @@ fn failure() -> Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::Blame;
+    use crate::engine::Blame;
 
     #[test]
     fn a_panic_becomes_a_fault_with_its_place_whatever_the_thread() {

@@ -1,8 +1,8 @@
 //! What may be printed, where, and in which colors?
 
 use super::args::OutputArgs;
+use crate::engine::{Blame, Failure, Result};
 use crate::files::in_their_names;
-use crate::pipeline::{Blame, Failure, Result};
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 

@@ -5,6 +5,9 @@
 //! (`judge`). [`Evaluation`] merges the shards in their order: it decides on scenarios (`verdicts`), writes rows of
 //! metrics and verdicts to files, and keeps only counts and histograms of series in memory. [`EvaluationSummary`] is
 //! for people and gates.
+//!
+//! Verdicts come in the order of the samples, because the first of several near-duplicates is accepted. Rows of metrics
+//! are spooled to files, because aggregates come first in the table but are known last.
 
 mod cells;
 mod config;

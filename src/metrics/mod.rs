@@ -2,6 +2,8 @@
 //!
 //! One metric a file. A new one needs its file and an entry in [`ALL`].
 //!
+//! Metrics never share code with guidance: the code that guides a sample must not judge it.
+//!
 //! Common to all: the future is every timestep from `n_history` on. The agents are those tracked at present, t_obs - 1;
 //! nothing is generated for others. Distances to the recording count only timesteps at which the agent is recorded.
 //! Observed states of the future (goals, other agents' plans, all but a window) are part of it as recorded: their

@@ -1,10 +1,11 @@
 //! Collects the comparable contents of two run folders.
 
+use super::StageId;
 use super::layout::{METRICS_SUMMARY, MINE_SUMMARY};
-use super::record::done_path;
-use super::run::{CONFIG_FILE, RUN_FILE, RunManifest};
 use super::stages::of_named_path;
-use super::{Classify, Failure, Result, StageId};
+use crate::engine::done_path;
+use crate::engine::run_folder::{CONFIG_FILE, RUN_FILE, RunManifest};
+use crate::engine::{Classify, Failure, Result};
 use crate::evaluate::EvaluationSummary;
 use crate::files::{Error, check_overlap, is_link, regular};
 use crate::report::{ComparedRun, Comparison, Fact, PAGE_MARK, render_comparison};
@@ -56,7 +57,7 @@ fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
 
 /// The comparable contents of the run in a folder; empty for stages that did not run.
 fn read_run(root: &Path) -> Result<ComparedRun> {
-    let has_stages = StageId::ALL.into_iter().any(|stage| done_path(root, stage).is_file());
+    let has_stages = StageId::ALL.into_iter().any(|stage| done_path(root, stage.kind()).is_file());
     let manifest = root.join(RUN_FILE);
     if !manifest.exists() && !has_stages {
         let what = if root.is_dir() {
@@ -160,7 +161,7 @@ mod tests {
             [(folder.path().to_owned(), "is not a run folder"), (folder.path().join("missing"), "is no folder")]
         {
             let failure = write_comparison(&path, &path, &folder.path().join("page.html")).unwrap_err();
-            assert_eq!(failure.blame, crate::pipeline::Blame::Input);
+            assert_eq!(failure.blame, crate::engine::Blame::Input);
             assert!(failure.error.to_string().contains(what) && failure.hint.is_some(), "{failure:?}");
         }
         assert!(!folder.path().join("page.html").exists());

@@ -4,8 +4,8 @@
 use super::config::PipelineConfig;
 use super::layout::Layout;
 use super::stages::{checkpoint_file, generation};
-use super::{Failure, Result};
 use crate::diffusion::Denoiser;
+use crate::engine::{Failure, Result};
 use crate::generate::{GenerateConfig, Pool, ResolvedGeneration, ResolvedRequest};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::model::TrainedDenoiser;

@@ -4,11 +4,12 @@
 //! of [`NumberCounts`], and multiplies them with a measured overhead. pipelines/README.md compares it with measured
 //! peaks.
 
+use super::StageId;
 use super::config::PipelineConfig;
-use super::graph::{Action, PlannedStage};
 use super::layout::Layout;
 use super::stages::checkpoint_file;
-use super::{DeviceChoice, Failure, Result, StageId};
+use crate::engine::plan::{Action, PlannedStage};
+use crate::engine::{DeviceChoice, Failure, Result};
 use crate::ingest::usual_horizon;
 use crate::model::{DenoiserSpec, NetworkConfig, NumberCounts, SceneSize, TrainedModel};
 use crate::nn::Compute;
@@ -67,7 +68,7 @@ impl StageMemory {
         if self.bytes() <= limit.bytes {
             return Ok(());
         }
-        let section = self.stage.facts().section;
+        let section = self.stage.kind().section;
         let fits = ((limit.bytes - self.fixed) / self.per_row).floor();
         let advice = match fits >= 1.0 {
             true => format!("set {section}.batch_size to {fits} or less, or choose a smaller network"),
@@ -213,7 +214,7 @@ pub fn check_memory(
 ) -> Result<()> {
     let Some(limit) = limit(config, machine) else { return Ok(()) };
     let run = planned.iter().filter(|planned| planned.action != Action::Reuse);
-    let run: Vec<StageId> = run.map(|planned| planned.expected.stage).collect();
+    let run: Vec<StageId> = run.filter_map(|planned| StageId::of(planned.stage.kind())).collect();
     estimate_memory(config, layout, &run)?.iter().try_for_each(|memory| memory.check(limit))
 }
 
@@ -270,7 +271,8 @@ fn size(bytes: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::{graph, stages};
+    use crate::engine::plan as graph;
+    use crate::pipeline::stages;
     use std::collections::BTreeMap;
     use std::path::Path;
 
@@ -281,7 +283,7 @@ mod tests {
     fn check(text: &str, machine: u64) -> Result<()> {
         let (config, dir) = (config(text), tempfile::tempdir().unwrap());
         let layout = Layout::below(dir.path());
-        let planned = graph::plan(dir.path(), stages::of_pipeline(&config, &layout)?, &[])?;
+        let planned = graph::plan(dir.path(), &crate::pipeline::KINDS, stages::of_pipeline(&config, &layout)?, &[])?;
         check_memory(&config, &layout, &planned, Some(machine))
     }
 
@@ -297,7 +299,7 @@ mod tests {
         };
         check(&text(16), 8 << 30).unwrap();
         let failure = check(&text(10_000), 8 << 30).unwrap_err();
-        assert_eq!(failure.blame, super::super::Blame::Input);
+        assert_eq!(failure.blame, crate::engine::Blame::Input);
         let message = format!("{:#}", failure.error);
         for part in ["train.denoiser.batch_size is 10000", "16 agents and 50 timesteps", "this machine has 8.6 GB"] {
             assert!(message.contains(part), "{message}");

@@ -1,44 +1,19 @@
-//! The pipeline: which stages are there, which must run, and where do their results lie?
+//! The pipeline: which stages are there, and where do their results lie?
 //!
-//! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code, [`graph`] decides what must run
-//! and runs it, [`run`] keeps the run folder, [`compare`] sets two of them side by side. [`parts`] lets several processes work on one
-//! stage, [`cluster`] hands them to an engine, [`status`] tells how far they are. Only this module (and the command line) uses `anyhow`.
+//! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code and hands them to the
+//! [`engine`](crate::engine), [`compare`] sets two run folders side by side. [`cluster`] submits a pipeline to many machines,
+//! [`status`] tells how far it is.
 
-mod claim;
-mod clock;
 pub mod cluster;
 pub mod compare;
 pub mod config;
-mod device;
 pub mod estimate;
-mod failure;
-mod fingerprint;
-pub mod graph;
-#[cfg(test)]
-mod graph_tests;
-mod identity;
 pub mod inspect;
-mod keep;
 pub mod layout;
-mod log;
 pub mod memory;
-pub mod parts;
-mod record;
 pub mod regenerate;
-pub mod run;
-#[cfg(test)]
-mod safety_tests;
-mod stage;
-mod stage_facts;
+mod stage_id;
 pub mod stages;
-mod stale;
 pub mod status;
-mod work;
 
-pub use device::{ComputeChoice, DeviceChoice};
-pub use failure::{Blame, Classify, Failure, Result};
-pub use fingerprint::{PathFingerprint, fingerprint_path};
-pub use keep::Kept;
-pub use record::{InputRecord, StageRecord};
-pub use stage::{Stage, StageContext, StageId, StageInput};
-pub use stage_facts::{PartFacts, StageFacts, StageOutput};
+pub use stage_id::{KINDS, StageId, kinds};

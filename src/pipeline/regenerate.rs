@@ -1,11 +1,12 @@
 //! Generates a scenario again from its provenance and compares every column.
 
+use super::StageId;
 use super::layout::Layout;
 use super::stages::{
     FoundShard, LoadedModels, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, needed_models,
     shard_name,
 };
-use super::{Failure, Result, StageId};
+use crate::engine::{Failure, Result};
 use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey};
 use crate::nn::Compute;
 use crate::scenario::ScenarioRecord;

@@ -1,11 +1,11 @@
 //! The progress of a run, judged from its folder alone.
 
 use super::layout::Layout;
-use super::parts::{ShardStatus, shard_status};
-use super::record::done_path;
-use super::run::{RUN_FILE, RunManifest};
-use super::work::Work;
-use super::{Failure, Result, StageId};
+use super::{KINDS, StageId};
+use crate::engine::plan::begun;
+use crate::engine::run_folder::{RUN_FILE, RunManifest};
+use crate::engine::shards::{ShardStatus, shard_status};
+use crate::engine::{Failure, Result, done_path, work_path};
 use crate::store::read_json;
 use crate::train::FitStatistics;
 use serde::Serialize;
@@ -52,22 +52,22 @@ pub enum ProgressState {
 /// When it is no run folder; those of the file system.
 pub fn status(root: &Path) -> Result<Status> {
     let manifest: Option<RunManifest> = read_json(&root.join(RUN_FILE)).ok();
-    let shards = shard_status(root)?;
+    let shards = shard_status(root, &KINDS)?;
     let mut stages = Vec::new();
     for stage in StageId::ALL {
         let is_planned = manifest.as_ref().is_some_and(|manifest| manifest.stages.contains_key(stage.name()));
-        let begun = Work::started(root, stage)?;
-        let is_in_parts = shards.as_ref().is_some_and(|shards| shards.stage == stage);
+        let begun = begun(root, stage.kind())?;
+        let is_in_parts = shards.as_ref().is_some_and(|shards| shards.stage == stage.name());
         let state = match () {
             () if begun.is_some() || is_in_parts => ProgressState::Begun,
-            () if done_path(root, stage).is_file() => ProgressState::Done,
+            () if done_path(root, stage.kind()).is_file() => ProgressState::Done,
             () if is_planned => ProgressState::Missing,
             () => continue,
         };
         let steps = begun.as_ref().and_then(|_| steps(root, stage));
         let of_steps = begun.as_ref().and_then(|begun| {
             let named = ["/resolved/common/fit/steps", "/steps"].iter().find_map(|key| begun.config.pointer(key));
-            named?.as_u64().filter(|_| stage.facts().trains)
+            named?.as_u64().filter(|_| stage.kind().trains)
         });
         stages.push(StageProgress { stage, state, steps, of_steps });
     }
@@ -81,8 +81,8 @@ pub fn status(root: &Path) -> Result<Status> {
 /// The last step in the statistics of a training at work.
 fn steps(root: &Path, stage: StageId) -> Option<u64> {
     let layout = Layout::below(root);
-    let (_, place) = stage.output(&layout).filter(|_| stage.facts().trains)?;
-    let folder = root.join(format!("{stage}.partial")).join(place.file_name()?);
+    let (_, place) = stage.output(&layout).filter(|_| stage.kind().trains)?;
+    let folder = work_path(root, stage.kind()).join(place.file_name()?);
     let text = fs_err::read_to_string(folder.join("statistics.jsonl")).ok()?;
     let last: FitStatistics = serde_json::from_str(text.lines().last()?).ok()?;
     Some(last.step)

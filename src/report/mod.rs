@@ -3,6 +3,9 @@
 //! [`ReportModel`] is its content as plain data; [`render`] turns it into the page and [`figures`] into files for
 //! papers. [`Comparison`] compares two runs. Equal models give equal bytes. The page needs no network and is readable
 //! without scripts; with scripts, scenes play and can be filtered.
+//!
+//! A page of thousands of scenes has still drawings of the first few, and a few kilobytes of packed states for each,
+//! from which `html/player.js` draws the scenes that scroll into view.
 
 mod card;
 mod cautions;

@@ -1,4 +1,7 @@
 //! The nouns of traffic: scenes, tracks, lanes, observation masks, generated scenarios. No files, no tensors.
+//!
+//! A scene holds all lanes that its agents can reach from their observed states, so that no check and no export lacks
+//! the road under a vehicle. [`Dataset::facts`] is the table of differences between datasets other than their formats.
 
 mod agent;
 mod agent_ref;

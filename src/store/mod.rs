@@ -3,6 +3,10 @@
 //! Recorded scenes are Arrow files that are mapped into memory ([`SceneStore`]); everything else is Parquet. Every
 //! column has a unit, a frame and a description ([`TableSchema`], published in `schemas/`). Equal content gives equal
 //! bytes. A file under its final name is complete; the manifest of a folder is written last.
+//!
+//! A corpus is Hive-partitioned: values in folder names are not columns of the files, and `corpus_scan` adds them back.
+//! `corpus_sink` bounds memory over all partitions and makes the bytes independent of the order in which rows arrive. A
+//! batch of scenes is decoded when one of its scenes is read, and few stay decoded.
 
 mod atomic;
 mod binary;

@@ -1,6 +1,6 @@
 //! What does a signal leave, and what is said of it?
 
-use crate::support::{Workspace, assert_same, djinn, files};
+use crate::support::{Workspace, assert_same, djinn, files, wait_for_part};
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -83,12 +83,14 @@ fn what_was_stopped_in_training_and_in_generation_goes_on_to_the_same_bytes() {
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let folder = workspace.run_folder("stopped");
     let training = folder.join("train_denoiser.partial/denoiser");
-    for (signal, sign, kept) in [
-        ("TERM", training.join("statistics.jsonl"), Some(training.join("state.safetensors"))),
-        ("USR1", folder.join("generate.partial/samples/samples-00001.json"), None),
-    ] {
+    let sign = training.join("statistics.jsonl");
+    let begun: [(_, &dyn Fn(), _); 2] = [
+        ("TERM", &|| wait_until("statistics appear", || sign.exists()), Some(training.join("state.safetensors"))),
+        ("USR1", &|| wait_for_part(&folder, "generate", "samples-00001.json"), None),
+    ];
+    for (signal, wait, kept) in begun {
         let child = start("--default-signal", &args);
-        wait_until(&format!("{} appears", sign.display()), || sign.exists());
+        wait();
         let (told, is_kept) = (Instant::now(), kept.as_ref().is_none_or(|kept| !kept.exists()));
         send(&child, signal);
         let (code, said) = ended(child);

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// What a finished program said.
 #[derive(Debug)]
@@ -41,6 +42,18 @@ pub(crate) fn djinn(args: &[&str]) -> Outcome {
 /// Starts the program without waiting for it.
 pub(crate) fn start(args: &[&str]) -> Child {
     command(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
+/// Waits for a shard, or another file beside the shards, of a stage that processes are at work on in the run folder `root`.
+pub(crate) fn wait_for_part(root: &Path, stage: &str, file: &str) {
+    let plans = root.join(format!("{stage}.parts"));
+    let is_there =
+        || fs_err::read_dir(&plans).is_ok_and(|mut plans| plans.any(|plan| plan.unwrap().path().join(file).exists()));
+    let began = Instant::now();
+    while !is_there() {
+        assert!(began.elapsed() < Duration::from_secs(120), "{file} does not appear");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// A whole pipeline that takes seconds; its models learn next to nothing.

@@ -12,9 +12,10 @@ use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, Scenes
 pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand, TrainFurtherArgs};
 use super::help;
 use crate::cloud::ObjectUrl;
+use crate::engine::DeviceChoice;
+use crate::engine::shards::{Part, Worker};
 use crate::nn::Precision;
-use crate::pipeline::parts::{Part, Worker};
-use crate::pipeline::{DeviceChoice, StageId};
+use crate::pipeline::StageId;
 use clap::builder::{PathBufValueParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;

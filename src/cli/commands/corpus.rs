@@ -8,7 +8,7 @@ use crate::corpus::{
     Condition, CopyOutcome, DiffReport, Finding, SampleOptions, Severity, ValidationReport, diff, filter, merge,
     sample, validate,
 };
-use crate::pipeline::{Failure, Result};
+use crate::engine::{Failure, Result};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -3,7 +3,7 @@
 use crate::cli::args::InspectArgs;
 use crate::cli::printer::Printer;
 use crate::cloud::{Access, Place};
-use crate::pipeline::Result;
+use crate::engine::Result;
 use crate::pipeline::inspect::inspect as describe;
 
 pub(in crate::cli) fn inspect(args: &InspectArgs, printer: &Printer) -> Result<()> {

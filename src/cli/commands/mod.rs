@@ -24,13 +24,14 @@ use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
 use crate::cli::signals;
 use crate::cloud::Place;
+use crate::engine::plan::PlannedStage;
+use crate::engine::{Blame, Failure, Kept, Result};
 use crate::files::in_their_names;
+use crate::pipeline::StageId;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
-use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::memory::{check_memory, estimate_memory, machine_memory};
-use crate::pipeline::{Blame, Failure, Kept, Result, StageId};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -78,17 +79,17 @@ fn print_dry_run(
     text.push_str("\n# Plan:\n");
     for PlannedStage { expected, action, kept, .. } in planned {
         // Writing to a string cannot fail.
-        let _ = writeln!(text, "#   {:<18}{action}", expected.stage.name());
+        let _ = writeln!(text, "#   {:<18}{action}", expected.stage);
         for Kept { name, as_name } in kept {
             let _ = writeln!(text, "#   {:<18}the current {name} is moved to {as_name}", "");
         }
     }
-    let stages: Vec<StageId> = planned.iter().map(|planned| planned.expected.stage).collect();
+    let stages: Vec<StageId> = planned.iter().filter_map(|planned| StageId::of(planned.stage.kind())).collect();
     for memory in estimate_memory(config, layout, &stages)? {
         let _ = writeln!(text, "#   {:<18}{}", memory.stage.name(), memory.describe());
     }
     // Costs are those of the whole section, whatever of it is done already.
-    if planned.iter().any(|planned| planned.expected.stage == StageId::Generate) {
+    if planned.iter().any(|planned| planned.stage.kind() == StageId::Generate.kind()) {
         for line in estimate(config, layout)? {
             let _ = writeln!(text, "#   {line}");
         }

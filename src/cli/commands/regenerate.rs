@@ -4,10 +4,10 @@ use super::{begins_anew, use_threads};
 use crate::cli::args::{OutputArgs, RegenerateArgs};
 use crate::cli::printer::Printer;
 use crate::cloud::{Access, Place};
+use crate::engine::{ComputeChoice, Failure, Result};
 use crate::files::check_overlap;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::regenerate::{Regenerated, regenerate as generate_again};
-use crate::pipeline::{ComputeChoice, Failure, Result};
 use crate::store::write_samples;
 use std::path::Path;
 

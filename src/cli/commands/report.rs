@@ -3,7 +3,7 @@
 use crate::cli::args::{Command, OutputArgs, ReportArgs};
 use crate::cli::printer::Printer;
 use crate::cloud::{Access, Place};
-use crate::pipeline::Result;
+use crate::engine::Result;
 use crate::pipeline::compare::write_comparison;
 use std::path::Path;
 

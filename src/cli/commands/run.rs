@@ -5,12 +5,14 @@ use crate::cli::args::{OutputArgs, RunArgs, RunPlace};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
+use crate::engine::plan;
+use crate::engine::plan::PlannedStage;
+use crate::engine::run_folder::{RunFolder, run_stages};
+use crate::engine::shards::{self, Makers, Part};
+use crate::engine::{Failure, Result};
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::parts::{self, InParts, Part, TakenOver};
-use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{ComputeChoice, Failure, Result, StageId, graph, stages};
+use crate::pipeline::{KINDS, StageId, kinds, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -36,8 +38,8 @@ fn run_in(
 ) -> Result<()> {
     let layout = Layout::below(root);
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
-        let planned = graph::plan(root, stages::of_pipeline(config, &layout)?, &args.redo)?;
-        let planned = if args.stage.is_empty() { planned } else { graph::select(planned, &args.stage)? };
+        let planned = plan::plan(root, &KINDS, stages::of_pipeline(config, &layout)?, &kinds(&args.redo))?;
+        let planned = if args.stage.is_empty() { planned } else { plan::select(planned, &kinds(&args.stage))? };
         refuse_too_large(config, &layout, &planned)?;
         Ok(planned)
     };
@@ -47,80 +49,32 @@ fn run_in(
     resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
     let compute = config.run.compute();
-    let in_parts = args.part.map(|part| stage_in_parts(args, part, config, &layout)).transpose()?;
-    if let (Some((_, stage)), Some(worker)) = (&in_parts, args.worker) {
-        return stage.work(root, worker, compute, &progress);
+    let in_parts = args.part.map(|part| check_part(args, part)).transpose()?;
+    if let (Some(id), Some(worker)) = (in_parts, args.worker) {
+        return shards::work(stages::alone(id, config, &layout)?.as_ref(), root, worker, compute, &progress);
     }
-    let folder = RunFolder::open(root)?;
-    let mut planned = plan()?;
-    let mut finished = Vec::new();
-    match &in_parts {
-        Some((id, stage)) => {
-            // It is selected, and planning has found it.
-            let Some(planned) = planned.iter_mut().find(|planned| planned.stage.id() == *id) else { return Ok(()) };
-            if args.part == Some(Part::Plan) {
-                return stage.plan(&folder, planned, compute, args.redo.contains(id), &progress);
-            }
-            stage.seal(&folder, planned, compute)?;
-            finished.push(*id);
-        }
-        None => {
-            for planned in &mut planned {
-                let Some(stage) = parts::in_parts(planned.stage.id(), config, &layout) else { continue };
-                finished.extend(take_over(args, stage.as_ref(), &folder, planned, compute, printer)?);
-            }
-        }
+    let folder = RunFolder::open(root, &KINDS)?;
+    let planned = plan()?;
+    if args.part == Some(Part::Plan) {
+        // It is selected, and planning has found it.
+        let selected = planned.iter().find(|planned| Some(planned.stage.kind()) == in_parts.map(StageId::kind));
+        return selected.map_or(Ok(()), |planned| shards::plan(&folder, planned, compute, &progress));
     }
+    let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
-    let records = run_stages(&folder, Some(config), compute, planned, &progress)?;
-    finished.into_iter().try_for_each(|stage| parts::sealed(root, stage))?;
+    let records = run_stages(&folder, Some(&config.about()?), (compute, makers), planned, &progress)?;
     printer.message(format_args!("results are in {}", root.display()));
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
 }
 
-/// Takes over what workers made of a stage that one process now runs, and says so. Returns the stage if nothing of the workers' is to be
-/// left once it is done.
-fn take_over(
-    args: &RunArgs,
-    stage: &dyn InParts,
-    folder: &RunFolder,
-    planned: &mut PlannedStage<'_>,
-    compute: ComputeChoice,
-    printer: &Printer,
-) -> Result<Option<StageId>> {
-    let id = planned.stage.id();
-    if args.redo.contains(&id) {
-        return Ok(Some(id));
-    }
-    match stage.take_over(folder, planned, compute)? {
-        TakenOver::Nothing => return Ok(None),
-        TakenOver::Shards(n, of) => {
-            printer.message(format_args!("{id}: took over {n} of {of} shards from workers"));
-        }
-        TakenOver::Refused(difference) => {
-            printer.message(printer.warning_line(&format!(
-                "{id}: the shards of workers in {id}.parts belong to another plan and are not used: {difference}; discard them with \
-                 --stage {id} --part plan --redo {id}"
-            )));
-            return Ok(None);
-        }
-    }
-    Ok(Some(id))
-}
-
 /// The stage that is run in parts, if the arguments ask for that as they must.
-fn stage_in_parts<'a>(
-    args: &RunArgs,
-    part: Part,
-    config: &'a PipelineConfig,
-    layout: &'a Layout,
-) -> Result<(StageId, Box<dyn InParts + 'a>)> {
-    let with_parts = StageId::ALL.into_iter().filter(|stage| stage.facts().parts.is_some());
+fn check_part(args: &RunArgs, part: Part) -> Result<StageId> {
     let &[stage] = args.stage.as_slice() else {
         return Err(Failure::input_message(format_args!("--part {part} goes with one --stage, not with several")));
     };
-    if stage.facts().parts.is_none() {
+    if stage.kind().shards.is_none() {
+        let with_parts = StageId::ALL.into_iter().filter(|stage| stage.kind().shards.is_some());
         let names: Vec<&str> = with_parts.map(StageId::name).collect();
         return Err(Failure::input_message(format_args!(
             "--part {part} needs --stage {}, which have parts; {stage} has none",
@@ -133,9 +87,7 @@ fn stage_in_parts<'a>(
     if part != Part::Plan && !args.redo.is_empty() {
         return Err(Failure::input_message(format_args!("--redo goes with --part plan, not with --part {part}")));
     }
-    let in_parts = parts::in_parts(stage, config, layout);
-    let no_section = || Failure::input_message(format_args!("the pipeline has no section [{}]", stage.facts().section));
-    Ok((stage, in_parts.ok_or_else(no_section)?))
+    Ok(stage)
 }
 
 /// The configuration and the run folder.

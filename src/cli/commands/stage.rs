@@ -5,11 +5,14 @@ use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand,
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
+use crate::engine::plan;
+use crate::engine::plan::PlannedStage;
+use crate::engine::run_folder::{RunFolder, run_stages};
+use crate::engine::shards::Makers;
+use crate::engine::{Failure, Result};
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::graph::PlannedStage;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::run::{RunFolder, run_stages};
-use crate::pipeline::{Failure, Result, StageId, graph, stages};
+use crate::pipeline::{KINDS, StageId, stages};
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
@@ -37,9 +40,9 @@ fn run_in(
     output: &OutputArgs,
     printer: &Printer,
 ) -> Result<()> {
-    let redo = if args.redo { vec![id] } else { Vec::new() };
+    let redo = if args.redo { vec![id.kind()] } else { Vec::new() };
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
-        let planned = graph::plan(root, vec![stages::alone(id, config, layout)?], &redo)?;
+        let planned = plan::plan(root, &KINDS, vec![stages::alone(id, config, layout)?], &redo)?;
         refuse_too_large(config, layout, &planned)?;
         Ok(planned)
     };
@@ -48,10 +51,10 @@ fn run_in(
     }
     resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
-    let folder = RunFolder::open(root)?;
+    let folder = RunFolder::open(root, &KINDS)?;
     let planned = plan()?;
     announce(&planned, output, printer);
-    let records = run_stages(&folder, None, config.run.compute(), planned, &progress)?;
+    let records = run_stages(&folder, None, (config.run.compute(), Makers::Alone), planned, &progress)?;
     stages::check_gates(&records)
 }
 

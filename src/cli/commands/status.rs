@@ -3,7 +3,7 @@
 use crate::cli::args::StatusArgs;
 use crate::cli::printer::Printer;
 use crate::cloud::{Access, Place};
-use crate::pipeline::Result;
+use crate::engine::Result;
 use crate::pipeline::status::status as describe;
 
 pub(in crate::cli) fn status(args: &StatusArgs, printer: &Printer) -> Result<()> {

@@ -4,9 +4,10 @@ use super::run::load;
 use crate::cli::args::SubmitArgs;
 use crate::cli::printer::Printer;
 use crate::cloud::ObjectUrl;
+use crate::engine::{Failure, Result};
 use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, kubernetes, slurm};
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Failure, Result, stages};
+use crate::pipeline::stages;
 
 pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()> {
     let mut overrides = args.set.clone();

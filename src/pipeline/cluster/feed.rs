@@ -1,6 +1,6 @@
 //! How does the command of an engine get its input?
 
-use crate::pipeline::{Classify, Failure, Result};
+use crate::engine::{Classify, Failure, Result};
 use std::io::Write;
 use std::process::{Command, Output, Stdio};
 

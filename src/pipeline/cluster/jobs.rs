@@ -1,9 +1,10 @@
 //! Which jobs does a pipeline need, and which of them waits for which?
 
 use super::{ClusterConfig, Engine};
+use crate::engine::{Failure, Result};
 use crate::generate::RequestConfig;
+use crate::pipeline::StageId;
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::{Failure, Result, StageId};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -98,8 +99,7 @@ impl JobGraph {
             return Err(Failure::input_message(message).with_hint("submit from, and to, folders with other names"));
         }
         let command = Command::new(submission, cluster)?;
-        let stages: Vec<StageId> =
-            StageId::ALL.into_iter().filter(|stage| (stage.facts().is_configured)(config)).collect();
+        let stages: Vec<StageId> = StageId::ALL.into_iter().filter(|stage| stage.is_configured(config)).collect();
         let mut jobs = Jobs { command, n_workers: cluster.workers, jobs: Vec::new() };
         let mut alone: Vec<StageId> = Vec::new();
         for stage in stages {
@@ -195,7 +195,7 @@ impl Jobs {
     ) {
         let selection = stages.iter().flat_map(|stage| ["--stage", stage.name()]);
         let args: Vec<&str> = selection.chain(args.iter().copied()).collect();
-        let computes = stages.is_empty() || stages.iter().any(|stage| stage.computes());
+        let computes = stages.is_empty() || stages.iter().any(|stage| stage.kind().computes);
         self.jobs.push(Job { name, command: self.command.with(&args), workers, computes, after });
     }
 }

@@ -7,7 +7,7 @@
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
 use super::{ClusterConfig, Job, JobGraph};
-use crate::pipeline::{Failure, Result};
+use crate::engine::{Failure, Result};
 use serde_json::{Value, json};
 use std::path::Path;
 

@@ -7,7 +7,7 @@
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
 use super::{ClusterConfig, Completion, Job, JobGraph};
-use crate::pipeline::{Classify, Failure, Result};
+use crate::engine::{Classify, Failure, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;

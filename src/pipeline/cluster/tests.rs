@@ -1,7 +1,7 @@
 //! Which jobs wait for which, what do the scripts say, and what do they do?
 
 use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
-use crate::pipeline::Blame;
+use crate::engine::Blame;
 use crate::pipeline::config::{PipelineConfig, parse};
 use std::path::Path;
 use std::process::Command;

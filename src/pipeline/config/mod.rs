@@ -11,6 +11,9 @@ mod urls;
 pub use load::{ConfigError, ConfigPlace, parse};
 pub use overrides::Override;
 
+use crate::engine::run_folder::RunAbout;
+use crate::engine::{ComputeChoice, DeviceChoice};
+use crate::engine::{Failure, Result};
 use crate::evaluate::EvaluateConfig;
 use crate::files::regular;
 use crate::generate::GenerateConfig;
@@ -18,8 +21,6 @@ use crate::ingest::IngestConfig;
 use crate::nn::Precision;
 use crate::pipeline::StageId;
 use crate::pipeline::cluster::ClusterConfig;
-use crate::pipeline::device::{ComputeChoice, DeviceChoice};
-use crate::pipeline::failure::{Failure, Result};
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
 use crate::settings;
@@ -139,6 +140,19 @@ impl PipelineConfig {
         settings::printable("run.name", &self.run.name)?;
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
+    }
+
+    /// What a run of it says of itself.
+    ///
+    /// # Errors
+    /// When it cannot be written as TOML.
+    pub fn about(&self) -> anyhow::Result<RunAbout> {
+        Ok(RunAbout {
+            pipeline: self.run.name.clone(),
+            seed: self.run.seed,
+            device: self.run.compute().to_string(),
+            config: self.portable().to_toml()?,
+        })
     }
 
     /// The configuration with the section of `stage`: its defaults where it is missing and has some.

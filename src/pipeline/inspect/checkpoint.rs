@@ -1,9 +1,9 @@
 //! Checkpoints: what network, trained how, with which constants?
 
 use super::Description;
+use crate::engine::Result;
 use crate::model::ChangedLoss;
 use crate::nn::read_checkpoint;
-use crate::pipeline::Result;
 use crate::train::map_warnings;
 use candle_core::Device;
 use serde_json::{Map, Value, json};

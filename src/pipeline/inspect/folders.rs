@@ -1,11 +1,12 @@
 //! Folders: runs, scene stores, samples, corpora, models.
 
 use super::{Description, checkpoint, requests};
+use crate::engine::plan::begun;
+use crate::engine::run_folder::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
+use crate::engine::{Result, StageKind, StageRecord};
+use crate::pipeline::KINDS;
 use crate::pipeline::layout::SAMPLES;
-use crate::pipeline::run::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
 use crate::pipeline::stages::SampleManifest;
-use crate::pipeline::work::Work;
-use crate::pipeline::{Result, StageId, StageRecord};
 use crate::store::{CorpusManifest, SceneManifest, SceneStore, TableEntry, read_json};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -13,10 +14,10 @@ use std::path::Path;
 
 /// A run folder, or a folder that stages wrote into one by one.
 pub(super) fn run(path: &Path) -> Result<Option<Description>> {
-    let found = |read: fn(&Path, StageId) -> Result<Option<StageRecord>>| {
-        StageId::ALL.into_iter().filter_map(|id| read(path, id).transpose()).collect::<Result<Vec<StageRecord>>>()
+    let found = |read: &dyn Fn(&'static StageKind) -> Result<Option<StageRecord>>| {
+        KINDS.iter().filter_map(|kind| read(kind).transpose()).collect::<Result<Vec<StageRecord>>>()
     };
-    let (records, started) = (found(StageRecord::done)?, found(Work::started)?);
+    let (records, started) = (found(&|kind| StageRecord::done(path, kind))?, found(&|kind| begun(path, kind))?);
     let manifest: Option<RunManifest> = read_json(&path.join(RUN_FILE)).ok();
     if !path.is_dir() || (records.is_empty() && started.is_empty() && manifest.is_none()) {
         return Ok(None);
@@ -34,7 +35,7 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     let mut stages = Map::new();
     for record in records {
         let seconds: f64 =
-            timings.stages.get(record.stage.name()).into_iter().flatten().filter_map(|timing| timing.seconds).sum();
+            timings.stages.get(&record.stage).into_iter().flatten().filter_map(|timing| timing.seconds).sum();
         let n_bytes: u64 = record.outputs.values().map(|output| output.n_bytes).sum();
         let outputs: Vec<&String> = record.outputs.keys().collect();
         let state = json!({

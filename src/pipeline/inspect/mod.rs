@@ -8,7 +8,7 @@ mod folders;
 mod requests;
 mod tables;
 
-use super::failure::{Failure, Result};
+use crate::engine::{Failure, Result};
 use crate::files::regular;
 use serde_json::{Map, Value};
 use std::path::Path;
@@ -165,7 +165,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         fs_err::write(folder.path().join("x.txt"), "hello").unwrap();
         for path in [folder.path().to_owned(), folder.path().join("x.txt"), folder.path().join("missing")] {
-            assert_eq!(inspect(&path).unwrap_err().blame, crate::pipeline::Blame::Input);
+            assert_eq!(inspect(&path).unwrap_err().blame, crate::engine::Blame::Input);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Requests: what was requested, what was delivered, and at what cost?
 
+use crate::engine::Result;
 use crate::generate::{ArmSummary, BucketSummary, RequestSummary};
-use crate::pipeline::Result;
 use crate::pipeline::stages::read_requests;
 use serde_json::{Map, Value, json};
 use std::path::Path;

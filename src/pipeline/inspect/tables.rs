@@ -2,8 +2,8 @@
 
 use super::{Description, inspect};
 use crate::behavior::EventLabel;
+use crate::engine::Result;
 use crate::metrics::MetricRow;
-use crate::pipeline::Result;
 use crate::store::{
     CorpusManifest, Error, ParameterSummary, QUANTILES, read_events, read_json, read_metrics, read_verdicts,
     summarize_events,

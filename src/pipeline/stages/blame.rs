@@ -1,6 +1,6 @@
 //! Whose failure is an error of each layer? Here, once, for all stages.
 
-use crate::pipeline::{Blame, Failure};
+use crate::engine::{Blame, Failure};
 use crate::{cloud, corpus, evaluate, export, files, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 

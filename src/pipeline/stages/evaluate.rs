@@ -1,23 +1,25 @@
-//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`]. Shards that workers have measured
-//! are not measured again.
+//! Generated scenarios to metrics and the corpus: the files around [`Evaluation`].
 
+use super::generate::SampleManifest;
 use super::mine::MineConfig;
-use super::sample_folder::SampleManifest;
 use crate::behavior::Behavior;
+use crate::engine::shards::{Division, Gathering, Sharded, Shards};
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::evaluate::{
-    Distinguished, EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer,
-    Shard, ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs,
+    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
+    ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs,
 };
-use crate::files::remove_if_present;
 use crate::generate::GenerateConfig;
+use crate::nn::Compute;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
+use crate::progress::Progress;
 use crate::store::{
     CorpusNotes, CorpusWriter, SceneStore, read_binary, write_binary_atomically, write_json_atomically, write_metrics,
 };
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
 /// The stage.
 pub struct Evaluate<'a> {
@@ -36,8 +38,8 @@ pub struct Evaluate<'a> {
 }
 
 impl Stage for Evaluate<'_> {
-    fn id(&self) -> StageId {
-        StageId::Evaluate
+    fn kind(&self) -> &'static StageKind {
+        StageId::Evaluate.kind()
     }
 
     fn version(&self) -> u32 {
@@ -81,22 +83,60 @@ impl Stage for Evaluate<'_> {
         }
     }
 
-    fn run(&self, context: &StageContext<'_>) -> Result<Value> {
-        self.check()?;
-        let path = |name: &str| context.root.join(name);
+    fn work(&self) -> Work<'_> {
+        Work::Sharded(self)
+    }
+}
+
+/// What workers share instead of finding it one by one.
+#[derive(Serialize, Deserialize)]
+struct EvaluationPlan {
+    /// How well the maps of places fit their recordings.
+    maps: Vec<MapFitRow>,
+}
+
+impl Sharded for Evaluate<'_> {
+    fn plan(&self, _compute: &Compute, _progress: &dyn Progress) -> Result<Division> {
         let ready = self.ready(None)?;
+        Division::new(ready.samples.shards.len(), &EvaluationPlan { maps: ready.maps })
+    }
+
+    /// Measures the shards of samples.
+    fn make(&self, shards: &Shards<'_>, _compute: &Compute) -> Result<()> {
+        let ready = self.ready(Some(shards.decisions()?))?;
+        let mut measurer = self.measurer(&ready)?;
+        shards.progress.start("evaluate", ready.samples.n_scenarios, "scenarios");
+        let n_scenarios = |idx: usize| ready.samples.shards[idx].n_scenarios;
+        shards.go_about(0..ready.samples.shards.len(), &n_scenarios, &|_| true, &mut |idx| {
+            let figures = measurer.measure(&self.read(&ready, idx)?)?;
+            shards.progress.advance(n_scenarios(idx));
+            Ok((write_binary_atomically(&shards.file(idx), FIGURES_FORMAT, &figures)?, ()))
+        })?;
+        shards.progress.finish();
+        Ok(())
+    }
+
+    /// Tells the tracks of all shards from recorded ones, decides about every scenario, and writes the corpus.
+    fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value> {
+        let ready = self.ready(Some(shards.decisions()?))?;
         let EvaluationReady { store, samples, behaviors, maps, config } = &ready;
+        for idx in 0..samples.shards.len() {
+            shards.look_up::<()>(idx)?;
+        }
+        shards.check_whole()?;
         maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
-        let distinguished = self.measure_all(&ready, context)?;
+        let figures = |idx: usize| read_binary::<ShardFigures>(&shards.file(idx), FIGURES_FORMAT);
+        let mut tracks = TrackPool::default();
+        (0..samples.shards.len()).try_for_each(|idx| figures(idx).map(|figures| figures.pool_tracks(&mut tracks)))?;
+        let path = |name: &str| context.root.join(name);
         let (predictions, verdicts) = (path(PREDICTIONS), path(VERDICTS));
         let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: context.root };
-        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), distinguished, &files)?;
+        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), tracks.tell_apart(), &files)?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");
         for idx in 0..samples.shards.len() {
-            let figures = read_binary(&figures_path(context.root, idx), FIGURES_FORMAT)?;
-            let kept = evaluation.add(MeasuredShard::new(self.read(&ready, idx)?, figures, config, store)?)?;
+            let kept = evaluation.add(MeasuredShard::new(self.read(&ready, idx)?, figures(idx)?, config, store)?)?;
             kept.recordings.iter().try_for_each(|recorded| corpus.write_recording(recorded))?;
             corpus.write_scenarios(&kept.records)?;
             context.progress.advance(samples.shards[idx].n_scenarios);
@@ -109,7 +149,6 @@ impl Stage for Evaluate<'_> {
         let summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
         corpus.finish(&self.notes(&summary))?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
-        (0..samples.shards.len()).try_for_each(|idx| remove_if_present(&figures_path(context.root, idx)))?;
         Ok(json!({
             "n_scenarios": summary.n_scenarios,
             "n_verified": summary.n_verified,
@@ -124,31 +163,26 @@ impl Stage for Evaluate<'_> {
 }
 
 /// The format of the files with figures of shards.
-pub(in crate::pipeline) const FIGURES_FORMAT: &str = "figures.v2";
-
-/// The file in the work folder `work` in which the stage looks for figures of shard `idx` from workers.
-pub(in crate::pipeline) fn figures_path(work: &Path, idx: usize) -> PathBuf {
-    work.join("figures").join(format!("figures-{idx:05}.bin"))
-}
+const FIGURES_FORMAT: &str = "figures.v2";
 
 /// Everything that measuring and merging shards needs, read and checked.
-pub(in crate::pipeline) struct EvaluationReady {
+struct EvaluationReady {
     store: SceneStore,
     /// The shards.
-    pub(in crate::pipeline) samples: SampleManifest,
+    samples: SampleManifest,
     behaviors: Vec<Box<dyn Behavior>>,
     /// How well the maps of places fit their recordings.
-    pub(in crate::pipeline) maps: Vec<MapFitRow>,
+    maps: Vec<MapFitRow>,
     /// The section, with the places whose maps allow no check of departures.
     config: EvaluateConfig,
 }
 
 impl Evaluate<'_> {
     /// Reads and checks everything that measuring needs. Determines how well maps fit, unless that is known already.
-    pub(in crate::pipeline) fn ready(&self, maps: Option<Vec<MapFitRow>>) -> Result<EvaluationReady> {
+    fn ready(&self, plan: Option<EvaluationPlan>) -> Result<EvaluationReady> {
         self.check()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let maps = maps.map_or_else(|| map_fits(&store, &self.config.validity), Ok)?;
+        let maps = plan.map_or_else(|| map_fits(&store, &self.config.validity), |plan| Ok(plan.maps))?;
         Ok(EvaluationReady {
             samples: SampleManifest::read(&self.layout.samples)?,
             behaviors: self.mine.build()?,
@@ -158,42 +192,14 @@ impl Evaluate<'_> {
         })
     }
 
-    /// Measures every shard of which there are no figures, from workers or from before an interruption, and keeps the figures
-    /// in files. Tells the tracks of all shards from recorded ones.
-    fn measure_all(&self, ready: &EvaluationReady, context: &StageContext<'_>) -> Result<Distinguished> {
-        let (mut measurer, mut tracks) = (None, TrackPool::default());
-        context.progress.start("evaluate", ready.samples.n_scenarios, "scenarios");
-        for idx in 0..ready.samples.shards.len() {
-            let file = figures_path(context.root, idx);
-            // A damaged file counts as missing.
-            let figures: ShardFigures = match read_binary(&file, FIGURES_FORMAT) {
-                Ok(figures) => figures,
-                Err(_) => {
-                    let measurer = match &mut measurer {
-                        Some(measurer) => measurer,
-                        none => none.insert(self.measurer(ready)?),
-                    };
-                    let figures = measurer.measure(&self.read(ready, idx)?)?;
-                    fs_err::create_dir_all(file.parent().unwrap_or(context.root))?;
-                    write_binary_atomically(&file, FIGURES_FORMAT, &figures)?;
-                    figures
-                }
-            };
-            figures.pool_tracks(&mut tracks);
-            context.progress.advance(ready.samples.shards[idx].n_scenarios);
-        }
-        context.progress.finish();
-        Ok(tracks.tell_apart())
-    }
-
     /// What measures shards.
-    pub(in crate::pipeline) fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
+    fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
         let events = self.has_events.then_some(self.layout.events.as_path());
         Ok(Measurer::new(&ready.config, &ready.behaviors, &ready.store, events)?)
     }
 
     /// Reads shard `idx` of the samples.
-    pub(in crate::pipeline) fn read<'r>(&self, ready: &'r EvaluationReady, idx: usize) -> Result<Shard<'r>> {
+    fn read<'r>(&self, ready: &'r EvaluationReady, idx: usize) -> Result<Shard<'r>> {
         let shard = &ready.samples.shards[idx];
         let records = SampleManifest::read_shard(&self.layout.samples, shard, &ready.store)?;
         Ok(Shard { sweep: &shard.sweep, n_evaluations: shard.n_evaluations, records })

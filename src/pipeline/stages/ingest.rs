@@ -1,9 +1,10 @@
 //! Recordings to a scene store, resuming after the last whole shard.
 
 use crate::cloud::Recordings;
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
+use crate::pipeline::StageId;
 use crate::pipeline::layout::SCENES;
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::store::{SceneWriter, SceneWriterOptions};
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -15,8 +16,8 @@ pub struct Ingest<'a> {
 }
 
 impl Stage for Ingest<'_> {
-    fn id(&self) -> StageId {
-        StageId::Ingest
+    fn kind(&self) -> &'static StageKind {
+        StageId::Ingest.kind()
     }
 
     fn version(&self) -> u32 {
@@ -39,6 +40,12 @@ impl Stage for Ingest<'_> {
         recordings.chain(self.config.map_inputs.iter().enumerate().map(named("map_inputs"))).collect()
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Ingest<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(SCENES);
         let (mut writer, finished) = SceneWriter::resume(&dir, SceneWriterOptions::default())?;

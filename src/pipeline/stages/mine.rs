@@ -1,9 +1,10 @@
 //! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
 
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEntry, BehaviorEvent};
+use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::evaluate::MiningTally;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
-use crate::pipeline::{Failure, Result, Stage, StageContext, StageId, StageInput};
 use crate::progress::Progress;
 use crate::scene::Split;
 use crate::settings::Issue;
@@ -59,8 +60,8 @@ pub struct Mine<'a> {
 }
 
 impl Stage for Mine<'_> {
-    fn id(&self) -> StageId {
-        StageId::Mine
+    fn kind(&self) -> &'static StageKind {
+        StageId::Mine.kind()
     }
 
     fn version(&self) -> u32 {
@@ -79,6 +80,12 @@ impl Stage for Mine<'_> {
         vec![StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes)]
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Mine<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let behaviors = self.config.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;

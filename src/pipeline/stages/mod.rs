@@ -7,8 +7,6 @@ mod ingest;
 mod mine;
 mod models;
 mod report;
-mod request_rounds;
-mod sample_folder;
 mod train;
 mod train_baseline;
 mod train_classifier;
@@ -18,25 +16,22 @@ mod training_scenes;
 
 pub(in crate::pipeline) use blame::of_named_path;
 pub use evaluate::Evaluate;
-pub(in crate::pipeline) use evaluate::{FIGURES_FORMAT, figures_path};
-pub use generate::Generate;
-pub(in crate::pipeline) use generate::Ready;
+pub(in crate::pipeline) use generate::{FoundShard, find_shard, is_round_file, shard_name};
+pub use generate::{Generate, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub use ingest::Ingest;
 pub use mine::{Mine, MineConfig};
 pub(in crate::pipeline) use models::{LoadedModels, needed_models};
 pub use report::{About, Report};
-pub(in crate::pipeline) use request_rounds::{RoundShards, Rounds};
-pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, is_round_file, shard_name};
-pub use sample_folder::{SampleFolder, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub(in crate::pipeline) use train::checkpoint_file;
 pub use train::{Recipe, Train};
 
+use super::StageId;
 use super::config::PipelineConfig;
-use super::failure::{Failure, Result};
 use super::layout::Layout;
-use super::record::StageRecord;
-use super::stage::{Stage, StageId};
 use crate::behavior::BehaviorEntry;
+use crate::engine::Stage;
+use crate::engine::StageRecord;
+use crate::engine::{Failure, Result};
 use crate::evaluate::{EvaluateConfig, GateResult};
 use crate::ingest::IngestConfig;
 use crate::metrics::DUPLICATE_DISTANCE_M;
@@ -82,15 +77,15 @@ fn check_learned_events(config: &PipelineConfig) -> Result<()> {
 /// One stage, with its defaults if the configuration has no section for it.
 pub fn alone<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Result<Box<dyn Stage + 'a>> {
     build(id, config, layout).ok_or_else(|| {
-        Failure::input_message(format_args!("the configuration has no section [{}]", id.facts().section)).with_hint(
-            format!("pass a pipeline file with --config, or set values with --set {}.key=value", id.facts().section),
+        Failure::input_message(format_args!("the configuration has no section [{}]", id.kind().section)).with_hint(
+            format!("pass a pipeline file with --config, or set values with --set {}.key=value", id.kind().section),
         )
     })
 }
 
 /// Fails if a quality gate was not met, whether the metrics were computed now or earlier.
 pub fn check_gates(records: &[StageRecord]) -> Result<()> {
-    let Some(evaluated) = records.iter().find(|record| record.stage == StageId::Evaluate) else { return Ok(()) };
+    let Some(evaluated) = records.iter().find(|record| record.stage == StageId::Evaluate.name()) else { return Ok(()) };
     let gates: Vec<GateResult> =
         serde_json::from_value(evaluated.summary["gates"].clone()).map_err(anyhow::Error::from)?;
     let missed: Vec<String> =
@@ -184,7 +179,7 @@ fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
 
 /// The stages to report on: those of the pipeline or, if the configuration has no other section, those with outputs.
 fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
-    let is_configured = |id: &StageId| *id != StageId::Report && (id.facts().is_configured)(config);
+    let is_configured = |id: &StageId| *id != StageId::Report && id.is_configured(config);
     let is_there = |id: &StageId| id.output(layout).is_some_and(|(_, path)| path.exists());
     let in_pipeline: Vec<StageId> = StageId::ALL.into_iter().filter(is_configured).collect();
     if in_pipeline.is_empty() { StageId::ALL.into_iter().filter(is_there).collect() } else { in_pipeline }
@@ -193,21 +188,22 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::engine::StageKind;
     use crate::pipeline::config::parse;
 
     #[test]
     fn stages_that_compute_with_networks_depend_on_the_precision() {
         let text = "[mine]\n[train.denoiser]\n[train.distill]\n[train.classifier]\n[train.baseline]\n[generate]\n";
         let layout = Layout::below(std::path::Path::new("out"));
-        let sections = |precision: &str| -> Vec<(StageId, Value)> {
+        let sections = |precision: &str| -> Vec<(&StageKind, Value)> {
             let config =
                 parse(None, text, &["run.device=cuda".to_owned(), format!("run.precision={precision}")]).unwrap();
             let stages = of_pipeline(&config, &layout).unwrap();
-            stages.iter().map(|stage| (stage.id(), stage.config().unwrap())).collect()
+            stages.iter().map(|stage| (stage.kind(), stage.config().unwrap())).collect()
         };
         for ((id, exact), (_, rounded)) in sections("f32").into_iter().zip(sections("bf16")) {
             assert!(exact.get("precision").is_none(), "{id}: records of earlier versions hold");
-            assert_eq!(exact != rounded, id != StageId::Mine, "{id}");
+            assert_eq!(exact != rounded, id != StageId::Mine.kind(), "{id}");
         }
     }
 }

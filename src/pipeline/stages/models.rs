@@ -1,11 +1,12 @@
 //! The trained models that sweeps sample with: which do they need, and where are these?
 
 use super::train::checkpoint_file;
+use crate::engine::Result;
 use crate::generate::{Models, ResolvedSweep};
 use crate::model::{ModelSpec, TrainedClassifier, TrainedDenoiser, TrainedModel, TrainedSceneTransformer};
 use crate::nn::Compute;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Result, StageId};
 
 /// The stages whose models `sweeps` need, with the denoiser's first.
 pub(in crate::pipeline) fn needed_models(sweeps: &[ResolvedSweep]) -> Vec<StageId> {

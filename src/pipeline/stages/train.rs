@@ -2,10 +2,11 @@
 
 use super::training_scenes::{check_folders, events_beside};
 use super::with_precision;
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::model::{ModelSpec, TrainedModel};
 use crate::nn::{Checkpoint, Precision, read_checkpoint};
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::seed::Seed;
 use crate::store::write_atomically;
 use crate::train::{MODEL_FILE, SceneChoice, TrainJob};
@@ -79,8 +80,8 @@ pub struct Train<'a, R> {
 }
 
 impl<R: Recipe> Stage for Train<'_, R> {
-    fn id(&self) -> StageId {
-        R::STAGE
+    fn kind(&self) -> &'static StageKind {
+        R::STAGE.kind()
     }
 
     fn version(&self) -> u32 {
@@ -132,9 +133,15 @@ impl<R: Recipe> Stage for Train<'_, R> {
         made.chain(more).chain(start).collect()
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl<R: Recipe> Whole for Train<'_, R> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let StageContext { compute, progress, .. } = *context;
-        let dir = context.root.join(R::STAGE.facts().outputs[0]);
+        let dir = context.root.join(R::STAGE.kind().outputs[0]);
         let Some(path) = self.recipe.source().checkpoint else {
             let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
             return self.recipe.train(self.layout, job);

@@ -2,9 +2,10 @@
 
 use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, training_summary};
+use crate::engine::Result;
 use crate::model::SceneTransformerSpec;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Result, StageId};
 use crate::train::{BaselineTrainingConfig, TrainJob, train_baseline};
 use serde_json::{Value, json};
 

@@ -3,9 +3,10 @@
 use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::TrainingScenes;
 use crate::behavior::BehaviorEvent;
+use crate::engine::{Failure, Result, fingerprint_path};
 use crate::model::{ClassifierSpec, TrainedDenoiser};
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Failure, Result, StageId, fingerprint_path};
 use crate::store::{SceneStore, read_events};
 use crate::train::{ClassifierTrainingConfig, LabeledPair, MinedEvent, PairData, TrainJob, train_classifier};
 use serde_json::{Value, json};

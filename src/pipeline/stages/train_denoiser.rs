@@ -2,9 +2,10 @@
 
 use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, mined, training_summary};
+use crate::engine::Result;
 use crate::model::DenoiserSpec;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Result, StageId};
 use crate::train::{DenoiserTrainingConfig, TrainJob, train_denoiser};
 use serde_json::{Value, json};
 

@@ -2,10 +2,11 @@
 
 use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::{OpenedScenes, mined, training_summary};
+use crate::engine::Result;
 use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::{Result, StageId};
 use crate::train::{DistillSource, DistillTrainingConfig, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
 

@@ -1,9 +1,10 @@
 //! Which scenes of which stores does a model train on, and which are held out?
 
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::pipeline::fingerprint::fingerprint_value;
+use crate::engine::Failure;
+use crate::engine::Result as StageResult;
+use crate::engine::fingerprint_value;
 use crate::pipeline::layout::{EVENTS, SCENES};
-use crate::pipeline::{Failure, Result as StageResult};
 use crate::scene::{Scene, Split};
 use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore, read_events};
 use crate::train::{

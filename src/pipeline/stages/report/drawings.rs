@@ -1,9 +1,10 @@
 //! From the samples, metrics and verdicts of a run to the drawings of the report.
 
 use super::Report;
+use crate::engine::Result;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::VERDICTS;
 use crate::pipeline::stages::SampleManifest;
-use crate::pipeline::{Result, StageId};
 use crate::report::{Drawings, Gallery};
 use crate::store::{SceneStore, read_metrics, read_verdicts, stream_events};
 

@@ -2,14 +2,15 @@
 
 use super::Report;
 use super::drawings::drawings;
+use crate::engine::{Classify, Result};
 use crate::evaluate::{EvaluationSummary, MapFitRow};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Compute;
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
-use crate::pipeline::{Classify, Result, StageId};
 use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};

@@ -3,8 +3,9 @@
 mod drawings;
 mod gather;
 
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
+use crate::pipeline::StageId;
 use crate::pipeline::layout::{FIGURES, Layout, REPORT};
-use crate::pipeline::{Result, Stage, StageContext, StageId, StageInput};
 use crate::report::{ReportConfig, figures, render};
 use crate::store::write_atomically;
 use serde::Serialize;
@@ -37,8 +38,8 @@ pub struct About {
 }
 
 impl Stage for Report<'_> {
-    fn id(&self) -> StageId {
-        StageId::Report
+    fn kind(&self) -> &'static StageKind {
+        StageId::Report.kind()
     }
 
     fn version(&self) -> u32 {
@@ -61,6 +62,12 @@ impl Stage for Report<'_> {
         self.parts.iter().filter_map(input).collect()
     }
 
+    fn work(&self) -> Work<'_> {
+        Work::Whole(self)
+    }
+}
+
+impl Whole for Report<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         context.progress.start("report", 0, "parts");
         let model = gather::model(self)?;

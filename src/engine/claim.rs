@@ -1,0 +1,161 @@
+//! May a command write into this folder, and which of the files there are its own?
+
+use super::failure::{Failure, Result};
+use super::kind::StageKind;
+use super::log::LOG_FILE;
+use super::record::{StageRecord, done_path, unreadable};
+use super::run_folder::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
+use super::stage::{Stage, StageInput};
+use crate::cloud::ObjectUrl;
+use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
+use crate::store::{Error as StoreError, read_record};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or contains
+/// one.
+pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Result<()> {
+    for writer in stages {
+        for reader in stages {
+            // What a stage makes is there to be read by later ones.
+            let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.kind()));
+            for input in inputs {
+                for name in writer.outputs() {
+                    check_urls(&root.join(name), &input)?;
+                    check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
+                        |error| {
+                            let failure = Failure::from(error).context(format!("stage {} cannot run", writer.kind()));
+                            match writer.kind().trains {
+                                true => failure.with_hint(
+                                    "to continue from a model in this folder, copy it elsewhere and pass the copy",
+                                ),
+                                false => failure.with_hint("use separate folders for recordings and results"),
+                            }
+                        },
+                    )?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Refuses an output in a bucket that overlaps an input there.
+fn check_urls(output: &Path, input: &StageInput) -> Result<()> {
+    let of = |path: &Path| ObjectUrl::of(path).map_err(Failure::input);
+    let Some(output_url) = name_elsewhere(output).map_or(Ok(None), |name| of(Path::new(&name)))? else { return Ok(()) };
+    let relation = of(&input.path)?.and_then(|input| output_url.relation_to(&input));
+    let Some(relation) = relation else { return Ok(()) };
+    let (output, name, input) = (output_url.to_string().into(), input.name.clone(), input.path.clone());
+    Err(Failure::from(Error::Overlap { output, relation, name, input })
+        .with_hint("use separate folders for recordings and results"))
+}
+
+/// Refuses a folder with a file of somebody else's under a name that every command writes.
+pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
+    if let Some(file) = root.ancestors().find(|path| path.exists()).filter(|path| !path.is_dir()) {
+        let message = format!("{} is not a folder; output is written into a folder", file.display());
+        return Err(Failure::input_message(message).with_hint("name another folder with --output"));
+    }
+    let mut found = Vec::new();
+    let mut check = |name: &str, is_ours: &dyn Fn() -> bool| {
+        let path = root.join(name);
+        if path.symlink_metadata().is_ok() && (is_link(&path) || !is_ours()) {
+            found.push(PathBuf::from(name));
+        }
+    };
+    for name in [RUN_FILE, TIMINGS_FILE] {
+        let is_ours = is_record(&root.join(name))
+            .map_err(|error| unreadable(error, || "move it away, and the same command writes it anew".to_owned()))?;
+        check(name, &|| is_ours);
+    }
+    check(LOG_FILE, &|| is_log(root));
+    // It is written after the manifest.
+    check(CONFIG_FILE, &|| root.join(RUN_FILE).exists());
+    for stage in kinds {
+        let name = done_path(Path::new(""), stage).to_string_lossy().into_owned();
+        let is_ours =
+            is_record(&root.join(&name)).or_else(|_| StageRecord::done(root, stage).map(|done| done.is_some()))?;
+        check(&name, &|| is_ours);
+    }
+    if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
+}
+
+/// Whether lines may be added to the log in `root`: it is empty, a command of ours began it, or it lies beside other files of ours.
+fn is_log(root: &Path) -> bool {
+    const HEAD_BYTES: u64 = 4096;
+    let mut head = Vec::new();
+    let read = fs_err::File::open(root.join(LOG_FILE)).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    let first = String::from_utf8_lossy(head.split(|byte| *byte == b'\n').next().unwrap_or_default()).into_owned();
+    let begins_as_ours = head.is_empty() || (first.contains(" djinn ") && first.contains(" begins in "));
+    let is_ours = |name: &str| is_record(&root.join(name)).unwrap_or_default();
+    (read.is_ok() && begins_as_ours) || is_ours(RUN_FILE) || is_ours(TIMINGS_FILE)
+}
+
+/// Whether a file is a record that a command wrote.
+///
+/// # Errors
+/// When it is one that is damaged; those of the file system.
+fn is_record(path: &Path) -> Result<bool, StoreError> {
+    if !path.is_file() {
+        return Ok(false);
+    }
+    let damage = match read_record::<Value>(path) {
+        Ok(record) => return Ok(record.is_some()),
+        Err(damage) => damage,
+    };
+    // No flipped bit hits both. What has neither is of somebody else.
+    let has = |mark: &str, bytes: &[u8]| bytes.windows(mark.len()).any(|window| window == mark.as_bytes());
+    let is_like_ours = |bytes: Vec<u8>| has("\"stage", &bytes) || has("\"checksum\"", &bytes);
+    match damage {
+        StoreError::Record { .. } if !is_like_ours(fs_err::read(path)?) => Ok(false),
+        damage => Err(damage),
+    }
+}
+
+/// Removes half-written files of those that every command writes. The folder must be locked.
+pub(super) fn remove_leftovers(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
+    let records: Vec<String> = kinds.iter().map(|stage| format!("{stage}.done.json")).collect();
+    for entry in fs_err::read_dir(root)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let mut own = [CONFIG_FILE, RUN_FILE, TIMINGS_FILE].into_iter().chain(records.iter().map(String::as_str));
+        if entry.file_type()?.is_file() && own.any(|own| is_partial_of(&name, own)) {
+            fs_err::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// The files in `root` that the finished stage wrote, relative to it.
+pub(super) fn owned(root: &Path, stage: &StageKind) -> Result<BTreeSet<PathBuf>> {
+    Ok(StageRecord::done(root, stage)?.map(|record| record.files).unwrap_or_default())
+}
+
+/// Refuses the outputs of a stage whose places hold anything that the stage did not write.
+pub(super) fn check_outputs(root: &Path, stage: &StageKind, outputs: &[&str]) -> Result<()> {
+    let owned = owned(root, stage)?;
+    for name in outputs {
+        let place = root.join(name);
+        if place.symlink_metadata().is_err() {
+            continue;
+        }
+        if is_link(&place) {
+            return Err(Error::Link { path: place }.into());
+        }
+        let found = match place.is_dir() {
+            true => {
+                let ours = owned.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect();
+                foreign(&place, &ours)?
+            }
+            false if owned.contains(Path::new(name)) => Vec::new(),
+            false => vec![PathBuf::from(name)],
+        };
+        if !found.is_empty() {
+            return Err(Error::Foreign { path: place, found }.into());
+        }
+    }
+    Ok(())
+}

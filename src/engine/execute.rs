@@ -1,0 +1,148 @@
+//! Runs planned stages.
+
+use super::device::ComputeChoice;
+use super::failure::{Failure, Result};
+use super::kind::StageKind;
+use super::plan::{Action, PlannedStage};
+use super::record::StageRecord;
+use super::shards::{self, Gathering, Makers};
+use super::stage::{Stage, StageContext, Work};
+use super::stale;
+use super::work_folder::WorkFolder;
+use crate::progress::Progress;
+use std::path::Path;
+
+/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done. `compute` is what the
+/// context has opened.
+pub(super) fn execute(
+    planned: Vec<PlannedStage<'_>>,
+    (compute, makers): (ComputeChoice, Makers),
+    context: &StageContext<'_>,
+    after: &mut dyn FnMut(&StageRecord) -> anyhow::Result<()>,
+    around: &mut dyn FnMut(&'static StageKind, Moment) -> anyhow::Result<()>,
+) -> Result<Vec<StageRecord>> {
+    let mut records = Vec::new();
+    for mut planned in planned {
+        planned.expected.learn_contents(&records);
+        stale::revise(&mut planned, context)?;
+        let kind = planned.stage.kind();
+        let record = if planned.action == Action::Reuse {
+            let PlannedStage { expected, .. } = planned;
+            // Planning has just read the same record.
+            let done = StageRecord::done(context.root, kind)?.unwrap_or_else(|| expected.clone());
+            shards::clean_up(context.root, kind, &done)?;
+            done.with_inputs_of(context.root, kind, &expected)?.seen(expected.times)
+        } else {
+            if context.progress.must_stop() {
+                return Err(Failure::later(format_args!("stopped before stage {kind}")));
+            }
+            around(kind, Moment::Start)?;
+            let named = Named { stage: kind, inner: context.progress };
+            let context = StageContext { progress: &named, ..*context };
+            let record = run_stage(&planned, (compute, makers), &context).map_err(|failure| failure.of_stage(kind))?;
+            around(kind, Moment::End)?;
+            record
+        };
+        after(&record)?;
+        records.push(record);
+    }
+    Ok(records)
+}
+
+/// When a stage's time is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Moment {
+    /// Before its work.
+    Start,
+    /// After its outputs are whole.
+    End,
+}
+
+/// Prefixes the names of phases with the stage.
+struct Named<'a> {
+    stage: &'static StageKind,
+    inner: &'a dyn Progress,
+}
+
+impl Progress for Named<'_> {
+    fn start(&self, phase: &str, total: u64, unit: &str) {
+        let stage = self.stage.command;
+        let is_whole = stage.split(' ').any(|word| word == phase);
+        let name = if is_whole { stage.to_owned() } else { format!("{stage}: {phase}") };
+        self.inner.start(&name, total, unit);
+    }
+
+    fn advance(&self, n: u64) {
+        self.inner.advance(n);
+    }
+
+    fn note(&self, message: &str) {
+        self.inner.note(message);
+    }
+
+    fn warn(&self, message: &str) {
+        self.inner.warn(message);
+    }
+
+    fn finish(&self) {
+        self.inner.finish();
+    }
+
+    fn must_stop(&self) -> bool {
+        self.inner.must_stop()
+    }
+}
+
+fn run_stage(
+    planned: &PlannedStage<'_>,
+    made: (ComputeChoice, Makers),
+    context: &StageContext<'_>,
+) -> Result<StageRecord> {
+    let PlannedStage { stage, expected, action, kept, .. } = planned;
+    match stage.work() {
+        Work::Whole(whole) => {
+            let work = match action {
+                Action::Resume => WorkFolder::resume(context.root, stage.kind(), expected)?,
+                _ => WorkFolder::begin(context.root, stage.kind(), expected)?,
+            };
+            check_inputs(stage.as_ref())?;
+            let summary = whole.run(&StageContext { root: work.path(), ..*context })?;
+            work.finish(expected.clone(), stage.outputs(), summary, kept)
+        }
+        Work::Sharded(sharded) => {
+            check_inputs(stage.as_ref())?;
+            let folder = shards::ready(planned, sharded, made, context)?;
+            let work = WorkFolder::begin(context.root, stage.kind(), expected)?;
+            let summary =
+                sharded.finish(&mut Gathering::new(&folder), &StageContext { root: work.path(), ..*context })?;
+            let record = work.finish(expected.clone(), stage.outputs(), summary, kept)?;
+            shards::clean_up(context.root, stage.kind(), &record)?;
+            Ok(record)
+        }
+    }
+}
+
+/// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a checksum each, which is
+/// compared when it is read.
+pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
+    for input in stage.inputs() {
+        let Some(producer) = input.producer.filter(|producer| !producer.is_checked_by_readers) else {
+            continue;
+        };
+        let folder = input.path.parent().unwrap_or(Path::new("."));
+        let Some(record) = StageRecord::done(folder, producer)? else { continue };
+        let own = input.path.file_name().unwrap_or_default().to_string_lossy();
+        let is_read = |name: &&String| **name == own || folder.join(name).is_file();
+        for name in record.outputs.keys().filter(is_read) {
+            if record.is_whole(folder, name)? {
+                continue;
+            }
+            let path = folder.join(name);
+            let message = format!("{}: it is not what stage {producer} wrote there", path.display());
+            return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
+                "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo {producer}"
+            )));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,124 @@
+//! Who has to act when something fails: the user, or those who maintain the program and the machine?
+
+use super::kind::StageKind;
+use crate::cloud;
+use std::{fmt, io};
+
+/// Who can do something about a failure. The command line turns this into the exit code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Blame {
+    /// The user's input: arguments, configuration, recordings, files given.
+    Input,
+    /// The program or the machine: a bug, a full disk, a file of ours that is damaged.
+    Fault,
+    /// Everything ran, but a quality gate that the user set was not met.
+    Gate,
+    /// Nobody: the work had to stop, or waits for other work. The same command continues later.
+    Later,
+}
+
+/// An error with the blame for it and, where it is known, what to do about it.
+pub struct Failure {
+    /// Who can act.
+    pub blame: Blame,
+    /// What went wrong, with its causes.
+    pub error: anyhow::Error,
+    /// What to do about it.
+    pub hint: Option<String>,
+}
+
+/// The result of work that may fail with a [`Failure`].
+pub type Result<T, E = Failure> = std::result::Result<T, E>;
+
+impl Failure {
+    /// A failure that the user can fix.
+    pub fn input(error: impl Into<anyhow::Error>) -> Self {
+        Self { blame: Blame::Input, error: error.into(), hint: None }
+    }
+
+    /// A failure of ours or of the machine.
+    pub fn fault(error: impl Into<anyhow::Error>) -> Self {
+        Self { blame: Blame::Fault, error: error.into(), hint: None }
+    }
+
+    /// A failure that the user can fix, from a message.
+    pub fn input_message(message: impl fmt::Display) -> Self {
+        Self::input(anyhow::anyhow!("{message}"))
+    }
+
+    /// A quality gate that was not met.
+    pub fn gate(message: impl fmt::Display) -> Self {
+        Self { blame: Blame::Gate, error: anyhow::anyhow!("{message}"), hint: None }
+    }
+
+    /// Work that continues later, with the same command.
+    pub fn later(message: impl fmt::Display) -> Self {
+        Self { blame: Blame::Later, error: anyhow::anyhow!("{message}"), hint: None }
+    }
+
+    /// The same failure, as that of a stage.
+    #[must_use]
+    pub(super) fn of_stage(self, stage: &StageKind) -> Self {
+        let what = if self.blame == Blame::Later { "was stopped" } else { "failed" };
+        self.context(format!("stage {stage} {what}"))
+    }
+
+    /// The same failure with advice.
+    #[must_use]
+    pub fn with_hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+
+    /// The same failure with more context.
+    #[must_use]
+    pub fn context(mut self, context: impl fmt::Display + Send + Sync + 'static) -> Self {
+        self.error = self.error.context(context);
+        self
+    }
+}
+
+impl fmt::Debug for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}: {:#}", self.blame, self.error)?;
+        self.hint.iter().try_for_each(|hint| write!(f, " (hint: {hint})"))
+    }
+}
+
+/// An error that nobody classified is a fault of ours: the user is never blamed by default.
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        let is_refusal = error.downcast_ref::<io::Error>().is_some_and(is_refusal_of_store);
+        Self { blame: if is_refusal { Blame::Input } else { Blame::Fault }, error, hint: None }
+    }
+}
+
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        Self::from(anyhow::Error::from(error))
+    }
+}
+
+/// Whether an object store would not do what was done to a file that it mirrors.
+fn is_refusal_of_store(error: &io::Error) -> bool {
+    let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<cloud::Error>());
+    cause.is_some_and(cloud::Error::is_refusal)
+}
+
+/// Assigns the blame for an error of another layer.
+pub trait Classify<T> {
+    /// The user's.
+    fn blame_input(self) -> Result<T>;
+    /// Ours or the machine's.
+    fn blame_fault(self) -> Result<T>;
+}
+
+impl<T, E: Into<anyhow::Error>> Classify<T> for std::result::Result<T, E> {
+    fn blame_input(self) -> Result<T> {
+        self.map_err(Failure::input)
+    }
+
+    fn blame_fault(self) -> Result<T> {
+        self.map_err(Failure::fault)
+    }
+}

@@ -1,0 +1,58 @@
+//! What is known of a kind of stage, apart from its work ([`Stage`](super::Stage))?
+
+use std::fmt;
+
+/// A kind of stage. Kinds are told apart by their names.
+#[derive(Debug)]
+pub struct StageKind {
+    /// The name in file names and messages.
+    pub name: &'static str,
+    /// The words of the command that runs it alone.
+    pub command: &'static str,
+    /// The section of a pipeline file that configures it.
+    pub section: &'static str,
+    /// The keys of the section that hold paths of what it reads; `list.key` is in every item of a list.
+    pub places: &'static [&'static str],
+    /// Whether it trains a model, which may have cost hours: earlier ones are moved aside and not removed.
+    pub trains: bool,
+    /// Whether it computes with networks, and so needs the device.
+    pub computes: bool,
+    /// The files and folders that it may write, by name within the output folder.
+    pub outputs: &'static [&'static str],
+    /// Whether whoever reads its outputs compares them with checksums, file by file.
+    pub is_checked_by_readers: bool,
+    /// The shards that several processes can make at once; `None` if one process does all the work.
+    pub shards: Option<ShardNames>,
+}
+
+/// The names of the files that workers write ([`shards`](super::shards)).
+#[derive(Debug, Clone, Copy)]
+pub struct ShardNames {
+    /// What those of shards begin with.
+    pub shard: &'static str,
+    /// What those of shards end in.
+    pub ending: &'static str,
+    /// Whether workers write a file of this name beside the shards.
+    pub is_other: fn(&str) -> bool,
+}
+
+impl ShardNames {
+    /// What shard `idx` is called.
+    pub(super) fn shard_name(self, idx: usize) -> String {
+        format!("{}-{idx:05}", self.shard)
+    }
+}
+
+impl PartialEq for StageKind {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for StageKind {}
+
+impl fmt::Display for StageKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}

@@ -1,0 +1,373 @@
+//! The record of a stage, by which the next run decides whether to redo it.
+//!
+//! `<stage>.done.json` is written after its outputs are whole; [`work_folder`](super::work_folder) keeps the same of a stage at work. Both
+//! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
+//! stage wrote: these, and no others, may be removed when it is redone.
+
+use super::failure::{Failure, Result};
+use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
+use super::kind::StageKind;
+use super::stage::{Stage, StageInput};
+use crate::files::stays_below;
+use crate::store::{Error, read_record, write_record};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// What a stage was run on and, once it is done, its results.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageRecord {
+    /// Name of the kind of stage.
+    pub stage: String,
+    /// The version of its code.
+    pub version: u32,
+    /// Its section.
+    pub config: Value,
+    /// What it read, by name.
+    pub inputs: BTreeMap<String, InputRecord>,
+    /// Hash of all of the above.
+    pub fingerprint: String,
+    /// Hash of the version, and of the section without the paths of what it reads: inputs count by their content.
+    pub settings: String,
+    /// What it wrote, by name within the output folder; empty until it is done.
+    pub outputs: BTreeMap<String, PathFingerprint>,
+    /// Every file that it wrote, relative to the output folder and sorted; empty until it is done.
+    pub files: BTreeSet<PathBuf>,
+    /// What it says of its work; null until it is done.
+    pub summary: Value,
+    /// When the large files of its outputs, which are whole, were written, by output. Two runs of one pipeline write the same at
+    /// other times: `timings.json` keeps this.
+    #[serde(skip)]
+    pub(super) times: BTreeMap<String, String>,
+}
+
+/// Something a stage read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InputRecord {
+    /// The outputs of another stage, with that stage's fingerprint.
+    Stage {
+        /// Name of the kind of stage that made it.
+        producer: String,
+        /// Its fingerprint.
+        fingerprint: String,
+        /// Hash of what it wrote; `None` while that is not known. No part of the fingerprint: a changed program may write other
+        /// bytes from the same settings.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        content: Option<String>,
+    },
+    /// A file or folder from outside.
+    Path {
+        /// Where it was, as given.
+        path: PathBuf,
+        /// What it held.
+        content: PathFingerprint,
+    },
+}
+
+impl InputRecord {
+    /// What distinguishes the contents; a path alone does not.
+    fn identity(&self) -> &str {
+        match self {
+            Self::Stage { fingerprint, .. } => fingerprint,
+            Self::Path { content, .. } => content.identity(),
+        }
+    }
+
+    /// Whether both are of one content, as far as both know it.
+    fn agrees_with(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Path { content, .. }, Self::Path { content: other, .. }) => content.agrees_with(other),
+            (own, other) => own.identity() == other.identity(),
+        }
+    }
+}
+
+impl StageRecord {
+    /// The record of a stage about to run on `inputs`.
+    pub fn expected(stage: &dyn Stage, inputs: BTreeMap<String, InputRecord>) -> Result<Self> {
+        let config = stage.config()?;
+        let identities: BTreeMap<&str, &str> =
+            inputs.iter().map(|(name, input)| (name.as_str(), input.identity())).collect();
+        let kind = stage.kind();
+        let fingerprint = fingerprint_value(&(kind.name, stage.version(), &config, identities))?;
+        let settings = fingerprint_value(&(stage.version(), without_places(&config, kind.places)))?;
+        Ok(Self {
+            stage: kind.name.to_owned(),
+            version: stage.version(),
+            config,
+            inputs,
+            fingerprint,
+            settings,
+            outputs: BTreeMap::new(),
+            files: BTreeSet::new(),
+            summary: Value::Null,
+            times: BTreeMap::new(),
+        })
+    }
+
+    /// Whether `earlier` is of the same work: the same version, settings and contents, wherever files were then. Contents are compared as
+    /// far as both know them.
+    pub(super) fn is_same_work(&self, earlier: &Self) -> bool {
+        let agree = |(name, input): (&String, &InputRecord)| {
+            earlier.inputs.get(name).is_some_and(|then| input.agrees_with(then))
+        };
+        self.settings == earlier.settings && self.inputs.len() == earlier.inputs.len() && self.inputs.iter().all(agree)
+    }
+
+    /// What it read as an input from outside that is not there any more.
+    pub(super) fn missing_input(&self, input: &StageInput) -> Option<InputRecord> {
+        let record = self.inputs.get(&input.name)?;
+        let is_same = matches!(record, InputRecord::Path { path, .. } if *path == input.path);
+        (input.producer.is_none() && is_same && !input.path.exists()).then(|| record.clone())
+    }
+
+    /// What was known of the content of an input, where it was the same path.
+    pub(super) fn known_content(&self, name: &str, path: &Path) -> Option<&PathFingerprint> {
+        match self.inputs.get(name)? {
+            InputRecord::Path { path: then, content } if then == path => Some(content),
+            _ => None,
+        }
+    }
+
+    /// Hash of what it wrote; `None` until it is done.
+    pub(super) fn content(&self) -> Option<String> {
+        let identities: BTreeMap<&str, &str> =
+            self.outputs.iter().map(|(name, written)| (name.as_str(), written.identity())).collect();
+        (!identities.is_empty()).then(|| fingerprint_value(&identities).ok()).flatten()
+    }
+
+    /// A stage that `earlier` read, if it wrote other bytes than it has written now, as far as both are known.
+    pub(super) fn rewritten_since(&self, earlier: &Self) -> Option<&str> {
+        self.inputs.iter().find_map(|(name, input)| match (input, earlier.inputs.get(name)?) {
+            (
+                InputRecord::Stage { producer, content: Some(now), .. },
+                InputRecord::Stage { content: Some(then), .. },
+            ) => (now != then).then_some(producer.as_str()),
+            _ => None,
+        })
+    }
+
+    /// Fills in what the stages in `done` wrote, where it was not known when this record was made.
+    pub(super) fn learn_contents(&mut self, done: &[Self]) {
+        for input in self.inputs.values_mut() {
+            if let InputRecord::Stage { producer, content: content @ None, .. } = input {
+                *content = done.iter().find(|record| record.stage == *producer).and_then(Self::content);
+            }
+        }
+    }
+
+    /// This record of a finished stage, with where its inputs are now and what is known of them. What earlier stages had written when
+    /// it read them stays.
+    pub(super) fn with_inputs_of(mut self, root: &Path, stage: &StageKind, expected: &Self) -> Result<Self> {
+        let mut inputs = expected.inputs.clone();
+        for (name, input) in &mut inputs {
+            if let (InputRecord::Stage { content, .. }, Some(InputRecord::Stage { content: then @ Some(_), .. })) =
+                (input, self.inputs.get(name))
+            {
+                content.clone_from(then);
+            }
+        }
+        if self.inputs != inputs {
+            self.inputs = inputs;
+            write_record(&done_path(root, stage), &self)?;
+        }
+        Ok(self)
+    }
+
+    /// The record of the finished stage in `root`, if there is one.
+    ///
+    /// # Errors
+    /// When it is damaged; those of the file system.
+    pub fn done(root: &Path, stage: &StageKind) -> Result<Option<Self>> {
+        Self::read(&done_path(root, stage), stage).map_err(|error| {
+            unreadable(error, || {
+                let outputs = stage.outputs.join(", ");
+                format!("restore it from a copy, or move it away together with {outputs}: then {stage} runs again")
+            })
+        })
+    }
+
+    /// The record of the stage at `path`, if there is one.
+    ///
+    /// # Errors
+    /// When it is damaged, or names what the stage does not write; those of the file system.
+    pub(super) fn read(path: &Path, stage: &StageKind) -> Result<Option<Self>, Error> {
+        let record: Option<Self> = read_record(path)?;
+        match record.as_ref().and_then(|record| record.impossible(stage)) {
+            Some(detail) => Err(Error::Record { path: path.to_owned(), detail }),
+            None => Ok(record),
+        }
+    }
+
+    /// What in a record the stage cannot have written: whatever it names is replaced and removed.
+    fn impossible(&self, stage: &StageKind) -> Option<String> {
+        let known = stage.outputs;
+        let is_output = |name: &str| known.contains(&name);
+        let is_file = |file: &Path| {
+            let output = file.iter().next().and_then(|part| part.to_str());
+            file.to_str().is_some_and(stays_below) && output.is_some_and(is_output)
+        };
+        let is_hash = self.fingerprint.len() == 32 && self.fingerprint.bytes().all(|byte| byte.is_ascii_hexdigit());
+        if self.stage != stage.name {
+            return Some(format!("it is of stage {}", self.stage));
+        }
+        if !is_hash {
+            return Some(format!("{:?} is no fingerprint", self.fingerprint));
+        }
+        let output = self.outputs.keys().find(|name| !is_output(name)).map(PathBuf::from);
+        let file = || self.files.iter().find(|file| !is_file(file)).cloned();
+        output.or_else(file).map(|name| format!("{name:?} is nothing that stage {stage} writes"))
+    }
+
+    /// The record of the same stage once its outputs are whole in the folder `dir`; `written` are the files there that are
+    /// its own.
+    pub(super) fn finished(
+        mut self,
+        dir: &Path,
+        outputs: &[&str],
+        written: &BTreeSet<PathBuf>,
+        summary: Value,
+    ) -> Result<Self> {
+        let files = written.iter().filter(|file| outputs.iter().any(|name| file.starts_with(name)));
+        let files: BTreeSet<PathBuf> = files.cloned().collect();
+        for name in outputs {
+            let mut written = fingerprint_to(&dir.join(name), Some(&below(&files, name)), None)?;
+            self.times.extend(written.times.take().map(|times| ((*name).to_owned(), times)));
+            self.outputs.insert((*name).to_owned(), written);
+        }
+        self.files = files;
+        self.summary = summary;
+        Ok(self)
+    }
+
+    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise, as the inner
+    /// error, the first that is not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
+    /// times of their files stay.
+    pub(super) fn check_outputs(
+        &self,
+        root: &Path,
+        seen: &BTreeMap<String, String>,
+    ) -> Result<Result<BTreeMap<String, String>, &str>> {
+        let mut times = BTreeMap::new();
+        for (name, written) in &self.outputs {
+            let known = PathFingerprint { times: seen.get(name).cloned(), ..written.clone() };
+            let found = self.found(root, name, Some(&known))?;
+            let Some(found) = found.filter(|found| found.agrees_with(written)) else { return Ok(Err(name)) };
+            times.extend(found.times.map(|times| (name.clone(), times)));
+        }
+        Ok(Ok(times))
+    }
+
+    /// The same record with outputs that were seen whole when their large files had these times.
+    pub(super) fn seen(self, times: BTreeMap<String, String>) -> Self {
+        Self { times, ..self }
+    }
+
+    /// Whether the output of this name is as it was written, to its last byte. True for names that are not outputs of
+    /// the stage.
+    ///
+    /// # Errors
+    /// That it cannot be read.
+    pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
+        let Some(written) = self.outputs.get(name) else { return Ok(true) };
+        Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
+    }
+
+    /// What the files of an output hold now; `None` if it is not there, or is neither file nor folder. What cannot be read now may well
+    /// be whole.
+    fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Result<Option<PathFingerprint>> {
+        let path = root.join(name);
+        if !path.is_file() && !path.is_dir() {
+            return Ok(None);
+        }
+        Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
+    }
+
+    /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.
+    pub(super) fn section_differs(&self, earlier: &Self) -> bool {
+        let own = |record: &Self| {
+            let mut config = record.config.clone();
+            // Neither is what concerns all stages.
+            for key in ["resolved", "precision"] {
+                config.as_object_mut().map(|section| section.remove(key));
+            }
+            config
+        };
+        own(self) != own(earlier)
+    }
+
+    /// Enough of the fingerprint to tell the runs of a stage apart.
+    pub(super) fn short_fingerprint(&self) -> &str {
+        self.fingerprint.get(..8).unwrap_or(&self.fingerprint)
+    }
+
+    /// What differs from `earlier`, in a few words: versions, keys of the section, inputs.
+    pub fn changes_since(&self, stage: &StageKind, earlier: &Self) -> String {
+        let mut changes = Vec::new();
+        if self.version != earlier.version {
+            changes.push(format!("stage version {} -> {}", earlier.version, self.version));
+        }
+        changed_keys(stage.section, &earlier.config, &self.config, &mut changes);
+        let names: std::collections::BTreeSet<&String> = self.inputs.keys().chain(earlier.inputs.keys()).collect();
+        for name in names {
+            let (now, then) = (self.inputs.get(name), earlier.inputs.get(name));
+            if !now.zip(then).is_some_and(|(now, then)| now.agrees_with(then)) {
+                changes.push(format!("input {name}"));
+            }
+        }
+        let n_more = changes.len().saturating_sub(3);
+        changes.truncate(3);
+        let more = if n_more > 0 { format!(" and {n_more} more") } else { String::new() };
+        format!("changed: {}{more}", changes.join(", "))
+    }
+}
+
+/// A section without the keys `places`, of which `list.key` is one in every item of a list.
+fn without_places(config: &Value, places: &[&str]) -> Value {
+    let mut config = config.clone();
+    for place in places {
+        let (list, key) = place.split_once('.').unwrap_or(("", place));
+        let items = match list {
+            "" => std::slice::from_mut(&mut config),
+            list => config.get_mut(list).and_then(Value::as_array_mut).map_or(&mut [][..], Vec::as_mut_slice),
+        };
+        items.iter_mut().filter_map(Value::as_object_mut).for_each(|item| drop(item.remove(key)));
+    }
+    config
+}
+
+/// The files of an output, relative to it.
+fn below(files: &BTreeSet<PathBuf>, name: &str) -> Vec<PathBuf> {
+    files.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect()
+}
+
+/// The failure to read a record, with advice where it is damaged.
+pub(super) fn unreadable(error: Error, advice: impl FnOnce() -> String) -> Failure {
+    let is_damaged = matches!(error, Error::Record { .. });
+    let failure = Failure::fault(error);
+    if is_damaged { failure.with_hint(format!("nothing was changed; {}", advice())) } else { failure }
+}
+
+/// Where the record of a finished stage lies.
+pub fn done_path(root: &Path, stage: &StageKind) -> PathBuf {
+    root.join(format!("{stage}.done.json"))
+}
+
+fn changed_keys(path: &str, earlier: &Value, now: &Value, changes: &mut Vec<String>) {
+    match (earlier, now) {
+        (Value::Object(earlier), Value::Object(now)) => {
+            let keys: std::collections::BTreeSet<&String> = earlier.keys().chain(now.keys()).collect();
+            for key in keys {
+                let value = |object: &serde_json::Map<String, Value>| object.get(key).cloned().unwrap_or(Value::Null);
+                changed_keys(&format!("{path}.{key}"), &value(earlier), &value(now), changes);
+            }
+        }
+        (earlier, now) if earlier == now => {}
+        (earlier, now) if earlier.to_string().len() + now.to_string().len() < 40 => {
+            changes.push(format!("{path} {earlier} -> {now}"));
+        }
+        _ => changes.push(path.to_owned()),
+    }
+}

@@ -1,0 +1,294 @@
+//! What does a run folder hold, and how is a pipeline run in it?
+//!
+//! Beside the outputs of the stages: `config.toml` (the resolved configuration), `run.json` (versions, seed, device,
+//! input fingerprints, state of every stage), `timings.json` and `log.txt`. Two runs of one pipeline on the same inputs
+//! differ in the last two alone: everything that tells one run from another is kept there.
+
+use super::claim;
+use super::clock::{peak_memory_bytes, utc_now};
+use super::device::ComputeChoice;
+use super::execute::{Moment, execute};
+use super::failure::{Blame, Failure, Result};
+use super::kind::StageKind;
+use super::log::{LOG_FILE, Logged};
+use super::plan::{Action, PlannedStage};
+use super::record::{InputRecord, StageRecord};
+use super::shards::Makers;
+use super::stage::StageContext;
+use super::work_folder::WorkFolder;
+use crate::files::{Lock, mirror_above, name_elsewhere};
+use crate::nn::Compute;
+use crate::progress::Progress;
+use crate::store::{read_json, write_atomically, write_record};
+use serde::{Deserialize, Serialize};
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Name of the resolved configuration in a run folder.
+pub const CONFIG_FILE: &str = "config.toml";
+/// Name of the run's manifest in a run folder.
+pub const RUN_FILE: &str = "run.json";
+/// Name of the file for times and other facts that differ between equal runs.
+pub const TIMINGS_FILE: &str = "timings.json";
+
+/// What `run.json` says.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunManifest {
+    /// Version of the program.
+    pub djinn_version: String,
+    /// Revision of its source, where the build knew it.
+    pub revision: Option<String>,
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// What the tensors were computed on.
+    pub device: String,
+    /// Files and folders from outside, by stage and name.
+    pub inputs: BTreeMap<String, InputRecord>,
+    /// The stages by name.
+    pub stages: BTreeMap<String, StageState>,
+}
+
+/// What `run.json` says of a stage.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StageState {
+    /// Hash of its version, configuration and inputs.
+    pub fingerprint: String,
+    /// Whether its outputs are whole.
+    pub status: StageStatus,
+    /// What it wrote, by name within the run folder.
+    pub outputs: BTreeMap<String, super::PathFingerprint>,
+}
+
+/// How far a stage is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StageStatus {
+    /// Not yet, or not wholly, run.
+    Pending,
+    /// Its outputs are whole.
+    Done,
+}
+
+/// What `timings.json` says.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Timings {
+    /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
+    pub stages: BTreeMap<String, Vec<StageTiming>>,
+    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and times. While
+    /// these stay, planning does not read them again.
+    #[serde(default)]
+    pub outputs: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// One time that a stage was at work.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageTiming {
+    /// When it began, UTC.
+    pub started: String,
+    /// When it was done, UTC; `None` if it was interrupted.
+    pub finished: Option<String>,
+    /// How long it took, seconds.
+    pub seconds: Option<f64>,
+    /// Number of worker threads.
+    pub n_threads: usize,
+    /// The most memory that the process had held by then, bytes.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// What a run says of itself.
+#[derive(Debug, Clone)]
+pub struct RunAbout {
+    /// Name of the pipeline.
+    pub pipeline: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// What the tensors are computed on.
+    pub device: String,
+    /// The resolved configuration, as TOML.
+    pub config: String,
+}
+
+/// Runs planned stages in a folder, keeping its log and timings; with `about`, also its configuration and manifest.
+/// The stages must have been planned while the folder was open, so that no other process changed it since.
+pub fn run_stages(
+    folder: &RunFolder,
+    about: Option<&RunAbout>,
+    (choice, makers): (ComputeChoice, Makers),
+    planned: Vec<PlannedStage<'_>>,
+    progress: &dyn Progress,
+) -> Result<Vec<StageRecord>> {
+    // A machine without the device may run what does without it.
+    let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.stage.kind().computes);
+    let compute = if computes { choice.open()? } else { Compute::cpu() };
+    let root = folder.root.as_path();
+    let logged = Logged::open(&root.join(LOG_FILE), progress)?;
+    let place = name_elsewhere(root).unwrap_or_else(|| root.display().to_string());
+    logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), place));
+    for PlannedStage { expected, action, .. } in &planned {
+        logged.line(&format!("{}: {action}", expected.stage));
+    }
+    if !folder.lock.is_enforced() {
+        logged.warn(
+            "the file system of the run folder does not support locks: make sure that no other process writes there",
+        );
+    }
+    let mut manifest = about.map(|about| RunManifest::new(about, &planned));
+    let mut save = |record: Option<&StageRecord>| -> anyhow::Result<()> {
+        let Some(manifest) = &mut manifest else { return Ok(()) };
+        if let Some(record) = record {
+            manifest.stages.insert(record.stage.to_string(), StageState::done(record));
+        }
+        write_record(&root.join(RUN_FILE), manifest)?;
+        Ok(())
+    };
+    save(None)?;
+    // After the manifest, beside which nobody takes it for somebody else's.
+    if let Some(RunAbout { config, .. }) = about {
+        write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(config.as_bytes()))?;
+    }
+    let clock = RefCell::new(StageClock::open(root));
+    let context = StageContext { root, compute: &compute, progress: &logged };
+    let is_new = Cell::new(false);
+    let mut after = |record: &StageRecord| {
+        clock.borrow_mut().keep_times(record)?;
+        save(Some(record))?;
+        if is_new.take() { publish(root) } else { Ok(()) }
+    };
+    let mut around = |stage: &'static StageKind, moment: Moment| {
+        is_new.set(moment == Moment::End);
+        clock.borrow_mut().take(stage, moment)
+    };
+    let outcome = execute(planned, (choice, makers), &context, &mut after, &mut around);
+    match &outcome {
+        Ok(_) => logged.line("done"),
+        Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),
+        Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
+    }
+    outcome
+}
+
+/// Lets others see the outputs of a stage that just ended, where the folder has a mirror.
+fn publish(root: &Path) -> anyhow::Result<()> {
+    mirror_above(root).map_or(Ok(()), |mirror| Ok(mirror.publish()?))
+}
+
+/// A folder to write into, locked against other processes.
+pub struct RunFolder {
+    root: PathBuf,
+    lock: Lock,
+}
+
+impl RunFolder {
+    /// Where it is.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Makes the folder, takes its lock, and finishes what a killed process was about to finish.
+    ///
+    /// # Errors
+    /// When another process has the lock, or files of the folder that would be written are somebody else's.
+    pub fn open(root: &Path, kinds: &'static [StageKind]) -> Result<Self> {
+        claim::check_root(root, kinds)?;
+        fs_err::create_dir_all(root)?;
+        let lock = Lock::in_folder(root)?;
+        claim::remove_leftovers(root, kinds)?;
+        WorkFolder::complete_all(root, kinds)?;
+        Ok(Self { root: root.to_owned(), lock })
+    }
+}
+
+impl RunManifest {
+    fn new(about: &RunAbout, planned: &[PlannedStage<'_>]) -> Self {
+        let external = planned.iter().flat_map(|PlannedStage { expected, .. }| {
+            let paths = expected.inputs.iter().filter(|(_, input)| matches!(input, InputRecord::Path { .. }));
+            paths.map(|(name, input)| (format!("{}/{name}", expected.stage), input.clone()))
+        });
+        let pending = |PlannedStage { expected, action, .. }: &PlannedStage<'_>| {
+            let status = if *action == Action::Reuse { StageStatus::Done } else { StageStatus::Pending };
+            let state = StageState { fingerprint: expected.fingerprint.clone(), status, outputs: BTreeMap::new() };
+            (expected.stage.to_string(), state)
+        };
+        Self {
+            djinn_version: env!("CARGO_PKG_VERSION").to_owned(),
+            revision: option_env!("DJINN_REVISION").map(str::to_owned),
+            pipeline: about.pipeline.clone(),
+            seed: about.seed,
+            device: about.device.clone(),
+            inputs: external.collect(),
+            stages: planned.iter().map(pending).collect(),
+        }
+    }
+}
+
+impl StageState {
+    fn done(record: &StageRecord) -> Self {
+        Self { fingerprint: record.fingerprint.clone(), status: StageStatus::Done, outputs: record.outputs.clone() }
+    }
+}
+
+/// How long the stage was at work in all in the folder `root`, seconds; `None` where that is not known, as when it was
+/// interrupted.
+pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
+    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
+    timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
+}
+
+/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by output.
+pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
+    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
+    timings.outputs.get(stage.name).cloned().unwrap_or_default()
+}
+
+/// Keeps `timings.json`.
+struct StageClock<'a> {
+    root: &'a Path,
+    timings: Timings,
+    began: Instant,
+}
+
+impl<'a> StageClock<'a> {
+    fn open(root: &'a Path) -> Self {
+        // Timings inform people and spare reading, and no result depends on them: unreadable ones are begun anew.
+        let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
+        Self { root, timings, began: Instant::now() }
+    }
+
+    fn take(&mut self, stage: &'static StageKind, moment: Moment) -> anyhow::Result<()> {
+        let entries = self.timings.stages.entry(stage.to_string()).or_default();
+        match (moment, entries.last_mut()) {
+            (Moment::End, Some(entry)) => {
+                entry.finished = Some(utc_now());
+                entry.seconds = Some(self.began.elapsed().as_secs_f64());
+                entry.peak_memory_bytes = peak_memory_bytes();
+            }
+            _ => {
+                self.began = Instant::now();
+                entries.push(StageTiming {
+                    started: utc_now(),
+                    finished: None,
+                    seconds: None,
+                    n_threads: rayon::current_num_threads(),
+                    peak_memory_bytes: None,
+                });
+            }
+        }
+        self.save()
+    }
+
+    /// Notes that the outputs of a stage were seen whole.
+    fn keep_times(&mut self, record: &StageRecord) -> anyhow::Result<()> {
+        let before = self.timings.outputs.insert(record.stage.to_string(), record.times.clone());
+        if before.unwrap_or_default() == record.times { Ok(()) } else { self.save() }
+    }
+
+    fn save(&self) -> anyhow::Result<()> {
+        write_record(&self.root.join(TIMINGS_FILE), &self.timings)?;
+        Ok(())
+    }
+}

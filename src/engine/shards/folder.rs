@@ -1,0 +1,394 @@
+//! `<stage>.parts/<plan-id>/`: the plan, and the shards that workers have finished, each with a record beside it.
+//!
+//! The plan's id is in the path, so that a worker of a discarded plan cannot write into another one.
+
+use super::Division;
+use super::identity::Identity;
+use super::tries::{MAX_TRIES, Tries, is_try_of};
+use crate::engine::record::unreadable;
+use crate::engine::{Failure, Result, ShardNames, StageKind};
+use crate::files::{self, FileStamp, files_below, foreign, is_link, mirror_above, remove_if_present, remove_listed};
+use crate::store::{self, read_record, write_record};
+use serde::de::{DeserializeOwned, IgnoredAny};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const PLAN_FILE: &str = "plan.json";
+/// Written after the plan: its presence means that workers may begin.
+const ABOUT_FILE: &str = "parts.json";
+
+/// The folder of a plan.
+#[derive(Debug, Clone)]
+pub(crate) struct ShardFolder {
+    dir: PathBuf,
+    kind: &'static StageKind,
+    names: ShardNames,
+    about: About,
+}
+
+/// What is known of a plan without reading it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct About {
+    /// What its workers have in common.
+    #[serde(flatten)]
+    identity: Identity,
+    /// Number of its shards.
+    n_shards: usize,
+    /// Whether it was made for several workers. Nobody else knows of a plan that a process made for itself, and that is discarded
+    /// without asking.
+    is_shared: bool,
+}
+
+/// The record of a finished shard; written beside the shard, after it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct FinishedShard<S> {
+    /// The plan.
+    pub(super) plan_id: String,
+    /// The worker.
+    pub(super) worker: String,
+    /// How long it took, seconds.
+    pub(super) seconds: f64,
+    /// Size and hash of its file.
+    pub(super) stamp: FileStamp,
+    /// What the stage wants to know of it later.
+    pub(super) facts: S,
+}
+
+impl ShardFolder {
+    /// The plans of a stage in a run folder; incomplete plans do not count.
+    ///
+    /// # Errors
+    /// When the record of a plan is damaged; those of the file system.
+    pub(in crate::engine) fn all(root: &Path, kind: &'static StageKind) -> Result<Vec<Self>> {
+        let Some(names) = kind.shards else { return Ok(Vec::new()) };
+        let mut found = Vec::new();
+        for dir in plan_dirs(root, kind)? {
+            let about = read_record(&dir.join(ABOUT_FILE)).map_err(|error| damaged(error, &dir))?;
+            found.extend(about.map(|about| Self { dir, kind, names, about }));
+        }
+        Ok(found)
+    }
+
+    /// Removes the remains of plans that a killed process had not finished writing or removing.
+    ///
+    /// # Errors
+    /// As [`ShardFolder::discard`].
+    pub(super) fn remove_remains(root: &Path, kind: &'static StageKind) -> Result<()> {
+        let Some(names) = kind.shards else { return Ok(()) };
+        let remains = plan_dirs(root, kind)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
+        remains.into_iter().try_for_each(|dir| discard(&dir, names))
+    }
+
+    /// The plan for processes of this `identity`, if there is one.
+    ///
+    /// # Errors
+    /// When there are only plans of other identities; those of the file system.
+    pub(super) fn of(root: &Path, kind: &'static StageKind, identity: &Identity) -> Result<Option<Self>> {
+        let mut differs = None;
+        for folder in Self::all(root, kind)? {
+            match folder.difference(identity) {
+                None => return Ok(Some(folder)),
+                Some(difference) => differs = Some(folder.refusal(&difference)),
+            }
+        }
+        differs.map_or(Ok(None), Err)
+    }
+
+    /// Keeps a plan.
+    ///
+    /// # Errors
+    /// When other people's files are in its place; those of the file system.
+    pub(super) fn write(
+        root: &Path,
+        kind: &'static StageKind,
+        identity: Identity,
+        division: &Division,
+        is_shared: bool,
+    ) -> Result<Self> {
+        let names = kind.shards;
+        let names = names.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {kind} has no shards")))?;
+        let dir = plans_of(root, kind).join(identity.plan_id()?);
+        let folder = Self { dir, kind, names, about: About { identity, n_shards: division.n_shards, is_shared } };
+        // The remains of a killed process have no plan, so no worker has used them.
+        folder.discard()?;
+        fs_err::create_dir_all(&folder.dir)?;
+        write_record(&folder.dir.join(PLAN_FILE), &division.decisions)?;
+        write_record(&folder.dir.join(ABOUT_FILE), &folder.about)?;
+        Ok(folder)
+    }
+
+    /// Lets several workers use the plan.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn share(&self) -> Result<()> {
+        let about = About { is_shared: true, ..self.about.clone() };
+        write_record(&self.dir.join(ABOUT_FILE), &about)?;
+        Ok(())
+    }
+
+    /// Whether several workers may use the plan.
+    pub(super) fn is_shared(&self) -> bool {
+        self.about.is_shared
+    }
+
+    /// The decisions made before any shard.
+    ///
+    /// # Errors
+    /// When they are damaged, or were removed meanwhile.
+    pub(super) fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
+        let path = self.dir.join(PLAN_FILE);
+        let plan = read_record(&path).map_err(|error| damaged(error, &self.dir))?;
+        plan.ok_or_else(|| Failure::fault(anyhow::anyhow!("{} is missing", path.display())))
+    }
+
+    /// Whether the plan is still there: nobody has sealed or discarded it.
+    pub(super) fn is_there(&self) -> bool {
+        self.refresh();
+        self.dir.join(ABOUT_FILE).exists()
+    }
+
+    /// Shows what other workers have done, where the folder has a mirror. If that fails, what is known already stays true: the next
+    /// shard that is written tells of the failure.
+    pub(super) fn refresh(&self) {
+        if let Some(mirror) = mirror_above(&self.dir) {
+            drop(mirror.refresh(&self.dir));
+        }
+    }
+
+    /// The length of a shard's file, which may be on another machine.
+    fn n_bytes(&self, file: &str) -> Option<u64> {
+        let path = self.dir.join(file);
+        let here = fs_err::metadata(&path).ok().map(|metadata| metadata.len());
+        here.or_else(|| mirror_above(&path)?.n_bytes_elsewhere(&path))
+    }
+
+    /// What differs between the plan and a process of this identity; `None` if they fit together.
+    pub(super) fn difference(&self, own: &Identity) -> Option<String> {
+        own.difference(self.kind, self.identity())
+    }
+
+    /// What its workers have in common.
+    pub(super) fn identity(&self) -> &Identity {
+        &self.about.identity
+    }
+
+    /// Number of shards that were known from the start.
+    pub(super) fn n_planned(&self) -> usize {
+        self.about.n_shards
+    }
+
+    /// Number of shards in the plan, or begun since.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn n_shards(&self) -> Result<usize> {
+        let after = |name: PathBuf| {
+            let (shard, _) = name.to_str()?.strip_prefix(self.names.shard)?.strip_prefix('-')?.split_once('.')?;
+            Some(shard.parse::<usize>().ok()? + 1)
+        };
+        let begun = files_below(&self.dir)?.into_iter().filter_map(after).max();
+        Ok(begun.unwrap_or_default().max(self.about.n_shards))
+    }
+
+    /// The error of a process that differs from the plan in this way.
+    pub(super) fn refusal(&self, difference: &str) -> Failure {
+        // An unreadable folder does not matter here: the refusal is the message.
+        let n_shards = self.n_shards().unwrap_or_default();
+        let n_finished = (0..n_shards).filter(|idx| self.sidecar(*idx).exists()).count();
+        self.identity().refusal(self.kind, difference, (n_finished, n_shards))
+    }
+
+    /// Where it is.
+    pub(super) fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// The log of a worker.
+    pub(super) fn log(&self, worker: usize) -> PathBuf {
+        self.dir.join(format!("{LOG}{worker:05}.txt"))
+    }
+
+    /// What shard `idx` is called.
+    pub(super) fn shard_name(&self, idx: usize) -> String {
+        self.names.shard_name(idx)
+    }
+
+    /// The name of its file.
+    pub(super) fn file_name(&self, idx: usize) -> String {
+        format!("{}.{}", self.shard_name(idx), self.names.ending)
+    }
+
+    /// The record of shard `idx`, if it is finished. Its content is verified when it is published.
+    pub(super) fn finished<S: DeserializeOwned>(&self, idx: usize) -> Option<FinishedShard<S>> {
+        // A damaged record counts for nothing: the shard is made again.
+        let shard: FinishedShard<S> = read_record(&self.sidecar(idx)).ok()??;
+        let is_whole = self.n_bytes(&self.file_name(idx)) == Some(shard.stamp.n_bytes);
+        (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
+    }
+
+    /// How long shard `idx` took, if it is finished, seconds.
+    pub(super) fn seconds(&self, idx: usize) -> Option<f64> {
+        self.finished::<IgnoredAny>(idx).map(|shard| shard.seconds)
+    }
+
+    /// Declares a shard finished; its file must be complete.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn finish<S: Serialize>(
+        &self,
+        idx: usize,
+        (worker, seconds): (&str, f64),
+        (stamp, facts): (FileStamp, S),
+    ) -> Result<()> {
+        let plan_id = self.dir.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let shard = FinishedShard { plan_id, worker: worker.to_owned(), seconds, stamp, facts };
+        write_record(&self.sidecar(idx), &shard)?;
+        Ok(())
+    }
+
+    /// Compares the content of a finished shard with its checksum. A damaged shard no longer counts as finished.
+    ///
+    /// # Errors
+    /// Those of the file system: a shard that cannot be read now is none that is damaged.
+    pub(super) fn verified<S: DeserializeOwned>(&self, idx: usize) -> Result<Option<FinishedShard<S>>> {
+        let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
+        if shard.stamp.is_of(&self.dir.join(self.file_name(idx)))? {
+            return Ok(Some(shard));
+        }
+        remove_if_present(&self.sidecar(idx))?;
+        Ok(None)
+    }
+
+    /// Removes the marks of tries that failed, so that these shards are tried again; where nobody else can be at work, all marks.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn forget_tries(&self) -> Result<()> {
+        for name in self.tried()? {
+            let Some(idx) = name.strip_prefix(self.names.shard).and_then(|rest| rest.strip_prefix('-')?.parse().ok())
+            else {
+                continue;
+            };
+            if !self.is_shared() || !Tries::of(self, idx).failed.is_empty() {
+                (1..=MAX_TRIES).try_for_each(|number| remove_if_present(&self.try_path(idx, number)))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes the plan and everything that workers wrote for it. Workers that are still running find no plan.
+    ///
+    /// # Errors
+    /// When other people's files are in the folder; those of the file system.
+    pub(super) fn discard(&self) -> Result<()> {
+        discard(&self.dir, self.names)
+    }
+
+    /// The names of shards that were tried and are not finished. Reads the folder's list once: on a network file system
+    /// that is faster than looking for many missing files.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn tried(&self) -> Result<BTreeSet<String>> {
+        let names = files_below(&self.dir)?;
+        let shard_of = |name: &PathBuf| Some(name.to_str()?.split_once(".try-")?.0.to_owned());
+        Ok(names.iter().filter_map(shard_of).collect())
+    }
+
+    /// Appends the workers' logs to the log at `path`.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub(super) fn append_logs(&self, path: &Path) -> Result<()> {
+        let mut text = String::new();
+        for name in files_below(&self.dir)? {
+            let file = name.to_string_lossy();
+            if let Some(worker) = file.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")) {
+                let lines = fs_err::read_to_string(self.dir.join(&name))?;
+                lines.lines().for_each(|line| text.push_str(&format!("worker {worker}: {line}\n")));
+            }
+        }
+        Ok(fs_err::File::options().create(true).append(true).open(path)?.write_all(text.as_bytes())?)
+    }
+
+    fn sidecar(&self, idx: usize) -> PathBuf {
+        self.dir.join(format!("{}.json", self.shard_name(idx)))
+    }
+
+    /// Where the `number`-th try at a shard is marked.
+    pub(super) fn try_path(&self, idx: usize, number: usize) -> PathBuf {
+        self.dir.join(format!("{}.try-{number}", self.shard_name(idx)))
+    }
+}
+
+/// The folders of the plans of a stage, in order, complete or not.
+fn plan_dirs(root: &Path, kind: &'static StageKind) -> Result<Vec<PathBuf>> {
+    let parts = plans_of(root, kind);
+    if is_link(&parts) {
+        return Err(files::Error::Link { path: parts }.into());
+    }
+    if !parts.is_dir() {
+        return Ok(Vec::new());
+    }
+    let is_plan_id = |name: &str| name.len() == 16 && name.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let mut dirs = Vec::new();
+    for entry in fs_err::read_dir(parts)? {
+        let entry = entry?;
+        // Systems leave files of their own in folders, and links lead anywhere.
+        if entry.file_type()?.is_dir() && entry.file_name().to_str().is_some_and(is_plan_id) {
+            dirs.push(entry.path());
+        }
+    }
+    dirs.sort();
+    Ok(dirs)
+}
+
+/// The failure to read a record in the folder of a plan.
+fn damaged(error: store::Error, dir: &Path) -> Failure {
+    unreadable(error, || format!("move {} away, and plan again", dir.display()))
+}
+
+/// See [`ShardFolder::discard`].
+fn discard(dir: &Path, names: ShardNames) -> Result<()> {
+    let found = files_below(dir)?;
+    let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, names)).collect();
+    let theirs = foreign(dir, &ours)?;
+    if !theirs.is_empty() {
+        return Err(files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
+    }
+    // Processes read this first.
+    remove_if_present(&dir.join(ABOUT_FILE))?;
+    remove_listed(dir, &ours).map_err(Failure::fault)?;
+    if let Some(parts) = dir.parent() {
+        // Others may be in it.
+        let _ = fs_err::remove_dir(parts);
+    }
+    Ok(())
+}
+
+/// Whether plans or workers write files of this name, or temporary files for them.
+fn is_ours(name: &Path, names: ShardNames) -> bool {
+    let name = name.to_string_lossy();
+    let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
+    let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
+    let is_number = |text: &str| text.len() >= 5 && text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_log = || name.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")).is_some_and(is_number);
+    let is_shard = || {
+        let (stem, ending) = name.split_once('.')?;
+        let idx = stem.strip_prefix(names.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
+        let shard = names.shard_name(idx.parse().ok()?);
+        ([names.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
+    };
+    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || (names.is_other)(name)
+}
+
+const LOG: &str = "worker-";
+
+/// Where the plans of a stage are, in the run folder.
+fn plans_of(root: &Path, kind: &'static StageKind) -> PathBuf {
+    root.join(format!("{kind}.parts"))
+}

@@ -1,0 +1,81 @@
+//! What is a stage: which section configures it, what does it read and write, and when must it be redone?
+
+use super::failure::Result;
+use super::kind::StageKind;
+use super::shards::Sharded;
+use crate::nn::Compute;
+use crate::progress::Progress;
+use std::path::{Path, PathBuf};
+
+/// Something a stage reads.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StageInput {
+    /// Its name within the stage, such as `scenes`; unique there.
+    pub name: String,
+    /// Where it is.
+    pub path: PathBuf,
+    /// The stage that makes such things; `None` for recordings and other files from outside.
+    pub producer: Option<&'static StageKind>,
+}
+
+impl StageInput {
+    /// Something that another stage made.
+    pub fn made_by(producer: impl Into<&'static StageKind>, name: &str, path: &Path) -> Self {
+        Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer.into()) }
+    }
+
+    /// Something from outside.
+    pub fn external(name: impl Into<String>, path: &Path) -> Self {
+        Self { name: name.into(), path: path.to_owned(), producer: None }
+    }
+}
+
+/// One step of the pipeline.
+///
+/// A stage must write the same bytes whenever its configuration, its inputs and its version are the same; when it finds
+/// unfinished work of its own, it may resume it, because that work has the same fingerprint.
+pub trait Stage {
+    /// Which stage this is.
+    fn kind(&self) -> &'static StageKind;
+    /// Raised whenever the code changes what the stage writes, so that old outputs are redone.
+    fn version(&self) -> u32;
+    /// Refuses a section that cannot work, before anything runs.
+    ///
+    /// # Errors
+    /// When a value cannot work, naming it.
+    fn check(&self) -> Result<()>;
+    /// Its section, as JSON, without the paths of what it reads: inputs count by their content.
+    fn config(&self) -> anyhow::Result<serde_json::Value>;
+    /// What it reads.
+    fn inputs(&self) -> Vec<StageInput>;
+    /// What it writes: names of files and folders within the output folder, of those that its kind names.
+    fn outputs(&self) -> &'static [&'static str] {
+        self.kind().outputs
+    }
+    /// How it does its work.
+    fn work(&self) -> Work<'_>;
+}
+
+/// How a stage does its work.
+pub enum Work<'a> {
+    /// One process does all of it.
+    Whole(&'a dyn Whole),
+    /// Any number of processes make shards of it.
+    Sharded(&'a dyn Sharded),
+}
+
+/// Work that one process does.
+pub trait Whole {
+    /// Does the work. Returns a short summary for people and for later checks.
+    fn run(&self, context: &StageContext<'_>) -> Result<serde_json::Value>;
+}
+
+/// The context of a running stage.
+pub struct StageContext<'a> {
+    /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
+    pub root: &'a Path,
+    /// What networks compute on.
+    pub compute: &'a Compute,
+    /// Receives the progress.
+    pub progress: &'a dyn Progress,
+}

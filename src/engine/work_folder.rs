@@ -1,0 +1,280 @@
+//! The folder in which a stage works, and the exchange of its outputs with earlier ones.
+//!
+//! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it.
+//! Earlier outputs stay in their places meanwhile. Once the new ones are complete, `done.json` is written in the work
+//! folder. From then on they are put in place, at the latest when the folder is opened the next time
+//! ([`WorkFolder::complete_all`]). Folders are exchanged by one system call where there is one, so that each output, old or
+//! new, is always in place, whenever the process is killed.
+
+use super::claim;
+use super::failure::{Failure, Result};
+use super::keep::{self, Kept};
+use super::kind::StageKind;
+use super::record::{StageRecord, done_path, unreadable};
+use crate::files::{
+    self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
+    sync_folder, write_atomically,
+};
+use crate::store::{Error as StoreError, read_record, write_record};
+use fs_err as fs;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The record of the stage that works.
+const STARTED_FILE: &str = "started.json";
+/// The record of the stage whose outputs are whole, but not all in place.
+const DONE_FILE: &str = "done.json";
+/// What becomes of earlier outputs that are kept.
+const KEEP_FILE: &str = "keep.json";
+/// Marks a new folder during the exchange, to tell it from the one that it replaces.
+const NEW_FILE: &str = ".djinn-new";
+/// Earlier outputs that made place and are about to be removed.
+const REPLACED: &str = "replaced";
+
+/// The folder in which a stage works.
+pub(super) struct WorkFolder {
+    root: PathBuf,
+    dir: PathBuf,
+    stage: &'static StageKind,
+}
+
+/// Names under which earlier outputs stay in the output folder, by the names that they had.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct KeptNames {
+    names: BTreeMap<String, String>,
+}
+
+/// Where a stage works.
+pub fn work_path(root: &Path, stage: &StageKind) -> PathBuf {
+    root.join(format!("{stage}.partial"))
+}
+
+impl WorkFolder {
+    fn of(root: &Path, stage: &'static StageKind) -> Self {
+        Self { root: root.to_owned(), dir: work_path(root, stage), stage }
+    }
+
+    /// The record of the stage that was at work in `root` and was interrupted, if there is one.
+    ///
+    /// # Errors
+    /// When the record is damaged; those of the file system.
+    pub(super) fn started(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
+        let work = Self::of(root, stage);
+        match work.record(STARTED_FILE)? {
+            Some(record) => Ok(Some(record)),
+            None => work.record(DONE_FILE),
+        }
+    }
+
+    fn record(&self, name: &str) -> Result<Option<StageRecord>> {
+        StageRecord::read(&self.dir.join(name), self.stage).map_err(|error| self.unreadable(error))
+    }
+
+    /// What becomes of earlier outputs.
+    fn kept_names(&self) -> Result<BTreeMap<String, String>> {
+        let path = self.dir.join(KEEP_FILE);
+        let kept: Option<KeptNames> = read_record(&path).map_err(|error| self.unreadable(error))?;
+        let names = kept.unwrap_or_default().names;
+        let outputs = self.stage.outputs;
+        let may_be =
+            |(name, as_name): (&String, &String)| outputs.contains(&name.as_str()) && keep::is_kept(name, as_name);
+        match names.iter().find(|names| !may_be(*names)) {
+            Some((name, as_name)) => {
+                let detail = format!("{name:?} cannot stay as {as_name:?}");
+                Err(self.unreadable(StoreError::Record { path, detail }))
+            }
+            None => Ok(names),
+        }
+    }
+
+    fn unreadable(&self, error: StoreError) -> Failure {
+        let (dir, stage) = (self.dir.display(), self.stage);
+        unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
+    }
+
+    /// Takes up the work that an interrupted run left.
+    pub(super) fn resume(root: &Path, stage: &'static StageKind, expected: &StageRecord) -> Result<Self> {
+        let work = Self::of(root, stage);
+        if Self::started(root, stage)?.is_none() {
+            work.discard()?;
+            work.announce(expected)?;
+        }
+        remove_leftovers(&work.dir)?;
+        Ok(work)
+    }
+
+    /// Begins anew, in place of what an interrupted run left.
+    pub(super) fn begin(root: &Path, stage: &'static StageKind, expected: &StageRecord) -> Result<Self> {
+        let work = Self::of(root, stage);
+        work.discard()?;
+        work.announce(expected)?;
+        Ok(work)
+    }
+
+    /// Refuses a work folder that holds what is not ours.
+    pub(super) fn check_ours(root: &Path, stage: &'static StageKind) -> Result<()> {
+        let path = Self::of(root, stage).dir;
+        if files::is_link(&path) {
+            return Err(Error::Link { path }.into());
+        }
+        let found = match path.is_file() {
+            true => path.file_name().map(PathBuf::from).into_iter().collect(),
+            false => foreign(&path, &listed(&path)?.unwrap_or_default())?,
+        };
+        if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path, found }.into()) }
+    }
+
+    /// Where the stage writes.
+    pub(super) fn path(&self) -> &Path {
+        &self.dir
+    }
+
+    /// Declares the outputs whole and brings them to their places. Of a trained model that stands there, `kept` says whether,
+    /// and under which name, it stays.
+    pub(super) fn finish(
+        &self,
+        expected: StageRecord,
+        outputs: &[&str],
+        summary: Value,
+        kept: &[Kept],
+    ) -> Result<StageRecord> {
+        remove_leftovers(&self.dir)?;
+        let mut written = listed(&self.dir)?.unwrap_or_default();
+        // Some were begun and given up, or served for a while.
+        written.retain(|name| self.dir.join(name).is_file());
+        let record = expected.finished(&self.dir, outputs, &written, summary)?;
+        let names = kept.iter().map(|kept| (kept.name.clone(), kept.as_name.clone())).collect();
+        write_record(&self.dir.join(KEEP_FILE), &KeptNames { names })?;
+        write_record(&self.dir.join(DONE_FILE), &record)?;
+        self.publish(&record)?;
+        Ok(record)
+    }
+
+    /// Finishes what earlier processes left unfinished: brings whole outputs to their places, and removes what was about to be
+    /// removed.
+    pub(super) fn complete_all(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
+        for stage in kinds {
+            let work = Self::of(root, stage);
+            if let Some(record) = work.record(DONE_FILE)? {
+                work.publish(&record)?;
+            } else if listed(&work.dir)?.is_some() && !work.dir.join(STARTED_FILE).exists() {
+                work.clean_up()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings the outputs to their places. A kill at any moment leaves a state from which the same steps go on.
+    fn publish(&self, record: &StageRecord) -> Result<()> {
+        // What is in its place already is not looked at: the record of the earlier run does not know it.
+        let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
+        let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
+        claim::check_outputs(&self.root, self.stage, &names)?;
+        Self::check_ours(&self.root, self.stage)?;
+        let earlier = StageRecord::done(&self.root, self.stage)?;
+        let keep = self.kept_names()?;
+        let replaced = earlier.iter().flat_map(|earlier| earlier.outputs.keys());
+        let places = record.outputs.keys().chain(replaced).flat_map(|name| [self.dir.join(name), self.root.join(name)]);
+        if let Some(path) = places.chain([self.dir.join(REPLACED)]).find(|place| files::is_link(place)) {
+            return Err(Error::Link { path }.into());
+        }
+        remove_if_present(&self.dir.join(STARTED_FILE))?;
+        for name in record.outputs.keys() {
+            self.put_in_place(name, keep.get(name))?;
+        }
+        if let Some(earlier) = &earlier {
+            for away in keep.values().map(|as_name| self.root.join(as_name)) {
+                if away.is_dir() && !files::is_link(&away) {
+                    keep::leave_record(earlier, &away)?;
+                }
+            }
+            self.remove_stale(earlier, record)?;
+        }
+        sync_folder(&self.root)?;
+        fs::rename(self.dir.join(DONE_FILE), done_path(&self.root, self.stage))?;
+        sync_folder(&self.root)?;
+        self.clean_up()
+    }
+
+    /// Brings the output `name` to its place. Files are renamed over earlier ones, folders change places with them, so that
+    /// there is always one or the other. The earlier one then goes to the name under which it stays, or to where it will be
+    /// removed.
+    fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
+        let (new, place) = (self.dir.join(name), self.root.join(name));
+        let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));
+        let mark = place.join(NEW_FILE);
+        if new.exists() && !mark.exists() {
+            if new.is_dir() && place.is_dir() {
+                self.list_replaced(name)?;
+                // A kill while the mark was written left a part of it, which would come along.
+                remove_leftovers(&self.dir)?;
+                write_atomically::<std::io::Error>(&new.join(NEW_FILE), |_| Ok(()))?;
+                fs::create_dir_all(self.dir.join(REPLACED))?;
+                if !exchange(&new, &place)? {
+                    fs::rename(&place, &away)?;
+                }
+            }
+            if !mark.exists() {
+                fs::rename(&new, &place)?;
+            }
+        }
+        if mark.exists() {
+            if new.exists() {
+                fs::rename(&new, &away)?;
+            }
+            fs::remove_file(mark)?;
+        }
+        Ok(())
+    }
+
+    /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are known
+    /// for ours whenever the process is killed.
+    fn list_replaced(&self, name: &str) -> Result<()> {
+        let owned = claim::owned(&self.root, self.stage)?;
+        let files = owned.iter().filter(|file| file.starts_with(name));
+        let names: Vec<PathBuf> = files.flat_map(|file| [file.clone(), Path::new(REPLACED).join(file)]).collect();
+        Ok(enter_all(&self.dir, names.iter().map(PathBuf::as_path))?)
+    }
+
+    /// Removes files that the earlier run wrote under names that this one did not write at all.
+    fn remove_stale(&self, earlier: &StageRecord, record: &StageRecord) -> Result<()> {
+        let owned = claim::owned(&self.root, self.stage)?;
+        for name in earlier.outputs.keys().filter(|name| !record.outputs.contains_key(*name)) {
+            let place = self.root.join(name);
+            if place.is_dir() {
+                let ours = owned.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect();
+                remove_listed(&place, &ours)?;
+            } else if owned.contains(Path::new(name)) {
+                remove_if_present(&place)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn announce(&self, expected: &StageRecord) -> Result<()> {
+        fs::create_dir_all(&self.dir)?;
+        keep_list(&self.dir)?;
+        write_record(&self.dir.join(STARTED_FILE), expected)?;
+        Ok(())
+    }
+
+    /// Makes place for new work. An unfinished training is moved aside: it may have cost hours.
+    fn discard(&self) -> Result<()> {
+        Self::check_ours(&self.root, self.stage)?;
+        if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.trains) {
+            keep::keep_unfinished(&started, &self.dir, &self.root)?;
+        }
+        self.clean_up()
+    }
+
+    fn clean_up(&self) -> Result<()> {
+        if let Some(ours) = listed(&self.dir)? {
+            remove_listed(&self.dir, &ours)?;
+        } else if self.dir.is_dir() {
+            remove_listed(&self.dir, &BTreeSet::new())?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,156 @@
+//! Recorded histories and models to generated scenarios, shard by shard; finished shards survive an interruption.
+
+mod ready;
+mod rounds;
+mod sample_folder;
+mod sharded;
+#[cfg(test)]
+mod tests;
+
+pub(in crate::pipeline) use sample_folder::{FoundShard, find_shard, is_round_file, shard_name};
+pub use sample_folder::{SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
+
+use super::mine::MineConfig;
+use super::models::needed_models;
+use super::with_precision;
+use crate::diffusion::Edm;
+use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
+use crate::evaluate::{for_maps, map_fits};
+use crate::generate::{self, GenerateConfig, Pool, RequestSummary, ResolvedGeneration};
+use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
+use crate::nn::{Compute, Precision};
+use crate::pipeline::StageId;
+use crate::pipeline::layout::Layout;
+use crate::store::{SceneStore, read_json};
+use crate::train::DistillTrainingConfig;
+use serde_json::{Value, json};
+
+/// The stage.
+pub struct Generate<'a> {
+    /// Its section.
+    pub config: &'a GenerateConfig,
+    /// How products of networks are rounded.
+    pub precision: Precision,
+    /// The definitions of the behaviors that scenarios are checked for.
+    pub mine: MineConfig,
+    /// The settings of metrics in selections and limits, as in the evaluation.
+    pub metric_settings: MetricSettings,
+    /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the evaluation, meters.
+    pub duplicate_distance_m: f64,
+    /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
+    pub classified_behavior: Option<&'a str>,
+    /// How the pipeline distills its denoiser, where it does so itself.
+    pub distill: Option<&'a DistillTrainingConfig>,
+    /// Where the scenes and models are.
+    pub layout: &'a Layout,
+}
+
+impl Stage for Generate<'_> {
+    fn kind(&self) -> &'static StageKind {
+        StageId::Generate.kind()
+    }
+
+    fn version(&self) -> u32 {
+        9
+    }
+
+    fn check(&self) -> Result<()> {
+        let resolved = self.resolve()?;
+        self.metric_settings.validate().map_err(|why| Failure::input_message(format_args!("evaluate.{why}")))?;
+        // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are checked again when
+        // both models are there.
+        let edm = Edm::default();
+        let distillation = self.distill.filter(|config| config.checkpoint.is_none());
+        let distillation = distillation.map(|config| config.method.distillation(&edm));
+        for sweep in &resolved.sweeps {
+            if let Some(distillation) = &distillation {
+                sweep.check_distillation(distillation, &edm)?;
+            }
+            let Some(behavior) = sweep.behavior.as_deref() else { continue };
+            if sweep.needs_classifier() && self.classified_behavior.is_some_and(|classified| classified != behavior) {
+                let (sweep, behavior) = (sweep.name.clone(), behavior.to_owned());
+                return Err(generate::Error::NoClassifier { sweep, behavior }.into());
+            }
+        }
+        Ok(())
+    }
+
+    fn config(&self) -> anyhow::Result<Value> {
+        let mut config = serde_json::to_value(self.config)?;
+        config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
+        let settings = self.judging_settings();
+        if differs_from_default(&settings) {
+            config["metric_settings"] = serde_json::to_value(settings)?;
+        }
+        if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
+            config["duplicate_distance_m"] = json!(self.duplicate_distance_m);
+        }
+        Ok(with_precision(config, Some(self.precision)))
+    }
+
+    fn inputs(&self) -> Vec<StageInput> {
+        // A section that cannot work needs nothing more: it has been refused.
+        let needed = self.resolve().map(|resolved| needed_models(&resolved.sweeps)).unwrap_or_default();
+        let made =
+            |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
+        let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
+        let priors = self.config.requests.iter().filter_map(|request| {
+            Some(StageInput::external(format!("prior of {}", request.name), request.prior.as_deref()?))
+        });
+        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).chain(priors).collect()
+    }
+
+    fn work(&self) -> Work<'_> {
+        Work::Sharded(self)
+    }
+}
+
+impl Generate<'_> {
+    /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a metric
+    /// that depends on them, else the places without a road, for the rules of traffic.
+    fn judging_settings(&self) -> MetricSettings {
+        if self.config.selects_by(|id| self.metric_settings.decide(id)) {
+            return self.metric_settings.clone();
+        }
+        let places_without_road = self.metric_settings.validity.places_without_road.clone();
+        let validity = ValidityConfig { places_without_road, ..ValidityConfig::default() };
+        MetricSettings { validity, ..MetricSettings::default() }
+    }
+
+    /// The same, as the evaluation uses them: departures are judged only where maps allow it.
+    fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
+        let settings = self.judging_settings();
+        let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);
+        Ok(MetricSettings { validity, ..settings })
+    }
+
+    /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.
+    ///
+    /// # Errors
+    /// When no pair can fulfill a request, or scenes and models cannot be read.
+    pub(in crate::pipeline) fn pools(&self, compute: &Compute) -> Result<Option<Vec<Pool>>> {
+        if self.resolve()?.requests.is_empty() || self.inputs().iter().any(|input| !input.path.exists()) {
+            return Ok(None);
+        }
+        self.with_ready(compute, None, |ready| ready.pools().map(Some))
+    }
+
+    /// The resolved section, which includes the sweeps of requests.
+    pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
+        let mut resolved = self.config.resolve(&self.mine.build()?)?;
+        for request in &mut resolved.requests {
+            request.duplicate_distance_m = self.duplicate_distance_m;
+            let Some(path) = request.config.prior.clone() else { continue };
+            let earlier = read_json::<Vec<RequestSummary>>(&path).map_err(|error| {
+                Failure::input(error).with_hint("prior is the file samples/requests.json of a run with requests")
+            })?;
+            let section = format!("generate.requests.{}", request.idx);
+            request.learn(&earlier).map_err(|issue| Failure::input(issue.within(&section)))?;
+        }
+        Ok(resolved)
+    }
+}
+
+fn differs_from_default(settings: &MetricSettings) -> bool {
+    *settings != MetricSettings::default()
+}

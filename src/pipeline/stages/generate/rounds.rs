@@ -1,0 +1,254 @@
+//! Requests: rounds of shards until every bucket is full or the budget is spent.
+//!
+//! The shards of a round depend only on the decision for that round, so workers sample them in any order. A worker that
+//! finds a round complete reads its shards in order and decides the next one; all workers would decide the same.
+//!
+//! Whether a scenario is accepted depends on the scenarios before it. Workers therefore only record the bucket of each
+//! scenario; the process that finishes decides, and writes the tables again with its decisions.
+
+use super::ready::Ready;
+use super::sample_folder::{SampleSidecar, read_round, write_round};
+use super::sharded::{GenerationPlan, SampledShard};
+use crate::engine::shards::{Gathering, Shards};
+use crate::engine::{Failure, Result};
+use crate::generate::{
+    Ledger, Pool, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally,
+};
+use crate::progress::{Progress, Silent};
+use crate::scenario::RequestTag;
+use crate::seed::Seed;
+use std::path::Path;
+
+/// Samples the shards of requests, round by round, until all requests are fulfilled or a shard is given up.
+pub(super) fn make(plan: &GenerationPlan, ready: &Ready<'_>, shards: &Shards<'_>) -> Result<()> {
+    let rounds = Rounds { resolved: ready.resolved, dir: shards.dir(), progress: shards.progress };
+    let mut next_idx = plan.sweeps.shards.len();
+    for (request, pool) in ready.resolved.requests.iter().zip(&plan.pools) {
+        shards.progress.start(&format!("request {}", request.config.name), 0, "samples");
+        let walked = rounds.go_through((request, pool), &mut next_idx, &mut Sampling { ready, shards })?;
+        shards.progress.finish();
+        if walked.is_none() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Provides the shards of rounds, or makes them.
+trait RoundShards {
+    /// Announces a round before its shards are requested one by one.
+    fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()>;
+
+    /// The tally of a shard of the round of this number, when `ledger` holds all earlier ones; `None` if it is missing.
+    fn tally(
+        &mut self,
+        of: (&ResolvedRequest, &Pool),
+        round: usize,
+        shard: &RoundShard,
+        ledger: &Ledger,
+    ) -> Result<Option<ShardTally>>;
+}
+
+/// The rounds of requests; rounds without a file are decided.
+struct Rounds<'a> {
+    /// What is sampled.
+    resolved: &'a ResolvedGeneration,
+    /// Where what was decided is kept.
+    dir: &'a Path,
+    /// Receives the progress.
+    progress: &'a dyn Progress,
+}
+
+impl Rounds<'_> {
+    /// Goes through the rounds of a request, whose shards are numbered from `next_idx` on. Returns the ledger and the
+    /// number of rounds; `None` if a shard is missing.
+    fn go_through(
+        &self,
+        (request, pool): (&ResolvedRequest, &Pool),
+        next_idx: &mut usize,
+        shards: &mut dyn RoundShards,
+    ) -> Result<Option<(Ledger, usize)>> {
+        let mut ledger = Ledger::new(request, pool);
+        let mut n_rounds = 0;
+        while let Some(round) = self.round(request, (pool, &ledger), n_rounds, *next_idx)? {
+            shards.begin((request, pool), &round)?;
+            for shard in &round.shards {
+                // Whether the rest of a round is wanted depends on its earlier shards, which are the same in every attempt.
+                if ledger.is_closed() {
+                    break;
+                }
+                let Some(tally) = shards.tally((request, pool), n_rounds, shard, &ledger)? else { return Ok(None) };
+                ledger.add(&tally);
+                let n_wanted = request.buckets.wanted().iter().sum::<u64>();
+                self.progress.note(&format!("round {n_rounds}, {} of {n_wanted} accepted", ledger.n_accepted()));
+            }
+            *next_idx += round.shards.len();
+            n_rounds += 1;
+        }
+        Ok(Some((ledger, n_rounds)))
+    }
+
+    /// The round as it was decided, or decides it.
+    fn round(
+        &self,
+        request: &ResolvedRequest,
+        (pool, ledger): (&Pool, &Ledger),
+        round: usize,
+        next_idx: usize,
+    ) -> Result<Option<Round>> {
+        if let Some(decided) = read_round(self.dir, request.idx, round)? {
+            return Ok(Some(decided));
+        }
+        let config = self.resolved;
+        let decided = request.next_round(&RoundContext {
+            pool,
+            ledger,
+            round,
+            next_idx,
+            cells_per_shard: config.scenes_per_shard,
+            seed: Seed(config.seed),
+        });
+        if let Some(decided) = &decided {
+            write_round(self.dir, request.idx, decided)?;
+        }
+        Ok(decided)
+    }
+}
+
+/// Samples the rounds of a request as a worker.
+struct Sampling<'a> {
+    ready: &'a Ready<'a>,
+    shards: &'a Shards<'a>,
+}
+
+impl RoundShards for Sampling<'_> {
+    /// Several workers sample a round side by side; a single one only what is wanted after what came before.
+    fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()> {
+        if self.shards.has_others() { self.complete(of, &round.shards).map(drop) } else { Ok(()) }
+    }
+
+    fn tally(
+        &mut self,
+        of: (&ResolvedRequest, &Pool),
+        round: usize,
+        shard: &RoundShard,
+        ledger: &Ledger,
+    ) -> Result<Option<ShardTally>> {
+        self.complete(of, std::slice::from_ref(shard))?;
+        let finished = self.shards.finished(shard.plan.idx);
+        finished.map(|sampled| Ok(decided(of.0, (round, shard), ledger, &sampled)?.0)).transpose()
+    }
+}
+
+impl Sampling<'_> {
+    /// Samples those of consecutive shards that are not finished.
+    fn complete(&self, of: (&ResolvedRequest, &Pool), of_round: &[RoundShard]) -> Result<bool> {
+        let first = of_round.first().map_or(0, |shard| shard.plan.idx);
+        let shard = |idx: usize| &of_round[idx - first];
+        let worth = |idx: usize| shard(idx).plan.n_samples(self.ready.resolved) as u64;
+        self.shards.complete(first..first + of_round.len(), &worth, &mut |idx| {
+            let sampled = self.sample(of, shard(idx))?;
+            Ok((sampled.sidecar.stamp.clone(), sampled))
+        })
+    }
+
+    fn sample(&self, (request, pool): (&ResolvedRequest, &Pool), shard: &RoundShard) -> Result<SampledShard> {
+        let Self { ready, shards } = self;
+        let output = ready.generator.generate(&shard.plan, shards.progress)?;
+        let placed = ready.generator.place(request, (pool, shard), &output.records)?;
+        Ok(SampledShard { sidecar: ready.write(&shard.plan, shards.dir(), output)?, placed })
+    }
+}
+
+/// A shard of a request whose scenarios are decided.
+pub(super) struct DecidedShard {
+    /// Its index.
+    pub(super) idx: usize,
+    /// Its record, with its tally, before the table has the decisions.
+    pub(super) sidecar: SampleSidecar,
+    /// What was decided of each scenario.
+    pub(super) tags: Vec<RequestTag>,
+}
+
+/// Decides the rounds of all requests, as far as their shards are there. Returns the shards that count, and what became of each
+/// request.
+pub(super) fn gather(
+    plan: &GenerationPlan,
+    resolved: &ResolvedGeneration,
+    shards: &mut Gathering<'_>,
+) -> Result<(Vec<DecidedShard>, Vec<RequestSummary>)> {
+    let dir = shards.dir().to_owned();
+    let rounds = Rounds { resolved, dir: &dir, progress: &Silent };
+    let mut next_idx = plan.sweeps.shards.len();
+    let mut deciding = Deciding { shards, done: Vec::new() };
+    let mut summaries = Vec::new();
+    for (request, pool) in resolved.requests.iter().zip(&plan.pools) {
+        let walked = rounds.go_through((request, pool), &mut next_idx, &mut deciding)?;
+        let Some((ledger, n_rounds)) = walked else { break };
+        summaries.push(RequestSummary::new(request, pool, &ledger, n_rounds));
+    }
+    Ok((deciding.done, summaries))
+}
+
+/// Decides the rounds of a request in the process that finishes.
+struct Deciding<'a, 'g> {
+    shards: &'a mut Gathering<'g>,
+    done: Vec<DecidedShard>,
+}
+
+impl RoundShards for Deciding<'_, '_> {
+    fn begin(&mut self, _: (&ResolvedRequest, &Pool), round: &Round) -> Result<()> {
+        self.shards.expect_more(round.shards.len());
+        Ok(())
+    }
+
+    fn tally(
+        &mut self,
+        (request, _): (&ResolvedRequest, &Pool),
+        round: usize,
+        shard: &RoundShard,
+        ledger: &Ledger,
+    ) -> Result<Option<ShardTally>> {
+        let idx = shard.plan.idx;
+        let Some(sampled) = self.shards.look_up(idx)? else { return Ok(None) };
+        let (tally, tags) = decided(request, (round, shard), ledger, &sampled)?;
+        let sidecar = SampleSidecar { request: Some(tally.clone()), ..sampled.sidecar };
+        self.done.push(DecidedShard { idx, sidecar, tags });
+        Ok(Some(tally))
+    }
+}
+
+/// The tally of a shard, and the tags of its scenarios.
+fn decided(
+    request: &ResolvedRequest,
+    (round, shard): (usize, &RoundShard),
+    ledger: &Ledger,
+    sampled: &SampledShard,
+) -> Result<(ShardTally, Vec<RequestTag>)> {
+    let SampledShard { sidecar, placed } = sampled;
+    if sidecar.n_scenarios != placed.len() as u64 || !request.may_decide(shard, placed) {
+        let message = format!("the record of {} is damaged or belongs to another shard", sidecar.file);
+        let hint = "plan again with --stage generate --part plan --redo generate";
+        return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(hint));
+    }
+    Ok(request.decide(round, shard, ledger, placed))
+}
+
+/// Warns of buckets that stay short.
+pub(super) fn warn_of_short(summary: &RequestSummary, progress: &dyn Progress) {
+    let n_short = summary.short().count();
+    if n_short == 0 {
+        return;
+    }
+    let counted = |n: usize, what: &str| if n == 0 { String::new() } else { format!("; {what} {n} of them") };
+    let given_up = counted(summary.given_up().count(), "nothing came of 200 samples in a row that aimed at");
+    let infeasible = counted(summary.infeasible().count(), "no pair can reach");
+    progress.warn(&format!(
+        "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}{given_up}; the report says which. Raise its \
+         budget, add arms that reach them, or add scenes",
+        summary.name,
+        summary.buckets.len(),
+        summary.n_accepted,
+        summary.n_wanted
+    ));
+}

@@ -1,0 +1,156 @@
+//! The shards of generation: first those of sweeps, then those of requests ([`rounds`]).
+
+use super::rounds::{self, DecidedShard, warn_of_short};
+use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
+use super::{Generate, differs_from_default};
+use crate::engine::shards::{Division, Gathering, Sharded, Shards};
+use crate::engine::{Result, StageContext};
+use crate::generate::{PlacedScenario, Plan, Pool, ResolvedGeneration, ShardPlan, Shortfall};
+use crate::metrics::MetricSettings;
+use crate::nn::Compute;
+use crate::pipeline::layout::SAMPLES;
+use crate::progress::Progress;
+use crate::store::SceneStore;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+
+/// The decisions made before any shard is sampled.
+#[derive(Serialize, Deserialize)]
+pub(super) struct GenerationPlan {
+    /// The shards of the sweeps.
+    pub(super) sweeps: Plan,
+    /// The cells of each request.
+    pub(super) pools: Vec<Pool>,
+    /// What the shards are sampled with.
+    sampled_with: SampledWith,
+    /// The settings by which scenarios are judged.
+    metric_settings: MetricSettings,
+}
+
+/// What is known of a sampled shard.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct SampledShard {
+    /// Of a request, it lacks the tally until the shards are gathered.
+    pub(super) sidecar: SampleSidecar,
+    /// The buckets of the scenarios of a request.
+    pub(super) placed: Vec<PlacedScenario>,
+}
+
+impl Sharded for Generate<'_> {
+    fn plan(&self, compute: &Compute, progress: &dyn Progress) -> Result<Division> {
+        self.with_ready(compute, None, |ready| {
+            let sweeps = ready.plan(progress)?;
+            let (pools, sampled_with) = (ready.pools()?, ready.sampled_with(&sweeps));
+            let metric_settings = ready.metric_settings.clone();
+            Division::new(sweeps.shards.len(), &GenerationPlan { sweeps, pools, sampled_with, metric_settings })
+        })
+    }
+
+    fn make(&self, shards: &Shards<'_>, compute: &Compute) -> Result<()> {
+        let plan: GenerationPlan = shards.decisions()?;
+        self.with_ready(compute, Some(plan.metric_settings.clone()), |ready| {
+            let mut sample = |shard: &ShardPlan| ready.sample(shard, shards.dir(), shards.progress);
+            make_sweeps(shards, &plan.sweeps, ready.resolved, &mut sample)?;
+            rounds::make(&plan, ready, shards)
+        })
+    }
+
+    fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value> {
+        let plan: GenerationPlan = shards.decisions()?;
+        let resolved = self.resolve()?;
+        let mut done = gather_sweeps(&plan.sweeps, &resolved, shards)?;
+        let (of_requests, summaries) = rounds::gather(&plan, &resolved, shards)?;
+        shards.check_whole()?;
+        let GenerationPlan { sweeps, pools, sampled_with, metric_settings } = plan;
+        for Shortfall { sweep, n_wanted, n_found } in &sweeps.shortfalls {
+            context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes requested, {n_found} suitable"));
+        }
+        summaries.iter().for_each(|summary| warn_of_short(summary, context.progress));
+        let folder = SampleFolder::create(&context.root.join(SAMPLES))?;
+        let (mine, generate) = (self.mine.clone(), self.config.clone());
+        let metric_settings = Some(metric_settings).filter(differs_from_default);
+        folder.write_settings(&SampleSettings { mine, generate, metric_settings })?;
+        folder.write_plan(&sweeps)?;
+        done.iter().try_for_each(|sidecar| folder.take(shards.dir(), &sidecar.file))?;
+        if !summaries.is_empty() {
+            folder.write_requests(&summaries)?;
+            folder.take_rounds(shards.dir(), &pools)?;
+            let store = SceneStore::open(&self.layout.scenes)?;
+            let write = |shard: DecidedShard| folder.write_decided(shards.dir(), shard, &store);
+            done.extend(of_requests.into_par_iter().map(write).collect::<Result<Vec<_>>>()?);
+        }
+        let manifest = folder.write_manifest(done, sampled_with)?;
+        if manifest.n_rejected > 0 {
+            let message = format!("{} samples had non-finite values and were rejected", manifest.n_rejected);
+            context.progress.warn(&message);
+        }
+        Ok(json!({
+            "n_scenarios": manifest.n_scenarios,
+            "n_verified": manifest.n_verified,
+            "n_rejected": manifest.n_rejected,
+            "n_wanted": summaries.iter().map(|request| request.n_wanted).sum::<u64>(),
+            "n_accepted": summaries.iter().map(|request| request.n_accepted).sum::<u64>(),
+        }))
+    }
+}
+
+/// Samples the shards of the plan that may be needed: not those of a sweep whose finished shards before already have enough
+/// verified scenarios.
+pub(super) fn make_sweeps(
+    shards: &Shards<'_>,
+    plan: &Plan,
+    resolved: &ResolvedGeneration,
+    sample: &mut dyn FnMut(&ShardPlan) -> Result<SampleSidecar>,
+) -> Result<()> {
+    if plan.shards.is_empty() {
+        return Ok(());
+    }
+    let progress = shards.progress;
+    progress.start("generate", plan.n_samples(resolved) as u64, "samples");
+    let n_samples = |idx: usize| plan.shards[idx].n_samples(resolved) as u64;
+    let verified: RefCell<BTreeMap<usize, u64>> = RefCell::default();
+    let n_verified = |idx: usize| -> Option<u64> {
+        let known = verified.borrow().get(&idx).copied();
+        let found = known.or_else(|| Some(shards.finished::<SampledShard>(idx)?.sidecar.n_verified))?;
+        verified.borrow_mut().insert(idx, found);
+        Some(found)
+    };
+    let may_be_wanted = |idx: usize| {
+        let shard = &plan.shards[idx];
+        let before = plan.shards[..idx].iter().filter(|other| other.sweep_idx == shard.sweep_idx);
+        shard.is_wanted(resolved, usize::MAX)
+            || shard.is_wanted(resolved, before.filter_map(|other| n_verified(other.idx)).sum::<u64>() as usize)
+    };
+    shards.go_about(0..plan.shards.len(), &n_samples, &may_be_wanted, &mut |idx| {
+        let sidecar = sample(&plan.shards[idx])?;
+        verified.borrow_mut().insert(idx, sidecar.n_verified);
+        progress.note(&format!("{} verified", verified.borrow().values().sum::<u64>()));
+        Ok((sidecar.stamp.clone(), SampledShard { sidecar, placed: Vec::new() }))
+    })?;
+    progress.finish();
+    Ok(())
+}
+
+/// Gathers the shards that a single worker would have sampled. If a sweep stops early, shards after a missing one wait,
+/// because they may not be needed.
+pub(super) fn gather_sweeps(
+    plan: &Plan,
+    resolved: &ResolvedGeneration,
+    shards: &mut Gathering<'_>,
+) -> Result<Vec<SampleSidecar>> {
+    let mut found = Vec::new();
+    let mut n_verified = vec![0; resolved.n_sweeps];
+    for shard in plan.shards.iter() {
+        if !shard.is_wanted(resolved, n_verified[shard.sweep_idx]) {
+            continue;
+        }
+        if let Some(SampledShard { sidecar, .. }) = shards.look_up(shard.idx)? {
+            n_verified[shard.sweep_idx] += sidecar.n_verified as usize;
+            found.push(sidecar);
+        }
+    }
+    Ok(found)
+}
