@@ -7,7 +7,7 @@ thread_local! {
     static IS_CONTAINED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// What `decode` returns; `None` where it panicked. Whatever `decode` was given must be of no use afterwards.
+/// The result of `decode`; `None` where it panicked. Whatever `decode` was given must be of no use afterwards.
 ///
 /// For decoders of others that assert what a damaged file breaks: one such file must not end the reading of all others.
 pub fn contained<T>(decode: impl FnOnce() -> T) -> Option<T> {
@@ -17,7 +17,7 @@ pub fn contained<T>(decode: impl FnOnce() -> T) -> Option<T> {
     outcome.ok()
 }
 
-/// Whether this thread is inside of [`contained`], so that a panic will be told as an error.
+/// Whether this thread is inside of [`contained`], so that a panic will be reported as an error.
 pub fn is_contained() -> bool {
     IS_CONTAINED.get()
 }

@@ -1,6 +1,7 @@
 //! Synthesis of rare-event traffic scenarios: from recordings to a checked corpus.
 //!
-//! Modules in reading order; each may use only those above it (ARCHITECTURE.md, enforced by `tests/it/architecture.rs`).
+//! Modules in reading order; each may use only those above it (ARCHITECTURE.md, enforced by
+//! `tests/it/architecture.rs`).
 
 pub mod containment;
 pub mod files;

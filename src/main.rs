@@ -7,8 +7,8 @@ fn main() -> ExitCode {
     djinn::cli::main()
 }
 
-/// Lets candle's worker threads sleep soon when they have nothing to do. By default they wait in a busy loop, on the cores that
-/// the threads of the fused operations need: with two threads a training step took 30 % longer.
+/// Lets candle's worker threads sleep soon when they have nothing to do. By default they wait in a busy loop, on the
+/// cores that the threads of the fused operations need: with two threads a training step took 30 % longer.
 fn let_waiting_threads_sleep() {
     /// Rounds of the loop; candle reads it when it first computes in parallel.
     const SPIN_LIMIT: &str = "CANDLE_BARRIER_POOL_SPIN_LIMIT";

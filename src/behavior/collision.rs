@@ -13,7 +13,7 @@ use std::borrow::Cow;
 pub(super) const ID: &str = "collision";
 /// The two road users, in the order of tracks.
 pub(super) const ROLES: &[&str] = &["first", "second"];
-/// What events say beyond their times; [`Collision`] has the definitions.
+/// Names of the parameters of its events, defined at [`Collision`].
 pub(super) const PARAMETERS: &[&str] =
     &["relative_speed_mps", "first_speed_mps", "second_speed_mps", "heading_difference_rad", "bearing_rad"];
 
@@ -48,9 +48,9 @@ impl Default for CollisionConfig {
 ///
 /// **Negative**: boxes that come closer than 1 m and never touch.
 ///
-/// Parameters, at the last timestep before they touch: `relative_speed_mps` (of one seen from the other), `first_speed_mps`,
-/// `second_speed_mps`, `heading_difference_rad` (0 to π: from behind, from the side, head-on), and `bearing_rad`, where the second is as seen
-/// from the first (0 to π: ahead, beside, behind).
+/// Parameters, at the last timestep before they touch: `relative_speed_mps` (of one seen from the other),
+/// `first_speed_mps`, `second_speed_mps`, `heading_difference_rad` (0 to π: from behind, from the side, head-on), and
+/// `bearing_rad`, where the second is as seen from the first (0 to π: ahead, beside, behind).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Collision {
     config: CollisionConfig,

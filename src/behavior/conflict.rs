@@ -37,8 +37,8 @@ pub(super) struct Course<'a> {
 /// One agent comes into the way of another, from beside it, and leaves it or turns into it.
 ///
 /// It is in the way at a timestep if its box overlaps the strip that the other covers on its way, and its heading
-/// differs from the direction of that way by at least 30 degrees. The *conflict zone* is the ground that its boxes cover
-/// at these timesteps.
+/// differs from the direction of that way by at least 30 degrees. The *conflict zone* is the ground that its boxes
+/// cover at these timesteps.
 pub(super) struct Conflict {
     /// The first timestep at which it is in the way, and the first after that at which it is not.
     pub(super) enters: usize,
@@ -77,8 +77,8 @@ impl<'a> Course<'a> {
         ((place.offset_m - self.offset_m).abs() < reach_m, body.forward.dot(along) > FOLLOWING_RAD.cos())
     }
 
-    /// The way from where the agent is at `timestep` to where its box first overlaps one of `zone`, meters. `None` if it
-    /// is not tracked then, or does not come there.
+    /// The way from where the agent is at `timestep` to where its box first overlaps one of `zone`, meters. `None` if
+    /// it is not tracked then, or does not come there.
     fn way_m(&self, timestep: usize, zone: &[Footprint]) -> Option<f64> {
         let start_m = self.lane.project(self.state(timestep)?.position)?.station_m;
         let Extent { length_m, width_m } = self.extent;
@@ -132,8 +132,8 @@ impl Conflict {
         }
     }
 
-    /// The time that the other takes to the conflict zone from where it is at `timestep`, at its speed of then, seconds.
-    /// `None` if it stands or does not come there.
+    /// The time that the other takes to the conflict zone from where it is at `timestep`, at its speed of then,
+    /// seconds. `None` if it stands or does not come there.
     pub(super) fn arrival_s(&self, other: &Course<'_>, timestep: usize) -> Option<f64> {
         let speed_mps = other.state(timestep)?.speed_mps();
         (speed_mps >= STANDING_MPS).then(|| other.way_m(timestep, &self.zone)).flatten().map(|way_m| way_m / speed_mps)

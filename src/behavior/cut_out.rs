@@ -14,7 +14,7 @@ use std::f64::consts::FRAC_PI_6;
 pub(super) const ID: &str = "cut_out";
 /// The follower, the revealed vehicle, and the one that leaves from between them.
 pub(super) const ROLES: &[&str] = &["ego", "revealed", "leader"];
-/// What events say beyond their times; [`CutOut`] has the definitions.
+/// Names of the parameters of its events, defined at [`CutOut`].
 pub(super) const PARAMETERS: &[&str] =
     &["ttc_s", "gap_m", "relative_speed_mps", "ego_speed_mps", "revealed_speed_mps", "side"];
 
@@ -59,21 +59,26 @@ impl Default for CutOutConfig {
     }
 }
 
-/// The vehicle (`leader`) that another (`ego`) follows leaves the lane and reveals one (`revealed`) that stands or is much slower.
+/// The vehicle (`leader`) that another (`ego`) follows leaves the lane and reveals one (`revealed`) that stands or is
+/// much slower.
 ///
-/// The lane of the ego is the one it is in at present, with those that lead to it and follow on. The future is every timestep after the present.
+/// The lane of the ego is the one it is in at present, with those that lead to it and follow on. The future is every
+/// timestep after the present.
 ///
 /// **Positive**: all of
 ///
-/// - At present the leader is the nearest vehicle ahead in the lane of the ego, within a time headway of 4 s, and the revealed one is the next beyond it. Both are in
-///   the ego's way: the boxes overlap across the lane by at least half the width of the narrower one.
-/// - In the future the leader's center leaves the lane (by more than 0.3 m beyond a side), and stays out for a second or to the end of the
-///   scene. It heads along the lane until then (within 30 degrees).
-/// - At that timestep, the *reveal*, the ego is still in the lane, and the revealed vehicle is the nearest ahead of it. The ego drives at least 4 m/s, the revealed one at most half
-///   as fast along the lane, the leader faster than that, and at these speeds ego and revealed vehicle touch in less than 4 s.
+/// - At present the leader is the nearest vehicle ahead in the lane of the ego, within a time headway of 4 s, and the
+///   revealed one is the next beyond it. Both are in the ego's way: the boxes overlap across the lane by at least half
+///   the width of the narrower one.
+/// - In the future the leader's center leaves the lane (by more than 0.3 m beyond a side), and stays out for a second
+///   or to the end of the scene. It heads along the lane until then (within 30 degrees).
+/// - At that timestep, the *reveal*, the ego is still in the lane, and the revealed vehicle is the nearest ahead of it.
+///   The ego drives at least 4 m/s, the revealed one at most half as fast along the lane, the leader faster than that,
+///   and at these speeds ego and revealed vehicle touch in less than 4 s.
 ///
-/// The event *starts* when the leader's box begins to reach over the side of the lane for good, and is *complete* at the reveal. UN Regulation No. 157 (annex 3)
-/// knows the cut-out as one of three scenarios that a system must master, with the time to collision at the reveal and a standing vehicle.
+/// The event *starts* when the leader's box begins to reach over the side of the lane for good, and is *complete* at
+/// the reveal. UN Regulation No. 157 (annex 3) knows the cut-out as one of three scenarios that a system must master,
+/// with the time to collision at the reveal and a standing vehicle.
 ///
 /// *What does not count*: leaders that turn off, or that are slow themselves (the ego has to brake for them anyway);
 /// vehicles that come into the lane after the present; agents that are in no lane at present.
@@ -81,8 +86,9 @@ impl Default for CutOutConfig {
 /// **Negative**: a leader that leaves the lane in the same way, but the next one ahead is too fast or too far away, or
 /// the leader is too slow.
 ///
-/// Parameters, all at the reveal: `ttc_s` (gap per relative speed; absent where they do not close in), `gap_m` (from the ego's front to the revealed vehicle, along the lane), `relative_speed_mps` (positive
-/// when closing), `ego_speed_mps` and `revealed_speed_mps` (along the lane), `side` (to which the leader leaves: +1 left, -1 right).
+/// Parameters, all at the reveal: `ttc_s` (gap per relative speed; absent where they do not close in), `gap_m` (from
+/// the ego's front to the revealed vehicle, along the lane), `relative_speed_mps` (positive when closing),
+/// `ego_speed_mps` and `revealed_speed_mps` (along the lane), `side` (to which the leader leaves: +1 left, -1 right).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CutOut {
     config: CutOutConfig,
@@ -155,7 +161,8 @@ impl CutOut {
         Some(Reveal { timestep, side, leader_mps: out.velocity.dot(Vec2::from_angle(place.heading_rad)) })
     }
 
-    /// The first of the timesteps up to the reveal at which the leader's box reaches over the side of the lane without a break.
+    /// The first of the timesteps up to the reveal at which the leader's box reaches over the side of the lane without
+    /// a break.
     fn start(scene: &Scene, ego: &Follower<'_>, leader_idx: usize, reveal: &Reveal) -> usize {
         let half_width_m = scene.tracks[leader_idx].extent_or_nominal().width_m / 2.0;
         let reaches_over = |t: &usize| {

@@ -40,7 +40,8 @@ impl DrivenPath {
         self.polyline.project(point)
     }
 
-    /// Where the agent's center is, and where it points, after it has driven `driven_m` along the path. Past the end it goes straight on.
+    /// Where the agent's center is, and where it points, after it has driven `driven_m` along the path. Past the end it
+    /// goes straight on.
     pub(crate) fn pose_at(&self, driven_m: f64) -> (Vec2, f64) {
         let mut left_m = (driven_m + EXTENSION_M).max(0.0);
         let mut end = (Vec2::ZERO, 0.0);

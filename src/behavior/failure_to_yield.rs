@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "failure_to_yield";
 /// The one that enters without the right of way, and the one that has it.
 pub(super) const ROLES: &[&str] = &["entering", "priority"];
-/// What events say beyond their times; [`FailureToYield`] has the definitions.
+/// Names of the parameters of its events, defined at [`FailureToYield`].
 pub(super) const PARAMETERS: &[&str] =
     &["pet_s", "time_to_arrival_s", "entering_speed_mps", "priority_speed_mps", "max_deceleration_mps2"];
 
@@ -26,8 +26,8 @@ const RULE_REACH_M: f64 = 40.0;
 pub struct FailureToYieldConfig {
     /// Road users that take part. Default `motorized`.
     pub agents: AgentFilter,
-    /// A post-encroachment time below this is short, seconds. Default 1. Who would come later without braking does not have
-    /// to brake.
+    /// A post-encroachment time below this is short, seconds. Default 1. Who would come later without braking does not
+    /// have to brake.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
     /// Without braking, one below this is a hard negative, seconds. Default 2.5.
@@ -59,10 +59,10 @@ impl Default for FailureToYieldConfig {
 
 /// One vehicle (`entering`) gets into the way of another that has the right of way (`priority`), shortly ahead of it.
 ///
-/// The lanes are those that the two turn out to keep: the one that each is in at present, with those that lead to it and
-/// follow on. Who has the right of way is what the map says: in one rule (Lanelet2's regulatory element `right_of_way`),
-/// the entering vehicle comes along a lane that yields, the other along one that has the right of way, and both lanes end
-/// within 40 m of where the first enters. A map without such rules has no events.
+/// The lanes are those that the two turn out to keep: the one that each is in at present, with those that lead to it
+/// and follow on. Who has the right of way is what the map says: in one rule (Lanelet2's regulatory element
+/// `right_of_way`), the entering vehicle comes along a lane that yields, the other along one that has the right of way,
+/// and both lanes end within 40 m of where the first enters. A map without such rules has no events.
 ///
 /// The *conflict zone* is the ground that the box of the entering vehicle covers while it overlaps the strip that the
 /// other covers on its way, at an angle of at least 30 degrees: until it has crossed this strip, or turned into it.
@@ -71,11 +71,10 @@ impl Default for FailureToYieldConfig {
 ///
 /// - The entering vehicle enters the conflict zone before the other, which then drives at 3 m/s or more and would get
 ///   there in less than 4 s at that speed. The boxes never touch.
-/// - From then on, the other brakes with 3 m/s² or more (over half a second) and has to, because at the speed of
-///   a second before the post-encroachment time would be below 1 s; or it is below 1 s:
-///   from when the entering vehicle has left the conflict zone until the other enters it; negative if that is earlier. If
-///   the other does not get there while it is tracked, the time is predicted from its place and speed when the first has
-///   left.
+/// - From then on, the other brakes with 3 m/s² or more (over half a second) and has to, because at the speed of a
+///   second before the post-encroachment time would be below 1 s; or it is below 1 s: from when the entering vehicle
+///   has left the conflict zone until the other enters it; negative if that is earlier. If the other does not get there
+///   while it is tracked, the time is predicted from its place and speed when the first has left.
 ///
 /// The event *starts* when the entering vehicle enters the conflict zone and is *complete* when the other does, or, if
 /// that is not recorded, when the entering vehicle has left.
@@ -85,8 +84,8 @@ impl Default for FailureToYieldConfig {
 ///
 /// **Negative**: the same without such braking, with a post-encroachment time of up to 2.5 s.
 ///
-/// Parameters: `pet_s` (absent if the other stops before the conflict zone); when the first enters, `time_to_arrival_s` (of the
-/// other at the conflict zone, if it kept its speed), `entering_speed_mps` and `priority_speed_mps`;
+/// Parameters: `pet_s` (absent if the other stops before the conflict zone); when the first enters, `time_to_arrival_s`
+/// (of the other at the conflict zone, if it kept its speed), `entering_speed_mps` and `priority_speed_mps`;
 /// `max_deceleration_mps2` (the hardest braking of the other from then on; 0 if it does not brake).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FailureToYield {

@@ -39,7 +39,7 @@ impl<'a> Follower<'a> {
         Some(Self { scene, agent_idx, agents, lane })
     }
 
-    /// The same, with the lane predicted from the past alone.
+    /// As [`Self::of`], with the lane predicted from the past alone.
     pub(super) fn as_observed(
         scene: &'a Scene,
         lanes: &SceneLanes<'_>,

@@ -108,7 +108,8 @@ impl Footprint {
         from_other.chain(from_self).fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// Whether the two boxes are less than `limit_m` apart; never at a limit of 0, since boxes that overlap are 0 apart.
+    /// Whether the two boxes are less than `limit_m` apart; never at a limit of 0, since boxes that overlap are 0
+    /// apart.
     pub(crate) fn is_closer_than(&self, other: &Self, limit_m: f64) -> bool {
         if limit_m <= 0.0 {
             return false;
@@ -173,7 +174,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_footprint_answers_as_its_box_does(a in any_box(), b in any_box(), limit_m in prop_oneof![Just(0.0), 0.1..6.0f64]) {
+        fn a_footprint_answers_as_its_box_does(
+            a in any_box(),
+            b in any_box(),
+            limit_m in prop_oneof![Just(0.0), 0.1..6.0f64],
+        ) {
             let (fa, fb) = (Footprint::new(&a), Footprint::new(&b));
             let distance_m = a.distance(&b);
             prop_assert_eq!(fa.overlaps(&fb), a.overlaps(&b));

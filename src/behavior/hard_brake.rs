@@ -12,7 +12,7 @@ use std::ops::RangeInclusive;
 pub(super) const ID: &str = "hard_brake";
 /// The agent that brakes.
 pub(super) const ROLES: &[&str] = &["agent"];
-/// What events say beyond their times; [`HardBrake`] has the definitions.
+/// Names of the parameters of its events, defined at [`HardBrake`].
 pub(super) const PARAMETERS: &[&str] =
     &["speed_mps", "end_speed_mps", "max_deceleration_mps2", "mean_deceleration_mps2", "duration_s"];
 

@@ -44,7 +44,7 @@ impl KeptLane {
         Self::along(&route(lanes, lane, &[], &[]))
     }
 
-    /// The same lane, driven against its direction.
+    /// This lane, driven against its direction.
     #[must_use]
     pub(super) fn reversed(mut self) -> Self {
         let lines = self.sides.iter_mut().flatten().chain([&mut self.center]);
@@ -61,7 +61,7 @@ impl KeptLane {
         Self { center, sides: None, lanes: Vec::new() }
     }
 
-    /// Of the lanes in which the agent is at present, the one that contains most of its positions up to `end`; among
+    /// The lane, among those in which the agent is at present, that contains most of its positions up to `end`; among
     /// equals, the one whose center line is nearest to them.
     fn among(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> Option<Self> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
@@ -148,7 +148,8 @@ fn route<'a>(lanes: &SceneLanes<'a>, start: &IndexedLane<'a>, future: &[Vec2], h
     route
 }
 
-/// Follows connections from the last lane of `route`: at a fork, to the lane that holds most of `driven`, of equal ones the straightest.
+/// Follows connections from the last lane of `route`: at a fork, to the lane that holds most of `driven`, of equal ones
+/// the straightest.
 fn extend_route<'a>(
     lanes: &SceneLanes<'a>,
     route: &mut Vec<&'a Lane>,

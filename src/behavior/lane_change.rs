@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "lane_change";
 /// The agent that changes lanes.
 pub(super) const ROLES: &[&str] = &["agent"];
-/// What events say beyond their times; [`LaneChange`] has the definitions.
+/// Names of the parameters of its events, defined at [`LaneChange`].
 pub(super) const PARAMETERS: &[&str] =
     &["side", "crossing_timestep", "speed_mps", "lateral_speed_mps", "duration_s", "margin_m"];
 

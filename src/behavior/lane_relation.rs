@@ -214,7 +214,8 @@ mod tests {
     #[test]
     fn places_have_a_margin_with_and_without_boundaries() {
         let graph = graph(
-            "lanes = [{ id = 1, centerline = [[0, 0], [50, 0]], width_m = 3.0 }, { id = 2, centerline = [[0, 0], [50, 0]] }]",
+            "lanes = [{ id = 1, centerline = [[0, 0], [50, 0]], width_m = 3.0 }, { id = 2, centerline = [[0, 0], [50, \
+             0]] }]",
         );
         let index = SceneLanes::new(&graph);
         let margins = |x: f64, y: f64| {

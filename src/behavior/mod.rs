@@ -4,7 +4,7 @@
 //! `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
 //!
 //! [`Behavior::feasible`] predicts, from the observed past and the map, which events a pair can still reach;
-//! [`Behavior::template`] is a maneuver that leads to a wanted one. A cut-in is solved directly. The other behaviors
+//! [`Behavior::template`] is a maneuver that leads to a requested one. A cut-in is solved directly. The other behaviors
 //! draw up candidates, one file each in `maneuver`; kept are those that stay on the road, within the limits of vehicles
 //! and clear of others, and in which the behavior's own miner finds the event.
 
@@ -173,7 +173,9 @@ behaviors! {
     CutIn(CutInConfig) in cut_in { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
         "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
     /// One vehicle gets into the path of another, whichever of the two changes course: the paper's cut-in.
-    CutInPaper(CutInPaperConfig) in cut_in_paper { subject: Subject::Role("ego"), is_collision: false, needs_lanes: false }:
+    CutInPaper(CutInPaperConfig) in cut_in_paper {
+        subject: Subject::Role("ego"), is_collision: false, needs_lanes: false
+    }:
         "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
     /// An agent turns left.
     LeftTurn(TurnConfig) in left_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
@@ -182,37 +184,51 @@ behaviors! {
     RightTurn(TurnConfig) in right_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
         "an agent turns right by at least 60 degrees, as at an intersection",
     /// An agent changes lanes.
-    LaneChange(LaneChangeConfig) in lane_change { subject: Subject::Role("agent"), is_collision: false, needs_lanes: true }:
+    LaneChange(LaneChangeConfig) in lane_change {
+        subject: Subject::Role("agent"), is_collision: false, needs_lanes: true
+    }:
         "an agent moves over to the lane beside its own and stays there for at least 1 s",
     /// An agent brakes hard.
     HardBrake(HardBrakeConfig) in hard_brake { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: false }:
         "an agent brakes with at least 4 m/s² over at least 0.3 s",
     /// Two road users barely avoid each other.
     NearMiss(NearMissConfig) in near_miss { subject: Subject::WhoComesUpon, is_collision: false, needs_lanes: false }:
-        "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without touching",
+        "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without \
+         touching",
     /// Two road users drive into each other.
     Collision(CollisionConfig) in collision { subject: Subject::WhoComesUpon, is_collision: true, needs_lanes: false }:
         "two road users drive into each other",
     /// One vehicle drives too close behind another.
-    Tailgating(TailgatingConfig) in tailgating { subject: Subject::Role("leader"), is_collision: false, needs_lanes: true }:
+    Tailgating(TailgatingConfig) in tailgating {
+        subject: Subject::Role("leader"), is_collision: false, needs_lanes: true
+    }:
         "one vehicle (follower) drives less than 0.9 s behind another (leader) for at least 2 s, both at 8 m/s or more",
     /// The vehicle ahead leaves the lane and reveals a slow one.
     CutOut(CutOutConfig) in cut_out { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
         "the vehicle ahead (leader) leaves the lane and reveals a slow one that the ego reaches in less than 4 s",
     /// Somebody on foot steps into the lane of a vehicle.
-    PedestrianStepsOut(PedestrianStepsOutConfig) in pedestrian_steps_out { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
+    PedestrianStepsOut(PedestrianStepsOutConfig) in pedestrian_steps_out {
+        subject: Subject::Role("ego"), is_collision: false, needs_lanes: true
+    }:
         "somebody on foot steps from beside the road into the lane of a vehicle (ego) that is less than 3 s away",
     /// One vehicle turns left across the lane of an oncoming one, shortly ahead of it.
-    UnprotectedLeftTurn(UnprotectedLeftTurnConfig) in unprotected_left_turn { subject: Subject::Role("oncoming"), is_collision: false, needs_lanes: true }:
+    UnprotectedLeftTurn(UnprotectedLeftTurnConfig) in unprotected_left_turn {
+        subject: Subject::Role("oncoming"), is_collision: false, needs_lanes: true
+    }:
         "one vehicle (turner) turns left across the lane of an oncoming one, less than 2 s before it gets there",
     /// One vehicle takes the right of way of another.
-    FailureToYield(FailureToYieldConfig) in failure_to_yield { subject: Subject::Role("priority"), is_collision: false, needs_lanes: true }:
-        "one vehicle (entering) gets into the way of one that has the right of way and brakes for it, or is there 1 s later",
+    FailureToYield(FailureToYieldConfig) in failure_to_yield {
+        subject: Subject::Role("priority"), is_collision: false, needs_lanes: true
+    }:
+        "one vehicle (entering) gets into the way of one that has the right of way and brakes for it, or is there 1 s \
+         later",
     /// A vehicle drives against the direction of its lane.
     WrongWay(WrongWayConfig) in wrong_way { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: true }:
         "a vehicle drives against the direction of its lane for at least 1.5 s",
     /// A vehicle does not stop where all have to.
-    RunsStopLine(RunsStopLineConfig) in runs_stop_line { subject: Subject::Role("agent"), is_collision: false, needs_lanes: true }:
+    RunsStopLine(RunsStopLineConfig) in runs_stop_line {
+        subject: Subject::Role("agent"), is_collision: false, needs_lanes: true
+    }:
         "a vehicle passes the line of an all-way stop without having been slower than 2.2 m/s before it",
 }
 
@@ -282,7 +298,7 @@ pub struct BehaviorEntry {
     pub roles: &'static [&'static str],
     /// The names of its events' parameters; not every event has all of them.
     pub parameters: &'static [&'static str],
-    /// What it is, in a line.
+    /// One-line description.
     pub description: &'static str,
     /// Which vehicle its events happen to.
     pub subject: Subject,

@@ -11,7 +11,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The same with one more parameter; an undefined one (`None`) is left out.
+    /// Adds a parameter; an undefined one (`None`) is left out.
     #[must_use]
     pub(crate) fn with(mut self, name: &'static str, value: impl Into<Option<f64>>) -> Self {
         if let Some(value) = value.into() {
@@ -39,7 +39,7 @@ impl Outcome {
         ranges.iter().all(is_in)
     }
 
-    /// The same with this effort.
+    /// Sets the effort.
     #[must_use]
     pub(crate) const fn at_effort(mut self, effort: f64) -> Self {
         self.effort = effort;

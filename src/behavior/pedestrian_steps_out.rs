@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "pedestrian_steps_out";
 /// Who drives, and who steps out.
 pub(super) const ROLES: &[&str] = &["ego", "pedestrian"];
-/// What events say beyond their times; [`PedestrianStepsOut`] has the definitions.
+/// Names of the parameters of its events, defined at [`PedestrianStepsOut`].
 pub(super) const PARAMETERS: &[&str] = &["time_to_arrival_s", "gap_m", "ego_speed_mps", "pedestrian_speed_mps", "side"];
 
 /// Options of [`PedestrianStepsOut`].
@@ -49,27 +49,30 @@ impl Default for PedestrianStepsOutConfig {
 /// A pedestrian (`pedestrian`) steps from beside the road into the lane that a vehicle (`ego`) keeps, shortly ahead of
 /// it.
 ///
-/// The lane of the ego is the one it is in at present, with those that lead to it and follow on. The future is every timestep after the present.
+/// The lane of the ego is the one it is in at present, with those that lead to it and follow on. The future is every
+/// timestep after the present.
 ///
 /// **Positive**: all of
 ///
 /// - At present the pedestrian's center is in no lane of the map: it stands or walks beside the road.
-/// - In the future it enters the lane of the ego: the *step*, the first timestep at which its center is between the sides of the lane.
-/// - At the step the ego is in the lane, drives at least 3 m/s, and its front would reach the pedestrian at this speed in less than 3 s (time to
-///   arrival: gap per speed).
+/// - In the future it enters the lane of the ego: the *step*, the first timestep at which its center is between the
+///   sides of the lane.
+/// - At the step the ego is in the lane, drives at least 3 m/s, and its front would reach the pedestrian at this speed
+///   in less than 3 s (time to arrival: gap per speed).
 /// - The pedestrian is never faster than 3 m/s: recordings in which pedestrians and cyclists are one class hold both.
 ///
-/// The event *starts* when its box begins to reach over the side of the lane, and is *complete* at the step. It is the pedestrian conflict of NHTSA's pre-crash
-/// typology (Najm et al. 2007, "pedestrian crash without prior vehicle maneuver"); Euro NCAP's tests of crossing pedestrians begin at 4 s and have them
-/// walk at 5 km/h.
+/// The event *starts* when its box begins to reach over the side of the lane, and is *complete* at the step. It is the
+/// pedestrian conflict of NHTSA's pre-crash typology (Najm et al. 2007, "pedestrian crash without prior vehicle
+/// maneuver"); Euro NCAP's tests of crossing pedestrians begin at 4 s and have them walk at 5 km/h.
 ///
 /// *What does not count*: pedestrians who cross another lane first and are therefore visible on the road; vehicles that
 /// wait or creep; pedestrians who step out beside or behind the vehicle; egos that are in no lane at present.
 ///
 /// **Negative**: the same with a time to arrival below 5 s, or with a slower vehicle.
 ///
-/// Parameters, all at the step: `time_to_arrival_s` (absent where the ego stands), `gap_m` (from the ego's front to the pedestrian, along the lane), `ego_speed_mps`,
-/// `pedestrian_speed_mps`, `side` (from which it comes: +1 left, -1 right).
+/// Parameters, all at the step: `time_to_arrival_s` (absent where the ego stands), `gap_m` (from the ego's front to the
+/// pedestrian, along the lane), `ego_speed_mps`, `pedestrian_speed_mps`, `side` (from which it comes: +1 left, -1
+/// right).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PedestrianStepsOut {
     config: PedestrianStepsOutConfig,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ID: &str = "runs_stop_line";
 /// The one that does not stop.
 pub(super) const ROLES: &[&str] = &["agent"];
-/// What events say beyond their times; [`RunsStopLine`] has the definitions.
+/// Names of the parameters of its events, defined at [`RunsStopLine`].
 pub(super) const PARAMETERS: &[&str] = &["speed_mps", "min_speed_mps"];
 
 /// Options of [`RunsStopLine`].
@@ -49,8 +49,8 @@ impl Default for RunsStopLineConfig {
 ///
 /// The event *starts* at the first timestep on these 10 m and is *complete* when the front has passed the line.
 ///
-/// *What does not count*: who comes into the scene on the way to the line, since it may have stopped before; maps without
-/// such rules.
+/// *What does not count*: who comes into the scene on the way to the line, since it may have stopped before; maps
+/// without such rules.
 ///
 /// **Negative**: the same of who was slower than 2.2 m/s, but never slower than 0.5 m/s: it rolls through.
 ///

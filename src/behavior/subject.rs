@@ -1,8 +1,8 @@
 //! The subject of an event: the vehicle to which it happens.
 //!
 //! A driving function under test takes the place of the subject. It is therefore never the one that causes the danger,
-//! but the one that must cope with it: who is cut off, not who cuts in. Where the behavior is a task that the vehicle has
-//! to solve itself, such as a turn or a stop line, its driver is the subject.
+//! but the one that must cope with it: who is cut off, not who cuts in. Where the behavior is a task that the vehicle
+//! has to solve itself, such as a turn or a stop line, its driver is the subject.
 
 use super::driven_path::DrivenPath;
 use super::footprint::Footprint;
@@ -21,8 +21,8 @@ const STANDING_MPS: f64 = 0.5;
 pub enum Subject {
     /// The one in this role.
     Role(&'static str),
-    /// Of the motorized ones among both, the one that first has the other in its way: who follows, or comes second to
-    /// where their paths cross. If neither has, the first.
+    /// The first motorized agent of the two that has the other in its way: the follower, or the one that comes second
+    /// to where their paths cross. If neither has, the first.
     WhoComesUpon,
     /// Somebody without a role: the vehicle that first gets to the agent along its own path, if it does within 5 s.
     WhoMeetsIt,

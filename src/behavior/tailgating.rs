@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 pub(super) const ID: &str = "tailgating";
 /// The one that drives too close, and the one ahead of it.
 pub(super) const ROLES: &[&str] = &["follower", "leader"];
-/// What events say beyond their times; [`Tailgating`] has the definitions.
+/// Names of the parameters of its events, defined at [`Tailgating`].
 pub(super) const PARAMETERS: &[&str] = &["time_headway_s", "mean_speed_mps", "duration_s"];
 
 /// Options of [`Tailgating`].
@@ -52,10 +52,11 @@ impl Default for TailgatingConfig {
 ///
 /// **Positive**: over at least 2 s without a break, all of
 ///
-/// - The leader is the nearest vehicle ahead in the lane that the follower keeps (the one it is in at present, with those that lead to it and
-///   follow on), and in its way: both centers are in the lane, with a hysteresis of 0.3 m, and the boxes overlap across it by at least half the width of the
-///   narrower one.
-/// - The time headway, that is the gap from the follower's front to the leader's rear along the lane by the follower's speed, is below 0.9 s.
+/// - The leader is the nearest vehicle ahead in the lane that the follower keeps (the one it is in at present, with
+///   those that lead to it and follow on), and in its way: both centers are in the lane, with a hysteresis of 0.3 m,
+///   and the boxes overlap across it by at least half the width of the narrower one.
+/// - The time headway, that is the gap from the follower's front to the leader's rear along the lane by the follower's
+///   speed, is below 0.9 s.
 /// - Both drive along the lane with at least 8 m/s.
 ///
 /// The event is the longest such stretch of a pair; what happens before and after the scene is not known. 0.9 s is half
@@ -69,7 +70,8 @@ impl Default for TailgatingConfig {
 ///
 /// **Negative**: any other pair with headways below 1.4 s by the same rules.
 ///
-/// Parameters: `time_headway_s` and `mean_speed_mps` (means of the headway and of the follower's speed over the event), `duration_s`.
+/// Parameters: `time_headway_s` and `mean_speed_mps` (means of the headway and of the follower's speed over the event),
+/// `duration_s`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tailgating {
     config: TailgatingConfig,
@@ -134,7 +136,7 @@ impl Tailgating {
         let short: Vec<FollowingMoment> =
             moments.iter().copied().filter(|moment| moment.headway_s() < limit_s).collect();
         let runs = short.chunk_by(|a, b| b.timestep == a.timestep + 1);
-        // Of equally long ones the first.
+        // The first among equally long ones.
         let longest = runs.rev().max_by_key(|run| run.len())?;
         let duration_s = (longest.len() - 1) as f64 * dt_s;
         (duration_s >= self.config.min_duration_s - 1e-9).then(|| longest.to_vec())

@@ -11,7 +11,7 @@ use std::f64::consts::{FRAC_PI_3, FRAC_PI_4, FRAC_PI_6};
 
 /// The role of a turn.
 pub(crate) const ROLES: &[&str] = &["agent"];
-/// What events say beyond their times; [`LeftTurn`](super::LeftTurn) has the definitions.
+/// Names of the parameters of its events, defined at [`LeftTurn`](super::LeftTurn).
 pub(super) const PARAMETERS: &[&str] =
     &["heading_change_rad", "radius_m", "path_m", "duration_s", "mean_speed_mps", "lateral_acceleration_mps2"];
 

@@ -16,14 +16,14 @@ use std::f64::consts::{FRAC_PI_4, PI};
 pub(super) const ID: &str = "unprotected_left_turn";
 /// The one that turns, and the one that comes toward it.
 pub(super) const ROLES: &[&str] = &["turner", "oncoming"];
-/// What events say beyond their times; [`UnprotectedLeftTurn`] has the definitions.
+/// Names of the parameters of its events, defined at [`UnprotectedLeftTurn`].
 pub(super) const PARAMETERS: &[&str] =
     &["pet_s", "time_to_arrival_s", "turner_speed_mps", "oncoming_speed_mps", "max_deceleration_mps2"];
 
-/// How far before and after the conflict zone lanes are looked at, to tell where they come from and lead, meters.
+/// How far before and after the conflict zone lanes are followed to find where they come from and lead, meters.
 const ARM_M: f64 = 25.0;
-/// Lanes from opposite arms differ from opposite directions by less than this, and the turner heads along its lane within
-/// this, radians.
+/// Lanes from opposite arms differ from opposite directions by less than this, and the turner heads along its lane
+/// within this, radians.
 const ALONG_RAD: f64 = FRAC_PI_4;
 /// A change of direction beyond this is a U-turn, radians (150 degrees).
 const U_TURN_RAD: f64 = 2.618;
@@ -66,17 +66,18 @@ impl Default for UnprotectedLeftTurnConfig {
     }
 }
 
-/// One vehicle (`turner`) turns left along its lane, across the lane of an oncoming one (`oncoming`) and shortly ahead of it.
+/// One vehicle (`turner`) turns left along its lane, across the lane of an oncoming one (`oncoming`) and shortly ahead
+/// of it.
 ///
-/// The lanes are those that the two turn out to keep: the one that each is in at present, with those that lead to it and
-/// follow on. Their *conflict zone* is the ground that the turner's box covers while it overlaps the strip that the
+/// The lanes are those that the two turn out to keep: the one that each is in at present, with those that lead to it
+/// and follow on. Their *conflict zone* is the ground that the turner's box covers while it overlaps the strip that the
 /// oncoming vehicle covers on its way, at an angle of at least 30 degrees.
 ///
 /// **Positive**: all of
 ///
 /// - From 25 m before the conflict zone to 25 m behind it, the lane of the turner bends to the left by 45 to 150
-///   degrees, and that of the oncoming vehicle by less than 45 degrees: it leads straight on or to the right. Where they
-///   come from, the two lanes are opposite within 45 degrees.
+///   degrees, and that of the oncoming vehicle by less than 45 degrees: it leads straight on or to the right. Where
+///   they come from, the two lanes are opposite within 45 degrees.
 /// - The turner enters the conflict zone before the oncoming vehicle, crosses the whole strip, and then heads along its
 ///   lane within 45 degrees. The boxes never touch.
 /// - The oncoming vehicle drives at 5 m/s or more when the turner enters.
@@ -87,8 +88,8 @@ impl Default for UnprotectedLeftTurnConfig {
 /// The event *starts* when the turner enters the conflict zone and is *complete* when the oncoming vehicle does, or, if
 /// that is not recorded, when the turner has left.
 ///
-/// Recordings do not have the states of signals, and signs are not looked at: a turn is unprotected because the crossing
-/// is shared within so short a time.
+/// Recordings do not have the states of signals, and signs are not looked at: a turn is unprotected because the
+/// crossing is shared within so short a time.
 ///
 /// *What does not count*: oncoming vehicles that wait, turn left themselves, or come first; turns that the scene shows
 /// only in part; roundabouts (lanes that lead back to themselves within 250 m, and those next to them); maps without
@@ -96,9 +97,9 @@ impl Default for UnprotectedLeftTurnConfig {
 ///
 /// **Negative**: the same with a post-encroachment time of up to 4 s.
 ///
-/// Parameters: `pet_s`; when the turner enters, `time_to_arrival_s` (of the oncoming vehicle at the conflict zone, if it
-/// kept its speed), `turner_speed_mps` and `oncoming_speed_mps`; `max_deceleration_mps2` (the hardest braking of the oncoming
-/// vehicle from then on, over half a second; 0 if it does not brake).
+/// Parameters: `pet_s`; when the turner enters, `time_to_arrival_s` (of the oncoming vehicle at the conflict zone, if
+/// it kept its speed), `turner_speed_mps` and `oncoming_speed_mps`; `max_deceleration_mps2` (the hardest braking of the
+/// oncoming vehicle from then on, over half a second; 0 if it does not brake).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct UnprotectedLeftTurn {
     config: UnprotectedLeftTurnConfig,

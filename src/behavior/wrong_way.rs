@@ -14,7 +14,7 @@ use std::ops::RangeInclusive;
 pub(super) const ID: &str = "wrong_way";
 /// The one that drives the wrong way.
 pub(super) const ROLES: &[&str] = &["agent"];
-/// What events say beyond their times; [`WrongWay`] has the definitions.
+/// Names of the parameters of its events, defined at [`WrongWay`].
 pub(super) const PARAMETERS: &[&str] = &["duration_s", "mean_speed_mps", "path_m"];
 
 /// A vehicle drives against a lane if it points opposite to it within this, radians.
@@ -54,8 +54,8 @@ impl Default for WrongWayConfig {
 /// The event is the longest such stretch of a vehicle; what happens before and after the scene is not known.
 ///
 /// *What does not count*: standing; reversing, as out of a parking place; lanes that the map opens to both directions;
-/// places where another lane leads along or across, as within junctions. Whoever overtakes in an oncoming lane drives the
-/// wrong way, too.
+/// places where another lane leads along or across, as within junctions. Whoever overtakes in an oncoming lane drives
+/// the wrong way, too.
 ///
 /// **Negative**: such a stretch of 0.5 s or more that is too short.
 ///
@@ -96,7 +96,7 @@ impl WrongWay {
                 _ => runs.push(timestep..=timestep),
             }
         }
-        // Of equally long runs, the first.
+        // The first among equally long runs.
         runs.into_iter().rev().max_by_key(|run| run.end() - run.start())
     }
 

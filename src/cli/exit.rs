@@ -6,7 +6,8 @@ use std::process::ExitCode;
 /// Everything was done.
 pub(super) const DONE: ExitCode = ExitCode::SUCCESS;
 
-/// The same command goes on later: what a scheduler of jobs retries (EX_TEMPFAIL of `sysexits.h`).
+/// The exit code after which running the same command again continues, for schedulers that retry jobs (EX_TEMPFAIL of
+/// `sysexits.h`).
 pub(super) const LATER: u8 = 75;
 
 /// The code for a failure.
@@ -21,7 +22,7 @@ pub(super) fn of_failure(failure: &Failure) -> ExitCode {
 
 /// Prints what clap has to say (help is no error) and gives the code for it.
 pub(super) fn of_usage(error: &clap::Error) -> ExitCode {
-    // Nobody is left to be told when the terminal is gone.
+    // Nobody reads the message when the terminal is gone.
     let _ = error.print();
     if error.use_stderr() { ExitCode::from(1) } else { DONE }
 }

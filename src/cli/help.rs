@@ -1,6 +1,6 @@
 //! What does `--help` teach beyond the list of options?
 
-/// Of the program.
+/// Help after the options of the program itself.
 pub(super) const TOP: &str = "\
 Examples:
   djinn run pipelines/quickstart.toml                 run all stages on the bundled recordings
@@ -18,7 +18,7 @@ Exit codes:
   75 stopped by SIGTERM or SIGUSR1, or waiting for other work: the same command continues
 Other signals end the program with 128 and their number; it prints what is kept and how to continue.";
 
-/// Of `run`.
+/// Help after the options of `run`.
 pub(super) const RUN: &str = "\
 A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [train.distill], [train.classifier], \
 [train.baseline], [generate], [evaluate], [report]. Stages with a section run, in this order. Relative paths are \
@@ -37,14 +37,13 @@ Examples:
   djinn run pipelines/cut_in_corpus.toml --output s3://traffic/runs --cache-dir /scratch/djinn
   djinn run pipelines/cut_in_corpus.toml --set 'ingest.inputs=[\"/data/INTERACTION-v1_2.zip\"]'";
 
-/// Of `submit`.
+/// Help after the options of `submit`.
 pub(super) const SUBMIT: &str = "\
 The jobs: `prepare` runs the stages before generation, `plan` decides what is sampled, `work` samples shards, \
-`seal` publishes the samples. With several workers, `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same for \
-evaluation. `finish` runs the \
-remaining stages. Each job checks for itself that its inputs exist. \
-Submitting again fills in what is missing. [cluster] sets what jobs need: partition, time, cpus, gpus, memory, \
-container, retries, further lines of the scripts; image and volumes for Kubernetes (pipelines/CLUSTER.md).
+`seal` publishes the samples. With several workers, `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same \
+for evaluation. `finish` runs the remaining stages. Each job checks for itself that its inputs exist. Submitting again \
+fills in what is missing. [cluster] sets what jobs need: partition, time, cpus, gpus, memory, container, retries, \
+further lines of the scripts; image and volumes for Kubernetes (pipelines/CLUSTER.md).
 
 Examples:
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run
@@ -52,16 +51,16 @@ Examples:
     --set cluster.image=registry.example.org/djinn:0.1 --set 'cluster.volumes={ traffic = \"/data\" }'
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
 
-/// Of `status`.
+/// Help after the options of `status`.
 pub(super) const STATUS: &str = "\
-Reads only the run folder: it asks no engine and works on any machine that can see the folder. A shard counts as running if \
-a worker started it recently, so a killed worker shows only after a while.
+Reads only the run folder: it asks no engine and works on any machine that can see the folder. A shard counts as \
+running if a worker started it recently, so a killed worker shows only after a while.
 
 Examples:
   djinn status output/quickstart/main
   djinn status output/quickstart/main --json | jq .shards.n_missing";
 
-/// Of `ingest`.
+/// Help after the options of `ingest`.
 pub(super) const INGEST: &str = "\
 Recordings are read as downloaded: folders, .zip, .tar, .tar.gz, .gz and plain files.
 
@@ -69,19 +68,19 @@ Examples:
   djinn ingest forecasting_train.tar.gz hd_maps.tar.gz --dataset argoverse1 -o output/argoverse1
   djinn ingest --config pipelines/cut_in_corpus.toml --set ingest.limit=1000 --output output/try";
 
-/// Of `mine`.
+/// Help after the options of `mine`.
 pub(super) const MINE: &str = "\
 Examples:
   djinn mine --config pipelines/cut_in_corpus.toml --output output/try
   djinn mine --set 'mine.behaviors=[{ kind = \"near_miss\" }]' --output output/argoverse1";
 
-/// Of `train denoiser`.
+/// Help after the options of `train denoiser`.
 pub(super) const TRAIN_DENOISER: &str = "\
 Examples:
   djinn train denoiser --config pipelines/cut_in_corpus.toml --output output/try
   djinn train denoiser --set train.denoiser.preset=tiny --output output/argoverse1";
 
-/// Of `train distill`.
+/// Help after the options of `train distill`.
 pub(super) const TRAIN_DISTILL: &str = "\
 The distilled network has the same architecture and samples in few evaluations. To use it in a sweep, set \
 model = \"distilled\" and sampler = { kind = \"euler\", n_steps = 2, grid = … } as in train.distill.method.
@@ -90,49 +89,49 @@ Examples:
   djinn train distill --config pipelines/few_evaluations.toml --output output/try
   djinn train distill --denoiser checkpoints/small --output output/argoverse1";
 
-/// Of `train classifier`.
+/// Help after the options of `train classifier`.
 pub(super) const TRAIN_CLASSIFIER: &str = "\
 Example:
   djinn train classifier --config pipelines/cut_in_corpus.toml --output output/try";
 
-/// Of `train baseline`.
+/// Help after the options of `train baseline`.
 pub(super) const TRAIN_BASELINE: &str = "\
 Examples:
   djinn train baseline --config pipelines/scene_transformer.toml --output output/try
   djinn train baseline --set train.baseline.preset=tiny --output output/argoverse1";
 
-/// Of `generate`.
+/// Help after the options of `generate`.
 pub(super) const GENERATE: &str = "\
 Example:
   djinn generate --config pipelines/cut_in_corpus.toml --denoiser checkpoints/small -o output/try";
 
-/// Of `evaluate`.
+/// Help after the options of `evaluate`.
 pub(super) const EVALUATE: &str = "\
 Exits with code 3 if a gate of [evaluate.gates] fails. The outputs are written either way.
 
 Example:
   djinn evaluate --config pipelines/cut_in_corpus.toml --output output/try";
 
-/// Of `report`.
+/// Help after the options of `report`.
 pub(super) const REPORT: &str = "\
-Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of two \
-run folders shows changed settings, yield, metrics and realism side by side.
+Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of \
+two run folders shows changed settings, yield, metrics and realism side by side.
 
 Examples:
   djinn report --from output/cut_in_corpus/main --output output/try
   djinn report --compare output/cut_in_corpus/main output/cut_in_corpus/more --out comparison.html";
 
-/// Of `export`.
+/// Help after the options of `export`.
 pub(super) const EXPORT: &str = "\
-index.tsv and tracks.tsv map the files back to the corpus. NOTICE.txt names the sources and their terms, which apply to the \
-export too. What a format cannot represent is left out; export.json counts it by reason.
+index.tsv and tracks.tsv map the files back to the corpus. NOTICE.txt names the sources and their terms, which apply \
+to the export too. What a format cannot represent is left out; export.json counts it by reason.
 
 Examples:
   djinn export openscenario output/quickstart/main/corpus --only-verified --out output/xosc
   djinn export commonroad output/quickstart/main/corpus --limit 10 --out output/commonroad
   python scripts/check_exports.py output/xosc        reads an export with the readers of its format";
 
-/// Of `corpus validate`.
+/// Help after the options of `corpus validate`.
 pub(super) const CORPUS_VALIDATE: &str = "\
 Checks sizes, checksums, schemas, counts and unique ids; that states, lanes and recordings belong to scenarios; that \
 values are finite and physically possible; and that no stray file would be read by a query. Findings go to stdout with \
@@ -142,7 +141,7 @@ Examples:
   djinn corpus validate output/quickstart/main/corpus
   djinn corpus validate output/quickstart/main/corpus --json | jq .by_check";
 
-/// Of `corpus merge`.
+/// Help after the options of `corpus merge`.
 pub(super) const CORPUS_MERGE: &str = "\
 A scenario in several corpora is written once; if its content differs between them, the merge fails. Recordings, maps, \
 metrics of scenarios and the terms of all sources are merged too. Corpora of earlier versions are upgraded.
@@ -150,25 +149,26 @@ metrics of scenarios and the terms of all sources are merged too. Corpora of ear
 Example:
   djinn corpus merge output/cut_ins/main/corpus output/near_misses/main/corpus --out output/all";
 
-/// Of `corpus filter`.
+/// Help after the options of `corpus filter`.
 pub(super) const CORPUS_FILTER: &str = "\
-A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, b), \
-is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fails every comparison.
+A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, \
+b), is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fails every \
+comparison.
 
 Examples:
   djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight
   djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --out output/some";
 
-/// Of `corpus sample`.
+/// Help after the options of `corpus sample`.
 pub(super) const CORPUS_SAMPLE: &str = "\
-The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value of \
-the column gets the same number of scenarios, as far as there are enough.
+The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value \
+of the column gets the same number of scenarios, as far as there are enough.
 
 Examples:
   djinn corpus sample output/all --n 1000 --out output/thousand
   djinn corpus sample output/all --n 60 --by behavior --seed 7 --out output/balanced";
 
-/// Of `corpus diff`.
+/// Help after the options of `corpus diff`.
 pub(super) const CORPUS_DIFF: &str = "\
 Compares counts by behavior and place, lists scenarios that were added, removed or changed (and in which columns), and \
 shows how distributions shifted. The exit code is 0 whether or not the corpora differ.
@@ -177,11 +177,11 @@ Examples:
   djinn corpus diff output/quickstart/before/corpus output/quickstart/main/corpus
   djinn corpus diff output/a output/b --json | jq .n_changed";
 
-/// Of `regenerate`.
+/// Help after the options of `regenerate`.
 pub(super) const REGENERATE: &str = "\
-Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the scenario's \
-batch again (the last digits depend on the batch), mines the result and compares every column bit by bit. The number of \
-threads does not matter.
+Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the \
+scenario's batch again (the last digits depend on the batch), mines the result and compares every column bit by bit. \
+The number of threads does not matter.
 
 Exits with code 0 if the scenario is identical, 1 if it differs or one of its inputs changed, 2 if an input is missing.
 
@@ -189,7 +189,7 @@ Examples:
   djinn regenerate 0f3a5b1c9d2e4f60 --from output/cut_in_request/main
   djinn regenerate 0f3a5b1c9d2e4f60 --corpus output/cut_in_request/main/corpus --out again.parquet";
 
-/// Of `inspect`.
+/// Help after the options of `inspect`.
 pub(super) const INSPECT: &str = "\
 Examples:
   djinn inspect output/quickstart/main

@@ -8,8 +8,9 @@ use std::sync::{Mutex, PoisonError};
 /// The first panic of the process that nothing contains: its place and message. Those that follow are its consequences.
 static FIRST: Mutex<Option<String>> = Mutex::new(None);
 
-/// What `work` returns. A panic in it, on whatever thread, is a fault of ours: it becomes a failure with the place in the
-/// source, and says what to report. Panics over damaged files that are contained are told as errors by those who contain them.
+/// The result of `work`. A panic in it, on whatever thread, is a fault of ours: it becomes a failure with the place in
+/// the source, and says what to report. Panics over damaged files that are contained are reported as errors by those
+/// who contain them.
 pub(super) fn told(work: impl FnOnce() -> Result<()>) -> Result<()> {
     std::panic::set_hook(Box::new(|panic| {
         if !is_contained() {
@@ -29,8 +30,8 @@ fn description(panic: &PanicHookInfo<'_>) -> String {
 fn failure() -> Failure {
     let what = FIRST.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
     Failure::fault(anyhow::anyhow!("djinn {} failed because of a bug at {what}", env!("CARGO_PKG_VERSION"))).with_hint(
-        "please report these lines with the command, its configuration and the run folder's log.txt; finished work is kept, and \
-         the same command continues from there",
+        "please report these lines with the command, its configuration and the run folder's log.txt; finished work is \
+         kept, and the same command continues from there",
     )
 }
 

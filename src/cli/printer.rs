@@ -20,8 +20,8 @@ impl Printer {
         Self { quiet: output.quiet, color: !no_color && !dumb && io::stderr().is_terminal() }
     }
 
-    /// Prints what the user asked for, to stdout, with control characters escaped as JSON does. A reader that has seen enough
-    /// (`| head`) is no error.
+    /// Prints the command's results to stdout, with control characters escaped as JSON does. A reader that has seen
+    /// enough (`| head`) is no error.
     pub(super) fn data(&self, text: &str) -> Result<()> {
         let mut stdout = io::stdout().lock();
         let text = shown(text, |c| format!("\\u{:04x}", u32::from(c)));
@@ -31,21 +31,21 @@ impl Printer {
         }
     }
 
-    /// Tells how the work goes, to stderr; nothing when quiet.
+    /// Reports progress to stderr; nothing when quiet.
     pub(super) fn message(&self, message: impl Display) {
         if !self.quiet {
             stderr_line(&plain(&message.to_string()));
         }
     }
 
-    /// Tells of a failure with all its causes and the advice, to stderr; of work that goes on later without advice of its own, what
-    /// is left of it.
+    /// Reports a failure with all its causes and the advice, to stderr; for work that goes on later without advice of
+    /// its own, what is left of it.
     pub(super) fn failure(&self, failure: &Failure, left: Option<&str>) {
         let mut causes = failure.error.chain().map(ToString::to_string);
         let mut text = causes.next().unwrap_or_default();
         let mut last = text.clone();
         for cause in causes {
-            // Errors that show their source in their own message would be told twice.
+            // Errors that show their source in their own message would be printed twice.
             if !last.contains(&cause) {
                 text.push_str(&format!("\n  caused by: {cause}"));
             }
@@ -59,7 +59,7 @@ impl Printer {
         }
     }
 
-    /// Tells of something odd that stops nothing, to stderr.
+    /// A warning about something odd that stops nothing.
     pub(super) fn warning_line(&self, message: &str) -> String {
         format!("{}: {}", self.paint("warning", "1;33"), plain(message))
     }
@@ -69,8 +69,8 @@ impl Printer {
     }
 }
 
-/// The text with URLs in the place of what shows them on disk, and with its control characters escaped, but for tabs and ends of lines: terminals obey them, and names of files and of entries of
-/// archives come from others.
+/// The text with URLs in the place of what shows them on disk, and with its control characters escaped, but for tabs
+/// and ends of lines: terminals obey them, and names of files and of entries of archives come from others.
 fn plain(text: &str) -> String {
     shown(&in_their_names(text), |c| c.escape_debug().to_string())
 }
@@ -84,7 +84,7 @@ fn shown(text: &str, escape: fn(char) -> String) -> String {
     shown
 }
 
-/// A line on stderr. Nobody is left to be told when it cannot be written.
+/// A line on stderr. Nobody reads the message when it cannot be written.
 pub(super) fn stderr_line(line: &dyn Display) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }

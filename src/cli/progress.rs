@@ -32,9 +32,9 @@ struct Phase {
     bar: Option<ProgressBar>,
     /// Units in all; 0 when unknown.
     total: u64,
-    /// When the first units were told of, and how many: what an interrupted run had done before took no time now.
+    /// When the first units were reported, and how many: what an interrupted run had done before took no time now.
     counted_from: Option<(Instant, u64)>,
-    /// After how much time the time left is told again, where there is no bar.
+    /// After how much time the time left is printed again, where there is no bar.
     next_estimate: Duration,
 }
 

@@ -17,11 +17,11 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// How long a phase that listens has to keep what it has done. Batch systems give some two minutes of notice.
 const GRACE: Duration = Duration::from_secs(100);
 
-/// What stays of the work at hand, and how to go on.
+/// Advice on what stays of the work at hand, and how to go on.
 static LEFT: Mutex<Option<Left>> = Mutex::new(None);
 /// Whether the work is to stop.
 static MUST_STOP: AtomicBool = AtomicBool::new(false);
-/// Whether the present phase has asked whether it is to stop, and so will know.
+/// Whether the present phase has called [`must_stop`], and so will notice.
 static LISTENS: AtomicBool = AtomicBool::new(false);
 
 #[derive(Clone)]
@@ -36,33 +36,35 @@ pub(super) fn leaves(advice: String) {
     *left() = Some(Left { advice, resumes: false });
 }
 
-/// The same of work with which the same command goes on: SIGTERM and SIGUSR1 then end it with the exit code that says so.
+/// [`leaves`] for work with which the same command goes on: SIGTERM and SIGUSR1 then end it with the exit code that
+/// says so.
 pub(super) fn leaves_resumable(advice: String) {
     *left() = Some(Left { advice, resumes: true });
 }
 
-/// What a signal leaves behind.
+/// The advice after a signal.
 pub(super) fn advice() -> Option<String> {
     left().clone().map(|left| left.advice)
 }
 
-/// Whether the work is to stop. Who asks is given the time to keep what it has done.
+/// Whether the work is to stop. A phase that calls this is given the time to keep what it has done.
 pub(super) fn must_stop() -> bool {
     LISTENS.store(true, Ordering::Relaxed);
     MUST_STOP.load(Ordering::Relaxed)
 }
 
-/// A phase of the work begins, which has not asked yet.
+/// A phase of the work begins, which has not called [`must_stop`] yet.
 pub(super) fn phase_begins() {
     LISTENS.store(false, Ordering::Relaxed);
 }
 
-/// Watches for the signals that ask the program to end. SIGINT and SIGHUP end it at once, so that a shell sees 128 and the number of the
-/// signal. So do SIGTERM and SIGUSR1, by which batch systems announce that they will take the machine, where the work begins anew. Where
-/// the same command goes on with it, they let a phase that listens keep what it has done, and the exit code says that it goes on.
+/// Watches for the signals that end the program. SIGINT and SIGHUP end it at once, so that a shell sees 128 and the
+/// number of the signal. So do SIGTERM and SIGUSR1, by which batch systems announce that they will take the machine,
+/// where the work begins anew. Where the same command goes on with it, they let a phase that listens keep what it has
+/// done, and the exit code says that it goes on.
 ///
-/// Nothing is tidied up: whatever is written is whole under its name or called partial at every moment, and the next command knows what
-/// to do with it. What the parent wants ignored, as `nohup` does with SIGHUP, stays ignored.
+/// Nothing is tidied up: whatever is written is whole under its name or called partial at every moment, and the next
+/// command knows what to do with it. Signals that the parent ignores, as `nohup` does with SIGHUP, stay ignored.
 pub(super) fn watch() {
     let ignored = ignored_signals();
     let wanted = [SIGTERM, SIGINT, SIGHUP, SIGUSR1].into_iter().filter(|signal| ignored & (1 << (signal - 1)) == 0);
@@ -117,7 +119,8 @@ fn left() -> MutexGuard<'static, Option<Left>> {
     LEFT.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The signals that the process was told to ignore, a bit each, the lowest that of signal 1; none where the system does not tell.
+/// The signals that the process ignores, a bit each, the lowest that of signal 1; none where the system does not report
+/// them.
 fn ignored_signals() -> u64 {
     let status = fs_err::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

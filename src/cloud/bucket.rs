@@ -1,9 +1,9 @@
 //! A folder of objects: what is in it, and how does a file get in and out whole?
 //!
 //! Every action is repeated a few times, each time a little later. All of them may be repeated: an upload replaces an
-//! object by the same bytes, whether or not an answer got lost; nothing is created on condition that it is missing.
-//! What was downloaded is compared with the length that the listing gave and, if djinn uploaded it, with the hash that
-//! it left beside the object.
+//! object by the same bytes, whether or not an answer got lost; nothing is created on condition that it is missing. A
+//! download is compared with the length that the listing gave and, if djinn uploaded it, with the hash that it left
+//! beside the object.
 
 use super::ObjectUrl;
 use super::connect::{connect, runtime};
@@ -58,7 +58,7 @@ pub(super) struct Object {
     pub(super) name: String,
     /// Its length.
     pub(super) n_bytes: u64,
-    /// What changes with its content.
+    /// A tag that changes with its content.
     pub(super) etag: String,
     /// When it was written.
     pub(super) modified: SystemTime,
@@ -112,7 +112,7 @@ impl Bucket {
     /// The object that the URL itself names, if there is one.
     ///
     /// # Errors
-    /// Those of the store.
+    /// If the store cannot be reached or refuses.
     pub(super) fn itself(&self) -> Result<Option<Object>> {
         let head = async || {
             let key = self.key("")?;
@@ -125,8 +125,8 @@ impl Bucket {
         Ok(found.map(|meta| Object { name: String::new(), ..seen(&meta) }))
     }
 
-    /// Brings an object to the file `to`, whose folder must exist; nothing is there unless it is whole. Returns what it was: it may have
-    /// been replaced since it was seen.
+    /// Brings an object to the file `to`, whose folder must exist; nothing is there unless it is whole. Returns what it
+    /// was: it may have been replaced since it was seen.
     ///
     /// # Errors
     /// [`Error::Missing`]; those of the store and the disk.
@@ -153,7 +153,7 @@ impl Bucket {
     /// The content of a small object, if it is there.
     ///
     /// # Errors
-    /// Those of the store.
+    /// If the store cannot be reached or refuses.
     pub(super) fn read(&self, name: &str) -> Result<Option<Vec<u8>>> {
         self.repeated("read", name, async || {
             let result = match self.store.get(&self.key(name)?).await {
@@ -172,7 +172,7 @@ impl Bucket {
     /// Puts the content of a file in the place of an object.
     ///
     /// # Errors
-    /// Those of the store and the disk.
+    /// On errors of the store or the disk.
     pub(super) fn upload(&self, name: &str, from: &Path) -> Result<Object> {
         let n_bytes = fs_err::metadata(from)?.len();
         if n_bytes <= PART_BYTES {
@@ -191,7 +191,7 @@ impl Bucket {
     /// Puts bytes in the place of an object.
     ///
     /// # Errors
-    /// Those of the store.
+    /// If the store cannot be reached or refuses.
     pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<Object> {
         let FileStamp { n_bytes, checksum } = FileStamp::of(bytes);
         let payload = PutPayload::from(bytes.to_vec());
@@ -207,7 +207,7 @@ impl Bucket {
     /// Removes an object, if it is there.
     ///
     /// # Errors
-    /// Those of the store.
+    /// If the store cannot be reached or refuses.
     pub(super) fn remove(&self, name: &str) -> Result<()> {
         self.repeated("remove", name, async || match self.store.delete(&self.key(name)?).await {
             Err(StoreError::NotFound { .. }) => Ok(()),
@@ -241,7 +241,7 @@ impl Bucket {
             Err(error) => Err(error),
         };
         if done.is_err() {
-            // Parts that stay are no object; stores remove them in time if they are told to.
+            // Parts that stay are no object; stores remove them in time if they are so configured.
             let _ = upload.abort().await;
         }
         Ok(plain_tag(done?.e_tag.as_deref()))

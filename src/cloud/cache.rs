@@ -1,8 +1,8 @@
 //! What was downloaded before, and where is it?
 //!
 //! The folder of the cache holds `objects/`, each under a hash of its URL and its tag, so that an object that changes
-//! gets another name; `inputs/`, recordings under the names that they have in their bucket; `views/`, what commands show
-//! of run folders while they work; and `locks/`. All of it can be removed while no djinn runs.
+//! gets another name; `inputs/`, recordings under the names that they have in their bucket; `views/`, what commands
+//! show of run folders while they work; and `locks/`. All of it can be removed while no djinn runs.
 
 use super::ObjectUrl;
 use super::bucket::{Bucket, Object};
@@ -52,18 +52,18 @@ impl Cache {
     /// A folder of the cache, which is made where it is missing.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn folder(&self, name: &str) -> Result<PathBuf> {
         let dir = self.dir.join(name);
         fs::create_dir_all(&dir)?;
         Ok(dir)
     }
 
-    /// Brings an object to the file `to`, downloading it unless it is here. Returns what it was: it may have been replaced since it was
-    /// seen.
+    /// Brings an object to the file `to`, downloading it unless it is here. Returns what it was: it may have been
+    /// replaced since it was seen.
     ///
     /// # Errors
-    /// Those of the store and the file system.
+    /// On errors of the store or the file system.
     pub(super) fn bring(&self, bucket: &Bucket, object: &Object, to: &Path, content: Content) -> Result<Object> {
         let mut object = object.clone();
         let mut here = self.place(bucket, &object);
@@ -77,7 +77,7 @@ impl Cache {
                 here = place;
             }
             object = found;
-            // The same on every machine that downloads it.
+            // One time on every machine that downloads it.
             fs::File::open(&here)?.file().set_modified(object.modified)?;
         }
         fs::create_dir_all(to.parent().unwrap_or(&self.dir))?;
@@ -88,7 +88,7 @@ impl Cache {
     /// Keeps the content of a file that was just uploaded.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn keep(&self, bucket: &Bucket, object: &Object, from: &Path) -> Result<()> {
         let here = self.place(bucket, object);
         if !here.exists() {
@@ -110,7 +110,7 @@ pub(super) fn content_of(name: &str) -> Content {
     if grows { Content::Own } else { Content::Shared }
 }
 
-/// 32 hexadecimal digits for a URL as it is now, told from the same URL of another store.
+/// 32 hexadecimal digits for a URL as it is now, distinct from the same URL of another store.
 pub(super) fn name_of(url: &ObjectUrl, tag: &str) -> String {
     let mut hasher = blake3::Hasher::new();
     for part in [endpoint(url), url.to_string(), tag.to_owned()] {

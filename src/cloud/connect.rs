@@ -11,10 +11,11 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 
-/// Requests that a client repeats by itself, each a little later. [`Bucket`](super::bucket::Bucket) repeats what they are a part of.
+/// Requests that a client repeats by itself, each a little later. [`Bucket`](super::bucket::Bucket) repeats what they
+/// are a part of.
 const N_RETRIES: usize = 3;
 const RETRIES_TAKE: Duration = Duration::from_secs(60);
-/// Of one request, which carries 16 MiB at most, or asks for a whole file.
+/// Time limit of one request, which carries 16 MiB at most, or fetches a whole file.
 const REQUEST_TAKES: Duration = Duration::from_secs(600);
 /// Until a server answers at all.
 const CONNECT_TAKES: Duration = Duration::from_secs(10);
@@ -57,7 +58,7 @@ fn allowing_http(options: ClientOptions, variable: &str) -> ClientOptions {
     options.with_allow_http(std::env::var(variable).is_ok_and(|value| matches!(value.as_str(), "true" | "1")))
 }
 
-/// What tells the stores apart that could be behind one URL: the address that the environment gives.
+/// A key that distinguishes the stores that could be behind one URL: the address that the environment gives.
 pub(super) fn endpoint(url: &ObjectUrl) -> String {
     let variables: &[&str] = match url.scheme {
         Scheme::S3 => &["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"],

@@ -5,7 +5,7 @@ use crate::files;
 use crate::settings::Unreadable;
 use std::io;
 
-/// What goes wrong with objects. No message holds a credential.
+/// Errors of object stores. No message holds a credential.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// A URL that is none.
@@ -17,29 +17,29 @@ pub enum Error {
          (`cargo build --release --features cloud`), or copy the files to disk"
     )]
     NotBuilt {
-        /// What should be opened.
+        /// The URL to open.
         url: ObjectUrl,
     },
     /// Nothing is there.
     #[error("{url} does not exist, neither as an object nor as a folder of objects")]
     Missing {
-        /// What was looked for.
+        /// The missing object.
         url: ObjectUrl,
     },
     /// The store does not let us.
     #[error("cannot {doing} {url}: {why}; check the credentials and the settings of the store in the environment")]
     Denied {
-        /// What was to be done.
+        /// The action.
         doing: &'static str,
         /// With what.
         url: ObjectUrl,
-        /// What the store says.
+        /// The store's message.
         why: String,
     },
     /// The store, or the way there, does not work.
     #[error("cannot {doing} {url}: tried {n_attempts} times in {seconds:.0} s; last: {why}")]
     Failed {
-        /// What was to be done.
+        /// The action.
         doing: &'static str,
         /// With what.
         url: ObjectUrl,
@@ -47,7 +47,7 @@ pub enum Error {
         n_attempts: usize,
         /// For how long.
         seconds: f64,
-        /// What went wrong the last time.
+        /// The last failure.
         why: String,
     },
     /// Objects that somebody else wrote since they were last seen.

@@ -1,16 +1,17 @@
-//! What is left of a push that was cut off?
+//! The journal of a push: what an interrupted one leaves.
 //!
-//! Before a push writes or removes anything outside of the folders for unfinished work, it lists in an object of its own
-//! what it is about to do: the journal. It removes the journal last. Who finds one knows which objects belong together:
+//! Before a push writes or removes anything outside of the folders for unfinished work, it lists in an object of its
+//! own what it is about to do: the journal. It removes the journal last. Who finds one knows which objects belong
+//! together:
 //!
 //! - Until all outputs are written, the old state counts. An output that was replaced, or is new, is as if it were
 //!   missing; the stage whose record names it finds its outputs damaged and runs again.
 //! - Then the journal is replaced by one that holds the new records of stages. From that moment the new state counts:
 //!   the records are those of the journal, and what was to be removed is as if it were gone.
 //!
-//! So a record never stands beside outputs that are not its own. Either way, djinn wrote what the journal names, so the next push may replace or remove it. New objects in `*.partial/`
-//! and `*.parts/` always count: they are written in the order in which they came to be on disk, so that every moment in
-//! the bucket was a moment on disk.
+//! So a record never stands beside outputs that are not its own. Either way, djinn wrote what the journal names, so the
+//! next push may replace or remove it. New objects in `*.partial/` and `*.parts/` always count: they are written in the
+//! order in which they came to be on disk, so that every moment in the bucket was a moment on disk.
 
 use super::bucket::{Bucket, Object};
 use super::error::Result;
@@ -21,12 +22,12 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Its name.
 pub(super) const JOURNAL: &str = ".djinn-push.json";
 
-/// What a push is about to do.
+/// The changes that a push is about to make.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Journal {
     /// The outputs that it writes, with the tag of what is there; `None` where nothing of worth is.
     pub(super) writes: BTreeMap<String, Option<String>>,
-    /// What it removes then.
+    /// Objects that it removes then.
     pub(super) removes: BTreeSet<String>,
     /// The content of the files that say what was done, once all outputs are written.
     pub(super) records: Option<BTreeMap<String, String>>,
@@ -36,7 +37,8 @@ impl Journal {
     /// The journal in a folder, if there is one.
     ///
     /// # Errors
-    /// Those of the store. A damaged journal is none, and so is one that leads elsewhere: it is written as a whole.
+    /// If the store cannot be reached or refuses. A damaged journal is none, and so is one that leads elsewhere: it is
+    /// written as a whole.
     pub(super) fn of(bucket: &Bucket) -> Result<Option<Self>> {
         let found: Option<Self> = bucket.read(JOURNAL)?.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         Ok(found.filter(Self::stays_below))
@@ -50,7 +52,7 @@ impl Journal {
     /// Keeps it in the folder.
     ///
     /// # Errors
-    /// Those of the store.
+    /// If the store cannot be reached or refuses.
     pub(super) fn keep(&self, bucket: &Bucket) -> Result<()> {
         bucket.write(JOURNAL, serde_json::to_string(self).unwrap_or_default().as_bytes()).map(drop)
     }

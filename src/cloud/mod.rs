@@ -1,8 +1,8 @@
 //! Recordings, run folders and corpora in object stores: `s3://`, `gs://`, `az://`.
 //!
 //! Everything else works on files. A [`Place`] is a folder on disk that is what the user named, or shows what a bucket
-//! holds: the objects are downloaded into a cache and opened as files, and what is written goes to the bucket when it is
-//! whole. Only the feature `cloud` can do so; without it, URLs are refused.
+//! holds: the objects are downloaded into a cache and opened as files, and what is written goes to the bucket when it
+//! is whole. Only the feature `cloud` can do so; without it, URLs are refused.
 //!
 //! # Why a kill does no harm
 //!
@@ -10,22 +10,23 @@
 //! else, so the files of a killed process, on whatever machine, are forgotten. What must hold is that the bucket is a
 //! state that a run folder could have after a kill, because the pipeline goes on from each of these:
 //!
-//! - **An object is whole.** A PUT, and the completion of an upload in parts, are atomic; a lost answer only leads to the
-//!   same PUT again. So a name in the bucket is as final as one on disk after `AtomicFile`.
+//! - **An object is whole.** A PUT, and the completion of an upload in parts, are atomic; a lost answer only leads to
+//!   the same PUT again. So a name in the bucket is as final as one on disk after `AtomicFile`.
 //! - **Workers** push each file when it gets its name: first the shard, then its record. They only add to the folder of
 //!   their plan, as on disk. That several may make one shard costs time and nothing else: the bytes are the same. Marks
 //!   of tries that two machines make at once may replace each other; then a shard that crashes its worker is tried more
 //!   often. Nothing is claimed: conditional writes are not idempotent when they are repeated.
-//! - **A stage at work** pushes its commits in their order, at most every 30 seconds (`push`). Every moment in the bucket
-//!   was one on disk; a kill costs at most what came after it.
+//! - **A stage at work** pushes its commits in their order, at most every 30 seconds (`push`). Every moment in the
+//!   bucket was one on disk; a kill costs at most what came after it.
 //! - **Finished outputs** replace earlier ones name by name, which takes a while: a journal says what belongs together
 //!   if that is cut off (`journal`).
 //!
 //! # Whose files are touched
 //!
-//! A push writes and removes what the pipeline wrote and removed in the view. There, the rules for folders on disk hold:
-//! whatever no list of ours names is not touched, and since a view of a writing command shows every object, the refusal
-//! comes before anything is written. What others put into the bucket later is noticed by its tag, and is not replaced.
+//! A push writes and removes what the pipeline wrote and removed in the view. There, the rules for folders on disk
+//! hold: whatever no list of ours names is not touched, and since a view of a writing command shows every object, the
+//! refusal comes before anything is written. What others put into the bucket later is noticed by its tag, and is not
+//! replaced.
 
 #[cfg(feature = "cloud")]
 mod bucket;

@@ -22,7 +22,7 @@ pub(super) fn cache_dir() -> Option<&'static Path> {
     CACHE_DIR.get().map(PathBuf::as_path)
 }
 
-/// What a command does with a folder.
+/// The use that a command makes of a folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
     /// It reads everything.
@@ -61,7 +61,7 @@ impl Place {
     /// Brings what was written to the bucket, if it belongs there and is not there yet.
     ///
     /// # Errors
-    /// Those of the store; when something else has written to the bucket meanwhile.
+    /// On errors of the store, or if something else has written to the bucket meanwhile.
     pub fn finish(self) -> Result<()> {
         self.shown.map_or(Ok(()), |shown| shown.finish())
     }

@@ -1,8 +1,8 @@
 //! How does a bucket become as the view is, so that it is whole for everybody whenever the process is killed?
 //!
-//! [`View::push`] compares the files with the objects that they showed. What others wrote meanwhile is not replaced: the
-//! bucket is listed again first, and the push is refused if an object that it would write or remove is not the one that
-//! was shown. (Between that look and the write, others could still write; stores have no locks.) Then, with a
+//! [`View::push`] compares the files with the objects that they showed. What others wrote meanwhile is not replaced:
+//! the bucket is listed again first, and the push is refused if an object that it would write or remove is not the one
+//! that was shown. (Between that look and the write, others could still write; stores have no locks.) Then, with a
 //! [`Journal`] around it:
 //!
 //! 1. manifests that will change are removed, so that no reader takes a folder for whole;
@@ -138,8 +138,8 @@ impl View {
         let mut by_turn: BTreeMap<Turn, Vec<String>> = BTreeMap::new();
         changed.into_iter().for_each(|name| by_turn.entry(Turn::of(&name)).or_default().push(name));
         for (turn, mut names) in by_turn {
-            // As they came to be: whatever depends on a file was written after it.
-            // Of files of one moment, records come last, and the one that says that there is a plan.
+            // As they came to be: whatever depends on a file was written after it. Among files of one moment, records
+            // come last, and the one that says that there is a plan.
             let moment = |name: &String| files.get(name).map(|(_, modified)| *modified);
             names.sort_by_key(|name| (moment(name), name.ends_with(".json"), name.ends_with("/parts.json")));
             let in_turn: Vec<&[String]> = match turn {
@@ -217,13 +217,13 @@ fn is_manifest(name: &str) -> bool {
     !is_unfinished_work(name) && name.ends_with("/manifest.json")
 }
 
-/// What the journal of a push says.
+/// The journal of a push.
 fn journal_of(changed: &[String], removed: &BTreeSet<String>, state: &State) -> Journal {
     let is_output = |name: &&String| !is_unfinished_work(name) && !Turn::of(name).is_last();
     let then = |name: &String| state.shown.get(name).map(|object| object.etag.clone());
     let mut writes: BTreeMap<String, Option<String>> =
         changed.iter().filter(is_output).map(|name| (name.clone(), then(name))).collect();
-    // What an earlier push left is of no worth, until it is removed.
+    // Objects that an earlier push left are of no worth, until they are removed.
     writes.extend(state.left.keys().map(|name| (name.clone(), None)));
     Journal { writes, removes: removed.clone(), records: None }
 }

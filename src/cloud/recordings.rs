@@ -37,7 +37,7 @@ impl Recordings {
         }
     }
 
-    /// What changes whenever one of them does.
+    /// A tag that changes whenever one of them does.
     pub fn tag(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         for Object { name, n_bytes, etag, .. } in &self.objects {
@@ -49,10 +49,11 @@ impl Recordings {
         hasher.finalize().to_hex()[..32].to_owned()
     }
 
-    /// Where they are on disk, in folders named as in the bucket, which tell which split they are of. Downloads what is not there yet.
+    /// Where they are on disk, in folders named as in the bucket, which give their split. Downloads what is not there
+    /// yet.
     ///
     /// # Errors
-    /// Those of the store and the disk; when one was replaced since it was listed.
+    /// On errors of the store or the disk, or if one was replaced since it was listed.
     pub fn on_disk(&self) -> Result<PathBuf> {
         self.in_cache(&Cache::of_process(cache_dir())?)
     }

@@ -1,6 +1,6 @@
 //! How do credentials stay out of messages?
 //!
-//! Clients put what a server answers, and the address that was asked, into their errors. Azure's signatures are part of
+//! Clients put what a server answers, and the address of the request, into their errors. Azure's signatures are part of
 //! addresses, and servers repeat what they were sent.
 
 /// Nothing shorter is a secret; replacing it would only garble the message.

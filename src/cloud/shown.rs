@@ -26,7 +26,7 @@ impl Shown {
         Self::of(Bucket::open(url)?, Cache::of_process(cache_dir)?, access)
     }
 
-    /// The same of a bucket that is open.
+    /// The view of a bucket that is open.
     pub(super) fn of(bucket: Bucket, cache: Cache, access: Access) -> Result<Self> {
         let alone = (access == Access::Write).then(|| lock(&cache, bucket.url())).transpose()?;
         let view = Arc::new(View::open(bucket, cache, access)?);
@@ -42,7 +42,7 @@ impl Shown {
     /// Pushes what is not pushed yet, unless the store has failed before.
     ///
     /// # Errors
-    /// Those of the store.
+    /// If the store cannot be reached or refuses.
     pub(super) fn finish(&self) -> Result<()> {
         let state = &mut *self.view.state();
         if self.view.access == Access::Write && !state.is_broken { self.view.push(state) } else { Ok(()) }

@@ -36,7 +36,7 @@ pub struct ObjectUrl {
     pub scheme: Scheme,
     /// The bucket; Azure calls it a container.
     pub bucket: String,
-    /// What comes after the bucket, without slashes at its ends; empty for the whole bucket.
+    /// The key after the bucket, without slashes at its ends; empty for the whole bucket.
     pub key: String,
 }
 
@@ -71,7 +71,7 @@ impl ObjectUrl {
         }
     }
 
-    /// What is below this under a name relative to it; itself for an empty name.
+    /// The object below this one under a relative name; this one itself for an empty name.
     #[must_use]
     pub fn join(&self, name: &str) -> Self {
         let parts = [self.key.as_str(), name].into_iter().filter(|part| !part.is_empty());
@@ -88,10 +88,11 @@ impl FromStr for ObjectUrl {
             return Err("expected a URL such as s3://bucket/folder, gs://… or az://…".into());
         };
         let (bucket, key) = rest.split_once('/').unwrap_or((rest, ""));
-        // What is refused is not shown: it may be a password.
+        // A refused name is not shown: it may be a password.
         if bucket.is_empty() || !bucket.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte)) {
             let message = format!(
-                "expected {}bucket/folder: a bucket of letters, digits, dots and dashes, and no credentials; they come from the environment",
+                "expected {}bucket/folder: a bucket of letters, digits, dots and dashes, and no credentials; they come \
+                 from the environment",
                 scheme.prefix()
             );
             return Err(Unreadable(message));

@@ -1,8 +1,8 @@
 //! A folder of objects, shown on disk while a command works: what is downloaded, and what do others see, and when?
 //!
-//! Each process has a view of its own, which begins as the folder is in the bucket and is removed when the process ends.
-//! So a view is never stale, and what a killed process did not push is done again. [`Access`](super::Access) says which objects a
-//! command needs, and what of its work is pushed at once.
+//! Each process has a view of its own, which begins as the folder is in the bucket and is removed when the process
+//! ends. So a view is never stale, and what a killed process did not push is done again. [`Access`](super::Access) says
+//! which objects a command needs, and what of its work is pushed at once.
 
 use super::Access;
 use super::bucket::{Bucket, Object};
@@ -39,7 +39,7 @@ pub(super) struct View {
     _lock: Lock,
 }
 
-/// What is known of the bucket.
+/// The known state of the bucket.
 #[derive(Debug, Default)]
 pub(super) struct State {
     /// The objects that are shown, as they were then.
@@ -48,7 +48,7 @@ pub(super) struct State {
     pub(super) same: BTreeMap<String, Stamp>,
     /// Objects that are there and not shown, because the command does not need them: their lengths.
     elsewhere: BTreeMap<String, u64>,
-    /// What a push that was cut off left, and its tags.
+    /// Objects that an interrupted push left, and their tags.
     pub(super) left: BTreeMap<String, String>,
     /// Whether its journal is there.
     pub(super) has_journal: bool,
@@ -69,7 +69,7 @@ impl View {
     /// Shows the folder, or for readers the object, at the URL of `bucket`.
     ///
     /// # Errors
-    /// Those of the store and the file system.
+    /// On errors of the store or the file system.
     pub(super) fn open(bucket: Bucket, cache: Cache, access: Access) -> Result<Self> {
         let (home, lock) = new_home(&cache)?;
         let url = bucket.url();
@@ -102,7 +102,7 @@ impl View {
             }
         }
         self.show(&wanted, state)?;
-        // What is said of outputs that are all there may not be in its own place yet.
+        // Records of outputs that are all there may not be in their own place yet.
         for (name, text) in journal.records.iter().flatten() {
             state.same.remove(name);
             // The file may be that of the cache, which stays as it is.
@@ -140,7 +140,7 @@ impl View {
         for name in gone {
             state.shown.remove(&name);
             state.same.remove(&name);
-            // Whoever removed it has told the bucket.
+            // Whoever removed it has removed it from the bucket, too.
             remove_file(&self.root.join(name))?;
         }
         let mut wanted = Vec::new();
@@ -161,7 +161,7 @@ impl View {
     /// Pushes one file.
     pub(super) fn push_file(&self, name: &str, state: &mut State) -> Result<()> {
         let path = self.root.join(name);
-        // Of a file that changes meanwhile, the next push sees that.
+        // If a file changes meanwhile, the next push sees that.
         let stamp = stamp(&path)?;
         let object = self.bucket.upload(name, &path)?;
         state.same.insert(name.to_owned(), stamp);
@@ -236,7 +236,7 @@ impl files::Mirror for View {
 
 impl Drop for View {
     fn drop(&mut self) {
-        // What stays is removed by a later command.
+        // A leftover is removed by a later command.
         let _ = remove_home(&self.home);
     }
 }
@@ -247,7 +247,7 @@ impl Access {
         let is_record = || name.ends_with(".json") || name.contains(".try-");
         match self {
             Self::Read | Self::Write => true,
-            // Of the shards of other workers, it is enough to know that they are there.
+            // It is enough to know that the shards of other workers are there.
             Self::Work if is_part(name) => is_record(),
             Self::Work => !is_work(name),
             Self::Look if is_part(name) => is_record(),
@@ -258,7 +258,7 @@ impl Access {
     }
 }
 
-/// Removes a file, if it is there, and tells no mirror.
+/// Removes a file, if it is there, without notice to a mirror.
 fn remove_file(path: &Path) -> Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error.into()),

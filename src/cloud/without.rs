@@ -35,7 +35,7 @@ impl Recordings {
         ObjectUrl::of(path)?.map_or(Ok(None), |url| Err(Error::NotBuilt { url }))
     }
 
-    /// What changes with them.
+    /// A tag that changes with them.
     pub fn tag(&self) -> String {
         match *self {}
     }

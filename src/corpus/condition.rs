@@ -1,8 +1,8 @@
-//! What may be demanded of a scenario: a column, an operator and a value, such as `gap_m < 5`.
+//! Conditions on scenarios: a column, an operator and a value, such as `gap_m < 5`.
 //!
 //! Operators: `=`, `!=`, `<`, `<=`, `>`, `>=` with a value; `in (a, b)`, `not in (a, b)` with a list; `is missing`,
-//! `is present` without. A flag may stand alone: `verified`, `not recorded_event`. As in SQL, a comparison with a missing
-//! value does not hold. `behavior` is the name of the partition: the behavior that was asked for, or `none`.
+//! `is present` without. A flag may stand alone: `verified`, `not recorded_event`. As in SQL, a comparison with a
+//! missing value does not hold. `behavior` is the name of the partition: the requested behavior, or `none`.
 
 use super::{Error, Result};
 use crate::store::{NO_BEHAVIOR, Partition};
@@ -95,7 +95,10 @@ impl FromStr for Condition {
             return Err(wrong("`not` stands before a flag alone, as in not recorded_event; use != or not in"));
         } else {
             parse_test(rest).ok_or_else(|| {
-                wrong("after the column comes =, !=, <, <=, > or >= and a value, in (a, b), not in (a, b), is missing or is present")
+                wrong(
+                    "after the column comes =, !=, <, <=, > or >= and a value, in (a, b), not in (a, b), is missing or \
+                     is present",
+                )
             })?
         };
         Ok(Self { text: text.to_owned(), column: column.to_owned(), test })
@@ -134,7 +137,8 @@ impl Condition {
     /// Whether the condition fits the columns of the scenarios.
     ///
     /// # Errors
-    /// [`Error::UnknownColumn`] with the nearest name, [`Error::Condition`] when the value or operator does not fit the type.
+    /// [`Error::UnknownColumn`] with the nearest name, [`Error::Condition`] when the value or operator does not fit the
+    /// type.
     pub(super) fn check(&self, schema: &Schema) -> Result<()> {
         let column = self.column();
         let Ok(field) = schema.field_with_name(column) else {
@@ -153,7 +157,10 @@ impl Condition {
         if matches!(self.test, Test::Flag(_)) != values.is_empty() || (values.is_empty() && !is_flag) {
             return Err(wrong(format!("{} is not a flag; compare it with a value", self.column)));
         }
-        let is_order = matches!(&self.test, Test::Compare(operator, _) if !matches!(operator, Operator::Equal | Operator::NotEqual));
+        let is_order = matches!(
+            &self.test,
+            Test::Compare(operator, _) if !matches!(operator, Operator::Equal | Operator::NotEqual)
+        );
         match field.data_type() {
             DataType::Utf8 => Ok(()),
             DataType::Boolean if is_order => {

@@ -1,7 +1,8 @@
 //! Writing a new corpus from scenarios of others: what belongs to a scenario comes with it.
 //!
 //! With a scenario come its states, its metric values, its recorded scene and its map; recordings and maps that several
-//! share come once. Aggregated metric values are over what a run sampled and hold for no other choice: they are left out.
+//! share come once. Aggregated metric values are over what a run sampled and hold for no other choice: they are left
+//! out.
 
 use super::rows::{RowBytes, add_rows, texts};
 use super::{Error, Result};
@@ -30,7 +31,7 @@ pub(super) trait CopySelection {
     fn keep(&mut self, input: usize, chunk: &CorpusChunk) -> Result<Vec<bool>>;
 }
 
-/// What a tool that writes has to tell.
+/// The report of a tool that writes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CopyOutcome {
     /// The manifest of the new corpus.
@@ -70,7 +71,7 @@ pub(super) fn copy(
         let kept = copier.scenarios(i, scan, selection, &mut needed, progress)?;
         copier.metrics(scan, &kept)?;
     }
-    // What a scenario needs may lie in another corpus than the one that it came from.
+    // Rows that a scenario needs may lie in another corpus than the scenario.
     for scan in inputs {
         copier.maps(scan, &needed.maps)?;
         copier.recordings(scan, &needed.scenes)?;
@@ -106,7 +107,7 @@ struct Copier {
     n_aggregates_left_out: u64,
 }
 
-/// What belongs to the scenarios that came along.
+/// Keys of the rows that belong to the scenarios that came along.
 #[derive(Default)]
 struct Needed {
     scenes: BTreeSet<Fingerprint>,
@@ -264,7 +265,7 @@ fn run_end(column: &arrow::array::StringArray, start: usize) -> usize {
     (start + 1..column.len()).find(|row| column.value(*row) != value).unwrap_or(column.len())
 }
 
-/// What corpora say of themselves, together: the terms of the datasets that are left, and notes whose values differ as a
+/// The notes of several corpora together: the terms of the datasets that are left, and notes whose values differ as a
 /// list.
 fn notes(manifests: &[&CorpusManifest], datasets: &BTreeSet<String>) -> CorpusNotes {
     let together = |of: fn(&CorpusManifest) -> &BTreeMap<String, String>, separator: &'static str| {

@@ -14,7 +14,7 @@ use std::path::Path;
 /// Ids that are listed at most; all are counted.
 const MAX_LISTED: usize = 20;
 
-/// What differs between two corpora A and B.
+/// The differences between two corpora A and B.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DiffReport {
     /// Number of scenarios in A and in B.
@@ -92,7 +92,8 @@ impl Summary {
             if self.n == 1 { (number, number) } else { (self.min.min(number), self.max.max(number)) };
     }
 
-    /// Whether the numbers are distributed alike, however they were ordered: sums depend on the order in their last digits.
+    /// Whether the numbers are distributed alike, however they were ordered: sums depend on the order in their last
+    /// digits.
     fn is_as(&self, other: &Self) -> bool {
         let size = self.max.abs().max(self.min.abs()).max(1.0);
         let is_same = |a: f64, b: f64| (a - b).abs() <= 1e-9 * size || (a.is_nan() && b.is_nan());
@@ -107,7 +108,7 @@ impl Summary {
 /// Compares the corpora in `a` and `b`.
 ///
 /// # Errors
-/// Those of reading corpora.
+/// If a corpus cannot be read.
 pub fn diff(a: &Path, b: &Path, progress: &dyn Progress) -> Result<DiffReport> {
     let scans = [CorpusScan::open(a)?, CorpusScan::open(b)?];
     let schemas = [scans[0].scenario_schema()?, scans[1].scenario_schema()?];
@@ -149,7 +150,8 @@ struct Matched {
     summaries: [BTreeMap<String, Summary>; 2],
 }
 
-/// Matches the scenarios of both corpora, in columns that both share. Reads the first one again if some of its ids are not in the second.
+/// Matches the scenarios of both corpora, in columns that both share. Reads the first one again if some of its ids are
+/// not in the second.
 fn matched(scans: &[CorpusScan; 2], schema: &SchemaRef, progress: &dyn Progress) -> Result<Matched> {
     let mut matched = Matched::default();
     let mut in_a: BTreeMap<Fingerprint, Content> = BTreeMap::new();

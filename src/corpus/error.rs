@@ -1,4 +1,4 @@
-//! What can go wrong with the tools for corpora, and what the user can do about it.
+//! Errors of the tools for corpora, with remedies.
 
 use crate::{files, store};
 use std::path::{Path, PathBuf};
@@ -17,13 +17,13 @@ pub enum Error {
     Condition {
         /// The condition as it was given.
         text: String,
-        /// What is wrong with it, and what is possible.
+        /// The fault, and what is possible.
         detail: String,
     },
     /// A column that the scenarios do not have.
     #[error("scenarios have no column `{name}`{hint}")]
     UnknownColumn {
-        /// What was asked for.
+        /// The name requested.
         name: String,
         /// The nearest name, or nothing.
         hint: String,
@@ -32,7 +32,10 @@ pub enum Error {
     #[error(transparent)]
     Files(files::Error),
     /// Two corpora hold different scenarios under one id.
-    #[error("scenario {id} is in {} and in {} with different content; filter it out of one of them first", .first.display(), .second.display())]
+    #[error(
+        "scenario {id} is in {} and in {} with different content; filter it out of one of them first",
+        .first.display(), .second.display()
+    )]
     Conflict {
         /// The scenario.
         id: String,
@@ -42,7 +45,11 @@ pub enum Error {
         second: PathBuf,
     },
     /// Two corpora hold different maps under one name.
-    #[error("map {id} of {} differs from the map of the same name in an earlier corpus; corpora with different maps cannot be merged", .dir.display())]
+    #[error(
+        "map {id} of {} differs from the map of the same name in an earlier corpus; corpora with different maps cannot \
+         be merged",
+        .dir.display()
+    )]
     MapConflict {
         /// The map.
         id: String,

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 /// Writes the scenarios of all corpora in `dirs` into a new corpus at `out`. A scenario that several hold comes once.
 ///
 /// # Errors
-/// [`Error::Conflict`] when two hold different scenarios under one id, [`Error::MapConflict`] when they hold different maps
-/// under one name; those of reading and writing corpora.
+/// [`Error::Conflict`] when two hold different scenarios under one id, [`Error::MapConflict`] when they hold different
+/// maps under one name; those of reading and writing corpora.
 pub fn merge(dirs: &[PathBuf], out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     if dirs.len() < 2 {
         return Err(Error::Usage("a merge needs at least two corpora".to_owned()));

@@ -53,7 +53,7 @@ pub(super) fn add_rows(hasher: &mut blake3::Hasher, rows: &Rows, range: impl Ite
     }
 }
 
-/// What tells whether two scenarios of one id are the same: fingerprints of the row and of its states.
+/// Fingerprints of a row and of its states, which show whether two scenarios of one id are the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Content {
     pub(super) row: Fingerprint,

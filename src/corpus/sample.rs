@@ -12,7 +12,7 @@ use arrow::util::display::{ArrayFormatter, FormatOptions};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// What is drawn.
+/// Options of a draw.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SampleOptions {
     /// Number of scenarios.
@@ -23,11 +23,11 @@ pub struct SampleOptions {
     pub seed: u64,
 }
 
-/// Draws scenarios of the corpus in `dir` without replacement into a new corpus at `out`. With a column to share by, each
-/// of its values gets the same number; what a value has too few scenarios for goes to the others in equal parts.
+/// Draws scenarios of the corpus in `dir` without replacement into a new corpus at `out`. With a column to share by,
+/// each of its values gets the same number; what a value has too few scenarios for goes to the others in equal parts.
 ///
-/// A scenario is drawn by its id and the seed: whether it comes does not depend on the order of the corpus, and a draw of
-/// more scenarios from the same ones holds all of a draw of fewer.
+/// A scenario is drawn by its id and the seed: whether it comes does not depend on the order of the corpus, and a draw
+/// of more scenarios from the same ones holds all of a draw of fewer.
 ///
 /// # Errors
 /// [`Error::UnknownColumn`] when there is no such column; those of reading and writing corpora.
@@ -104,8 +104,8 @@ fn strata(scan: &CorpusScan, options: &SampleOptions) -> Result<BTreeMap<String,
     Ok(strata)
 }
 
-/// How many of each stratum to draw: equal parts of `n`, the smallest stratum first, so that its shortfall is shared by the
-/// others.
+/// How many of each stratum to draw: equal parts of `n`, the smallest stratum first, so that its shortfall is shared by
+/// the others.
 fn quotas(sizes: &[usize], n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..sizes.len()).collect();
     order.sort_by_key(|i| sizes[*i]);
@@ -137,7 +137,7 @@ mod tests {
         assert_eq!(quotas(&[10, 10, 10], 9), [3, 3, 3]);
         assert_eq!(quotas(&[10, 1, 10], 9), [4, 1, 4]);
         assert_eq!(quotas(&[2, 1, 3], 9), [2, 1, 3]);
-        // What cannot be divided goes to the largest.
+        // A remainder goes to the largest.
         assert_eq!(quotas(&[10, 9, 11], 8), [3, 2, 3]);
         assert_eq!(quotas(&[10], 4), [4]);
         assert_eq!(quotas(&[], 4), [0; 0]);

@@ -28,7 +28,8 @@ pub(super) fn recorded(i: u64) -> Scene {
     as_stored(&scene)
 }
 
-/// Two scenarios of each recorded scene in `seeds`: one unverified cut-in, one verified; every fourth scene asks for nothing.
+/// Two scenarios of each recorded scene in `seeds`: one unverified cut-in, one verified; every fourth scene requests
+/// nothing.
 pub(super) fn records(seeds: impl IntoIterator<Item = u64>) -> Vec<ScenarioRecord> {
     let of_scene = |i: u64| {
         let scene = recorded(i);
@@ -48,7 +49,7 @@ pub(super) fn write(dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     write_in_files_of(SCENES_PER_FILE, dir, records)
 }
 
-/// The same with files of this many scenarios or scenes.
+/// With at most this many scenarios or scenes a file.
 pub(super) fn write_in_files_of(scenes_per_file: usize, dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     let maps = AnyMap(5);
     let mut writer = CorpusWriter::create(dir, &maps).unwrap().in_files_of(scenes_per_file);

@@ -70,7 +70,7 @@ fn a_merge_holds_everything_once() {
     assert!(
         manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0") && !manifest.sources["argoverse1"].contains("Also")
     );
-    // The same corpora give the same bytes, and the parts that they were cut into do not matter to the set.
+    // Equal corpora give equal bytes, and the parts that they were cut into do not matter to the set.
     merge(&[a, b], &folder.path("again"), &Silent).unwrap();
     assert!(folder_bytes(&folder.path("out")) == folder_bytes(&folder.path("again")));
 }
@@ -90,7 +90,8 @@ fn a_merge_with_nothing_new_is_what_it_was_but_for_history_and_aggregates() {
 #[test]
 fn recordings_are_the_same_wherever_batches_break() {
     let folder = Folder::new();
-    // More rows at one place than are read at a time, so that scenes lie across the break, in one corpus and not in the other.
+    // More rows at one place than are read at a time, so that scenes lie across the break, in one corpus and not in the
+    // other.
     let (a, b) = (folder.corpus("a", 0..330), folder.corpus("b", 100..330));
     let n_rows = |dir: &Path| CorpusManifest::read(dir).unwrap().tables["recordings"].files[1].n_rows;
     assert!(n_rows(&a) > 8192 && n_rows(&b) < 8192, "{} {}", n_rows(&a), n_rows(&b));
@@ -202,7 +203,7 @@ fn a_filter_keeps_what_fulfils_all_conditions() {
     );
     filtered(&a, &["gap_m < 6"], &folder.path("none")).unwrap();
     assert!(CorpusReader::open(&folder.path("none")).unwrap().is_empty());
-    // What nothing is left of still has its columns.
+    // A table of which no rows are left still has its columns.
     let columns = |name: &str| CorpusScan::open(&folder.path(name)).unwrap().scenario_schema().unwrap();
     assert!(columns("none").field_with_name("gap_m").is_ok());
     assert_eq!(columns("none"), columns("gap"));
@@ -235,7 +236,7 @@ fn a_sample_is_balanced_and_the_same_for_the_same_seed() {
         let options = SampleOptions { n, by: by.map(str::to_owned), seed };
         sample(&a, &options, &folder.path(name), &Silent).unwrap().manifest
     };
-    // 20 scenarios ask for nothing, 60 for a cut-in.
+    // 20 scenarios request nothing, 60 a cut-in.
     let manifest = draw("one", 24, Some("behavior"), 1);
     let of = |behavior: &str| {
         let counts = manifest.scenarios_by_partition.iter().filter(|count| count.behavior == behavior);

@@ -16,7 +16,8 @@ pub fn sigma_rows(sigma: &Tensor) -> Result<Vec<f64>> {
     sigma.to_dtype(DType::F64)?.to_vec1()
 }
 
-/// One value a batch row as a (B, 1, …, 1) tensor that broadcasts against `like` (B, …), in its dtype and on its device.
+/// One value a batch row as a (B, 1, …, 1) tensor that broadcasts against `like` (B, …), in its dtype and on its
+/// device.
 pub fn rows_like(values: Vec<f64>, like: &Tensor) -> Result<Tensor> {
     let mut dims = vec![1; like.rank()];
     dims[0] = values.len();

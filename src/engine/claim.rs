@@ -14,12 +14,12 @@ use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or contains
-/// one.
+/// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or
+/// contains one.
 pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Result<()> {
     for writer in stages {
         for reader in stages {
-            // What a stage makes is there to be read by later ones.
+            // Outputs of a stage are there to be read by later ones.
             let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.kind()));
             for input in inputs {
                 for name in writer.outputs() {
@@ -83,7 +83,8 @@ pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()>
     if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
 }
 
-/// Whether lines may be added to the log in `root`: it is empty, a command of ours began it, or it lies beside other files of ours.
+/// Whether lines may be added to the log in `root`: it is empty, a command of ours began it, or it lies beside other
+/// files of ours.
 fn is_log(root: &Path) -> bool {
     const HEAD_BYTES: u64 = 4096;
     let mut head = Vec::new();

@@ -39,7 +39,7 @@ impl DeviceChoice {
                 // One stream for all threads: candle's default has one per thread, and nothing would keep them in
                 // order.
                 Device::new_cuda_with_stream(ordinal).map_err(|error| {
-                    // What follows the first line is a backtrace.
+                    // A backtrace follows the first line.
                     let text = error.to_string();
                     let error = text.lines().next().unwrap_or_default();
                     Failure::input_message(format_args!("run.device is \"{self}\", which does not answer: {error}"))
@@ -92,10 +92,10 @@ impl From<DeviceChoice> for String {
     }
 }
 
-/// What the configuration chooses for networks to compute on.
+/// The configured device and precision of networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ComputeChoice {
-    /// What networks compute on.
+    /// The device that networks compute on.
     pub device: DeviceChoice,
     /// How exactly.
     pub precision: Precision,
@@ -122,7 +122,8 @@ impl ComputeChoice {
             (DeviceChoice::Cpu, Precision::Tf32 | Precision::Bf16) => Err(Issue::new(
                 "precision",
                 format_args!(
-                    "is \"{}\", which needs the tensor cores of a GPU: set run.device = \"cuda\", or run.precision = \"f32\"",
+                    "is \"{}\", which needs the tensor cores of a GPU: set run.device = \"cuda\", or \
+                     run.precision = \"f32\"",
                     self.precision
                 ),
             )),
@@ -130,8 +131,9 @@ impl ComputeChoice {
         }
     }
 
-    /// What decides the last digits of results: the kind of device and the precision of products. The kind of a
-    /// processor is its widest vector instructions, the kind of a GPU its model as listed by the driver.
+    /// The class of machine, which decides the last digits of results: the kind of device and the precision of
+    /// products. The kind of a processor is its widest vector instructions, the kind of a GPU its model as listed by
+    /// the driver.
     pub fn class(self) -> String {
         let kind = match self.device {
             DeviceChoice::Cpu => processor_class(),

@@ -12,8 +12,8 @@ use super::work_folder::WorkFolder;
 use crate::progress::Progress;
 use std::path::Path;
 
-/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done. `compute` is what the
-/// context has opened.
+/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done.
+/// `compute` is what the context has opened.
 pub(super) fn execute(
     planned: Vec<PlannedStage<'_>>,
     (compute, makers): (ComputeChoice, Makers),
@@ -122,8 +122,8 @@ fn run_stage(
     }
 }
 
-/// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a checksum each, which is
-/// compared when it is read.
+/// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a
+/// checksum each, which is compared when it is read.
 pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
     for input in stage.inputs() {
         let Some(producer) = input.producer.filter(|producer| !producer.is_checked_by_readers) else {
@@ -140,7 +140,8 @@ pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
             let path = folder.join(name);
             let message = format!("{}: it is not what stage {producer} wrote there", path.display());
             return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
-                "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo {producer}"
+                "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo \
+                 {producer}"
             )));
         }
     }

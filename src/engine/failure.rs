@@ -21,9 +21,9 @@ pub enum Blame {
 pub struct Failure {
     /// Who can act.
     pub blame: Blame,
-    /// What went wrong, with its causes.
+    /// The error, with its causes.
     pub error: anyhow::Error,
-    /// What to do about it.
+    /// A remedy.
     pub hint: Option<String>,
 }
 
@@ -56,21 +56,21 @@ impl Failure {
         Self { blame: Blame::Later, error: anyhow::anyhow!("{message}"), hint: None }
     }
 
-    /// The same failure, as that of a stage.
+    /// Attributes the failure to a stage.
     #[must_use]
     pub(super) fn of_stage(self, stage: &StageKind) -> Self {
         let what = if self.blame == Blame::Later { "was stopped" } else { "failed" };
         self.context(format!("stage {stage} {what}"))
     }
 
-    /// The same failure with advice.
+    /// Adds advice.
     #[must_use]
     pub fn with_hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = Some(hint.into());
         self
     }
 
-    /// The same failure with more context.
+    /// Adds context.
     #[must_use]
     pub fn context(mut self, context: impl fmt::Display + Send + Sync + 'static) -> Self {
         self.error = self.error.context(context);

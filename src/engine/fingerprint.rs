@@ -8,10 +8,10 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Of files up to twice this size, `hash` is of all; of larger ones, of the size and this much from each end.
+/// For files up to twice this size, `hash` covers everything; for larger ones, the size and this much from each end.
 const SAMPLED_BYTES: u64 = 1 << 20;
 
-/// What a file or folder held. Equal contents give equal fingerprints on every machine; places play no part.
+/// The content of a file or folder. Equal contents give equal fingerprints on every machine; places play no part.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PathFingerprint {
     /// Total size, bytes.
@@ -23,8 +23,8 @@ pub struct PathFingerprint {
     /// Hash of the whole content where `hash` is not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub whole: Option<String>,
-    /// Hash of the sizes and times of the files that `whole` was taken of, or of the tags of objects: while they stay, it is not taken
-    /// again.
+    /// Hash of the sizes and times of the files that `whole` was taken of, or of the tags of objects: while they stay,
+    /// it is not taken again.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub times: Option<String>,
 }
@@ -37,21 +37,21 @@ impl PathFingerprint {
         of_ends(self) == of_ends(other) && wholes.is_none_or(|(one, other)| one == other)
     }
 
-    /// What tells contents apart.
+    /// The hash that distinguishes contents.
     pub(super) fn identity(&self) -> &str {
         self.whole.as_deref().unwrap_or(&self.hash)
     }
 }
 
-/// The fingerprint of a file, or of all files below a folder with their names, with the whole content of large ones. What cannot be
-/// opened in a folder counts by its name: whoever reads it says why.
+/// The fingerprint of a file, or of all files below a folder with their names, with the whole content of large ones.
+/// What cannot be opened in a folder counts by its name: whoever reads it says why.
 pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
     fingerprint_to(path, None, None)
 }
 
-/// The fingerprint of a file, or of those files in a folder that are named relative to it (`None`: of all). Named files have the
-/// same as the whole folder where that holds nothing else. Where large files are as old and as large as when `known` was taken, it
-/// still holds, and their middles are not read.
+/// The fingerprint of a file, or of those files in a folder that are named relative to it (`None`: of all). Named files
+/// have the same as the whole folder where that holds nothing else. Where large files are as old and as large as when
+/// `known` was taken, it still holds, and their middles are not read.
 pub(super) fn fingerprint_to(
     path: &Path,
     names: Option<&[PathBuf]>,
@@ -81,7 +81,7 @@ pub(super) fn fingerprint_to(
     Ok(found)
 }
 
-/// What of a file is hashed.
+/// The part of a file that is hashed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reading {
     Ends,
@@ -93,7 +93,8 @@ fn is_large(file: &Path) -> bool {
     fs_err::metadata(file).is_ok_and(|metadata| metadata.len() > 2 * SAMPLED_BYTES)
 }
 
-/// The hash of one file, or of the files below `root` with their names. Files that are our own must be readable if they are there.
+/// The hash of one file, or of the files below `root` with their names. Files that are our own must be readable if they
+/// are there.
 fn combined(root: Option<&Path>, files: &[PathBuf], reading: Reading, are_own: bool) -> Result<PathFingerprint> {
     let of = |file: &PathBuf| match (fs_err::File::open(file), root) {
         (Ok(file), _) => hash_file(file, reading),

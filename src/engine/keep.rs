@@ -29,8 +29,8 @@ pub struct Kept {
 /// Decides about the trained models that running a stage would replace.
 ///
 /// # Errors
-/// When a long training would be repeated without a request: neither by `is_requested` nor by a setting of the stage's own
-/// section.
+/// When a long training would be repeated without a request: neither by `is_requested` nor by a setting of the stage's
+/// own section.
 pub(super) fn kept(
     root: &Path,
     stage: &StageKind,
@@ -63,7 +63,8 @@ fn refusal(root: &Path, stage: &StageKind, why: &str, seconds: Option<f64>) -> F
     );
     let redo = format!("--redo {stage}");
     Failure::input_message(message).with_hint(format!(
-        "add {redo} to retrain (the old model is moved aside), undo the change, or copy the model elsewhere and use it with {}.checkpoint",
+        "add {redo} to retrain (the old model is moved aside), undo the change, or copy the model elsewhere and use it \
+         with {}.checkpoint",
         stage.section
     ))
 }

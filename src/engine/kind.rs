@@ -1,8 +1,8 @@
-//! What is known of a kind of stage, apart from its work ([`Stage`](super::Stage))?
+//! The fixed facts of a kind of stage, apart from its work ([`Stage`](super::Stage)).
 
 use std::fmt;
 
-/// A kind of stage. Kinds are told apart by their names.
+/// A kind of stage. Kinds are distinguished by their names.
 #[derive(Debug)]
 pub struct StageKind {
     /// The name in file names and messages.
@@ -28,16 +28,16 @@ pub struct StageKind {
 /// The names of the files that workers write ([`shards`](super::shards)).
 #[derive(Debug, Clone, Copy)]
 pub struct ShardNames {
-    /// What those of shards begin with.
+    /// Prefix of the names of shards.
     pub shard: &'static str,
-    /// What those of shards end in.
+    /// Ending of the names of shards.
     pub ending: &'static str,
     /// Whether workers write a file of this name beside the shards.
     pub is_other: fn(&str) -> bool,
 }
 
 impl ShardNames {
-    /// What shard `idx` is called.
+    /// The name of shard `idx`.
     pub(super) fn shard_name(self, idx: usize) -> String {
         format!("{}-{idx:05}", self.shard)
     }

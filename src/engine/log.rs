@@ -1,4 +1,4 @@
-//! What happened in a run, for reading afterwards: `log.txt`.
+//! The log of a run, for reading afterwards: `log.txt`.
 
 use super::clock::utc_now;
 use crate::progress::Progress;

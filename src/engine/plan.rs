@@ -21,9 +21,9 @@ use std::path::Path;
 pub struct PlannedStage<'a> {
     /// The stage.
     pub stage: Box<dyn Stage + 'a>,
-    /// What it would be run on.
+    /// The record that a run of it would have.
     pub expected: StageRecord,
-    /// What is to be done.
+    /// The action to take.
     pub action: Action,
     /// Whether it was done before, with other settings or inputs.
     pub is_redone: bool,
@@ -44,7 +44,7 @@ impl PlannedStage<'_> {
     }
 }
 
-/// What is to be done about a stage.
+/// The action for a stage.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
@@ -66,12 +66,12 @@ impl fmt::Display for Action {
     }
 }
 
-/// Decides about every stage, in order; those in `redo` are done again whatever is there. `root` is the folder in which they
-/// write. Reads recordings to fingerprint them, and writes nothing.
+/// Decides about every stage, in order; those in `redo` are done again whatever is there. `root` is the folder in which
+/// they write. Reads recordings to fingerprint them, and writes nothing.
 ///
 /// # Errors
-/// When a section cannot work, an input is missing, an output overlaps an input or holds files that the stage did not write,
-/// or a trained model would be replaced unasked.
+/// When a section cannot work, an input is missing, an output overlaps an input or holds files that the stage did not
+/// write, or a trained model would be replaced unasked.
 pub fn plan<'a>(
     root: &Path,
     kinds: &'static [StageKind],
@@ -203,7 +203,7 @@ pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecor
     started.map_or_else(|| shards::begun(root, stage), |started| Ok(Some(started)))
 }
 
-/// What a stage's input holds: a fingerprint of the stage that makes it, or of its content.
+/// The identity of a stage's input: a fingerprint of the stage that makes it, or of its content.
 ///
 /// `earlier` is the record of the stage's last run, which knows what the same files held.
 fn identify(
@@ -236,7 +236,8 @@ fn identify(
     Ok(InputRecord::Path { path: input.path.clone(), content })
 }
 
-/// What an input from outside holds. Of objects that are as they were when it was `known`, nothing is downloaded.
+/// The fingerprint of an input from outside. Of objects that are as they were when it was `known`, nothing is
+/// downloaded.
 fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<PathFingerprint> {
     let Some(recordings) = Recordings::at(path)? else {
         return fingerprint_to(path, None, known).map_err(Failure::input);

@@ -100,7 +100,7 @@ struct Pipeline<'a> {
 struct Heard(Mutex<Vec<String>>);
 
 impl Heard {
-    /// What was said until now.
+    /// The messages until now.
     fn take(&self) -> String {
         std::mem::take(&mut *self.0.lock().unwrap()).join("\n")
     }

@@ -1,8 +1,8 @@
 //! The record of a stage, by which the next run decides whether to redo it.
 //!
-//! `<stage>.done.json` is written after its outputs are whole; [`work_folder`](super::work_folder) keeps the same of a stage at work. Both
-//! hold what the fingerprint was made from, so that a later run can say what changed, and the former every file that the
-//! stage wrote: these, and no others, may be removed when it is redone.
+//! `<stage>.done.json` is written after its outputs are whole; [`work_folder`](super::work_folder) keeps the same of a
+//! stage at work. Both hold what the fingerprint was made from, so that a later run can say what changed, and the
+//! former every file that the stage wrote: these, and no others, may be removed when it is redone.
 
 use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
@@ -15,7 +15,7 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// What a stage was run on and, once it is done, its results.
+/// The basis of a stage's run and, once it is done, its results.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
     /// Name of the kind of stage.
@@ -24,20 +24,20 @@ pub struct StageRecord {
     pub version: u32,
     /// Its section.
     pub config: Value,
-    /// What it read, by name.
+    /// Its inputs, by name.
     pub inputs: BTreeMap<String, InputRecord>,
     /// Hash of all of the above.
     pub fingerprint: String,
     /// Hash of the version, and of the section without the paths of what it reads: inputs count by their content.
     pub settings: String,
-    /// What it wrote, by name within the output folder; empty until it is done.
+    /// Its outputs, by name within the output folder; empty until it is done.
     pub outputs: BTreeMap<String, PathFingerprint>,
     /// Every file that it wrote, relative to the output folder and sorted; empty until it is done.
     pub files: BTreeSet<PathBuf>,
-    /// What it says of its work; null until it is done.
+    /// Its summary; null until it is done.
     pub summary: Value,
-    /// When the large files of its outputs, which are whole, were written, by output. Two runs of one pipeline write the same at
-    /// other times: `timings.json` keeps this.
+    /// When the large files of its outputs, which are whole, were written, by output. Two runs of one pipeline write
+    /// the same at other times: `timings.json` keeps this.
     #[serde(skip)]
     pub(super) times: BTreeMap<String, String>,
 }
@@ -52,8 +52,8 @@ pub enum InputRecord {
         producer: String,
         /// Its fingerprint.
         fingerprint: String,
-        /// Hash of what it wrote; `None` while that is not known. No part of the fingerprint: a changed program may write other
-        /// bytes from the same settings.
+        /// Hash of what it wrote; `None` while that is not known. No part of the fingerprint: a changed program may
+        /// write other bytes from the same settings.
         #[serde(skip_serializing_if = "Option::is_none")]
         content: Option<String>,
     },
@@ -61,13 +61,13 @@ pub enum InputRecord {
     Path {
         /// Where it was, as given.
         path: PathBuf,
-        /// What it held.
+        /// Its content.
         content: PathFingerprint,
     },
 }
 
 impl InputRecord {
-    /// What distinguishes the contents; a path alone does not.
+    /// The hash that distinguishes the contents; a path alone does not.
     fn identity(&self) -> &str {
         match self {
             Self::Stage { fingerprint, .. } => fingerprint,
@@ -107,8 +107,8 @@ impl StageRecord {
         })
     }
 
-    /// Whether `earlier` is of the same work: the same version, settings and contents, wherever files were then. Contents are compared as
-    /// far as both know them.
+    /// Whether `earlier` is of the same work: the same version, settings and contents, wherever files were then.
+    /// Contents are compared as far as both know them.
     pub(super) fn is_same_work(&self, earlier: &Self) -> bool {
         let agree = |(name, input): (&String, &InputRecord)| {
             earlier.inputs.get(name).is_some_and(|then| input.agrees_with(then))
@@ -116,14 +116,14 @@ impl StageRecord {
         self.settings == earlier.settings && self.inputs.len() == earlier.inputs.len() && self.inputs.iter().all(agree)
     }
 
-    /// What it read as an input from outside that is not there any more.
+    /// An input from outside that it read and that is not there any more.
     pub(super) fn missing_input(&self, input: &StageInput) -> Option<InputRecord> {
         let record = self.inputs.get(&input.name)?;
         let is_same = matches!(record, InputRecord::Path { path, .. } if *path == input.path);
         (input.producer.is_none() && is_same && !input.path.exists()).then(|| record.clone())
     }
 
-    /// What was known of the content of an input, where it was the same path.
+    /// The known content of an input, where it was the same path.
     pub(super) fn known_content(&self, name: &str, path: &Path) -> Option<&PathFingerprint> {
         match self.inputs.get(name)? {
             InputRecord::Path { path: then, content } if then == path => Some(content),
@@ -158,8 +158,8 @@ impl StageRecord {
         }
     }
 
-    /// This record of a finished stage, with where its inputs are now and what is known of them. What earlier stages had written when
-    /// it read them stays.
+    /// This record of a finished stage, with where its inputs are now and what is known of them. What earlier stages
+    /// had written when it read them stays.
     pub(super) fn with_inputs_of(mut self, root: &Path, stage: &StageKind, expected: &Self) -> Result<Self> {
         let mut inputs = expected.inputs.clone();
         for (name, input) in &mut inputs {
@@ -201,7 +201,7 @@ impl StageRecord {
         }
     }
 
-    /// What in a record the stage cannot have written: whatever it names is replaced and removed.
+    /// The part of the record that the stage cannot have written: whatever it names is replaced and removed.
     fn impossible(&self, stage: &StageKind) -> Option<String> {
         let known = stage.outputs;
         let is_output = |name: &str| known.contains(&name);
@@ -221,8 +221,8 @@ impl StageRecord {
         output.or_else(file).map(|name| format!("{name:?} is nothing that stage {stage} writes"))
     }
 
-    /// The record of the same stage once its outputs are whole in the folder `dir`; `written` are the files there that are
-    /// its own.
+    /// The record of the same stage once its outputs are whole in the folder `dir`; `written` are the files there that
+    /// are its own.
     pub(super) fn finished(
         mut self,
         dir: &Path,
@@ -242,9 +242,9 @@ impl StageRecord {
         Ok(self)
     }
 
-    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them; otherwise, as the inner
-    /// error, the first that is not. Files that somebody put beside ours do not count. Outputs that were `seen` whole are not read again while sizes and
-    /// times of their files stay.
+    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them;
+    /// otherwise, as the inner error, the first that is not. Files that somebody put beside ours do not count. Outputs
+    /// that were `seen` whole are not read again while sizes and times of their files stay.
     pub(super) fn check_outputs(
         &self,
         root: &Path,
@@ -260,7 +260,7 @@ impl StageRecord {
         Ok(Ok(times))
     }
 
-    /// The same record with outputs that were seen whole when their large files had these times.
+    /// The record with outputs that were seen whole when their large files had these times.
     pub(super) fn seen(self, times: BTreeMap<String, String>) -> Self {
         Self { times, ..self }
     }
@@ -275,8 +275,8 @@ impl StageRecord {
         Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
     }
 
-    /// What the files of an output hold now; `None` if it is not there, or is neither file nor folder. What cannot be read now may well
-    /// be whole.
+    /// The present content of the files of an output; `None` if it is not there, or is neither file nor folder. What
+    /// cannot be read now may well be whole.
     fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Result<Option<PathFingerprint>> {
         let path = root.join(name);
         if !path.is_file() && !path.is_dir() {
@@ -285,7 +285,8 @@ impl StageRecord {
         Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
     }
 
-    /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's doing.
+    /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's
+    /// doing.
     pub(super) fn section_differs(&self, earlier: &Self) -> bool {
         let own = |record: &Self| {
             let mut config = record.config.clone();
@@ -298,12 +299,12 @@ impl StageRecord {
         own(self) != own(earlier)
     }
 
-    /// Enough of the fingerprint to tell the runs of a stage apart.
+    /// Enough of the fingerprint to distinguish the runs of a stage.
     pub(super) fn short_fingerprint(&self) -> &str {
         self.fingerprint.get(..8).unwrap_or(&self.fingerprint)
     }
 
-    /// What differs from `earlier`, in a few words: versions, keys of the section, inputs.
+    /// The differences from `earlier`, in a few words: versions, keys of the section, inputs.
     pub fn changes_since(&self, stage: &StageKind, earlier: &Self) -> String {
         let mut changes = Vec::new();
         if self.version != earlier.version {

@@ -2,7 +2,7 @@
 //!
 //! Beside the outputs of the stages: `config.toml` (the resolved configuration), `run.json` (versions, seed, device,
 //! input fingerprints, state of every stage), `timings.json` and `log.txt`. Two runs of one pipeline on the same inputs
-//! differ in the last two alone: everything that tells one run from another is kept there.
+//! differ in the last two alone: everything that distinguishes one run from another is kept there.
 
 use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
@@ -34,7 +34,7 @@ pub const RUN_FILE: &str = "run.json";
 /// Name of the file for times and other facts that differ between equal runs.
 pub const TIMINGS_FILE: &str = "timings.json";
 
-/// What `run.json` says.
+/// The content of `run.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunManifest {
     /// Version of the program.
@@ -45,7 +45,7 @@ pub struct RunManifest {
     pub pipeline: String,
     /// Seed of the run.
     pub seed: u64,
-    /// What the tensors were computed on.
+    /// The device that the tensors were computed on.
     pub device: String,
     /// Files and folders from outside, by stage and name.
     pub inputs: BTreeMap<String, InputRecord>,
@@ -53,14 +53,14 @@ pub struct RunManifest {
     pub stages: BTreeMap<String, StageState>,
 }
 
-/// What `run.json` says of a stage.
+/// The entry of a stage in `run.json`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StageState {
     /// Hash of its version, configuration and inputs.
     pub fingerprint: String,
     /// Whether its outputs are whole.
     pub status: StageStatus,
-    /// What it wrote, by name within the run folder.
+    /// Its outputs, by name within the run folder.
     pub outputs: BTreeMap<String, super::PathFingerprint>,
 }
 
@@ -74,13 +74,13 @@ pub enum StageStatus {
     Done,
 }
 
-/// What `timings.json` says.
+/// The content of `timings.json`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Timings {
     /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
     pub stages: BTreeMap<String, Vec<StageTiming>>,
-    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and times. While
-    /// these stay, planning does not read them again.
+    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and
+    /// times. While these stay, planning does not read them again.
     #[serde(default)]
     pub outputs: BTreeMap<String, BTreeMap<String, String>>,
 }
@@ -100,14 +100,14 @@ pub struct StageTiming {
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// What a run says of itself.
+/// A run's description of itself.
 #[derive(Debug, Clone)]
 pub struct RunAbout {
     /// Name of the pipeline.
     pub pipeline: String,
     /// Seed of the run.
     pub seed: u64,
-    /// What the tensors are computed on.
+    /// The device that the tensors are computed on.
     pub device: String,
     /// The resolved configuration, as TOML.
     pub config: String,
@@ -239,7 +239,8 @@ pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
     timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
 }
 
-/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by output.
+/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by
+/// output.
 pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
     timings.outputs.get(stage.name).cloned().unwrap_or_default()

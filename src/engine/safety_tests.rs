@@ -1,4 +1,5 @@
-//! Does running stages again lose anything: files of others, earlier outputs, trained models? On stages that write a few lines.
+//! Does running stages again lose anything: files of others, earlier outputs, trained models? On stages that write a
+//! few lines.
 
 mod crafted;
 mod toy;
@@ -38,8 +39,8 @@ fn states() -> Vec<State> {
     ]
 }
 
-/// Whatever the state of the folder and whatever is run in it, a file of somebody else stays where it is, byte for byte; and
-/// what is refused leaves everything as it was.
+/// Whatever the state of the folder and whatever is run in it, a file of somebody else stays where it is, byte for
+/// byte; and what is refused leaves everything as it was.
 #[test]
 fn files_of_others_survive_everywhere() {
     let places = [
@@ -72,7 +73,7 @@ fn files_of_others_survive_everywhere() {
                 prepare(&root);
                 let path = root.join(place);
                 let is_taken = path.symlink_metadata().is_ok() || path.parent().is_some_and(Path::is_file);
-                // What stands there is ours; the lock file is, whatever is in it.
+                // A file that stands there is ours; the lock file is, whatever is in it.
                 if is_taken && place != ".lock" {
                     continue;
                 }
@@ -272,7 +273,7 @@ fn a_model_that_took_hours_is_kept_unless_it_is_asked_for() {
         }
         assert!(snapshot(&root) == before);
     }
-    // Asked for by its name, or by a setting of its own section; then the old one is moved aside, with what it was.
+    // Requested by its name, or by a setting of its own section; then the old one is moved aside, with what it was.
     let planned = run(&root, &toy("old"), &[kind("train_denoiser")]).unwrap();
     let redone = planned.redone.unwrap();
     let first = redone.split("moved to ").nth(1).unwrap();

@@ -46,9 +46,9 @@ pub trait Stage {
     fn check(&self) -> Result<()>;
     /// Its section, as JSON, without the paths of what it reads: inputs count by their content.
     fn config(&self) -> anyhow::Result<serde_json::Value>;
-    /// What it reads.
+    /// The inputs that it reads.
     fn inputs(&self) -> Vec<StageInput>;
-    /// What it writes: names of files and folders within the output folder, of those that its kind names.
+    /// The outputs that it writes: names of files and folders within the output folder, of those that its kind names.
     fn outputs(&self) -> &'static [&'static str] {
         self.kind().outputs
     }
@@ -74,7 +74,7 @@ pub trait Whole {
 pub struct StageContext<'a> {
     /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
     pub root: &'a Path,
-    /// What networks compute on.
+    /// The device and precision that networks compute on.
     pub compute: &'a Compute,
     /// Receives the progress.
     pub progress: &'a dyn Progress,

@@ -25,8 +25,8 @@ pub(super) fn can_resume(expected: &StageRecord, begun: &StageRecord) -> bool {
     begun.fingerprint == expected.fingerprint && expected.rewritten_since(begun).is_none()
 }
 
-/// Takes into account what the stages before wrote, which was not known when `planned` was made: reuses nothing, and resumes
-/// nothing, that was made from other bytes.
+/// Takes into account what the stages before wrote, which was not known when `planned` was made: reuses nothing, and
+/// resumes nothing, that was made from other bytes.
 ///
 /// # Errors
 /// When it must run again and would overwrite what is not its own.
@@ -44,7 +44,8 @@ pub(super) fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>)
     };
     if planned.action == Action::Reuse && (is_kept(kind, &earlier) || !planned.is_selected) {
         context.progress.warn(&format!(
-            "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo {kind}"
+            "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo \
+             {kind}"
         ));
         return Ok(());
     }

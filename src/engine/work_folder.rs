@@ -3,8 +3,8 @@
 //! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it.
 //! Earlier outputs stay in their places meanwhile. Once the new ones are complete, `done.json` is written in the work
 //! folder. From then on they are put in place, at the latest when the folder is opened the next time
-//! ([`WorkFolder::complete_all`]). Folders are exchanged by one system call where there is one, so that each output, old or
-//! new, is always in place, whenever the process is killed.
+//! ([`WorkFolder::complete_all`]). Folders are exchanged by one system call where there is one, so that each output,
+//! old or new, is always in place, whenever the process is killed.
 
 use super::claim;
 use super::failure::{Failure, Result};
@@ -26,9 +26,9 @@ use std::path::{Path, PathBuf};
 const STARTED_FILE: &str = "started.json";
 /// The record of the stage whose outputs are whole, but not all in place.
 const DONE_FILE: &str = "done.json";
-/// What becomes of earlier outputs that are kept.
+/// The names of earlier outputs that are kept.
 const KEEP_FILE: &str = "keep.json";
-/// Marks a new folder during the exchange, to tell it from the one that it replaces.
+/// Marks a new folder during the exchange, to distinguish it from the one that it replaces.
 const NEW_FILE: &str = ".djinn-new";
 /// Earlier outputs that made place and are about to be removed.
 const REPLACED: &str = "replaced";
@@ -72,7 +72,7 @@ impl WorkFolder {
         StageRecord::read(&self.dir.join(name), self.stage).map_err(|error| self.unreadable(error))
     }
 
-    /// What becomes of earlier outputs.
+    /// The names that earlier outputs are kept under.
     fn kept_names(&self) -> Result<BTreeMap<String, String>> {
         let path = self.dir.join(KEEP_FILE);
         let kept: Option<KeptNames> = read_record(&path).map_err(|error| self.unreadable(error))?;
@@ -131,8 +131,8 @@ impl WorkFolder {
         &self.dir
     }
 
-    /// Declares the outputs whole and brings them to their places. Of a trained model that stands there, `kept` says whether,
-    /// and under which name, it stays.
+    /// Declares the outputs whole and brings them to their places. Of a trained model that stands there, `kept` says
+    /// whether, and under which name, it stays.
     pub(super) fn finish(
         &self,
         expected: StageRecord,
@@ -152,8 +152,8 @@ impl WorkFolder {
         Ok(record)
     }
 
-    /// Finishes what earlier processes left unfinished: brings whole outputs to their places, and removes what was about to be
-    /// removed.
+    /// Finishes what earlier processes left unfinished: brings whole outputs to their places, and removes what was
+    /// about to be removed.
     pub(super) fn complete_all(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
         for stage in kinds {
             let work = Self::of(root, stage);
@@ -168,7 +168,7 @@ impl WorkFolder {
 
     /// Brings the outputs to their places. A kill at any moment leaves a state from which the same steps go on.
     fn publish(&self, record: &StageRecord) -> Result<()> {
-        // What is in its place already is not looked at: the record of the earlier run does not know it.
+        // An output that is in its place already is not looked at: the record of the earlier run does not know it.
         let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
         claim::check_outputs(&self.root, self.stage, &names)?;
@@ -198,9 +198,9 @@ impl WorkFolder {
         self.clean_up()
     }
 
-    /// Brings the output `name` to its place. Files are renamed over earlier ones, folders change places with them, so that
-    /// there is always one or the other. The earlier one then goes to the name under which it stays, or to where it will be
-    /// removed.
+    /// Brings the output `name` to its place. Files are renamed over earlier ones, folders change places with them, so
+    /// that there is always one or the other. The earlier one then goes to the name under which it stays, or to where
+    /// it will be removed.
     fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
         let (new, place) = (self.dir.join(name), self.root.join(name));
         let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));
@@ -229,8 +229,8 @@ impl WorkFolder {
         Ok(())
     }
 
-    /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are known
-    /// for ours whenever the process is killed.
+    /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are
+    /// known for ours whenever the process is killed.
     fn list_replaced(&self, name: &str) -> Result<()> {
         let owned = claim::owned(&self.root, self.stage)?;
         let files = owned.iter().filter(|file| file.starts_with(name));

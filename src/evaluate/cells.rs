@@ -28,13 +28,13 @@ pub(super) struct CellFigures {
     pub(super) together: Vec<Option<f64>>,
     /// Each sample alone.
     pub(super) alone: Vec<Vec<Option<f64>>>,
-    /// What is said of each sample.
+    /// The assessment of each sample.
     pub(super) assessments: Vec<Assessment>,
     /// The judgments of the recording and of the baseline, if they are measured.
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
     /// How everybody moves.
     pub(super) motion: CellMotion,
-    /// What a classifier sees of everybody.
+    /// The features of everybody for classifiers.
     pub(super) tracks: CellTracks,
 }
 
@@ -140,8 +140,8 @@ impl CellSamples<'_> {
     }
 }
 
-/// The recording without the futures of agents that were not generated (beyond the denoiser's number of agents), so that
-/// recording, baseline and samples are measured on the same agents.
+/// The recording without the futures of agents that were not generated (beyond the denoiser's number of agents), so
+/// that recording, baseline and samples are measured on the same agents.
 fn as_far_as_generated(recorded: &Scene, sample: &Scene) -> Scene {
     let n_history = recorded.n_history;
     let was_generated = |track: &Track| track.trajectory.valid().any(|(timestep, _)| timestep >= n_history);

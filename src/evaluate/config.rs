@@ -29,8 +29,8 @@ pub struct EvaluateConfig {
     /// The careful driver in place of the agent that is cut off: could a collision have been prevented?
     pub careful_driver: CarefulDriverConfig,
     /// A scenario is a near-duplicate of an earlier accepted one if the paths of the requested agents differ by less
-    /// than this, meters: the mean over the future, of a position each half second, in the frame of the first of them. 0 for none.
-    /// Requests accept no near-duplicates. Default 0.25.
+    /// than this, meters: the mean over the future, of a position each half second, in the frame of the first of them.
+    /// 0 for none. Requests accept no near-duplicates. Default 0.25.
     #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,
     /// Quality gates; if one fails, the exit code is 3.

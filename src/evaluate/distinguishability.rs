@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Most tracks of a series from which trees learn. More would take longer and narrow intervals little.
 const MAX_TRACKS: usize = 2000;
 
-/// How well a classifier tells the tracks of a series from recorded ones.
+/// The performance of a classifier that tells the tracks of a series from recorded ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DistinguishabilityRow {
     /// The series.
@@ -29,7 +29,7 @@ pub struct DistinguishabilityRow {
     pub place: String,
     /// The class of the agents; empty for all.
     pub class: String,
-    /// What the classifier sees of a track: a [`FeatureSet`], `half_seconds_moving` (the same of tracks that move at
+    /// The input of the classifier: a [`FeatureSet`], `half_seconds_moving` (`half_seconds` of tracks that move at
     /// present), or `whole_scenes` (all features of all tracks of a scene).
     pub features: String,
     /// Tracks of either kind in the series.
@@ -86,7 +86,7 @@ pub struct TellingFeatureRow {
 pub(super) struct CellTracks {
     /// Those that are judged in the recording.
     recorded: Vec<(AgentClass, TrackFeatures)>,
-    /// The same tracks in each sample; `None` where one is not tracked to the end.
+    /// These tracks in each sample; `None` where one is not tracked to the end.
     samples: Vec<Vec<Option<TrackFeatures>>>,
 }
 
@@ -194,7 +194,8 @@ struct TestedSeries {
     test: TwoSampleTest,
 }
 
-/// What classifiers tell apart, and how recorded scenarios look to them. Series with too few tracks or scenes are left out.
+/// The results of the classifiers, and how recorded scenarios look to them. Series with too few tracks or scenes are
+/// left out.
 #[derive(Default)]
 pub struct Distinguished {
     series: Vec<TestedSeries>,

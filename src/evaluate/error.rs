@@ -1,4 +1,4 @@
-//! What can stop an evaluation.
+//! Errors that stop an evaluation.
 
 use crate::scene::SceneId;
 use crate::{files, store};
@@ -11,7 +11,7 @@ pub enum Error {
     Config {
         /// The key, its value and what was expected.
         message: String,
-        /// What to do about it.
+        /// The remedy.
         advice: String,
     },
     /// A sample continues a scene that the store does not have.
@@ -19,7 +19,8 @@ pub enum Error {
     UnknownScene(SceneId),
     /// Figures belong to a different shard.
     #[error(
-        "figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo evaluate"
+        "figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo \
+         evaluate"
     )]
     OtherShard {
         /// Cells of the shard.

@@ -41,7 +41,7 @@ pub struct EvaluationSummary {
     pub gates: Vec<GateResult>,
     /// Requested and generated scenarios, by sweep, place and strength.
     pub sampling: Vec<SamplingRow>,
-    /// What the metrics mean.
+    /// Definitions of the metrics.
     pub docs: Vec<MetricDoc>,
     /// Means over scenes: of all places together, then of each.
     pub aggregates: Vec<MetricRow>,
@@ -53,9 +53,9 @@ pub struct EvaluationSummary {
     pub left_out: Vec<LeftOutRow>,
     /// How many scenarios, and how many of the recordings that they continue, fail each check.
     pub validity: Vec<ValidityRow>,
-    /// How well a classifier tells the tracks of each series from recorded ones.
+    /// The performance of a classifier that tells the tracks of each series from recorded ones.
     pub distinguishability: Vec<DistinguishabilityRow>,
-    /// What gives them away.
+    /// The features that give them away.
     pub telling_features: Vec<TellingFeatureRow>,
     /// The places where the map is good enough to judge departures from the road.
     pub maps: Vec<MapFitRow>,
@@ -64,7 +64,7 @@ pub struct EvaluationSummary {
 /// The result of an evaluation. Its rows are in files until [`Evaluated::remove_rows`].
 #[derive(Debug)]
 pub struct Evaluated {
-    /// What is read first.
+    /// The summary, to be read first.
     pub summary: EvaluationSummary,
     /// Scenes with predictions for benchmarks.
     pub n_predicted_scenes: usize,
@@ -93,7 +93,7 @@ impl Evaluated {
     /// Removes the files of the rows. Returns the summary.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn remove_rows(self) -> Result<EvaluationSummary> {
         self.rows.remove()?;
         Ok(self.summary)

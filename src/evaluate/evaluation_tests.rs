@@ -32,7 +32,7 @@ fn records(scenes: &[Scene], shard: usize) -> Vec<ScenarioRecord> {
     samples.map(|record| ScenarioRecord { request: None, ..record }).collect()
 }
 
-/// What is said of the shards when they are measured in this order.
+/// The results for the shards when they are measured in this order.
 fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Vec<u8>, Vec<String>) {
     let dir = tempfile::tempdir().unwrap();
     let (store, scenes) = store(&dir.path().join("scenes"));
@@ -88,8 +88,8 @@ fn shards_are_measured_in_any_order() {
     let n_left_out = |reason: &str| summary.left_out.iter().find(|row| row.reason == reason).map(|row| row.n_left_out);
     assert_eq!((n_left_out("not_finite"), n_left_out("selection: not among the best 2")), (Some(1), Some(4)));
     assert!(summary.realism.iter().any(|row| row.sweep == "guided" && row.n > 0));
-    // Of each metric that is defined throughout: one mean of all places and one of the one place, in each of three series; a value
-    // of each scene and shard there; and one of each scenario.
+    // Each metric that is defined throughout has one mean of all places and one of the one place, in each of three
+    // series; a value of each scene and shard there; and one of each scenario.
     let of = |metric: &str| rows.iter().filter(|row| row.metric == metric).collect::<Vec<_>>();
     let rows = of("collision_rate");
     let n = |is_counted: &dyn Fn(&MetricRow) -> bool| rows.iter().filter(|row| is_counted(row)).count();

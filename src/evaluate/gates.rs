@@ -34,12 +34,12 @@ pub struct GatesConfig {
     /// Largest off-road rate of any sweep at any strength, 0 to 1. Needs maps.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_offroad_rate: Option<f64>,
-    /// Largest share of pairs, one recorded and one generated track of any sweep at any strength, of which a classifier that
-    /// sees all features picks the generated one, .5 to 1. 0.5 is indistinguishable.
+    /// Largest share of pairs, one recorded and one generated track of any sweep at any strength, of which a classifier
+    /// that sees all features picks the generated one, .5 to 1. 0.5 is indistinguishable.
     #[schemars(range(min = 0.5, max = 1.0))]
     pub max_distinguishability: Option<f64>,
-    /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every sweep that has
-    /// some; at least one must.
+    /// Whether unguided samples must be closer to the recording than a constant velocity, by minSceneADE, in every
+    /// sweep that has some; at least one must.
     pub beat_constant_velocity: bool,
     /// Whether in every sweep that requests a behavior at several strengths the strongest must find it more often than
     /// strength 0; at least one must.
@@ -53,7 +53,7 @@ pub struct GateResult {
     pub gate: String,
     /// Whether it was met.
     pub met: bool,
-    /// What was required and what was found, or why it cannot be judged.
+    /// The requirement and the value found, or why it cannot be judged.
     pub detail: String,
 }
 
@@ -164,7 +164,7 @@ struct Measured<'a> {
     /// The sweeps that request a behavior.
     asking: Vec<&'a str>,
     means: Vec<&'a MetricRow>,
-    /// How well tracks are told from recorded ones by all features.
+    /// The performance of classifiers with all features against recorded tracks.
     told: Vec<&'a DistinguishabilityRow>,
 }
 

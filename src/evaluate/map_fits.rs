@@ -15,7 +15,7 @@ const SCENES_PER_PLACE: usize = 100;
 pub struct MapFitRow {
     /// The place.
     pub place: String,
-    /// What its recordings say of it.
+    /// The fit of the map to its recordings.
     #[serde(flatten)]
     pub fit: MapFit,
     /// Whether departures from the road are judged by it.
@@ -29,8 +29,9 @@ impl MapFitRow {
         let percent = |n: u64, of: u64| format!("{:.1} %", 100.0 * n as f64 / of.max(1) as f64);
         (!allows_offroad).then(|| {
             format!(
-                "The map of {place} does not allow to judge who leaves the road: {} of the states of recorded vehicles lie off its lanes, and in \
-                 {} of {} recorded scenes vehicles leave them. The check offroad is not made there.",
+                "The map of {place} does not allow to judge who leaves the road: {} of the states of recorded vehicles \
+                 lie off its lanes, and in {} of {} recorded scenes vehicles leave them. The check offroad is not made \
+                 there.",
                 percent(fit.n_states_off, fit.n_states),
                 fit.n_scenes_leaving,
                 fit.n_scenes

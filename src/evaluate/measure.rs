@@ -67,7 +67,7 @@ pub(super) struct MeasuredCell {
     pub(super) recorded: Scene,
     /// The scenarios, in order.
     pub(super) scenario_ids: Vec<String>,
-    /// What is counted of them.
+    /// Counts of them.
     pub(super) sampled: SampledCell,
     /// The figures.
     pub(super) figures: CellFigures,
@@ -125,7 +125,8 @@ pub struct Measurer<'a> {
 }
 
 impl<'a> Measurer<'a> {
-    /// Measures scenarios that continue scenes of `store`. Novelty is measured against the positive events in the table `events`.
+    /// Measures scenarios that continue scenes of `store`. Novelty is measured against the positive events in the table
+    /// `events`.
     ///
     /// # Errors
     /// When scenes cannot be read.

@@ -25,7 +25,7 @@ pub(super) struct CellNames<'a> {
     pub(super) scenario_ids: &'a [String],
 }
 
-/// What all metrics say of a scene in a series, or of one of its scenarios.
+/// The values of all metrics for a scene in a series, or for one of its scenarios.
 #[derive(Debug, Serialize, Deserialize)]
 struct Values {
     /// The number of the series.

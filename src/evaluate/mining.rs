@@ -5,7 +5,7 @@ use crate::store::SceneIndexEntry;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What the miner found in the recordings.
+/// The miner's findings in the recordings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MiningSummary {
     /// The definition of each mined behavior.
@@ -59,7 +59,7 @@ pub struct MiningTally<'a> {
 /// Split and place.
 type Part<'a> = (&'a str, &'a str);
 
-/// What was found of a behavior in a part.
+/// The number of events of a behavior in a part.
 #[derive(Debug, Clone, Copy, Default)]
 struct Counts {
     n_scenes_with: u64,

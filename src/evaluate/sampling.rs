@@ -45,7 +45,7 @@ pub(super) struct SampledCell {
     scenarios: Vec<SampledScenario>,
 }
 
-/// What is counted of a scenario.
+/// The counted facts of a scenario.
 struct SampledScenario {
     verified: bool,
     is_new: bool,
@@ -106,8 +106,8 @@ struct CountedRow {
 }
 
 impl SamplingTally {
-    /// Counts a cell of `series`, of a scene with this place and position in its store, each of whose samples took `n_evaluations`
-    /// evaluations of the denoiser.
+    /// Counts a cell of `series`, of a scene with this place and position in its store, each of whose samples took
+    /// `n_evaluations` evaluations of the denoiser.
     pub(super) fn add(
         &mut self,
         series: &SeriesKey,

@@ -27,7 +27,7 @@ pub(crate) fn recorded() -> Scene {
     testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(-3.0, 3.5, 0.0, 10.0)])
 }
 
-/// A sample of it that was asked for a cut-in of track 2 ahead of track 1.
+/// A sample of it that requests a cut-in of track 2 ahead of track 1.
 pub(crate) fn record(strength: f64, verified: bool, recorded_event: bool, scene: Scene) -> ScenarioRecord {
     let roles = Roles::from([("ego", "1"), ("other", "2")]);
     let event = BehaviorEvent {

@@ -190,7 +190,8 @@ fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'st
     if !record.verified {
         reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
     }
-    // What a request did not take is named by its outcome, unless nothing was found: that is a reason already.
+    // A scenario that a request did not take is named by its outcome, unless nothing was found: that is a reason
+    // already.
     reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
     reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
     reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE).filter(|why| !reasons.contains(why)));

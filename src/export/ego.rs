@@ -27,7 +27,7 @@ impl EgoChoice {
         }
     }
 
-    /// What it is, in words that follow "the ego is".
+    /// A description, in words that follow "the ego is".
     pub(super) fn words(&self) -> String {
         match self {
             Self::Event => {

@@ -1,4 +1,4 @@
-//! What can go wrong in an export, and what the user can do about it.
+//! Errors of exports, with remedies.
 
 use crate::{files, store};
 use std::path::PathBuf;

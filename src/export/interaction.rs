@@ -7,11 +7,11 @@ use crate::scene::{AgentClass, Scene, State, Track};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-pub(super) const NOTES: &str = "<split>/<place>_<split>.csv: cases as in INTERACTION v1.2 (40 frames at 10 Hz, of which 10 are \
-    observed), in the split of the recordings that they continue; the present is frame 10. Maps are not here: use \
-    maps/<place>.osm of the recordings themselves, for our lanes are made from it and hold less. Heading, length and width \
-    of pedestrians and cyclists are empty, as in the dataset. interesting_agent marks the ego, track_to_predict \
-    it and all that take part in the event; the dataset has these two columns in test cases alone.";
+pub(super) const NOTES: &str = "<split>/<place>_<split>.csv: cases as in INTERACTION v1.2 (40 frames at 10 Hz, of \
+    which 10 are observed), in the split of the recordings that they continue; the present is frame 10. Maps are not \
+    here: use maps/<place>.osm of the recordings themselves, for our lanes are made from it and hold less. Heading, \
+    length and width of pedestrians and cyclists are empty, as in the dataset. interesting_agent marks the ego, \
+    track_to_predict it and all that take part in the event; the dataset has these two columns in test cases alone.";
 
 /// The dataset's columns, in its order, with the marks of its test cases.
 const HEADER: [&str; 14] = [

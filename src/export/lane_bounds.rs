@@ -30,14 +30,14 @@ impl LaneBounds {
         })
     }
 
-    /// The same boundaries with equally many points.
+    /// The boundaries with equally many points.
     pub(super) fn paired(&self) -> (Vec<Vec2>, Vec<Vec2>) {
         paired(&self.left, &self.right)
     }
 }
 
-/// The same lines with equally many points, the points of one beside those of the other: each line keeps its own points
-/// and gets those that lie at the other's shares of length.
+/// Both lines with equally many points, the points of one beside those of the other: each line keeps its own points and
+/// gets those that lie at the other's shares of length.
 pub(super) fn paired(left: &Polyline, right: &Polyline) -> (Vec<Vec2>, Vec<Vec2>) {
     /// Shares of length that differ by less are equal.
     const SAME_SHARE: f64 = 1e-6;

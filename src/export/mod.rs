@@ -122,14 +122,14 @@ trait Exporter {
     /// Adds a scenario.
     ///
     /// # Errors
-    /// Those of the file system. A scenario that the format cannot represent is not an error but
+    /// On I/O errors. A scenario that the format cannot represent is not an error but
     /// [`ExportOutcome::LeftOut`].
     fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome>;
 
     /// Finishes what spans scenarios.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     fn finish(self: Box<Self>) -> Result<()> {
         Ok(())
     }

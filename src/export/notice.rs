@@ -30,12 +30,13 @@ pub(super) fn text(report: &ExportReport) -> String {
     paragraph(&mut text, report.format.notes());
     paragraph(
         &mut text,
-        "index.tsv: the file and name of each scenario. first_timestep is the scenario's timestep at the file's first time.",
+        "index.tsv: the file and name of each scenario. first_timestep is the scenario's timestep at the file's first \
+         time.",
     );
     paragraph(
         &mut text,
-        "tracks.tsv: the name of each track in the file, the ego, and roles in the event. In both tables, texts that a spreadsheet \
-         would take for formulas begin with an apostrophe.",
+        "tracks.tsv: the name of each track in the file, the ego, and roles in the event. In both tables, texts that a \
+         spreadsheet would take for formulas begin with an apostrophe.",
     );
     paragraph(&mut text, &format!("The ego is {}.", report.ego.words()));
     paragraph(&mut text, "export.json: the options of the export, and what was left out, by reason. Written last.");
@@ -43,7 +44,8 @@ pub(super) fn text(report: &ExportReport) -> String {
     if report.ego_motion == EgoMotion::Free {
         paragraph(
             &mut text,
-            "From the present on, the ego is left to the driving function under test; before, it moves as in the scenario.",
+            "From the present on, the ego is left to the driving function under test; before, it moves as in the \
+             scenario.",
         );
     }
     heading(&mut text, "Left out and assumed");

@@ -112,7 +112,8 @@ pub(super) fn meaning(code: &str) -> &str {
         "no_ego" => "the ego has no state at present (no_ego)",
         "no_such_track" => "it has no track of that name, which was to be the ego (no_such_track)",
         "no_subject" => {
-            "a scenario shows no event that happens to somebody; its ego is the center of the recorded window (no_subject)"
+            "a scenario shows no event that happens to somebody; its ego is the center of the recorded window \
+             (no_subject)"
         }
         "not_10_hz" => "the format requires 10 Hz, which the scenario does not have (not_10_hz)",
         "no_states" => "the track has no state in the format's time window (no_states)",

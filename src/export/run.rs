@@ -21,8 +21,8 @@ pub const NOTICE_FILE: &str = "NOTICE.txt";
 pub const EXPORT_FILE: &str = "export.json";
 
 /// Exports the scenarios of the corpus in `corpus` that pass `selection`, in the corpus's order, into the folder `out`,
-/// which must be new or empty and appears when it is complete. `ego` says which track is the ego, `motion` who moves it;
-/// `None` is the format's default. Scenarios are read and written one by one. The same corpus gives the same bytes.
+/// which must be new or empty and appears when it is complete. `ego` says which track is the ego, `motion` who moves
+/// it; `None` is the format's default. Scenarios are read and written one by one. The same corpus gives the same bytes.
 ///
 /// # Errors
 /// [`Error::Files`] when `out` is not empty or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or

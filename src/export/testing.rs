@@ -18,9 +18,9 @@ use std::sync::Arc;
 /// Twelve timesteps of which four are observed, at 10 Hz. The x axis of the scene points north in the recording, its
 /// origin is at (1000, 2000).
 ///
-/// Track `1` is the ego and drives 10 m/s: after t steps it is at (1000, 2000 + t). Track `2` drives beside it, 3 m to the
-/// left (which is west), and is recorded from the second timestep on. Track `P3` is a pedestrian without a size who walks
-/// 1 m/s to the left from 5 m ahead of the origin, and is missing at timestep 2.
+/// Track `1` is the ego and drives 10 m/s: after t steps it is at (1000, 2000 + t). Track `2` drives beside it, 3 m to
+/// the left (which is west), and is recorded from the second timestep on. Track `P3` is a pedestrian without a size who
+/// walks 1 m/s to the left from 5 m ahead of the origin, and is missing at timestep 2.
 pub(super) fn scene() -> Scene {
     let mut scene = straight_scene(&[
         Drive::straight(0.0, 0.0, 0.0, 10.0),

@@ -48,7 +48,7 @@ impl AtomicFile {
     /// Begins to write `path`, whose folder must exist.
     ///
     /// # Errors
-    /// Whatever the file system says.
+    /// On I/O errors.
     pub fn create(path: &Path) -> io::Result<Self> {
         enter(path)?;
         let partial = unique_partial(path);
@@ -75,8 +75,8 @@ impl AtomicFile {
     /// Brings the content to the disk and the file to its final name.
     ///
     /// # Errors
-    /// Whatever the file system says; nothing is then under the final name that was not before. Those of the folder's
-    /// [`Mirror`](super::Mirror), which is told last.
+    /// On I/O errors; nothing is then under the final name that was not before. Errors of the folder's
+    /// [`Mirror`](super::Mirror), which is notified last.
     pub fn commit(mut self) -> io::Result<FileStamp> {
         let Some(mut file) = self.file.take() else {
             return Err(io::Error::other("the file is committed already"));
@@ -124,7 +124,7 @@ impl Drop for AtomicFile {
 /// Writes a whole file through `write`.
 ///
 /// # Errors
-/// Those of `write` and of the file system; nothing new is then under `path`.
+/// Errors of `write`, and I/O errors; nothing new is then under `path`.
 pub fn write_atomically<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&mut AtomicFile) -> std::result::Result<(), E>,
@@ -134,11 +134,11 @@ pub fn write_atomically<E: From<io::Error>>(
     Ok(file.commit()?)
 }
 
-/// Gives the file at `from` a second name, or copies it where the file system knows no such thing. Nothing but the whole file is ever
-/// under `to`.
+/// Gives the file at `from` a second name, or copies it where the file system knows no such thing. Nothing but the
+/// whole file is ever under `to`.
 ///
 /// # Errors
-/// Whatever the file system says; nothing new is then under `to`.
+/// On I/O errors; nothing new is then under `to`.
 pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
     enter(to)?;
     if fs::hard_link(from, to).is_ok() {
@@ -152,7 +152,7 @@ pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
 /// Removes a file if it is there.
 ///
 /// # Errors
-/// Whatever the file system says, except that the file is missing.
+/// On I/O errors other than a missing file.
 pub fn remove_if_present(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -161,8 +161,8 @@ pub fn remove_if_present(path: &Path) -> io::Result<()> {
     tell_removed(path)
 }
 
-/// A name beside `path` for what is to become it: `<name>.<16 hexadecimal digits>.partial`. The digits are drawn anew each
-/// time, so that no two writers share a name, on whatever machines they run.
+/// A name beside `path` for what is to become it: `<name>.<16 hexadecimal digits>.partial`. The digits are drawn anew
+/// each time, so that no two writers share a name, on whatever machines they run.
 pub fn unique_partial(path: &Path) -> PathBuf {
     // The keys of a hasher are what the standard library draws from the system's randomness.
     let digits = RandomState::new().build_hasher().finish();

@@ -1,4 +1,4 @@
-//! Why may a command not write where it was asked to, and what can the user do about it?
+//! Why may a command not write to a place, and what can the user do about it?
 
 use std::fmt;
 use std::io;
@@ -12,35 +12,38 @@ pub enum Error {
     Io(#[from] io::Error),
     /// An output that overlaps an input.
     #[error(
-        "cannot write {}: it {relation} the input {name} ({}); nothing was changed; choose another output, or move the input",
+        "cannot write {}: it {relation} the input {name} ({}); nothing was changed; choose another output, or move the \
+         input",
         .output.display(),
         .input.display()
     )]
     Overlap {
-        /// What would be written.
+        /// The output.
         output: PathBuf,
         /// How it lies to the input.
         relation: PathRelation,
-        /// What the input is to the command.
+        /// The role of the input in the command.
         name: String,
         /// Where the input is.
         input: PathBuf,
     },
     /// A place that holds files which no list of ours names.
     #[error(
-        "cannot write {}: it holds {}, which djinn did not write; nothing was changed; move that away, or choose another output",
+        "cannot write {}: it holds {}, which djinn did not write; nothing was changed; move that away, or choose \
+         another output",
         .path.display(),
         few(.found)
     )]
     Foreign {
         /// The file or folder that would be written.
         path: PathBuf,
-        /// What is there, relative to the folder.
+        /// Files found there, relative to the folder.
         found: Vec<PathBuf>,
     },
     /// A symbolic link in the place of an output.
     #[error(
-        "cannot write {}: it is a symbolic link, which djinn did not create; nothing was changed; remove the link, or choose another output",
+        "cannot write {}: it is a symbolic link, which djinn did not create; nothing was changed; remove the link, or \
+         choose another output",
         .path.display()
     )]
     Link {
@@ -56,7 +59,7 @@ pub enum Error {
     Damaged {
         /// The list.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Description of the fault.
         detail: String,
     },
     /// A place that another process writes to.

@@ -6,7 +6,7 @@ use std::path::Path;
 /// Exchanges what two paths name, at once. `false`: nothing was done, because the system or the file system cannot.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 #[cfg(target_os = "linux")]
 pub fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};

@@ -17,8 +17,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// The most that a lock file of ours holds: the number of a process.
 const MAX_BYTES: u64 = 20;
 
-/// The right to write to a place, until dropped. It is an advisory lock that the system takes back when the process ends,
-/// however it ends; so there are no stale locks. The file holds the number of the process, for messages.
+/// The right to write to a place, until dropped. It is an advisory lock that the system takes back when the process
+/// ends, however it ends; so there are no stale locks. The file holds the number of the process, for messages.
 #[derive(Debug)]
 pub struct Lock {
     file: File,
@@ -38,8 +38,8 @@ impl Lock {
         Ok(Self { file, temporary: None, is_enforced })
     }
 
-    /// Whether the lock keeps others out. Some network file systems know no locks; working without one is better than not at all, but
-    /// people must know.
+    /// Whether the lock keeps others out. Some network file systems know no locks; working without one is better than
+    /// not at all, but people must know.
     pub const fn is_enforced(&self) -> bool {
         self.is_enforced
     }

@@ -1,7 +1,7 @@
 //! Who else must know what happens in a folder?
 //!
-//! A folder can be the view of one that is kept elsewhere, and that other machines see. Those who write and read it need
-//! not know: what has its final name here is told to the folder's [`Mirror`].
+//! A folder can be the view of one that is kept elsewhere, and that other machines see. Those who write and read it
+//! need not know: the folder's [`Mirror`] is notified of each file that has its final name here.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -14,12 +14,12 @@ pub trait Mirror: Debug + Send + Sync {
     /// A file has its final name and is whole.
     ///
     /// # Errors
-    /// When the others cannot be told.
+    /// If the others cannot be notified.
     fn committed(&self, path: &Path) -> io::Result<()>;
     /// A file was removed.
     ///
     /// # Errors
-    /// When the others cannot be told.
+    /// If the others cannot be notified.
     fn removed(&self, path: &Path) -> io::Result<()>;
     /// Shows in the folder `dir` what others have written, as often as is reasonable.
     ///
@@ -45,7 +45,7 @@ struct Mirrored {
 /// Folders are few, and are looked up once for each file.
 static MIRRORED: RwLock<Vec<Mirrored>> = RwLock::new(Vec::new());
 
-/// From now on, what happens below `dir` is told to `mirror`, and messages call it `name`.
+/// From now on, `mirror` is notified of changes below `dir`, and messages call it `name`.
 pub fn mirror(dir: &Path, name: String, mirror: Arc<dyn Mirror>) {
     list_mut().push(Mirrored { dir: dir.to_owned(), name, mirror: Some(mirror) });
 }
@@ -65,18 +65,19 @@ pub fn mirror_above(path: &Path) -> Option<Arc<dyn Mirror>> {
     list().iter().find(|mirrored| path.starts_with(&mirrored.dir))?.mirror.clone()
 }
 
-/// Tells the mirror of the folder, if it has one, that a file has its final name. An [`AtomicFile`](super::AtomicFile) does so by itself.
+/// Notifies the mirror of the folder, if it has one, that a file has its final name. An
+/// [`AtomicFile`](super::AtomicFile) does so by itself.
 ///
 /// # Errors
-/// Those of the mirror.
+/// If the mirror fails.
 pub fn tell_committed(path: &Path) -> io::Result<()> {
     mirror_above(path).map_or(Ok(()), |mirror| mirror.committed(path))
 }
 
-/// Tells the mirror of the folder, if it has one, that a file was removed.
+/// Notifies the mirror of the folder, if it has one, that a file was removed.
 ///
 /// # Errors
-/// Those of the mirror.
+/// If the mirror fails.
 pub(super) fn tell_removed(path: &Path) -> io::Result<()> {
     mirror_above(path).map_or(Ok(()), |mirror| mirror.removed(path))
 }

@@ -1,11 +1,12 @@
-//! What may a command write, and what may it remove? Whole files, lists of what is ours, locks, overlaps, and who else is told.
+//! What may a command write, and what may it remove? Whole files, lists of what is ours, locks, overlaps, and notices
+//! to mirrors.
 //!
-//! The rule: a command removes only files that a list of ours names. It refuses an output that overlaps an input or holds
-//! files of somebody else, and says so before it touches anything.
+//! The rule: a command removes only files that a list of ours names. It refuses an output that overlaps an input or
+//! holds files of somebody else, and says so before it touches anything.
 //!
 //! `AtomicFile` writes next to its target under a name that no other process uses; a `NewFolder` appears complete or
-//! not at all; `regular` rejects what is neither a file nor a folder before it is opened. A `Mirror` is told what
-//! happens in a folder that others see elsewhere.
+//! not at all; `regular` rejects what is neither a file nor a folder before it is opened. A `Mirror` is notified of
+//! changes in a folder that others see elsewhere.
 
 mod atomic;
 mod error;

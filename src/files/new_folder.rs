@@ -9,8 +9,8 @@ use fs_err as fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder that is written beside its place, under a name of its own, and renamed when it is whole. It keeps a list of what
-/// is written into it. Dropping it without [`commit`](Self::commit) removes what the list names.
+/// A folder that is written beside its place, under a name of its own, and renamed when it is whole. It keeps a list of
+/// what is written into it. Dropping it without [`commit`](Self::commit) removes what the list names.
 #[derive(Debug)]
 pub struct NewFolder {
     out: PathBuf,
@@ -71,7 +71,7 @@ impl NewFolder {
 impl Drop for NewFolder {
     fn drop(&mut self) {
         if !self.is_committed {
-            // What cannot be removed is a leftover, which the next attempt removes.
+            // A file that cannot be removed is a leftover, which the next attempt removes.
             drop(remove_all_listed(&self.partial));
         }
     }

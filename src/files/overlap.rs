@@ -32,8 +32,8 @@ fn relation(output: &Path, input: &Path) -> Option<PathRelation> {
     }
 }
 
-/// Where a path leads: absolute, without links and dots. Unlike [`std::fs::canonicalize`] it needs no part of the path to
-/// exist: what is not there yet is no link.
+/// Where a path leads: absolute, without links and dots. Unlike [`std::fs::canonicalize`] it needs no part of the path
+/// to exist: what is not there yet is no link.
 ///
 /// # Errors
 /// When links form a loop, or there is no current folder.

@@ -5,11 +5,11 @@ use std::fs::Metadata;
 use std::io;
 use std::path::Path;
 
-/// What the system knows of a file or folder. Whatever else has a name, such as a pipe or a device, may block, have no end,
-/// or hold something else the next time.
+/// The metadata of a file or folder. Whatever else has a name, such as a pipe or a device, may block, have no end, or
+/// hold something else the next time.
 ///
 /// # Errors
-/// Those of the file system; that it is neither a file nor a folder.
+/// On I/O errors, or if it is neither a file nor a folder.
 pub fn regular(path: &Path) -> io::Result<Metadata> {
     let metadata = fs::metadata(path)?;
     if metadata.is_file() || metadata.is_dir() {

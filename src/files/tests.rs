@@ -216,7 +216,7 @@ fn a_second_name_is_of_the_whole_file_and_on_the_list() {
     keep_list(&dir.path().join("out")).unwrap();
     link_or_copy(&from, &to).unwrap();
     assert_eq!(fs::read_to_string(&to).unwrap(), "new");
-    // What is there already is replaced by a copy, and the other name of its content stays as it is.
+    // A file that is there already is replaced by a copy, and the other name of its content stays as it is.
     write(&from, "newer");
     assert_eq!(fs::read_to_string(&to).unwrap(), "new");
     link_or_copy(&from, &to).unwrap();
@@ -288,7 +288,7 @@ fn what_appears_meanwhile_is_not_replaced() {
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
 }
 
-/// Notes what it is told.
+/// Records its notifications.
 #[derive(Debug, Default)]
 struct Noted(std::sync::Mutex<Vec<String>>);
 

@@ -1,8 +1,9 @@
 //! What of this folder is ours? A list in the folder names every file that was begun in it, before it is begun.
 //!
-//! A folder in which a command works keeps such a list ([`keep_list`]). Every [`AtomicFile`](super::AtomicFile) enters itself
-//! in the list of the innermost folder above it that has one, so that writers need not know of it. Whatever the list does not
-//! name was put there by somebody else and is left alone. Folders hold nothing: they go when they are empty.
+//! A folder in which a command works keeps such a list ([`keep_list`]). Every [`AtomicFile`](super::AtomicFile) enters
+//! itself in the list of the innermost folder above it that has one, so that writers need not know of it. Whatever the
+//! list does not name was put there by somebody else and is left alone. Folders hold nothing: they go when they are
+//! empty.
 
 use super::atomic::is_partial_of;
 use super::error::{Error, Result};
@@ -11,8 +12,8 @@ use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::path::{Component, Path, PathBuf};
 
-/// Name of the list in a folder that keeps one. Each line holds a name relative to the folder, as a JSON string, and the
-/// beginning of that string's hash.
+/// Name of the list in a folder that keeps one. Each line holds a name relative to the folder, as a JSON string, and
+/// the beginning of that string's hash.
 pub const LIST_FILE: &str = ".djinn-written";
 
 /// Hexadecimal digits of the hash on each line.
@@ -21,7 +22,7 @@ const N_DIGITS: usize = 16;
 /// Begins the list of `dir`, which must exist.
 ///
 /// # Errors
-/// Those of the file system, and that the folder keeps a list already.
+/// On I/O errors, or if the folder keeps a list already.
 pub fn keep_list(dir: &Path) -> Result<()> {
     fs::File::options().write(true).create_new(true).open(dir.join(LIST_FILE))?;
     Ok(())
@@ -49,7 +50,8 @@ pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     Ok(Some(names))
 }
 
-/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts between slashes.
+/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts between
+/// slashes.
 pub fn stays_below(name: &str) -> bool {
     let is_plain = |part: &str| !part.is_empty() && part != "." && !part.contains('\0');
     let is_normal = |part| matches!(part, Component::Normal(_));
@@ -71,8 +73,8 @@ fn name_on(line: &[u8]) -> Option<PathBuf> {
     (stays_below(&name) && line_of(&name).ok()? == line).then(|| PathBuf::from(name))
 }
 
-/// How many bytes at the end of a list are the beginning of a line that a kill cut off: the file that it would have named was
-/// not begun.
+/// How many bytes at the end of a list are the beginning of a line that a kill cut off: the file that it would have
+/// named was not begun.
 fn n_cut_off(list: &[u8]) -> usize {
     let last = list.rsplit(|byte| *byte == b'\n').next().unwrap_or_default();
     let after_name = last.windows(2).rposition(|pair| pair == b"\" ").map(|at| last.len() - at - 2);
@@ -90,7 +92,7 @@ pub(super) fn enter(path: &Path) -> io::Result<()> {
 /// Enters files of `dir`, given relative to it, in its list.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub fn enter_all<'a>(dir: &Path, names: impl Iterator<Item = &'a Path>) -> io::Result<()> {
     let mut lines = String::new();
     for name in names {
@@ -106,11 +108,11 @@ pub fn list_above(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).find(|dir| dir.join(LIST_FILE).is_file()).map(Path::to_owned)
 }
 
-/// Everything below `dir` that is no folder, relative to it and sorted; nothing where there is no such folder. Links are not
-/// followed: they count as files.
+/// Everything below `dir` that is no folder, relative to it and sorted; nothing where there is no such folder. Links
+/// are not followed: they count as files.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut pending = vec![PathBuf::new()];
@@ -129,16 +131,16 @@ pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// What lies below `dir` and is not among `ours`: neither such a file nor the partial file of one, nor the list.
+/// The files below `dir` that are not among `ours`: neither such a file nor the partial file of one, nor the list.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub fn foreign(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
     Ok(files_below(dir)?.into_iter().filter(|name| !is_ours(name, ours)).collect())
 }
 
-/// Removes those files below `dir` that are `ours`, and the folders that this leaves empty, `dir` included. Returns what
-/// stays.
+/// Removes those files below `dir` that are `ours`, and the folders that this leaves empty, `dir` included. Returns
+/// what stays.
 ///
 /// # Errors
 /// [`Error::Link`] when `dir` is a link, which may lead anywhere; those of the file system.
@@ -178,8 +180,8 @@ pub fn clear(dir: &Path) -> Result<()> {
     Ok(fs::create_dir_all(dir)?)
 }
 
-/// Removes the partial files of files that the list of `dir` names, and from the list the line that a kill cut off. Nobody must
-/// be writing there: they are leftovers then.
+/// Removes the partial files of files that the list of `dir` names, and from the list the line that a kill cut off.
+/// Nobody must be writing there: they are leftovers then.
 ///
 /// # Errors
 /// As [`listed`]; [`Error::Link`] when `dir` is a link.
@@ -212,7 +214,7 @@ fn check_no_link(path: &Path) -> Result<()> {
 /// Brings a folder's entries to the disk: a rename is there only once its folder is.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub fn sync_folder(dir: &Path) -> io::Result<()> {
     // Elsewhere folders cannot be opened; the system orders renames by itself.
     if cfg!(unix) {

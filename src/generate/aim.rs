@@ -36,7 +36,8 @@ impl Generator<'_> {
     }
 }
 
-/// The outcomes in an order drawn without replacement, each with a chance in proportion to its ease (Efraimidis and Spirakis 2006).
+/// The outcomes in an order drawn without replacement, each with a chance in proportion to its ease (Efraimidis and
+/// Spirakis 2006).
 fn in_drawn_order(outcomes: &[Outcome], seed: Seed) -> impl Iterator<Item = &Outcome> {
     let mut rng = seed.rng();
     let mut keyed: Vec<(f64, &Outcome)> = outcomes

@@ -109,8 +109,8 @@ impl Generator<'_> {
         Ok(scenes.into_iter().zip(wishes).map(draw).collect())
     }
 
-    /// The samples of a batch, one a row, as the conditional branch sees them: with their wanted states observed as well, and told of
-    /// their events.
+    /// The samples of a batch, one a row, as the conditional branch sees them: with their target states observed as
+    /// well, and conditioned on their events.
     fn wanted(&self, config: &ClassifierFreeConfig, batch: &Batch<'_>, base: &SceneBatch) -> Result<SceneBatch, Error> {
         let wanted = match config.extra.is_empty() {
             true => base.repeated(batch.samples.len())?,
@@ -128,7 +128,7 @@ impl Generator<'_> {
         Ok(wanted.telling(self.vocabulary(batch.sweep)?, &told)?)
     }
 
-    /// The same with only the wanted states.
+    /// As [`Self::wanted`], with only the target states.
     fn wanted_states(
         &self,
         config: &ClassifierFreeConfig,

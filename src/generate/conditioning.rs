@@ -1,5 +1,5 @@
-//! What is a sample conditioned on? The states that it observes, those it leans toward, and the edited recording it
-//! starts from.
+//! What is a sample conditioned on? The states that it observes, target states that it leans toward, and the edited
+//! recording it starts from.
 
 use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
 use super::{Cell, Error, Generator, ResolvedSweep};
@@ -14,7 +14,8 @@ use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What samples lean toward without being bound to it: states (paper, section 5.1), or an event that the denoiser is told of.
+/// What samples lean toward without being bound to it: states (paper, section 5.1), or an event that the denoiser is
+/// told of.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClassifierFreeConfig {
@@ -23,14 +24,15 @@ pub struct ClassifierFreeConfig {
     /// ignored. May be left out with `event`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub extra: Vec<MaskRule>,
-    /// Whether the denoiser is told of the requested event: the behavior, who takes part, and the values of a mined event that began
-    /// alike or, in requests, of one in the bucket. It must have been trained on the behavior (`train.denoiser.events`).
+    /// Whether the denoiser is told of the requested event: the behavior, who takes part, and the values of a mined
+    /// event that began alike or, in requests, of one in the bucket. It must have been trained on the behavior
+    /// (`train.denoiser.events`).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub event: bool,
-    /// Weights λ, each of which is sampled: 0 ignores the wanted states (and the event), 1 observes them, more exaggerates. The
-    /// larger λ is, the faster samples approach the wanted states, and the more steps the sampler needs to follow: 20 steps suffice
-    /// up to about 1.5, 50 up to 4. A sweep varies either its strengths or its weights. Weights other than 0 and 1 take two
-    /// evaluations of the network a step.
+    /// Weights λ, each of which is sampled: 0 ignores the wanted states (and the event), 1 observes them, more
+    /// exaggerates. The larger λ is, the faster samples approach the wanted states, and the more steps the sampler
+    /// needs to follow: 20 steps suffice up to about 1.5, 50 up to 4. A sweep varies either its strengths or its
+    /// weights. Weights other than 0 and 1 take two evaluations of the network a step.
     #[serde(default = "one_weight")]
     pub weights: Vec<f64>,
     /// Standard deviation of the noise on wanted positions, meters in each direction; drawn once for each agent and
@@ -89,7 +91,7 @@ pub enum EditNoise {
 }
 
 impl ClassifierFreeConfig {
-    /// Rejects wanted states of agents that a behavior with these roles does not have.
+    /// Rejects target states of agents that a behavior with these roles does not have.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
         if self.event && self.extra.is_empty() { Ok(()) } else { validate_rules("extra", &self.extra, roles) }
     }
@@ -140,7 +142,7 @@ impl EditConfig {
 pub(super) struct Conditioned {
     /// The recording, edited if the sweep says so.
     pub(super) scene: Scene,
-    /// What of it is observed.
+    /// The part of it that is observed.
     pub(super) mask: ObservationMask,
     /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
@@ -166,14 +168,15 @@ impl Conditioned {
     }
 }
 
-/// Wanted states of a sample: its scene with them moved, and the mask that observes them as well.
+/// Target states of a sample: its scene with them moved, and the mask that observes them as well.
 pub(super) struct Wanted {
     pub(super) scene: Scene,
     pub(super) mask: ObservationMask,
 }
 
 impl Generator<'_> {
-    /// The scene of a cell as the denoiser sees it, with these requested `agents`, for all samples or, with a template, for this one.
+    /// The scene of a cell as the denoiser sees it, with these requested `agents`, for all samples or, with a template,
+    /// for this one.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
@@ -199,8 +202,9 @@ impl Generator<'_> {
             if let Some((agent_idx, timestep)) = hidden {
                 let track = &scene.tracks[agent_idx].id;
                 return Err(refuse(UnfitScene(format!(
-                    "has track {track} unobserved at timestep {timestep} of its history, which the classifier that guides \
-                     the sweep looks at; observe the history, or let objectives guide alone (classifier_scope = \"none\")"
+                    "has track {track} unobserved at timestep {timestep} of its history, which the classifier that \
+                     guides the sweep looks at; observe the history, or let objectives guide alone \
+                     (classifier_scope = \"none\")"
                 ))));
             }
         }
@@ -238,7 +242,7 @@ impl Generator<'_> {
         performers
     }
 
-    /// The wanted states of some samples of a cell, among the states that `base` generates in row `row`.
+    /// The target states of some samples of a cell, among the states that `base` generates in row `row`.
     pub(super) fn wanted_of_cell(
         &self,
         config: &ClassifierFreeConfig,
@@ -282,8 +286,8 @@ fn first_hidden(scene: &Scene, mask: &ObservationMask) -> Option<(usize, usize)>
     })
 }
 
-/// The scene with the wanted states of each agent moved by the same normal offset. The present stays: it defines the frame
-/// that the denoiser sees.
+/// The scene with the target states of each agent moved by the same normal offset. The present stays: it defines the
+/// frame that the denoiser sees.
 fn displaced(scene: &Scene, std_m: f64, seed: Seed, is_wanted: &dyn Fn(usize, usize) -> bool) -> Scene {
     let mut displaced = scene.clone();
     for (agent_idx, track) in displaced.tracks.iter_mut().enumerate() {

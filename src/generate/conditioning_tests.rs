@@ -1,4 +1,4 @@
-//! Do samples keep what they are shown, lean toward what is wanted, and start from what was edited?
+//! Do samples keep what is observed, lean toward target states, and start from the edited recording?
 
 use super::testing::*;
 use super::*;
@@ -85,7 +85,7 @@ fn weights_lead_from_ignoring_goals_to_reaching_them() {
         let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
         generate(&GenerateConfig { sampler, ..sweep(more) })
     };
-    // Whoever is kept apart from others does not get to the millimeter where it is wanted.
+    // An agent that is kept apart from others does not reach its goal to the millimeter.
     let records = finely(&format!("validity_strength = 0.0\n{GOALS} [0.0, 0.5, 1.0] }}"));
     let unguided = finely("validity_strength = 0.0");
     let of = |weight: f64| -> Vec<ScenarioRecord> {
@@ -98,15 +98,15 @@ fn weights_lead_from_ignoring_goals_to_reaching_them() {
     for record in of(1.0) {
         assert_eq!(record.scenario.provenance.guidance.kind, "classifier_free");
         assert_eq!(record.scenario.provenance.observation, "predictive");
-        // Goals are wanted, not observed.
+        // Goals are targets, not observed.
         assert!(states(&record).iter().enumerate().all(|(i, (.., seen))| *seen == (i % N_TIMESTEPS < N_HISTORY)));
     }
 }
 
 #[test]
 fn at_weight_one_samples_are_as_if_goals_were_observed() {
-    // Places in the scene are the same numbers under every mask, and so is their noise. Both start from the recording plus
-    // noise, because pure noise has its origin in the coordinates of its mask.
+    // Places in the scene are the same numbers under every mask, and so is their noise. Both start from the recording
+    // plus noise, because pure noise has its origin in the coordinates of its mask.
     let generate = |config: &GenerateConfig| generate_in(StateParametrization::Scene, config);
     let start = "edit = { tau = 2.0 }\nvalidity_strength = 0.0";
     let observe =

@@ -1,4 +1,4 @@
-//! What can stop generation.
+//! Errors that stop generation.
 
 use crate::scene::SceneId;
 use crate::settings::Issue;
@@ -25,19 +25,20 @@ pub enum Error {
     Mismatch {
         /// The behavior.
         behavior: String,
-        /// What differs.
+        /// The part that differs.
         what: &'static str,
     },
     /// A scene has a different length than those that the denoiser was trained on.
     #[error(
-        "scene {scene_id} has {found} timesteps, but the denoiser was trained on {expected}; ingest scenes of that length"
+        "scene {scene_id} has {found} timesteps, but the denoiser was trained on {expected}; ingest scenes of that \
+         length"
     )]
     SceneShape {
         /// The scene.
         scene_id: SceneId,
         /// Its history, whole length and step.
         found: String,
-        /// Those of the denoiser's training scenes.
+        /// The values of the denoiser's training scenes.
         expected: String,
     },
     /// No scene fits the configuration.
@@ -47,13 +48,14 @@ pub enum Error {
         sweep: String,
         /// How many scenes were looked at.
         n_considered: usize,
-        /// What to change.
+        /// A remedy.
         hint: &'static str,
     },
     /// No pair can reach any bucket of a request.
     #[error(
-        "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can reach any of its buckets, given their past and the limits of \
-         driving; widen buckets or where, choose other splits or places, or set pairs.only_feasible = false"
+        "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can reach any of its buckets, given their \
+         past and the limits of driving; widen buckets or where, choose other splits or places, or set \
+         pairs.only_feasible = false"
     )]
     Infeasible {
         /// The request.
@@ -76,7 +78,7 @@ pub enum Error {
     Stale {
         /// The scene.
         scene_id: SceneId,
-        /// What differs.
+        /// A description of the difference.
         detail: String,
     },
     /// Generation had to stop within a shard, which starts again next time.

@@ -37,8 +37,8 @@ pub struct Generator<'a> {
 }
 
 impl<'a> Generator<'a> {
-    /// A generator whose `config`, resolved with the mined `behaviors`, fits its `models`. Selections and limits judge by
-    /// `metric_settings`.
+    /// A generator whose `config`, resolved with the mined `behaviors`, fits its `models`. Selections and limits judge
+    /// by `metric_settings`.
     ///
     /// # Errors
     /// When it does not.
@@ -63,7 +63,7 @@ impl<'a> Generator<'a> {
         Seed(self.config.seed)
     }
 
-    /// What the denoiser is.
+    /// The specification of the denoiser.
     pub(super) const fn spec(&self) -> &'a DenoiserSpec {
         &self.models.denoiser.spec
     }
@@ -128,19 +128,22 @@ impl<'a> Generator<'a> {
             && same_scales(&own.normalizer, &spec.normalizer);
         if !is_alike {
             return Err(Error::Config(format!(
-                "sweep {}: the distilled denoiser has different scales or timesteps than the denoiser; distill this denoiser again",
+                "sweep {}: the distilled denoiser has different scales or timesteps than the denoiser; distill this \
+                 denoiser again",
                 sweep.name
             )));
         }
         match (sweep.uses_distilled(), &own.distillation) {
             (true, Some(distillation)) => sweep.check_distillation(distillation, &own.edm),
             (true, None) => Err(Error::Config(format!(
-                "sweep {}: train.distill.checkpoint is an ordinary denoiser; pass a distilled one, or set the sweep's model = \"denoiser\"",
+                "sweep {}: train.distill.checkpoint is an ordinary denoiser; pass a distilled one, or set the sweep's \
+                 model = \"denoiser\"",
                 sweep.name
             ))),
             (false, None) => Ok(()),
             (false, Some(_)) => Err(Error::Config(format!(
-                "sweep {}: the denoiser is distilled; pass it as train.distill.checkpoint, and set the sweep's model = \"distilled\"",
+                "sweep {}: the denoiser is distilled; pass it as train.distill.checkpoint, and set the sweep's \
+                 model = \"distilled\"",
                 sweep.name
             ))),
         }

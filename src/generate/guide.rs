@@ -25,8 +25,9 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 /// The kind and value of each objective, for one sample.
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
-/// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further off
-/// the road than they are, vehicles that point where they drive. Agents that are asked to collide may touch each other.
+/// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further
+/// off the road than they are, vehicles that point where they drive. Agents of a requested collision may touch each
+/// other.
 fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
@@ -49,13 +50,13 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
     ]
 }
 
-/// What is to be guided.
+/// A batch to be guided.
 pub(super) struct Guided<'a> {
     /// The sweep.
     pub(super) sweep: &'a ResolvedSweep,
     /// How its denoiser is sampled.
     pub(super) diffusion: &'a Diffusion,
-    /// Strength of the guidance, and weight of wanted states.
+    /// Strength of the guidance, and weight of the target states.
     pub(super) level: GuidanceLevel,
     /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
@@ -115,9 +116,9 @@ impl<'g> Generator<'g> {
         self.classifier(sweep).filter(|_| strength != 0.0 && sweep.diffusion().is_some_and(guides))
     }
 
-    /// What guides samples of this level: `none`, or the classifier and the objectives in order, such as
+    /// The kind of guidance at this level, as recorded: `none`, or the classifier and the objectives in order, such as
     /// `classifier:cut_in+no_collision`; `classifier_free` where samples lean toward states, and `event` where the
-    /// denoiser is told of the requested event.
+    /// denoiser is conditioned on the requested event.
     pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
         let classifier = self.guiding_classifier(sweep, level.strength);
         let mut parts: Vec<String> =
@@ -169,7 +170,7 @@ impl<'g> Generator<'g> {
         self.guided_by_objectives(guided, inner, sample)
     }
 
-    /// The same with only the objectives of the sweep and the rules of traffic.
+    /// Guides with only the objectives of the sweep and the rules of traffic.
     fn guided_by_objectives<T>(
         &self,
         guided: &Guided<'_>,
@@ -216,7 +217,7 @@ impl<'g> Generator<'g> {
         }
     }
 
-    /// The same by a classifier's potential: damping presumes a best value, which log odds do not have.
+    /// [`Self::on_estimates`] by a classifier's potential: damping presumes a best value, which log odds do not have.
     fn by_classifier<'a>(
         &self,
         guided: &Guided<'_>,

@@ -40,8 +40,8 @@ pub struct LimitRange {
 }
 
 impl Limit {
-    /// Rejects a limit under this key that no value can satisfy, or none can violate. `has_direction` tells whether
-    /// higher or lower values are better.
+    /// Rejects a limit under this key that no value can satisfy, or none can violate. `has_direction` is whether higher
+    /// or lower values are better.
     pub(super) fn validate(&self, key: &str, has_direction: bool) -> settings::Result {
         let refuse = |why: String| Err(Issue::new(key, why));
         let range = match self {

@@ -26,7 +26,7 @@ pub(super) struct CandidatePair {
     pub(super) roles: Roles,
     /// How well it is suited; higher is better.
     pub(super) score: f64,
-    /// What it could come to.
+    /// Outcomes that it can still reach.
     pub(super) outcomes: Vec<Outcome>,
 }
 

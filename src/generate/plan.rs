@@ -1,4 +1,4 @@
-//! What will be generated, decided before anything is sampled: scenes, pairs, shards.
+//! The plan of a generation, decided before anything is sampled: scenes, pairs, shards.
 
 use super::pairs::{CandidatePair, order_seed};
 use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
@@ -147,7 +147,8 @@ impl Generator<'_> {
         }
     }
 
-    /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids alone.
+    /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids
+    /// alone.
     fn scenes_in_order<'i>(
         &self,
         index: &'i SceneIndex,

@@ -1,5 +1,5 @@
-//! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are selected and
-//! checked.
+//! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are selected
+//! and checked.
 
 use super::batch::{Batch, Draw};
 use super::conditioning::Conditioned;
@@ -50,7 +50,7 @@ struct Sampled {
     draw: Result<Draw, UnfitScene>,
 }
 
-/// What samples are conditioned on.
+/// The conditioning of samples.
 struct Given {
     /// For each cell one conditioning for all samples or, with templates, one for each sample.
     of_cells: Vec<Vec<Conditioned>>,

@@ -63,7 +63,7 @@ impl Candidate<'_> {
         Some(named.map(|(_, value)| value).sum())
     }
 
-    /// The same, with its sign such that lower is better; undefined values are the worst.
+    /// The value with its sign such that lower is better; undefined values are the worst.
     fn cost(&self, id: &str, recorded: &Scene, settings: &MetricSettings) -> f64 {
         let sign = if direction(id) == Direction::HigherIsBetter { -1.0 } else { 1.0 };
         self.value(id, recorded, settings).map_or(f64::INFINITY, |value| sign * value)
@@ -86,7 +86,7 @@ impl SelectConfig {
     }
 
     /// Rejects metrics and objectives that cannot judge samples of a sweep with objectives of these kinds. `asks_pairs`
-    /// tells whether the sweep requests a pair, as metrics of pairs need.
+    /// is whether the sweep requests a pair, as metrics of pairs need.
     ///
     /// # Errors
     /// Names the key.
@@ -111,8 +111,8 @@ impl SelectConfig {
                 return Err(Issue::new(
                     key,
                     format_args!(
-                        "({id}) needs a requested pair, which this sweep does not have; request a behavior of two agents, such \
-                         as behavior = \"cut_in\", or use a metric of the whole scene"
+                        "({id}) needs a requested pair, which this sweep does not have; request a behavior of two \
+                         agents, such as behavior = \"cut_in\", or use a metric of the whole scene"
                     ),
                 ));
             }
@@ -121,8 +121,8 @@ impl SelectConfig {
             return Err(Issue::new(
                 format!("by.{i}"),
                 format_args!(
-                    "is {id}, which cannot rank, because neither more nor less of it is better; limits can, as in {{ {id} = {{ \
-                     at_most = 2.0 }} }}"
+                    "is {id}, which cannot rank, because neither more nor less of it is better; limits can, as in \
+                     {{ {id} = {{ at_most = 2.0 }} }}"
                 ),
             ));
         }
@@ -241,9 +241,9 @@ mod tests {
 
     #[test]
     fn ranges_choose_how_critical_the_pair_is() {
-        // Cars of 4.5 m, ten meters apart from center to center, so 5.5 m from bumper to bumper at present. The one behind
-        // drives at 10 m/s, the other at 6, 8 and 10 m/s for the 0.8 s of the future: the gap ends at 5.5 - 0.8 Δv, with
-        // TTC = gap / Δv of 0.575 s, 1.95 s, and none for the third.
+        // Cars of 4.5 m, ten meters apart from center to center, so 5.5 m from bumper to bumper at present. The one
+        // behind drives at 10 m/s, the other at 6, 8 and 10 m/s for the 0.8 s of the future: the gap ends at 5.5 - 0.8
+        // Δv, with TTC = gap / Δv of 0.575 s, 1.95 s, and none for the third.
         let at = |speed_mps: f64| {
             scene(&[
                 Drive::straight(0.0, 0.0, 0.0, 10.0),

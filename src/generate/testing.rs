@@ -68,7 +68,7 @@ impl Behavior for Drift {
         &["gap_m"]
     }
 
-    /// The second one drifts the farther to the right, the larger the gap is that is wanted.
+    /// The second one drifts the farther to the right, the larger the target gap is.
     fn template(
         &self,
         scene: &Scene,
@@ -136,7 +136,7 @@ pub(super) fn resolve(toml: &str) -> ResolvedGeneration {
     config(toml).resolve(&drift()).unwrap()
 }
 
-/// What is mined.
+/// The behavior that is mined.
 pub(super) fn drift() -> [Box<dyn Behavior>; 1] {
     [Box::new(Drift)]
 }
@@ -161,7 +161,7 @@ fn with_denoiser<T>(
     use_it(&Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap())
 }
 
-/// The same for a configuration that may be refused.
+/// [`with_generator`] for a configuration that may be refused.
 pub(super) fn with_generator_result<T>(
     config: &GenerateConfig,
     use_it: impl FnOnce(&Generator<'_>) -> Result<T, Error>,
@@ -206,6 +206,6 @@ pub(super) fn difference_m(a: &Scene, b: &Scene) -> f64 {
     pairs.map(|(a, b)| a.position.distance(b.position)).fold(0.0, f64::max)
 }
 
-/// Matrix products of few rows round differently from those of many, and the encodings of an untrained network, with their
-/// short periods, magnify that; samples of different noise are meters apart.
+/// Matrix products of few rows round differently from those of many, and the encodings of an untrained network, with
+/// their short periods, magnify that; samples of different noise are meters apart.
 pub(super) const ROUNDING_M: f64 = 0.1;

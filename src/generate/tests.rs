@@ -36,7 +36,7 @@ fn a_selection_keeps_the_best_of_each_strength() {
     best.sweeps[0].select = Some(toml::from_str("best = 1\nby = ['min_scene_ade_m']").unwrap());
     let (all, best) = (generate(&all), generate(&best));
     assert_eq!((all.len(), best.len()), (8, 2));
-    // What is kept is one of those, unchanged.
+    // The selection is one of them, unchanged.
     assert!(best.iter().all(|kept| all.iter().any(|record| record.scenario == kept.scenario)));
 }
 
@@ -183,7 +183,8 @@ fn configurations_that_make_no_sense_are_refused() {
             format!(
                 "sampler = {{ kind = 'euler', n_steps = 2 }}\n{}",
                 sweep(
-                    "model = 'distilled'\nstrengths = [1.0]\nobjectives = [{ kind = 'target_speed', speed_mps = 5.0 }]\n\
+                    "model = 'distilled'\nstrengths = [1.0]\nobjectives = [{ kind = 'target_speed', \
+                     speed_mps = 5.0 }]\n\
                      objective_guidance = { gradient = 'through_network' }"
                 )
             ),

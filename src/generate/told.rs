@@ -1,4 +1,4 @@
-//! What is the denoiser told of the event that a sample asks for? Values of a mined event that began alike, or those it aims at.
+//! The event that a sample's denoiser is conditioned on: values of a mined event that began alike, or those it aims at.
 
 use super::{Cell, Error, Generator, ResolvedSweep};
 use crate::guidance::Target;
@@ -13,10 +13,10 @@ const ALIKE_MPS: f64 = 2.0;
 const ALIKE_M: f64 = 5.0;
 
 impl Generator<'_> {
-    /// What the denoiser is told of the event of a sample; `None` if the sweep does not tell it.
+    /// The event that the denoiser is conditioned on for a sample; `None` if the sweep has no event conditioning.
     ///
-    /// A mined event has values that belong together, and of those that began like the pair many can still happen. Of events
-    /// beyond the sample's target, nothing is told but the target.
+    /// A mined event has values that belong together, and of those that began like the pair many can still happen. If
+    /// no mined event meets the sample's target, the denoiser sees the target alone.
     pub(super) fn told_event(
         &self,
         sweep: &ResolvedSweep,
@@ -44,7 +44,7 @@ impl Generator<'_> {
         Ok(Some(ToldEvent { behavior: behavior.to_owned(), agents, values }))
     }
 
-    /// The events that the denoiser of a sweep can be told of.
+    /// The events that the denoiser of a sweep can be conditioned on.
     pub(super) fn vocabulary(&self, sweep: &ResolvedSweep) -> Result<&EventVocabulary, Error> {
         let spec = &self.denoiser(sweep)?.spec;
         spec.events.as_ref().ok_or_else(|| {
@@ -91,7 +91,7 @@ fn most_alike(mut examples: Vec<&EventExample>, present: Option<Vec<f64>>) -> Ve
     examples
 }
 
-/// A value from each interval of `target` that the network can be told.
+/// A value from each interval of `target` that the network has an input for.
 fn drawn_within(
     target: &Target,
     known: &KnownBehavior,

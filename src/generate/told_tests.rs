@@ -1,4 +1,5 @@
-//! Is the denoiser told of the requested event, with values that belong to it, and are these samples like others reproducible?
+//! Does the denoiser see the requested event, with values that belong to it, and are these samples like others
+//! reproducible?
 
 use super::testing::{config, difference_m, drift, index, load};
 use super::*;
@@ -29,7 +30,7 @@ fn vocabulary(id: &str) -> EventVocabulary {
     EventVocabulary { behaviors: vec![known] }
 }
 
-/// A geometric denoiser with random weights that can be told of these events, and on whose answers they have an effect.
+/// A geometric denoiser with random weights that has inputs for these events, and on whose answers they have an effect.
 fn denoiser(events: Option<EventVocabulary>) -> TrainedDenoiser {
     let mut spec = denoiser_spec(StateParametrization::Motion);
     spec.network = NetworkConfig {
@@ -129,13 +130,13 @@ fn samples_that_aim_are_told_what_they_aim_at() {
         };
         with(&denoiser(Some(vocabulary)), &sweep(&format!("{TOLD} [1.0] }}")), generate).unwrap()
     };
-    // Of the events with gaps of 1 to 24 m, those with 20 or 21 m, although others began more alike.
+    // The events with 20 or 21 m, among gaps of 1 to 24 m, although others began more alike.
     let told = aimed(vocabulary("drift"), [19.5, 21.5]);
     let gaps_m: Vec<f64> = told.iter().map(|told| told["gap_m"].as_f64().unwrap()).collect();
     assert!(gaps_m.contains(&20.0) && gaps_m.contains(&21.0), "{gaps_m:?}");
     assert!(gaps_m.iter().all(|gap_m| [20.0, 21.0].contains(gap_m)), "{gaps_m:?}");
     assert!(told.iter().all(|told| told["onset_s"] == 0.5), "values of an event belong together");
-    // Where no event lies in the target, the target alone is told.
+    // Where no event lies in the target, the denoiser sees the target alone.
     for told in aimed(vocabulary("drift"), [30.0, 31.0]) {
         let gap_m = told["gap_m"].as_f64().unwrap();
         assert!(told.as_object().unwrap().len() == 1 && (30.0..31.0).contains(&gap_m), "{told}");

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-/// The same direction as `angle_rad`, in (-π, π].
+/// The direction `angle_rad` in (-π, π].
 pub fn wrap_angle(angle_rad: f64) -> f64 {
     let wrapped = angle_rad.rem_euclid(TAU);
     if wrapped > PI { wrapped - TAU } else { wrapped }

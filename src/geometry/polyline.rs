@@ -38,7 +38,8 @@ impl Polyline {
         self.0.last().copied()
     }
 
-    /// `n_points` points at equal distances from the first to the last. Empty when there are no points or `n_points` is 0.
+    /// `n_points` points at equal distances from the first to the last. Empty when there are no points or `n_points`
+    /// is 0.
     pub fn resampled(&self, n_points: usize) -> Self {
         let length_m = self.length_m();
         let spacing = length_m / (n_points.max(2) - 1) as f64;

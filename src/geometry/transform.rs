@@ -70,7 +70,12 @@ mod tests {
         }
 
         #[test]
-        fn composition_is_application_in_turn(a in transform(), b in transform(), x in -1e3..1e3f64, y in -1e3..1e3f64) {
+        fn composition_is_application_in_turn(
+            a in transform(),
+            b in transform(),
+            x in -1e3..1e3f64,
+            y in -1e3..1e3f64,
+        ) {
             let p = Vec2::new(x, y);
             prop_assert!(a.compose(&b).point(p).distance(a.point(b.point(p))) < 1e-7);
         }

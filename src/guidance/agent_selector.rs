@@ -4,8 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Agents by name: `all`; a role of the requested behavior, such as `other`; or `ego`. Where the behavior has no role
-/// of that name, `ego` is the agent at the center of the scene: the one with the first role, or the scene's ego agent if no
-/// behavior is requested.
+/// of that name, `ego` is the agent at the center of the scene: the one with the first role, or the scene's ego agent
+/// if no behavior is requested.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct AgentSelector(String);

@@ -7,8 +7,8 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What of a classifier is made large. With z = ln p / (1 - p), its output, ∇ ln p = (1 - p) ∇z: while p is small, both potentials push
-/// alike, with ∇z. Once the classifier is sure, ln p lets go, and the log odds push on.
+/// What of a classifier is made large. With z = ln p / (1 - p), its output, ∇ ln p = (1 - p) ∇z: while p is small, both
+/// potentials push alike, with ∇z. Once the classifier is sure, ln p lets go, and the log odds push on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClassifierPotential {
@@ -42,7 +42,7 @@ pub struct ClassifierGuidance<'a> {
     pub classifier: &'a BehaviorClassifier,
     /// The features of the chosen pairs, one for each row of the batch that is sampled.
     pub pairs: PairFeatures,
-    /// What of it is made large.
+    /// The classifier output to maximize.
     pub potential: ClassifierPotential,
 }
 
@@ -57,7 +57,8 @@ mod tests {
     use super::*;
     use candle_core::{Device, Var};
 
-    /// d ln p / dz = 1 - p, which is nearly 1 where p is nearly 0 and nearly 0 where p is nearly 1; that of the log odds is 1.
+    /// d ln p / dz = 1 - p, which is nearly 1 where p is nearly 0 and nearly 0 where p is nearly 1; that of the log
+    /// odds is 1.
     #[test]
     fn log_p_lets_go_of_what_it_is_sure_of_and_log_odds_do_not() {
         let slopes = |potential: ClassifierPotential| {

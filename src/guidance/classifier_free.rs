@@ -1,15 +1,15 @@
-//! Classifier-free guidance: lean toward states that are wanted, but not known exactly (paper, section 5.1).
+//! Classifier-free guidance: lean toward target states that are not known exactly (paper, section 5.1).
 
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
 
 /// How the states of the two branches are related: both describe the same noisy scene, each in its own coordinates.
 pub trait BranchChange {
-    /// The state of the conditional branch for the state `x` (B, …) of the unconditional one. Entries that only the latter
-    /// has are left out (zero).
+    /// The state of the conditional branch for the state `x` (B, …) of the unconditional one. Entries that only the
+    /// latter has are left out (zero).
     fn to_conditional(&self, x: &Tensor) -> Result<Tensor>;
-    /// The clean estimate of the unconditional branch for that of the conditional one, `x0_hat` (B, …): entries that are
-    /// observed in the conditional branch have their clean values.
+    /// The clean estimate of the unconditional branch for that of the conditional one, `x0_hat` (B, …): entries that
+    /// are observed in the conditional branch have their clean values.
     fn to_unconditional(&self, x0_hat: &Tensor) -> Result<Tensor>;
 }
 
@@ -18,12 +18,12 @@ pub trait BranchChange {
 /// By D = x + σ² ∇ ln p this is the paper's mixture of scores. The two branches differ in what is observed: `x_cond` is
 /// latent in the first and observed in the second, where its score is not defined. So estimates are mixed rather than
 /// scores: in the conditional branch the estimate of `x_cond` is its clean value, while `x_cond` keeps diffusing in the
-/// state. At λ = 1 this samples exactly from the conditional distribution, as if `x_cond` had been observed; at λ = 0 from
-/// the unconditional one.
+/// state. At λ = 1 this samples exactly from the conditional distribution, as if `x_cond` had been observed; at λ = 0
+/// from the unconditional one.
 pub struct ClassifierFreeDenoiser<'a> {
     /// The denoiser that sees only the precise observations.
     pub unconditional: &'a dyn Denoiser,
-    /// The denoiser that also sees the wanted states.
+    /// The denoiser that also sees the target states.
     pub conditional: &'a dyn Denoiser,
     /// From the state of one to that of the other.
     pub change: &'a dyn BranchChange,

@@ -9,12 +9,13 @@ use candle_core::{Error, Result, Tensor, Var};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What an evaluation of the network with its derivative counts as, in evaluations without: 2.5 of them were measured.
+/// The cost of an evaluation of the network with its derivative, in plain evaluations; 2.5 were measured.
 pub const EVALUATIONS_PER_GRADIENT: usize = 3;
 
 /// A log potential of clean samples.
 pub trait CleanPotential {
-    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by row.
+    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by
+    /// row.
     ///
     /// # Errors
     /// When shapes do not fit.
@@ -28,7 +29,7 @@ pub struct ObjectiveSum<'a> {
     pub objectives: &'a [ObjectiveConfig],
     /// The batch that is sampled, one row a sample.
     pub batch: &'a SceneBatch,
-    /// The same batch as objectives see it.
+    /// The context of the batch for objectives.
     pub context: &'a SceneContext,
 }
 
@@ -76,8 +77,8 @@ pub enum CleanGradient {
     /// σ² σ_data² / (σ² + σ_data²), that of independent Gaussian data: needs no gradient of the denoiser.
     #[default]
     Clean,
-    /// σ² ∂D/∂x, the exact one for an exact denoiser: each step goes back through the network, at about three times the cost
-    /// of an evaluation without guidance.
+    /// σ² ∂D/∂x, the exact one for an exact denoiser: each step goes back through the network, at about three times the
+    /// cost of an evaluation without guidance.
     ThroughNetwork,
 }
 
@@ -90,18 +91,18 @@ impl Default for ObjectiveGuidanceConfig {
 /// D'(x; σ) = D(x; σ) + α C(σ) ∇J(x₀) at x₀ = D(x; σ), with C the covariance of x₀ given x.
 ///
 /// The wish is a likelihood p(y | x₀) ∝ exp(J(x₀)) of the *clean* sample. What sampling needs is the noisy one,
-/// p(y | x) = E[exp(J(x₀)) | x]. To first order around the posterior mean, J(x₀) ≈ J(D) + ∇J · (x₀ - D), and x₀ is about
-/// normal given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the mean
-/// D + C ∇J, which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ ln p(y | x)
-/// and ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian data of
-/// standard deviation σ_data, C = w(σ) = σ² σ_data² / (σ² + σ_data²) and nothing is approximate if J is linear.
+/// p(y | x) = E[exp(J(x₀)) | x]. To first order around the posterior mean, J(x₀) ≈ J(D) + ∇J · (x₀ - D), and x₀ is
+/// about normal given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the
+/// mean D + C ∇J, which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ
+/// ln p(y | x) and ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian
+/// data of standard deviation σ_data, C = w(σ) = σ² σ_data² / (σ² + σ_data²) and nothing is approximate if J is linear.
 ///
-/// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer
-/// D + α C ∇J / (1 + α k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, the factor
-/// 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it without knowing k and c (`damped`); it supposes J ≤ 0 with 0 as the best.
-/// Further steps (`inner_steps`) go on from the shifted estimate u toward the fixed point u = D + α C ∇J(u), the mode of the
-/// tilted posterior; they are damped by the largest curvature met so far, which they also learn from how the gradient changed
-/// (the secant condition, as in Barzilai and Borwein 1988).
+/// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer D + α C ∇J / (1 + α
+/// k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, the factor 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it without
+/// knowing k and c (`damped`); it supposes J ≤ 0 with 0 as the best. Further steps (`inner_steps`) go on from the
+/// shifted estimate u toward the fixed point u = D + α C ∇J(u), the mode of the tilted posterior; they are damped by
+/// the largest curvature met so far, which they also learn from how the gradient changed (the secant condition, as in
+/// Barzilai and Borwein 1988).
 pub struct CleanGuidedDenoiser<'a> {
     /// The denoiser that is guided; it may be guided otherwise already.
     pub inner: &'a dyn Denoiser,
@@ -203,7 +204,8 @@ impl Bends {
         Ok(())
     }
 
-    /// Bends that are none, such as 0 / 0 where nothing is left to wish for, or that have the wrong sign change nothing.
+    /// Bends that are none, such as 0 / 0 where nothing is left to wish for, or that have the wrong sign change
+    /// nothing.
     fn raise(&mut self, row: usize, bend: f64) {
         if bend.is_finite() && bend > self.largest[row] {
             self.largest[row] = bend;

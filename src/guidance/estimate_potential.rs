@@ -1,13 +1,13 @@
-//! What does a guidance of noisy states say of a clean estimate?
+//! The potential of a clean estimate under a guidance of noisy states.
 
 use super::{BranchChange, CleanPotential, Guidance, MaskChange};
 use candle_core::{Result, Tensor};
 
 /// A log potential of noisy states as one of clean estimates: J(x₀) = ln p(y | x₀; σ) at a low noise level σ.
 ///
-/// With [`super::CleanGuidedDenoiser`] this guides samples under masks of which the guidance knows no noisy states. Clean
-/// estimates mean the same under every mask, and can be told in the coordinates of another one exactly; noisy states cannot,
-/// because of what only the one mask observes there is no noise.
+/// With [`super::CleanGuidedDenoiser`] this guides samples under masks of which the guidance knows no noisy states.
+/// Clean estimates mean the same under every mask, and can be expressed in the coordinates of another one exactly;
+/// noisy states cannot, because of what only the one mask observes there is no noise.
 pub struct EstimatePotential<'a> {
     /// The guidance.
     pub guidance: &'a dyn Guidance,
@@ -39,7 +39,7 @@ mod tests {
     use crate::tensor::{FutureValidity, SceneBatch, StateParametrization};
     use candle_core::Var;
 
-    /// Wants the second agent far to the left at the end, and tells which noise level it is shown.
+    /// Wants the second agent far to the left at the end, and reports the noise level that it is given.
     struct ToTheLeft<'a> {
         batch: &'a SceneBatch,
     }

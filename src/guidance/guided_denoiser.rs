@@ -17,9 +17,9 @@ pub struct GuidanceConfig {
     /// unreliable there: on merging cases, gradients from up there lowered the rate of cut-ins.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_hi: f64,
-    /// The largest Euclidean norm of the shift α σ² ∇ ln p of one scene's clean estimate, in diffused units (the data has
-    /// standard deviation σ_data = 0.5 in each entry); longer shifts are shortened to it, which keeps trajectories smooth at
-    /// large strengths. A very large number, such as 1e9, means no limit.
+    /// The largest Euclidean norm of the shift α σ² ∇ ln p of one scene's clean estimate, in diffused units (the data
+    /// has standard deviation σ_data = 0.5 in each entry); longer shifts are shortened to it, which keeps trajectories
+    /// smooth at large strengths. A very large number, such as 1e9, means no limit.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_shift: f64,
 }
@@ -34,7 +34,8 @@ impl GuidanceConfig {
     /// Guidance as the paper's equation 3 has it: at every noise level, however far it shifts.
     pub const UNRESTRICTED: Self = Self { sigma_lo: 0.0, sigma_hi: f64::MAX, max_shift: f64::MAX };
 
-    /// Whether guidance acts at a noise level. Bounds belong to it, in the single precision in which samplers tell levels.
+    /// Whether guidance acts at a noise level. Bounds belong to it, in the single precision in which samplers pass
+    /// levels.
     pub(super) fn acts_at(&self, sigma: f64) -> bool {
         (self.sigma_lo as f32..=self.sigma_hi as f32).contains(&(sigma as f32))
     }
@@ -43,14 +44,15 @@ impl GuidanceConfig {
 /// D'(x; σ) = D(x; σ) + α σ² ∇ₓ ln p(y | x; σ).
 ///
 /// By D = x + σ² ∇ ln p(x; σ) this adds α times the guidance's gradient to the score (DJINN, equation 3). Both
-/// evaluations of a Heun step go through here. The gradient is taken at the noisy tensor itself, so that the denoiser is
-/// not differentiated through.
+/// evaluations of a Heun step go through here. The gradient is taken at the noisy tensor itself, so that the denoiser
+/// is not differentiated through.
 pub struct GuidedDenoiser<'a> {
     /// The denoiser that is guided.
     pub inner: &'a dyn Denoiser,
-    /// What is made likely.
+    /// The guidance, whose likelihood is raised.
     pub guidance: &'a dyn Guidance,
-    /// Strength α: 1 samples from the conditional distribution if `guidance` is its exact likelihood; 0 changes nothing.
+    /// Strength α: 1 samples from the conditional distribution if `guidance` is its exact likelihood; 0 changes
+    /// nothing.
     pub strength: f64,
     /// When guidance acts and how far it may go.
     pub config: GuidanceConfig,

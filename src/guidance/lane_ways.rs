@@ -6,7 +6,8 @@ use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_8, PI};
 use std::sync::Arc;
 
-/// An agent is in a lane whose center line is within half a wide lane of it, meters, and leads its way but for this angle.
+/// An agent is in a lane whose center line is within half a wide lane of it, meters, and leads its way but for this
+/// angle.
 const IN_LANE_M: f64 = 2.0;
 const ALONG_RAD: f64 = FRAC_PI_4;
 /// Lanes beside each other have parallel center lines, and these distances between them, meters.
@@ -51,8 +52,8 @@ impl LaneWays {
         self.in_row(own.into_iter().flat_map(|lane| self.lines(lane.id)).collect())
     }
 
-    /// The lines, in the row's frame, of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0) or right: lanes that the
-    /// map names as neighbors, and parallel ones that do not join.
+    /// The lines, in the row's frame, of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0)
+    /// or right: lanes that the map names as neighbors, and parallel ones that do not join.
     pub(super) fn beside(&self, pose: WayPose, side: f64) -> Vec<Polyline> {
         self.in_row(self.beside_in_scene(self.in_scene(pose), side))
     }
@@ -90,7 +91,7 @@ impl LaneWays {
         carried_on(points.into_iter())
     }
 
-    /// The same in the scene's frame.
+    /// [`Self::beside`] in the scene's frame.
     fn beside_in_scene(&self, pose: WayPose, side: f64) -> Vec<Polyline> {
         let own = self.own(pose);
         let named: BTreeSet<LaneId> = own
@@ -162,8 +163,8 @@ mod tests {
         Lane { successors, ..Lane::unconnected(id, centerline, Default::default()) }
     }
 
-    /// Lane 1 along x forks into 2, straight on, and 3, to the left; 4 lies to its left, 5 beyond that, 6 to its right and joins 2, and 7
-    /// comes toward it.
+    /// Lane 1 along x forks into 2, straight on, and 3, to the left; 4 lies to its left, 5 beyond that, 6 to its right
+    /// and joins 2, and 7 comes toward it.
     fn ways() -> LaneWays {
         let lanes = vec![
             lane(1, &[(0.0, 0.0), (50.0, 0.0)], &[2, 3]),

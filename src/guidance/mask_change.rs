@@ -1,4 +1,4 @@
-//! The same noisy scene under two observation masks: how do the diffused states belong together?
+//! The same noisy scene under two observation masks: the change between their diffused states.
 
 use super::BranchChange;
 use crate::tensor::SceneBatch;
@@ -6,19 +6,20 @@ use candle_core::{Error, Result, Tensor};
 
 /// From batches of a base mask to those of an extended one, which observes more, and back.
 ///
-/// Under each mask diffused states are an affine image of scene coordinates, agent by agent: y = b + A x on latent entries.
-/// Base b and matrix A follow from what is observed, so they differ for agents of whom more is observed. Let S be the entries
-/// that are latent under both masks and C those that only the extended one observes. White noise σ n in the state of the
-/// base mask is noise σ A n in scene coordinates.
+/// Under each mask diffused states are an affine image of scene coordinates, agent by agent: y = b + A x on latent
+/// entries. Base b and matrix A follow from what is observed, so they differ for agents of whom more is observed. Let S
+/// be the entries that are latent under both masks and C those that only the extended one observes. White noise σ n in
+/// the state of the base mask is noise σ A n in scene coordinates.
 ///
-/// - **State.** Where C is known, so is its noise, and where noise is correlated over time (A mixes timesteps) that says
-///   something of the noise on S. What is left, x' = A'⁻¹ (yₛ - P (y_c - y_c0) - b'ₛ) with P = Σₛ_c Σ_cc⁻¹ and Σ = A Aᵀ, is all
-///   that x says of S; with uncorrelated noise it is just yₛ in the coordinates of the extended mask.
-/// - **Noise level.** The noise of x' is σ G n with G the linear part of the map, white at the same σ exactly if G Gᵀ = 1. That
-///   holds wherever the two masks give an agent the same frame and units: always in the scene parametrization, and in the
-///   others for agents that the base mask observes up to the present, because their frame is that of the last such state.
-///   (Brownian noise, known at the entries C, is the noise of the bridges of the extended mask.) An agent that only the
-///   extended mask observes changes its frame and units; its noise is then of a wrong share.
+/// - **State.** Where C is known, so is its noise, and where noise is correlated over time (A mixes timesteps) that
+///   says something of the noise on S. What is left, x' = A'⁻¹ (yₛ - P (y_c - y_c0) - b'ₛ) with P = Σₛ_c Σ_cc⁻¹ and
+///   Σ = A Aᵀ, is all that x says of S; with uncorrelated noise it is just yₛ in the coordinates of the extended mask.
+/// - **Noise level.** The noise of x' is σ G n with G the linear part of the map, white at the same σ exactly if G
+///   Gᵀ = 1. That holds wherever the two masks give an agent the same frame and units: always in the scene
+///   parametrization, and in the others for agents that the base mask observes up to the present, because their frame
+///   is that of the last such state. (Brownian noise, known at the entries C, is the noise of the bridges of the
+///   extended mask.) An agent that only the extended mask observes changes its frame and units; its noise is then of a
+///   wrong share.
 pub struct MaskChange {
     /// Places on the flattened (B · A) axis of the agents whose masks differ, (K); the others are the same in both.
     changed: Option<Changed>,
@@ -46,8 +47,8 @@ struct AgentMap {
 }
 
 impl MaskChange {
-    /// The change between two batches of the same scenes, seen from the same agents. All latent entries of `extended` are
-    /// latent in `base`, too.
+    /// The change between two batches of the same scenes, seen from the same agents. All latent entries of `extended`
+    /// are latent in `base`, too.
     ///
     /// # Errors
     /// When the batches do not belong together.
@@ -265,7 +266,7 @@ mod tests {
             let x = noise(&base);
             let moved = change.to_conditional(&x).unwrap();
             let (before, after) = (base.decode(&x).unwrap(), extended.decode(&moved).unwrap());
-            // Of Brownian noise, what the known states say is taken off; the rest is where it was.
+            // The known part of Brownian noise is taken off; the rest is where it was.
             let is_same = difference(&before, &after, &extended.latent) < 1e-3;
             assert_eq!(is_same, parametrization != StateParametrization::Motion, "{parametrization:?}");
             // The third agent's masks are the same: nothing of it changes, not even by rounding.
@@ -329,8 +330,8 @@ mod tests {
 
     #[test]
     fn correlated_noise_is_told_apart_from_what_is_known_of_it() {
-        // Two entries with y₁ = x₁, y₂ = x₁ + x₂ (steps of a walk); the second is observed to be 5. What is left of the first
-        // is a bridge: y₁ - (y₂ - 5) / 2 has noise of variance 1/2, white in the extended mask's unit √(1/2).
+        // Two entries with y₁ = x₁, y₂ = x₁ + x₂ (steps of a walk); the second is observed to be 5. What is left of the
+        // first is a bridge: y₁ - (y₂ - 5) / 2 has noise of variance 1/2, white in the extended mask's unit √(1/2).
         let before = AgentMap { latent: vec![0, 1], linear: vec![vec![1.0, 0.0], vec![1.0, 1.0]], base: vec![0.0; 2] };
         let unit = 0.5f64.sqrt();
         let after = AgentMap { latent: vec![0], linear: vec![vec![unit, 0.0], vec![0.0, 0.0]], base: vec![2.0, 5.0] };

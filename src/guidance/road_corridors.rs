@@ -47,8 +47,8 @@ impl RoadCorridors {
         Self { lanes: lanes.lanes().iter().filter_map(corridor).collect() }
     }
 
-    /// The center line of the strip that `point` is the fewest meters outside of (or, if it is on the road, one that it is
-    /// inside of). `None` without lanes.
+    /// The center line of the strip that `point` is the fewest meters outside of (or, if it is on the road, one that it
+    /// is inside of). `None` without lanes.
     pub(super) fn nearest(&self, point: Vec2) -> Option<NearestRoad> {
         let mut best: Option<(f64, NearestRoad)> = None;
         for lane in &self.lanes {
@@ -97,8 +97,8 @@ impl Strip {
     }
 }
 
-/// The strips of a lane, with extensions beyond ends that no other lane continues. A lane that ends while one beside it goes on has none: the
-/// road becomes narrower there.
+/// The strips of a lane, with extensions beyond ends that no other lane continues. A lane that ends while one beside it
+/// goes on has none: the road becomes narrower there.
 fn strips(lanes: &LaneGraph, lane: &Lane, to_from_here: &Transform2) -> Vec<Strip> {
     let beside = [lane.left_neighbor, lane.right_neighbor].map(|id| id.and_then(|id| lanes.get(id)));
     let is_open = |connections: fn(&Lane) -> &[LaneId]| {

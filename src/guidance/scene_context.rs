@@ -1,4 +1,4 @@
-//! What do objectives know of a batch beside its states? Who is who, what is valid, how large agents are, where the road is.
+//! The context of a batch for objectives, beside its states: who is who, what is valid, sizes of agents, the road.
 
 use super::AgentSelector;
 use super::lane_ways::LaneWays;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 /// The target of an event: intervals (least, most) of its parameters, by name.
 pub type Target = BTreeMap<String, [f64; 2]>;
 
-/// What a row of a batch was made of.
+/// The source of a row of a batch.
 #[derive(Debug, Clone, Copy)]
 pub struct ContextRow<'a> {
     /// Its scene.
@@ -30,8 +30,8 @@ pub struct SceneContext {
     pub dt_s: f64,
     /// Observed timesteps t_obs; the present is timestep `n_history` - 1.
     pub n_history: usize,
-    /// Whether headings are generated. Where they are not, they follow the motion once a sample is done, and decoded states hold those of
-    /// the kinematic reference.
+    /// Whether headings are generated. Where they are not, they follow the motion once a sample is done, and decoded
+    /// states hold those of the kinematic reference.
     pub generates_headings: bool,
     /// 1 where there is a state, observed or generated, (B, A, T).
     pub valid: Tensor,
@@ -128,18 +128,18 @@ impl SceneContext {
         })
     }
 
-    /// The same without the roads of the rows at whose places the map `shows` only parts of the road, where nobody can be
-    /// said to leave it.
+    /// Removes the roads of the rows at whose places the map `shows` only parts of the road, where nobody can be said
+    /// to leave it.
     #[must_use]
     pub fn with_roads_where(mut self, shows: impl Fn(usize) -> bool) -> Self {
         self.roads.iter_mut().enumerate().filter(|(row, _)| !shows(*row)).for_each(|(_, road)| *road = Arc::default());
         self
     }
 
-    /// The same where the events of the rows are asked to be like `targets`, one a row.
+    /// Sets the target of the event of each row.
     ///
     /// # Errors
-    /// When there is not one for each row.
+    /// If there is not one target for each row.
     pub fn aiming_at(self, targets: Vec<Target>) -> Result<Self> {
         if targets.len() != self.ego.len() {
             bail!("{} targets given for {} rows", targets.len(), self.ego.len());
@@ -147,7 +147,8 @@ impl SceneContext {
         Ok(Self { targets, ..self })
     }
 
-    /// The interval of the parameter `name` that is asked of each row, (B, 2): the one that is `configured`, or the row's target, or `any`.
+    /// The target interval of the parameter `name` for each row, (B, 2): the one that is `configured`, or the row's
+    /// target, or `any`.
     ///
     /// # Errors
     /// When the device runs out of memory.
@@ -192,8 +193,8 @@ impl SceneContext {
         }
     }
 
-    /// 1 where a term over the states of `order` + 1 timesteps from t on counts, (B, A, T - `order`): all of them are valid,
-    /// and at least one is generated.
+    /// 1 where a term over the states of `order` + 1 timesteps from t on counts, (B, A, T - `order`): all of them are
+    /// valid, and at least one is generated.
     ///
     /// # Errors
     /// When there are fewer timesteps.
@@ -211,7 +212,7 @@ impl SceneContext {
         all_valid * (1.0 - all_known)?
     }
 
-    /// The same with tensors of another type.
+    /// Converts its tensors to another type.
     ///
     /// # Errors
     /// When the device runs out of memory.

@@ -66,7 +66,7 @@ pub(crate) const fn is_positive(idx: usize) -> bool {
     idx.is_multiple_of(4)
 }
 
-/// What a small denoiser of these scenes is.
+/// The specification of a small denoiser of these scenes.
 pub(crate) fn denoiser_spec(parametrization: StateParametrization) -> DenoiserSpec {
     let mut normalizer = NormalizerFit::default();
     (0..100).for_each(|idx| normalizer.add(&scene(idx)));

@@ -131,7 +131,7 @@ fn the_gate_closes_and_the_limit_holds() {
     let free = shift(0.7, gate);
     assert!(free[0] > 0.0 && free[1] < 0.0);
     let length = free[0].hypot(free[1]);
-    // Samplers tell levels in single precision, in which 0.8 is a little more and 0.7 a little less.
+    // Samplers pass levels in single precision, in which 0.8 is a little more and 0.7 a little less.
     let bounds = GuidanceConfig { sigma_lo: 0.7, sigma_hi: 0.8, ..GuidanceConfig::UNRESTRICTED };
     assert!([0.7f32, 0.8].into_iter().all(|sigma| shift(f64::from(sigma), bounds)[0] > 0.0));
     assert!([0.699f32, 0.801].into_iter().all(|sigma| shift(f64::from(sigma), bounds) == [0.0; 2]));

@@ -21,13 +21,13 @@ pub(super) struct TurningWay {
     pub(super) line: Polyline,
     /// The station of the present place, meters.
     pub(super) start_m: f64,
-    /// The stations between which the wanted change of heading is reached, meters.
+    /// The stations between which the target change of heading is reached, meters.
     pub(super) wanted_m: [f64; 2],
     /// The stations between which it turns, meters.
     pub(super) bend_m: [f64; 2],
 }
 
-/// What is asked of a turn.
+/// The target of a turn.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WantedTurn {
     /// +1 to the left, -1 to the right.
@@ -39,8 +39,8 @@ pub(super) struct WantedTurn {
 }
 
 impl TurningWay {
-    /// The way on from `pose` along the lanes that reaches the wanted change of heading first; without lanes, an arc that
-    /// an agent of `reach_m` meters of way within the scene can drive. `None` if no lane turns so.
+    /// The way on from `pose` along the lanes that reaches the target change of heading first; without lanes, an arc
+    /// that an agent of `reach_m` meters of way within the scene can drive. `None` if no lane turns so.
     pub(super) fn of(lanes: &LaneWays, pose: WayPose, wanted: WantedTurn, reach_m: f64) -> Option<Self> {
         if lanes.is_empty() {
             return Self::along(arc(pose, wanted, reach_m), pose, wanted);
@@ -51,8 +51,8 @@ impl TurningWay {
     }
 
     /// Where an agent that drives steps of these lengths should be on the line after each of them, meters: as far as it
-    /// has driven, but with a mean speed in the bend that is wanted, and evenly farther or less far where that does not end
-    /// where it is wanted.
+    /// has driven, but with a target mean speed in the bend, and evenly farther or less far where that does not end at
+    /// a target station.
     pub(super) fn stations_m(&self, steps_m: &[f64], wanted_step_m: [f64; 2]) -> Vec<f64> {
         let driven_m = |steps_m: &[f64]| -> Vec<f64> {
             let so_far = steps_m.iter().scan(self.start_m, |at_m, step_m| {
@@ -92,7 +92,7 @@ impl TurningWay {
         last
     }
 
-    /// The way along `line`, if it turns as wanted ahead of `pose`.
+    /// The way along `line`, if it reaches the target turn ahead of `pose`.
     fn along(line: Polyline, pose: WayPose, wanted: WantedTurn) -> Option<Self> {
         let start_m = line.project(pose.position)?.station_m;
         // The change of heading on each piece ahead, with the station at which the piece begins.
@@ -154,7 +154,7 @@ mod tests {
             // 70 % of 22.44 m are a quarter of a circle of 10 m, which ends 10 m ahead and aside.
             let way = TurningWay::of(&none, POSE, wanted, 5.0 * std::f64::consts::PI / 0.7).unwrap();
             assert!(way.line.0[way.line.0.len() - 2].distance(Vec2::new(10.0, sign * 10.0)) < 1e-9);
-            // The wanted change is reached where 1.371 rad of 10 m are driven, after 60 m before the pose.
+            // The target change is reached where 1.371 rad of 10 m are driven, after 60 m before the pose.
             assert!((way.wanted_m[0] - 60.0 - 13.71).abs() < 0.5, "{:?}", way.wanted_m);
             assert!(way.bend_m[0] < 62.5 && way.bend_m[1] < way.wanted_m[0]);
         }
@@ -170,7 +170,7 @@ mod tests {
         // Two of the steps end in the bend.
         assert_eq!(way(anywhere).stations_m(&steps_m, [0.0, 1.0]), [12.0, 13.0, 14.0, 16.0, 18.0]);
         assert_eq!(way(anywhere).stations_m(&steps_m, [3.0, 4.0]), [12.0, 15.0, 18.0, 20.0, 22.0]);
-        // What lacks at the end is shared by all.
+        // All steps share the shortfall at the end.
         assert_eq!(way([25.0, 30.0]).stations_m(&steps_m, any), [13.0, 16.0, 19.0, 22.0, 25.0]);
         assert_eq!(way([10.0, 15.0]).stations_m(&steps_m, any), [11.0, 12.0, 13.0, 14.0, 15.0]);
         assert_eq!(way([10.0, 10.0]).stations_m(&[0.0; 3], [1.0, 2.0]), [10.0; 3]);

@@ -15,8 +15,8 @@ const MAX_LANE_DISTANCE_M: f64 = 5.0;
 
 /// Largest acceleration of an agent, m/s²: the limit for generated traffic.
 const MAX_ACCELERATION_MPS2: f64 = 5.0;
-/// Recorded velocities disagree with the positions if they differ by more than this in the mean of a track, m/s. Positions
-/// rounded to millimeters explain some 0.01 m/s.
+/// Recorded velocities disagree with the positions if they differ by more than this in the mean of a track, m/s.
+/// Positions rounded to millimeters explain some 0.01 m/s.
 const MAX_VELOCITY_ERROR_MPS: f64 = 0.1;
 /// Lanes belong to a scene if they are within this distance of a place that an agent can reach, meters.
 const SURROUNDINGS_M: f64 = 10.0;
@@ -32,7 +32,8 @@ const MAX_SPEED_MPS: f64 = 1e6;
 /// throughout, or else among those tracked at present. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
-/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of the map.
+/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of
+/// the map.
 pub(super) fn assemble(
     mut raw: RawScene,
     map: Option<&LaneIndex>,

@@ -46,7 +46,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn cells_are_what_stands_between_commas(line in prop::collection::vec(prop_oneof![Just(b','), Just(b'-'), any::<u8>()], 0..200)) {
+        fn cells_are_what_stands_between_commas(
+            line in prop::collection::vec(prop_oneof![Just(b','), Just(b'-'), any::<u8>()], 0..200),
+        ) {
             let mut cells = vec![&b"left over"[..]];
             split_cells(&line, &mut cells);
             prop_assert_eq!(cells, line.split(|byte| *byte == b',').collect::<Vec<_>>());

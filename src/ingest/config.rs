@@ -14,8 +14,8 @@ pub struct IngestConfig {
     /// The dataset that the inputs belong to.
     #[schemars(schema_with = "dataset_schema")]
     pub dataset: Dataset,
-    /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded; with the feature
-    /// `cloud`, also such in object stores (`s3://bucket/x.zip`, `gs://bucket/folder`).
+    /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded; with the
+    /// feature `cloud`, also such in object stores (`s3://bucket/x.zip`, `gs://bucket/folder`).
     pub inputs: Vec<PathBuf>,
     /// Whether scenes must have maps.
     #[serde(default)]
@@ -42,7 +42,8 @@ pub struct IngestConfig {
     #[serde(default = "default_window_stride")]
     #[schemars(range(min = 1, max = 1_000_000))]
     pub window_stride: usize,
-    /// INTERACTION v1.1 recordings: the last share of each recording becomes the val split; scenes across the cut are dropped.
+    /// INTERACTION v1.1 recordings: the last share of each recording becomes the val split; scenes across the cut are
+    /// dropped.
     #[serde(default = "default_holdout_share")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub holdout_share: f64,
@@ -60,8 +61,8 @@ pub struct IngestConfig {
     /// Whether to keep static objects (Argoverse 2's static, background, construction, riderless bicycle).
     #[serde(default)]
     pub keep_static: bool,
-    /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any agent of it can reach,
-    /// meters.
+    /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any
+    /// agent of it can reach, meters.
     #[serde(default = "default_map_radius_m")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub map_radius_m: f64,

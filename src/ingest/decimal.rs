@@ -77,7 +77,7 @@ fn fifteen_digits(text: &[u8]) -> Option<(u64, usize)> {
     (1..=MAX_DIGITS).contains(&(point + n_decimals)).then_some((whole, n_decimals))
 }
 
-/// The same for at most eight bytes at once: no branch depends on where the number or its integer part ends.
+/// The digits of at most eight bytes at once: no branch depends on where the number or its integer part ends.
 fn eight_digits(text: &[u8]) -> Option<(u64, usize)> {
     let bytes = packed(text);
     let points = equal_bytes(bytes, b'.');

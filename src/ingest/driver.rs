@@ -33,13 +33,13 @@ pub struct IngestBatch {
 
 /// Reads the recordings of `config.inputs` and hands their scenes to `sink`, batch after batch, in a thread of its own.
 ///
-/// Batches, scenes and reports depend on the inputs and the configuration only, not on threads. To resume, pass the merged
-/// reports of the batches that were stored as `done`: their units are read over without being parsed. Returns the report
-/// of everything, `done` included.
+/// Batches, scenes and reports depend on the inputs and the configuration only, not on threads. To resume, pass the
+/// merged reports of the batches that were stored as `done`: their units are read over without being parsed. Returns
+/// the report of everything, `done` included.
 ///
 /// # Errors
-/// An input that cannot be read, a missing or damaged map, no scenes at all, or a failing sink. A damaged recording among
-/// many is no error: it is counted as a reject.
+/// An input that cannot be read, a missing or damaged map, no scenes at all, or a failing sink. A damaged recording
+/// among many is no error: it is counted as a reject.
 pub fn ingest(
     config: &IngestConfig,
     done: Option<&IngestReport>,

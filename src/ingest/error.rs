@@ -44,7 +44,7 @@ pub enum Error {
     Config {
         /// The offending key.
         key: String,
-        /// What is wrong and what to write instead.
+        /// The fault, and what to write instead.
         detail: String,
     },
     /// The operating system refused to read an input; its message names the path.
@@ -57,7 +57,7 @@ pub enum Error {
         container: PathBuf,
         /// The entry at fault, empty if the container itself is.
         file: String,
-        /// What is wrong.
+        /// The fault.
         detail: String,
     },
     /// A map cannot be read.
@@ -67,12 +67,13 @@ pub enum Error {
         file: String,
         /// Where in the file: a byte, line or element; empty if unknown.
         place: String,
-        /// What is wrong.
+        /// The fault.
         detail: String,
     },
     /// Maps are required and none was found.
     #[error(
-        "no {dataset} map found among {searched}; add the map files to `ingest.map_inputs`, or set `ingest.maps = \"none\"`"
+        "no {dataset} map found among {searched}; add the map files to `ingest.map_inputs`, or set \
+         `ingest.maps = \"none\"`"
     )]
     NoMaps {
         /// The dataset.
@@ -82,8 +83,8 @@ pub enum Error {
     },
     /// Maps are required and some places lack one.
     #[error(
-        "no map for {}: the maps found are for {}; add the missing ones to `ingest.map_inputs`, restrict `ingest.places`, \
-         or set `ingest.maps = \"none\"`", .missing.join(", "), .found.join(", ")
+        "no map for {}: the maps found are for {}; add the missing ones to `ingest.map_inputs`, restrict \
+         `ingest.places`, or set `ingest.maps = \"none\"`", .missing.join(", "), .found.join(", ")
     )]
     MissingMaps {
         /// Places without a map.

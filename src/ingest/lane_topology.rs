@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 /// Makes a graph of lanes whose connections are as a map lists them.
 ///
-/// Maps list a connection at one end only, to lanes outside the file, or to the lane itself: here every successor has its
-/// predecessor and nothing dangles. Maps also list the lane across the dividing line as a neighbor: a neighbor in the
-/// opposite direction is kept as the tag `opposite_left_neighbor` or `opposite_right_neighbor`.
+/// Maps list a connection at one end only, to lanes outside the file, or to the lane itself: here every successor has
+/// its predecessor and nothing dangles. Maps also list the lane across the dividing line as a neighbor: a neighbor in
+/// the opposite direction is kept as the tag `opposite_left_neighbor` or `opposite_right_neighbor`.
 pub(super) fn connect(mut lanes: Vec<Lane>) -> LaneGraph {
     let mut links: BTreeSet<(LaneId, LaneId)> = BTreeSet::new();
     for lane in &lanes {

@@ -96,7 +96,8 @@ pub struct RawScene {
     pub own_map: Option<Arc<LaneGraph>>,
 }
 
-/// A track that stands before it moves, in a recording without headings: those before `until_timestep` are placeholders.
+/// A track that stands before it moves, in a recording without headings: those before `until_timestep` are
+/// placeholders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HeadingGap {
     /// Index of the track.

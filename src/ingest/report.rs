@@ -1,4 +1,4 @@
-//! What an ingest read, kept and left out, by reason.
+//! The report of an ingest: what it read, kept and left out, by reason.
 
 use super::raw::Reject;
 use crate::scene::SceneSource;

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 #[path = "../../tests/skipped.rs"]
 mod skipped;
 
-/// The path of `relative` in the folder of development data, which is shared beside the crate or named by the environment
-/// variable `DJINN_DATA`. Where it is missing, says that the test is skipped.
+/// The path of `relative` in the folder of development data, which is shared beside the crate or named by the
+/// environment variable `DJINN_DATA`. Where it is missing, says that the test is skipped.
 pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
     let beside = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
     let path = std::env::var_os("DJINN_DATA").map_or(beside, PathBuf::from).join(relative);
@@ -18,8 +18,8 @@ pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
     Some(path)
 }
 
-/// The bytes with some damage: at each place (taken modulo the length), a byte is exchanged, then some are removed. Every
-/// seventh length cuts the rest off.
+/// The bytes with some damage: at each place (taken modulo the length), a byte is exchanged, then some are removed.
+/// Every seventh length cuts the rest off.
 pub(crate) fn damaged(bytes: &[u8], damages: &[(usize, u8, usize)]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for (place, byte, n_removed) in damages {

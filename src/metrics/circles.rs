@@ -51,7 +51,8 @@ mod tests {
         // Ends are at ±1 m, so those of two short cars in a row touch at 2 + 1.949 m.
         assert!(hit(&still, &agent(3.9, 3.94, 0.0, 0.0)) && !hit(&still, &agent(3.9, 3.96, 0.0, 0.0)));
         assert!(hit(&still, &agent(3.9, 0.0, 1.94, 0.0)) && !hit(&still, &agent(3.9, 0.0, 1.96, 0.0)));
-        // Across, the end of one points at the middle of the other: between ends at ±1 m, √(1 + d²) < 1.949 for d < 1.673.
+        // Across, the end of one points at the middle of the other: between ends at ±1 m, √(1 + d²) < 1.949 for
+        // d < 1.673.
         let across = |length_m: f64, d: f64| {
             let other = agent(3.9, 0.0, 1.0 + d, std::f64::consts::FRAC_PI_2);
             hit(&agent(length_m, 0.0, 0.0, 0.0), &other)

@@ -138,8 +138,8 @@ mod tests {
 
     #[test]
     fn crossing_cumulative_distributions_within_a_bin() {
-        // One bin's width w = 0.1. All of a in the bin in the middle; half of b in the one before, half in the one after: the
-        // difference goes from 0 to -½, to ½, to 0, with mean sizes ¼, ¼ and ¼.
+        // One bin's width w = 0.1. All of a in the bin in the middle; half of b in the one before, half in the one
+        // after: the difference goes from 0 to -½, to ½, to 0, with mean sizes ¼, ¼ and ¼.
         let (a, b) = (of([0.0, 40.0], [10.05]), of([0.0, 40.0], [9.95, 10.15]));
         assert!((a.wasserstein(&b).expect("values") - 0.075).abs() < 1e-9);
     }

@@ -13,9 +13,9 @@ const MAX_JERK_MPS3: f64 = 8.37;
 /// the noise of positions to stay small.
 const STRIDE_S: f64 = 0.3;
 
-/// Acceleration violation rate: of the motorized agents tracked at present, over all samples, the share whose acceleration
-/// exceeds 8 m/s² in size. From second differences of positions 0.3 s apart, the last of which lies in the future: the
-/// step from history to future counts.
+/// Acceleration violation rate: of the motorized agents tracked at present, over all samples, the share whose
+/// acceleration exceeds 8 m/s² in size. From second differences of positions 0.3 s apart, the last of which lies in the
+/// future: the step from history to future counts.
 #[derive(Debug, Clone, Copy)]
 pub struct AccelerationViolationRate;
 

@@ -17,7 +17,8 @@ impl Metric for Mfd {
             id: "mfd_m",
             unit: "m",
             direction: Direction::Neither,
-            description: "largest distance between the last positions of an agent in two samples, mean over sampled agents",
+            description: "largest distance between the last positions of an agent in two samples, mean over sampled \
+                          agents",
         }
     }
 

@@ -48,8 +48,8 @@ pub struct Mixture {
 }
 
 impl Mixture {
-    /// Fits a mixture to points of equal length. The starts are means drawn by k-means++ (Arthur and Vassilvitskii 2007)
-    /// from `seed`, to which points are assigned whole.
+    /// Fits a mixture to points of equal length. The starts are means drawn by k-means++ (Arthur and
+    /// Vassilvitskii 2007) from `seed`, to which points are assigned whole.
     ///
     /// `None` without components or starts, with fewer points than components, with points that are empty, of different
     /// lengths or not finite, or with a floor that is not positive.
@@ -64,7 +64,7 @@ impl Mixture {
             let mut rng = seed.derive("mixture", &[start as u64]).rng();
             Self::fit_from(points, &spread_out(points, options.n_components, &mut rng), options)
         };
-        // Of equally likely fits, the first counts.
+        // The first among equally likely fits counts.
         let better =
             |best: Self, other: Self| if other.log_likelihood() > best.log_likelihood() { other } else { best };
         (0..options.n_starts).map(start).reduce(better).map(Self::sorted)
@@ -110,8 +110,8 @@ impl Mixture {
     }
 }
 
-/// k-means++: the first center is any point, each further one a point drawn with a probability proportional to its squared
-/// distance from the nearest center so far.
+/// k-means++: the first center is any point, each further one a point drawn with a probability proportional to its
+/// squared distance from the nearest center so far.
 fn spread_out(points: &[Vec<f64>], n_centers: usize, rng: &mut SeededRng) -> Vec<Vec<f64>> {
     let mut centers = vec![points[rng.below(points.len())].clone()];
     let mut nearest: Vec<f64> = points.iter().map(|point| squared_distance(point, &centers[0])).collect();
@@ -144,8 +144,8 @@ fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
 
-/// The M step: weights, means and floored variances that make the points likeliest. A component without points keeps its
-/// mean and variance.
+/// The M step: weights, means and floored variances that make the points likeliest. A component without points keeps
+/// its mean and variance.
 fn maximize(points: &[Vec<f64>], responsibilities: &[Vec<f64>], min_std: f64, components: &mut [Component]) {
     for (k, component) in components.iter_mut().enumerate() {
         let share: f64 = responsibilities.iter().map(|shares| shares[k]).sum();

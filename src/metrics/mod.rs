@@ -12,13 +12,17 @@
 //!
 //! The benchmarks' figures, by their names there. If two benchmarks define the same number, there is one metric:
 //!
-//! | Benchmark | Its figures |
-//! |---|---|
-//! | Argoverse 1 | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, p-minADE `p_min_ade_m`, p-minFDE `p_min_fde_m`, p-MR `p_miss_rate`, brier-minADE `brier_min_ade_m`, brier-minFDE `brier_min_fde_m`, DAC `drivable_area_compliance` |
-//! | Argoverse 2, one agent | minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, brier-minFDE `brier_min_fde_m` |
-//! | Argoverse 2, worlds | avgMinADE `avg_min_ade_m`, avgMinFDE `avg_min_fde_m`, avgBrierMinFDE `avg_brier_min_fde_m`, actorMR `actor_miss_rate`, actorCR `actor_collision_rate` |
-//! | INTERACTION, one agent | minADE `min_ade_m`, minFDE `min_fde_m`, MR `miss_rate` |
-//! | INTERACTION, many agents | minJointADE `min_joint_ade_m`, minJointFDE `min_joint_fde_m`, minJointMR `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate `cross_collision_rate`, EgoCollisionRate `ego_collision_rate` |
+//! - Argoverse 1: minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, p-minADE `p_min_ade_m`, p-minFDE
+//!   `p_min_fde_m`, p-MR `p_miss_rate`, brier-minADE `brier_min_ade_m`, brier-minFDE `brier_min_fde_m`, DAC
+//!   `drivable_area_compliance`;
+//! - Argoverse 2, one agent: minADE `min_ade_of_min_fde_m`, minFDE `min_fde_m`, MR `miss_rate`, brier-minFDE
+//!   `brier_min_fde_m`;
+//! - Argoverse 2, worlds: avgMinADE `avg_min_ade_m`, avgMinFDE `avg_min_fde_m`, avgBrierMinFDE `avg_brier_min_fde_m`,
+//!   actorMR `actor_miss_rate`, actorCR `actor_collision_rate`;
+//! - INTERACTION, one agent: minADE `min_ade_m`, minFDE `min_fde_m`, MR `miss_rate`;
+//! - INTERACTION, many agents: minJointADE `min_joint_ade_m`, minJointFDE `min_joint_fde_m`, minJointMR
+//!   `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate
+//!   `cross_collision_rate`, EgoCollisionRate `ego_collision_rate`.
 //!
 //! The benchmarks take six guesses: with more samples, compare the figures over six [`Modes`].
 

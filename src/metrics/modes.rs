@@ -184,7 +184,8 @@ mod tests {
 
     const TWO: fn() -> ModesConfig = || ModesConfig { n_modes: 2, ..ModesConfig::default() };
 
-    /// Two cars. The first goes on straight or turns left, by which the samples differ; those of a kind differ by little.
+    /// Two cars. The first goes on straight or turns left, by which the samples differ; those of a kind differ by
+    /// little.
     fn samples() -> Vec<Scene> {
         let sample = |curvature_1pm: f64, y: f64| {
             let first = Drive { curvature_1pm, ..Drive::straight(0.0, 0.0, 0.0, 10.0) };

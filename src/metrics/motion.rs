@@ -1,7 +1,7 @@
 //! The quantities of motion whose distributions are compared: speeds, accelerations, distances and others.
 //!
-//! Everything is derived from positions and headings in the same way for recorded and generated scenes, because generated ones
-//! have no measured velocities.
+//! Everything is derived from positions and headings in the same way for recorded and generated scenes, because
+//! generated ones have no measured velocities.
 
 use super::histogram::Histogram;
 use super::sample_group::future;
@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 const DISTANCE_STRIDE: usize = 5;
 /// Below this speed headings are unreliable, meters per second.
 const MOVING_MPS: f64 = 1.0;
-/// Time between the positions whose third differences are taken, seconds: the noise of positions is divided by its cube.
+/// Time between the positions whose third differences are taken, seconds: the noise of positions is divided by its
+/// cube.
 const JERK_STRIDE_S: f64 = 0.3;
 /// Times to collision are capped at this, seconds (as in the Waymo sim agents challenge).
 const MAX_TTC_S: f64 = 5.0;
@@ -81,7 +82,8 @@ pub static MOTION: [MotionQuantity; 6] = [
     MotionQuantity {
         title: "time to collision",
         unit: "s",
-        description: "until boxes touch at present velocities, the least over others; 5 s if that is later or never; every half second",
+        description: "until boxes touch at present velocities, the least over others; 5 s if that is later or never; \
+                      every half second",
         range: [0.0, MAX_TTC_S],
         values: times_to_collision,
     },
@@ -203,8 +205,8 @@ mod tests {
     use crate::scene::testing::{self, Drive};
     use crate::scene::{State, Trajectory};
 
-    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second, and 6 m/s² each second
-    /// if `jerk` says so.
+    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second, and 6 m/s² each
+    /// second if `jerk` says so.
     fn scene(jerk: f64) -> Scene {
         let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)]);
         let states = (0..scene.n_timesteps).map(|timestep| {
@@ -241,8 +243,8 @@ mod tests {
 
     #[test]
     fn times_to_collision_by_hand() {
-        // The follower is 4 m/s faster; at the first future timestep, after 0.4 s, its center is 20 - 1.6 m behind, and a length of
-        // 4.5 m less between boxes: 13.9 m. Half a second later 2 m less. A third one drives by itself.
+        // The follower is 4 m/s faster; at the first future timestep, after 0.4 s, its center is 20 - 1.6 m behind, and
+        // a length of 4.5 m less between boxes: 13.9 m. Half a second later 2 m less. A third one drives by itself.
         let drives = [Drive::straight(20.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 0.0, 0.0, 14.0)];
         let times = times_to_collision(&testing::scene(&[drives[0], drives[1], Drive::straight(0.0, 30.0, 0.0, 10.0)]));
         let expected = [13.9 / 4.0, 13.9 / 4.0, 5.0, 11.9 / 4.0, 11.9 / 4.0, 5.0];

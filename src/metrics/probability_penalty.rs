@@ -24,10 +24,10 @@ pub enum Penalty {
     Brier,
 }
 
-/// A distance in the sample of the ego that ends closest to the recording (of equally close ones the first), plus a penalty
-/// for its probability: p-minADE, p-minFDE, brier-minADE and brier-minFDE of Argoverse 1; brier-minFDE is Argoverse 2's
-/// too. Probabilities are scaled to a sum of 1 over the samples. Samples without probabilities are equally likely, and
-/// the penalty depends on their number alone.
+/// A distance in the sample of the ego that ends closest to the recording (of equally close ones the first), plus a
+/// penalty for its probability: p-minADE, p-minFDE, brier-minADE and brier-minFDE of Argoverse 1; brier-minFDE is
+/// Argoverse 2's too. Probabilities are scaled to a sum of 1 over the samples. Samples without probabilities are
+/// equally likely, and the penalty depends on their number alone.
 #[derive(Debug, Clone, Copy)]
 pub struct PenalizedMinimum(
     /// The distance.

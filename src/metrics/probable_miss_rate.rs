@@ -16,8 +16,8 @@ impl Metric for ProbableMissRate {
             id: "p_miss_rate",
             unit: "1",
             direction: Direction::LowerIsBetter,
-            description: "Argoverse's p-MR: 1 where every sample of the ego misses the recorded last state, else 1 - p of the \
-                          sample that ends closest to it",
+            description: "Argoverse's p-MR: 1 where every sample of the ego misses the recorded last state, else 1 - p \
+                          of the sample that ends closest to it",
         }
     }
 

@@ -10,7 +10,7 @@ use std::fmt;
 pub enum Group {
     /// The recordings that a sweep continues.
     Recorded,
-    /// The same, with every agent continued at constant velocity.
+    /// Recorded scenes, with every agent extrapolated at constant velocity.
     ConstantVelocity,
     /// Samples of a sweep that are forecasts: [`Provenance::is_unguided`].
     Unguided,

@@ -87,7 +87,8 @@ mod tests {
     fn where_the_map_does_not_say_where_the_road_is_nobody_leaves_it() {
         // A car on the only lane, which drives off it.
         let spec: Result<SceneSpec, _> = toml::from_str(
-            "agents = [{ id = \"a\", start = { x_m = 0, y_m = 0, speed_mps = 10 }, segments = [{ duration_s = 2.0 }, { duration_s = 1.0, turn_deg = 60 }] }]
+            "agents = [{ id = \"a\", start = { x_m = 0, y_m = 0, speed_mps = 10 }, segments = [{ duration_s = 2.0 }, \
+             { duration_s = 1.0, turn_deg = 60 }] }]
             lanes = [{ id = 1, centerline = [[-50, 0], [100, 0]], width_m = 3.6 }]",
         );
         let leaving = spec.expect("valid").build("leaving");

@@ -1,4 +1,5 @@
-//! Tests that concern every metric: hand-computed example scenes, independence of the frame, the recording as its own sample.
+//! Tests that concern every metric: hand-computed example scenes, independence of the frame, the recording as its own
+//! sample.
 
 use super::{ALL, Metric, ModesOf, SampleGroup, by_id, constant_velocity};
 use crate::behavior::testing::{LaneSpec, SceneSpec, cases_in, random_scene, transformed};
@@ -19,13 +20,13 @@ struct MetricCase {
     samples: Vec<SceneSpec>,
     /// How likely the samples are, where they are not equally likely.
     probabilities: Option<Vec<f64>>,
-    /// Who was asked, as [role, agent].
+    /// The requested agents, as [role, agent].
     #[serde(default)]
     asked: Vec<[String; 2]>,
     value: Option<f64>,
 }
 
-/// The figure where the first two agents were asked to be ego and other.
+/// The figure where the first two agents are requested as ego and other.
 fn evaluate(metric: &dyn Metric, recorded: &Scene, samples: &[Scene]) -> Option<f64> {
     let roles = ["ego", "other"].into_iter().map(str::to_owned);
     let asked: Roles = roles.zip(recorded.tracks.iter().map(|track| track.id.clone())).collect();
@@ -219,7 +220,7 @@ fn constant_velocity_goes_straight_on_from_the_present() {
 }
 
 proptest! {
-    // The same cases in every run.
+    // Fixed seed: every run has the same cases.
     #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(7), ..ProptestConfig::with_cases(40) })]
     #[test]
     fn the_frame_does_not_matter(seed in 0..10_000u64, x in -1e3..1e3f64, y in -1e3..1e3f64, angle in -3.0..3.0f64) {

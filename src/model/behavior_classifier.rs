@@ -43,8 +43,8 @@ pub struct BehaviorClassifier {
 }
 
 impl BehaviorClassifier {
-    /// A classifier of pairs over `n_timesteps` with `state_dim` diffused dimensions, whose parameters live in `params`;
-    /// those that are not there yet are drawn from `seed`.
+    /// A classifier of pairs over `n_timesteps` with `state_dim` diffused dimensions, whose parameters live in
+    /// `params`; those that are not there yet are drawn from `seed`.
     ///
     /// # Errors
     /// Fails when the parameters exist with other shapes.
@@ -68,8 +68,8 @@ impl BehaviorClassifier {
         &self.edm
     }
 
-    /// ln p / (1 - p) of the behavior for each pair, (B). `x` (B, A, T, D) are diffused states at the noise levels `sigma`
-    /// (B), of the batch that `features` was made for. Differentiable in `x`.
+    /// ln p / (1 - p) of the behavior for each pair, (B). `x` (B, A, T, D) are diffused states at the noise levels
+    /// `sigma` (B), of the batch that `features` was made for. Differentiable in `x`.
     ///
     /// # Errors
     /// Fails when shapes do not fit.
@@ -87,8 +87,8 @@ impl BehaviorClassifier {
 /// # Errors
 /// Fails when the device does.
 pub fn log_sigmoid(logits: &Tensor) -> Result<Tensor> {
-    // -ln(exp(0) + exp(-z)). The usual form with |z| and max(z, 0) has the wrong slope at exactly 0 in candle, where the
-    // subgradients of its parts do not cancel.
+    // -ln(exp(0) + exp(-z)). The usual form with |z| and max(z, 0) has the wrong slope at exactly 0 in candle, where
+    // the subgradients of its parts do not cancel.
     Tensor::stack(&[logits.zeros_like()?, logits.neg()?], 1)?.log_sum_exp(1)?.neg()
 }
 

@@ -1,4 +1,4 @@
-//! What the checkpoint of a behavior classifier says, beside the weights.
+//! The description of a behavior classifier in its checkpoint, beside the weights.
 
 use super::{BehaviorClassifier, BehaviorClassifierConfig, ModelSpec, TrainedModel};
 use crate::diffusion::Edm;
@@ -8,7 +8,7 @@ use crate::tensor::{Normalizer, PairFeatures, SceneBatch};
 use candle_core::Result;
 use serde::{Deserialize, Serialize};
 
-/// What a classifier is, beside its weights.
+/// The specification of a classifier, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClassifierSpec {
@@ -54,7 +54,7 @@ pub enum ClassifierKind {
 }
 
 impl ClassifierSpec {
-    /// What the classifier sees of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
+    /// The classifier's input for agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
     ///
     /// # Errors
     /// Fails when there is not one pair a row or a place lies outside the agent axis.

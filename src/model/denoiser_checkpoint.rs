@@ -1,4 +1,4 @@
-//! What the checkpoint of a denoiser says, beside the weights.
+//! The description of a denoiser in its checkpoint, beside the weights.
 
 use super::event_input::EventInput;
 use super::{ModelSpec, NetworkConfig, SceneDenoiser, TrainedModel};
@@ -9,7 +9,7 @@ use crate::tensor::{Collator, EventVocabulary, Normalizer, Sight};
 use candle_core::{DType, Device, Tensor};
 use serde::{Deserialize, Serialize};
 
-/// What a denoiser is, beside its weights.
+/// The specification of a denoiser, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DenoiserSpec {
@@ -38,19 +38,20 @@ pub struct DenoiserSpec {
     pub seed: u64,
     /// Fingerprint of the scenes it was trained on.
     pub scenes: String,
-    /// The objectives that it was trained toward, as in the configuration; of a distilled denoiser those of its teacher come first.
+    /// The objectives that it was trained toward, as in the configuration; of a distilled denoiser those of its teacher
+    /// come first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub objectives: Vec<serde_json::Value>,
-    /// What its loss on held-out scenes became of changes to what it was told; empty where nobody measured it.
+    /// Its loss on held-out scenes after changes to its inputs; empty where nobody measured it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed_losses: Vec<ChangedLoss>,
     /// Its loss on held-out scenes place by place; empty where nobody measured it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub losses_by_place: Vec<PlaceLoss>,
-    /// The events that it can be told of; `None` if it was not trained on any.
+    /// The events that it can be conditioned on; `None` if it was not trained on any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub events: Option<EventVocabulary>,
-    /// What it was distilled to; `None` for an ordinary denoiser.
+    /// The target of its distillation; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
 }
@@ -59,7 +60,7 @@ pub struct DenoiserSpec {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChangedLoss {
-    /// What was changed.
+    /// The change.
     pub change: SceneChange,
     /// Noise level.
     pub sigma: f64,
@@ -79,7 +80,7 @@ pub struct PlaceLoss {
     pub sigma: f64,
     /// The loss.
     pub loss: f64,
-    /// The same with lanes turned by 90 degrees around the ego agent.
+    /// The loss with lanes turned by 90 degrees around the ego agent.
     pub map_turned: f64,
 }
 
@@ -119,13 +120,13 @@ impl SceneChange {
         [Self::AsRecorded, Self::MapTurned, Self::MapShifted, Self::NoMap, Self::EgoOnly, Self::EgoAlone];
 }
 
-/// What a denoiser was distilled to, which decides how it is sampled.
+/// The target of a distillation, which decides how the denoiser is sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Distillation {
     /// Its answer leads to the next of these noise levels in one Euler step.
     Steps {
-        /// The noise levels at which it can be asked, and 0.
+        /// The noise levels at which it can be evaluated, and 0.
         sigmas: Vec<f64>,
     },
 }
@@ -150,8 +151,8 @@ impl DenoiserSpec {
         }
     }
 
-    /// How scenes become batches to sample. The geometric network takes any number of agents, and nobody is left out: who is left out
-    /// ends where the past does.
+    /// How scenes become batches to sample. The geometric network takes any number of agents, and nobody is left out:
+    /// who is left out ends where the past does.
     pub fn sampling_collator(&self) -> Collator {
         let max_agents = if self.network.geometry.is_some() { usize::MAX } else { self.max_agents };
         Collator { max_agents, ..self.collator() }
@@ -159,8 +160,8 @@ impl DenoiserSpec {
 }
 
 impl DenoiserSpec {
-    /// The checkpoint with the inputs for events that this denoiser has: at 0 where `start` has none, so that the network gives the
-    /// same answers, and without those of `start` where it has none itself.
+    /// The checkpoint with the inputs for events that this denoiser has: at 0 where `start` has none, so that the
+    /// network gives the same answers, and without those of `start` where it has none itself.
     ///
     /// # Errors
     /// When the device runs out of memory.

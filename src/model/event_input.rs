@@ -1,12 +1,12 @@
-//! How a network is told of events: a projection that starts at zero.
+//! Event conditioning of a network: a projection that starts at zero.
 
 use crate::nn::{Init, Scope};
 use candle_core::{Result, Tensor};
 
-/// The projection of what agents are told of events, added to their tokens.
+/// The projection of the event inputs of agents, added to their tokens.
 ///
-/// Its weights begin at 0, so that a network that starts from a checkpoint without them gives the same answers. It has no bias:
-/// agents that are told nothing are as in such a network at any time.
+/// Its weights begin at 0, so that a network that starts from a checkpoint without them gives the same answers. It has
+/// no bias: agents without an event are as in such a network at any time.
 #[derive(Debug, Clone)]
 pub(super) struct EventInput {
     weight: Tensor,
@@ -24,7 +24,7 @@ impl EventInput {
         Ok(Self { weight: scope.enter("event").tensor("weight", &[width, n_inputs], Init::Zeros)? })
     }
 
-    /// What is added to the tokens of each agent: (B, A, E) to (B, A, width).
+    /// The addition to the tokens of each agent: (B, A, E) to (B, A, width).
     ///
     /// # Errors
     /// Fails when E is not the number of inputs.

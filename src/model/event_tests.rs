@@ -1,5 +1,5 @@
-//! Events as inputs of the geometric network: nothing changes before training, every told input learns, and only agents that take
-//! part are told.
+//! Events as inputs of the geometric network: nothing changes before training, every given input learns, and only
+//! agents that take part have inputs.
 
 use super::event_input::EventInput;
 use super::tests::noisy;

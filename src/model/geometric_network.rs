@@ -1,9 +1,9 @@
-//! F_θ of the geometric denoiser: a transformer over short stretches of motion that is told, at every noise level, where each
-//! agent's estimate is and what surrounds it there.
+//! F_θ of the geometric denoiser: a transformer over short stretches of motion that sees, at every noise level, where
+//! each agent's estimate is and what surrounds it there.
 //!
-//! Beside what DJINN's own network sees it sees the lanes around each agent in the agent's frame, and for each token its own
-//! pose, its nearest neighbors and its nearest lanes at the pose of the estimate (`relations`). A token is a stretch of
-//! `patch` timesteps of one agent.
+//! Beside what DJINN's own network sees it sees the lanes around each agent in the agent's frame, and for each token
+//! its own pose, its nearest neighbors and its nearest lanes at the pose of the estimate (`relations`). A token is a
+//! stretch of `patch` timesteps of one agent.
 
 use super::event_input::EventInput;
 use super::relations::{self, Counts, Relations};
@@ -24,12 +24,12 @@ const TOKEN_PERIODS: (f64, f64) = (2.0, 200.0);
 const POSITION_M: f64 = 10.0;
 /// Meters per unit of positions in the ego frame.
 const EGO_POSITION_M: f64 = 50.0;
-/// Known features of a timestep: pose of the reference in the agent's frame (4), observed velocity (2), valid, observed,
-/// latent.
+/// Known features of a timestep: pose of the reference in the agent's frame (4), observed velocity (2), valid,
+/// observed, latent.
 const KNOWN: usize = 9;
 
-/// Known features of an agent beside its attributes: origin and rotation of its frame in the ego frame (4), size (2), whether it
-/// is never observed.
+/// Known features of an agent beside its attributes: origin and rotation of its frame in the ego frame (4), size (2),
+/// whether it is never observed.
 const AGENT_CONSTANTS: usize = 7;
 
 /// The network.
@@ -67,7 +67,7 @@ pub(super) struct KnownTokens {
 }
 
 impl GeometricNetwork {
-    /// A network for states of `state_dim` dimensions that can be told of events by `n_event_inputs` inputs (0: of none), with
+    /// A network for states of `state_dim` dimensions with `n_event_inputs` inputs for events (0: none), with
     /// parameters below `scope`.
     ///
     /// # Errors
@@ -163,8 +163,8 @@ impl GeometricNetwork {
         Ok(KnownTokens { input, lanes: self.trunk.project_keys(&lanes, &lane_valid)?.of_agents(), valid, read })
     }
 
-    /// F_θ for the noisy states of `seen` (B, A, T, 4 D), of which the estimate has `poses` (B, A, T, 3), at `c_noise` (B):
-    /// (B, A, T, D).
+    /// F_θ for the noisy states of `seen` (B, A, T, 4 D), of which the estimate has `poses` (B, A, T, 3), at `c_noise`
+    /// (B): (B, A, T, D).
     ///
     /// # Errors
     /// Fails when shapes do not fit.
@@ -220,7 +220,7 @@ impl GeometricNetwork {
 }
 
 impl KnownTokens {
-    /// The same for each row taken `n` times in a row.
+    /// The tokens with each row taken `n` times in a row.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.
@@ -242,7 +242,7 @@ fn pool(perceptron: &Mlp, entries: &Tensor, valid: &Tensor) -> Result<Tensor> {
     pool_positive(&perceptron.forward_valid(entries, valid)?)
 }
 
-/// What is known of each state, in the agent's own frame: (B, A, T, `KNOWN`).
+/// The features of what is known of each state, in the agent's own frame: (B, A, T, `KNOWN`).
 fn known_features(batch: &SceneBatch) -> Result<Tensor> {
     let Some(surroundings) = &batch.surroundings else {
         candle_core::bail!("the batch was collated without what surrounds its agents");

@@ -1,5 +1,5 @@
-//! The geometric network: gradients reach every parameter, padding and the order of agents do not matter, lanes and neighbors
-//! do, and scenes that lack something work.
+//! The geometric network: gradients reach every parameter, padding and the order of agents do not matter, lanes and
+//! neighbors do, and scenes that lack something work.
 
 use super::tests::noisy;
 use super::*;

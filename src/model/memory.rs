@@ -1,8 +1,9 @@
 //! How many numbers do networks keep: parameters, and what a pass over a batch leaves behind?
 //!
-//! Closed forms in the shapes of layers, counted where networks are defined ([`trunk`](super::trunk), [`network`](super::network),
-//! [`geometric_network`](super::geometric_network), [`scene_transformer`](super::scene_transformer)); what is small beside them, such as
-//! biases, is left out. They are floating-point numbers: a size that no machine has must not overflow.
+//! Closed forms in the shapes of layers, counted where networks are defined ([`trunk`](super::trunk),
+//! [`network`](super::network), [`geometric_network`](super::geometric_network),
+//! [`scene_transformer`](super::scene_transformer)); what is small beside them, such as biases, is left out. They are
+//! floating-point numbers: a size that no machine has must not overflow.
 
 use super::relations::{LANE, NEIGHBOR, OWN};
 use super::{BehaviorClassifierConfig, NetworkConfig, SceneTransformerConfig};
@@ -53,7 +54,8 @@ impl Stack<'_> {
         let n_layers = |kind: char| self.layers.chars().filter(|letter| *letter == kind).count() as f64;
         let (time, agents, map) = (n_layers('T'), n_layers('A'), n_layers('M'));
         let keys = map * n_lane_rows * 2.0 * width;
-        // Own layers keep two norms, queries, keys and values, what is mixed, two results and two sums; map layers a query alone.
+        // Own layers keep two norms, queries, keys and values, what is mixed, two results and two sums; map layers a
+        // query alone.
         let own = |length: f64| rows * (10.0 * width + feed_forward + n_heads * length);
         let read = rows * (8.0 * width + feed_forward + n_heads * n_lanes);
         NumberCounts {
@@ -65,7 +67,7 @@ impl Stack<'_> {
 }
 
 impl NumberCounts {
-    /// The same for `n` rows in the place of one, with the same parameters.
+    /// The counts for `n` rows in the place of one, with the same parameters.
     fn repeated(self, n: f64) -> Self {
         Self { activations: n * self.activations, alive: n * self.alive, ..self }
     }
@@ -81,7 +83,7 @@ impl NumberCounts {
 }
 
 impl NetworkConfig {
-    /// What the denoiser keeps for scenes of this size.
+    /// Numbers that the denoiser keeps for scenes of this size.
     pub fn number_counts(&self, scene: SceneSize) -> NumberCounts {
         let (width, dim) = (self.width as f64, scene.state_dim as f64);
         let (n_agents, n_timesteps) = (scene.n_agents as f64, scene.n_timesteps as f64);
@@ -95,7 +97,7 @@ impl NetworkConfig {
             n_lanes,
             n_lane_rows,
         };
-        // Of each agent, the batch holds its motion's matrices along time.
+        // The batch holds the matrices of each agent's motion along time.
         let matrices = n_agents * n_timesteps * n_timesteps * (1.0 + dim);
         let counts = match &self.geometry {
             None => {
@@ -130,7 +132,7 @@ impl NetworkConfig {
 }
 
 impl SceneTransformerConfig {
-    /// What the baseline keeps for scenes of this size.
+    /// Numbers that the baseline keeps for scenes of this size.
     pub fn number_counts(&self, scene: SceneSize) -> NumberCounts {
         let (width, lanes) = (self.width as f64, scene.n_lanes as f64);
         let stack = |layers: &str| {
@@ -158,7 +160,7 @@ impl SceneTransformerConfig {
 }
 
 impl BehaviorClassifierConfig {
-    /// What the classifier keeps for pairs in scenes of this size.
+    /// Numbers that the classifier keeps for pairs in scenes of this size.
     pub fn number_counts(&self, scene: SceneSize) -> NumberCounts {
         let inputs = (PairFeatures::n_features(scene.n_timesteps, scene.state_dim) + self.encoding) as f64;
         let (width, n_hidden) = (self.width as f64, self.n_hidden as f64);

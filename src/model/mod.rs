@@ -1,9 +1,11 @@
-//! The networks: DJINN's scene denoiser, the behavior classifiers that guide it, and the Scene Transformer to compare with.
+//! The networks: DJINN's scene denoiser, the behavior classifiers that guide it, and the Scene Transformer to compare
+//! with.
 //!
 //! The denoiser has one of two networks. `network` is the paper's. `geometric_network` sees geometry in common frames:
 //! at every noise level, a linear filter along the modes of motion turns the noisy states into a first estimate, which
 //! is decoded to poses. `relations` looks up the nearest neighbors and lanes of each agent at those poses, on the host
-//! and outside every gradient. Weights of `event_input` begin at zero, so that a trained network can be told of events.
+//! and outside every gradient. Weights of `event_input` begin at zero, so that events can be added to a trained
+//! network.
 
 mod behavior_classifier;
 mod classifier_checkpoint;

@@ -27,8 +27,8 @@ pub struct NetworkConfig {
     /// Features of each sinusoidal encoding (the paper's 256); even.
     #[schemars(range(min = 2, max = 16_384), extend("multipleOf" = 2))]
     pub encoding: usize,
-    /// Shortest and longest period of the encodings of diffused states, in units of c_in(σ) x (the paper's 0.01 and 10). Periods
-    /// far below 1 carry nothing but noise while σ is large.
+    /// Shortest and longest period of the encodings of diffused states, in units of c_in(σ) x (the paper's 0.01 and
+    /// 10). Periods far below 1 carry nothing but noise while σ is large.
     pub latent_periods: [f64; 2],
     /// Whether the network also sees the residuals that diffused motion adds up to (motion parametrization only).
     pub path_input: bool,
@@ -114,8 +114,8 @@ impl Default for NetworkConfig {
 }
 
 impl NetworkConfig {
-    /// The same size of network for states that are no motion: the paper's, with its encodings of diffused states, no wider than the
-    /// network itself.
+    /// A network of this size for states that are no motion: the paper's, with its encodings of diffused states, no
+    /// wider than the network itself.
     #[must_use]
     pub fn without_paths(self) -> Self {
         let Self { latent_periods, path_input, geometry, .. } = Self::default();
@@ -155,7 +155,7 @@ pub struct Known {
 }
 
 impl Known {
-    /// The same for each row taken `n` times in a row. Maps are shared, not repeated.
+    /// The known input with each row taken `n` times in a row. Maps are shared, not repeated.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.
@@ -191,7 +191,8 @@ impl SceneNetwork {
     }
 
     /// Encodes what does not change between calls: known states `context` (B, A, T, D), agent features (B, A, T, C),
-    /// lane polylines (M, L, F) with `lane_valid` (M, L), `valid` (B, A, T) and `latent` (B, A, T), where results are read.
+    /// lane polylines (M, L, F) with `lane_valid` (M, L), `valid` (B, A, T) and `latent` (B, A, T), where results are
+    /// read.
     ///
     /// # Errors
     /// Fails when shapes do not fit the network.
@@ -213,7 +214,8 @@ impl SceneNetwork {
         })
     }
 
-    /// F_θ for scaled noisy states `x` (B, A, T, D), zero where not latent, at `c_noise` (B): (B, A, T, D), zero there, too.
+    /// F_θ for scaled noisy states `x` (B, A, T, D), zero where not latent, at `c_noise` (B): (B, A, T, D), zero there,
+    /// too.
     ///
     /// # Errors
     /// Fails when shapes do not fit.

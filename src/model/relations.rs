@@ -1,8 +1,8 @@
-//! Where is a noisy agent, and what is around it there? Poses of an estimate to features of each agent at each token: its
-//! own pose, its nearest neighbors, its nearest lanes.
+//! Where is a noisy agent, and what is around it there? Poses of an estimate to features of each agent at each token:
+//! its own pose, its nearest neighbors, its nearest lanes.
 //!
-//! All of it is looked up on the host and outside of every gradient: which neighbor or lane is nearest jumps, and a network
-//! that is told so at every noise level has its gradients through the states themselves.
+//! All of it is looked up on the host and outside of every gradient: which neighbor or lane is nearest jumps, and a
+//! network that sees them at every noise level has its gradients through the states themselves.
 
 mod lanes;
 
@@ -18,7 +18,8 @@ pub(super) const OWN: usize = 10;
 /// Features of a neighbor.
 pub(super) const NEIGHBOR: usize = 17;
 
-/// Meters per unit of positions in an agent's own frame, and where those relative to a neighbor are half of their limit.
+/// Meters per unit of positions in an agent's own frame, and where those relative to a neighbor are half of their
+/// limit.
 const POSITION_M: f32 = 10.0;
 /// Meters per unit of positions in the ego frame.
 const EGO_POSITION_M: f32 = 50.0;
@@ -29,7 +30,7 @@ const NO_FRAME: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 /// Meters per second per unit of velocity.
 const SPEED_MPS: f32 = 10.0;
 
-/// What the network is told of the estimate: B rows, A agents, N tokens, K neighbors, L lanes.
+/// Features of the estimate that the network sees: B rows, A agents, N tokens, K neighbors, L lanes.
 pub(super) struct Relations {
     /// The frame of each pose, as [`map_frames`](crate::nn::ops::map_frames) takes it, (B, A, N, 4).
     pub(super) frames: Tensor,
@@ -79,7 +80,8 @@ struct Row<'a> {
 }
 
 impl Relations {
-    /// What surrounds the agents of `batch` at decoded `poses` (B, A, T, 3), meters and radians in the ego frame of each row.
+    /// The surroundings of the agents of `batch` at decoded `poses` (B, A, T, 3), meters and radians in the ego frame
+    /// of each row.
     pub(super) fn new(batch: &SceneBatch, poses: &Tensor, counts: Counts) -> Result<Self> {
         let Some(surroundings) = &batch.surroundings else {
             candle_core::bail!("the batch was collated without what surrounds its agents");
@@ -125,7 +127,8 @@ impl Relations {
     }
 }
 
-/// The pose of each agent at the last valid timestep of each token, with its mean velocity since the token before, (A, N).
+/// The pose of each agent at the last valid timestep of each token, with its mean velocity since the token before,
+/// (A, N).
 fn token_poses(poses: &[f32], valid: &[f32], [a, t, n, patch]: [usize; 4], dt_s: f32) -> Vec<Option<Pose>> {
     let mut found = vec![None; a * n];
     for agent in 0..a {
@@ -218,7 +221,8 @@ fn own_features(pose: &Pose, [x0, y0, cos0, sin0]: [f32; 4]) -> [f32; OWN] {
     ]
 }
 
-/// Distance of two boxes along the axis on which they are farthest apart, negative where they overlap (separating axes).
+/// Distance of two boxes along the axis on which they are farthest apart, negative where they overlap (separating
+/// axes).
 fn gap_m(a: &Pose, of_a: &AgentSurroundings, b: &Pose, of_b: &AgentSurroundings) -> f32 {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let (cos, sin) = ((a.cos * b.cos + a.sin * b.sin).abs(), (a.cos * b.sin - a.sin * b.cos).abs());

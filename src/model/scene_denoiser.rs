@@ -11,10 +11,11 @@ use candle_core::{Result, Tensor};
 
 /// A denoiser of scenes, with DJINN's network or the geometric one.
 ///
-/// DJINN's is D_θ(x; σ) = c_skip(σ) x + c_out(σ) F_θ(c_in(σ) x, …, c_noise(σ)). The geometric one has factors of its own for each
-/// mode of an agent's motion, whose variance Λ is known: D_θ(x; σ) = W x + Uᵀ c_out(σ, Λ) U F_θ(…) with W = Uᵀ w(σ, Λ) U, where
-/// w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that what F_θ has to say has unit variance (Karras
-/// et al. 2022, appendix B.6). The cap keeps W from trusting large modes more than EDM does.
+/// DJINN's is D_θ(x; σ) = c_skip(σ) x + c_out(σ) F_θ(c_in(σ) x, …, c_noise(σ)). The geometric one has factors of its
+/// own for each mode of an agent's motion, whose variance Λ is known: D_θ(x; σ) = W x + Uᵀ c_out(σ, Λ) U F_θ(…) with
+/// W = Uᵀ w(σ, Λ) U, where w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that what F_θ has
+/// to say has unit variance (Karras et al. 2022, appendix B.6). The cap keeps W from trusting large modes more than EDM
+/// does.
 #[derive(Debug, Clone)]
 pub struct SceneDenoiser {
     network: Network,
@@ -37,10 +38,10 @@ impl SceneDenoiser {
         Self::with_events(params, config, (state_dim, 0), edm, seed)
     }
 
-    /// The same that can be told of events by `n_event_inputs` inputs of each agent, beside states of `state_dim` dimensions.
+    /// A denoiser with `n_event_inputs` inputs for events of each agent, beside states of `state_dim` dimensions.
     ///
     /// # Errors
-    /// When the configuration is no network, or DJINN's, which cannot be told of events.
+    /// If the configuration is no network, or is DJINN's, which has no event inputs.
     pub fn with_events(
         params: &mut Params,
         config: &NetworkConfig,
@@ -115,7 +116,7 @@ pub struct BoundDenoiser<'a> {
     edm: &'a Edm,
     network: Bound<'a>,
     latent: Tensor,
-    /// What the network sees in the place of x where states are observed, (B, A, T, D).
+    /// The input in the place of x where states are observed, (B, A, T, D).
     observed_motion: Option<Tensor>,
 }
 
@@ -124,7 +125,8 @@ enum Bound<'a> {
     Scene {
         network: &'a SceneNetwork,
         known: Known,
-        /// What makes residuals of unit variance out of white motion, (B, A, T, T), where the network sees them.
+        /// The matrices that turn white motion into residuals of unit variance, (B, A, T, T), where the network sees
+        /// them.
         path: Option<Tensor>,
     },
     Geometric(Box<BoundGeometric<'a>>),

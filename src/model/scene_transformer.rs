@@ -1,5 +1,5 @@
-//! Scene Transformer, the joint variant (Ngiam et al. 2021): from what is known of a scene, a few futures of all its agents at
-//! once, and how likely each is.
+//! Scene Transformer, the joint variant (Ngiam et al. 2021): from what is known of a scene, a few futures of all its
+//! agents at once, and how likely each is.
 
 use super::known_input::KnownInput;
 use super::trunk::{Trunk, TrunkConfig, check_heads, check_layers};
@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SceneTransformerConfig {
-    /// Layers before the futures part, one letter a layer: T attends over time, A over agents, M reads the map. Blanks are ignored.
+    /// Layers before the futures part, one letter a layer: T attends over time, A over agents, M reads the map. Blanks
+    /// are ignored.
     pub encoder: String,
     /// Layers after the futures have parted, in the same letters. Each future sees itself alone.
     pub decoder: String,
@@ -64,11 +65,11 @@ impl Default for SceneTransformerConfig {
     }
 }
 
-/// What a forward pass says of B scenes.
+/// The output of a forward pass for B scenes.
 #[derive(Debug, Clone)]
 pub struct JointFutures {
-    /// The states of every future in diffused units, as `SceneBatch::x0` has them: (B · F, A, T, D), all futures of a row
-    /// after each other; zero except on latent entries.
+    /// The states of every future in diffused units, as `SceneBatch::x0` has them: (B · F, A, T, D), all futures of a
+    /// row after each other; zero except on latent entries.
     pub x0: Tensor,
     /// Unnormalized log probabilities of the futures, (B, F).
     pub logits: Tensor,
@@ -94,15 +95,15 @@ impl JointFutures {
 
 /// The network.
 ///
-/// It sees what the denoiser sees of known states, agents and map, no diffused states and no noise level. A learned embedding
-/// a future is added to the encoder's features; the decoder works on each future by itself. The logit of a future is that of
-/// the mean of its features over valid agents and timesteps. (Scene Transformer reads it from an artificial agent at an
-/// artificial timestep; both summarize features that the layers before have mixed over the whole scene, and a mean needs no
-/// states in the trunk that other networks do not have.)
+/// It sees what the denoiser sees of known states, agents and map, no diffused states and no noise level. A learned
+/// embedding a future is added to the encoder's features; the decoder works on each future by itself. The logit of a
+/// future is that of the mean of its features over valid agents and timesteps. (Scene Transformer reads it from an
+/// artificial agent at an artificial timestep; both summarize features that the layers before have mixed over the whole
+/// scene, and a mean needs no states in the trunk that other networks do not have.)
 #[derive(Debug, Clone)]
 pub struct SceneTransformer {
     known: KnownInput,
-    /// What observed agents were seen to do, which the denoiser sees in the place of diffused motion.
+    /// The layer for the motion of observed agents, which the denoiser sees in the place of diffused motion.
     observed_motion: Option<Linear>,
     input_out: Linear,
     encoder: Trunk,
@@ -115,8 +116,8 @@ pub struct SceneTransformer {
 }
 
 impl SceneTransformer {
-    /// A network for states of `state_dim` dimensions in a parametrization, whose parameters live in `params`; those that are
-    /// not there yet are drawn from `seed`.
+    /// A network for states of `state_dim` dimensions in a parametrization, whose parameters live in `params`; those
+    /// that are not there yet are drawn from `seed`.
     ///
     /// # Errors
     /// Fails when the layer strings hold other letters than T, A and M, there is no mode, or sizes do not fit.

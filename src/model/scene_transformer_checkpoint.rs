@@ -1,4 +1,4 @@
-//! What the checkpoint of a Scene Transformer says, beside the weights.
+//! The description of a Scene Transformer in its checkpoint, beside the weights.
 
 use super::{ModelSpec, SceneTransformer, SceneTransformerConfig, TrainedModel};
 use crate::nn::Params;
@@ -6,7 +6,7 @@ use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer};
 use serde::{Deserialize, Serialize};
 
-/// What a Scene Transformer is, beside its weights.
+/// The specification of a Scene Transformer, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneTransformerSpec {

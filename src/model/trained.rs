@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// What a checkpoint says of its network, beside the weights.
+/// The description of a network in its checkpoint, beside the weights.
 pub trait ModelSpec: Serialize + DeserializeOwned {
     /// The network.
     type Network;
@@ -31,7 +31,7 @@ pub trait ModelSpec: Serialize + DeserializeOwned {
 pub struct TrainedModel<S: ModelSpec> {
     /// The network; its parameters take no gradients.
     pub network: S::Network,
-    /// What it is.
+    /// Its specification.
     pub spec: S,
     /// Hash of its file.
     pub fingerprint: String,
@@ -46,7 +46,7 @@ impl<S: ModelSpec> TrainedModel<S> {
         let checkpoint = read_checkpoint::<S>(path, &compute.device)?;
         let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };
         let mut params = Params::new(compute).frozen();
-        // What is drawn is overwritten.
+        // The drawn parameters are overwritten.
         let network = checkpoint.metadata.build(&mut params, Seed(0)).map_err(tensor_error)?;
         params.load(&checkpoint.tensors).map_err(tensor_error)?;
         Ok(Self { network, spec: checkpoint.metadata, fingerprint: checkpoint.fingerprint })

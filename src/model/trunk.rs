@@ -1,5 +1,5 @@
-//! The stack of transformer layers that all networks of scenes are made of: how do the states of a scene come to see each
-//! other?
+//! The stack of transformer layers that all networks of scenes are made of: how do the states of a scene come to see
+//! each other?
 
 use crate::nn::{Axis, CrossAttention, LayerNorm, Mlp, Scope, SelfAttention};
 use crate::settings::{self, Issue};
@@ -74,7 +74,7 @@ pub(super) struct LaneKeys {
 }
 
 impl LaneKeys {
-    /// The same, read as one map for each agent.
+    /// Marks the keys as one map for each agent.
     pub(super) fn of_agents(self) -> Self {
         Self { of_agents: true, ..self }
     }
@@ -122,7 +122,7 @@ impl Trunk {
         Ok(Self { layers: letters.map(layer).collect::<Result<_>>()? })
     }
 
-    /// What its map layers need of encoded polylines `lanes` (M, L, width) with `valid` (M, L).
+    /// The keys that its map layers need of encoded polylines `lanes` (M, L, width) with `valid` (M, L).
     ///
     /// # Errors
     /// Fails when shapes do not fit.
@@ -134,10 +134,10 @@ impl Trunk {
         Ok(LaneKeys { keys: map_layers.collect::<Result<_>>()?, valid: valid.clone(), of_agents: false })
     }
 
-    /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number of
-    /// maps M: each map belongs to B / M rows that follow each other. Results mean something where `read` (B, A, T) is 1: the
-    /// last layer does no more than it must elsewhere. With `frames` (B, A, T, 4) agents see each other as they lie in the frame of
-    /// the one that looks.
+    /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number
+    /// of maps M: each map belongs to B / M rows that follow each other. Results mean something where `read` (B, A, T)
+    /// is 1: the last layer does no more than it must elsewhere. With `frames` (B, A, T, 4) agents see each other as
+    /// they lie in the frame of the one that looks.
     ///
     /// # Errors
     /// Fails when shapes do not fit, or the map was projected by another trunk.

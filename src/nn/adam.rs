@@ -33,8 +33,8 @@ impl Adam {
         self.n_steps
     }
 
-    /// Takes one step with learning rate `lr` and returns the global norm of the gradients before clipping. Gradients are
-    /// scaled down together where that norm exceeds `clip_norm`. A parameter without a gradient stays as it is.
+    /// Takes one step with learning rate `lr` and returns the global norm of the gradients before clipping. Gradients
+    /// are scaled down together where that norm exceeds `clip_norm`. A parameter without a gradient stays as it is.
     ///
     /// # Errors
     /// When the norm is not finite; nothing is changed then.

@@ -24,8 +24,8 @@ pub struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// Attention over `dim` features in `n_heads` heads, with parameters `qkv` (queries, keys and values in one map) and
-    /// `out`.
+    /// Attention over `dim` features in `n_heads` heads, with parameters `qkv` (queries, keys and values in one map)
+    /// and `out`.
     ///
     /// # Errors
     /// When `dim` is not a multiple of `n_heads`, or the parameters exist with other shapes.
@@ -37,7 +37,8 @@ impl SelfAttention {
         Ok(Self { qkv, out, n_heads })
     }
 
-    /// The same among all agents of a timestep, of which each state has a frame of its own, `frames` (B, A, T, 4) as in
+    /// Attention among all agents of a timestep, of which each state has a frame of its own, `frames` (B, A, T, 4) as
+    /// in [`ops::map_frames`]: states read each other as they lie in the reader's frame.
     /// [`ops::map_frames`]: states read each other as they lie in the reader's frame.
     ///
     /// # Errors

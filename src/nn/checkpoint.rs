@@ -15,12 +15,12 @@ use crate::files::write_atomically;
 /// The entry of the safetensors metadata that holds ours, as JSON.
 const METADATA_KEY: &str = "djinn";
 
-/// What a checkpoint file holds.
+/// The content of a checkpoint file.
 #[derive(Debug, Clone)]
 pub struct Checkpoint<M> {
     /// Tensors by name.
     pub tensors: BTreeMap<String, Tensor>,
-    /// What the tensors are: the configuration, the normalization, the position in training.
+    /// Description of the tensors: the configuration, the normalization, the position in training.
     pub metadata: M,
     /// BLAKE3 hash of the file in hexadecimal digits.
     pub fingerprint: String,

@@ -1,4 +1,4 @@
-//! What can go wrong with checkpoints, and what to do then.
+//! Errors of checkpoints, with remedies.
 
 use std::path::PathBuf;
 
@@ -13,7 +13,7 @@ pub enum Error {
     Format {
         /// The file.
         path: PathBuf,
-        /// What the reader found.
+        /// The reader's error.
         source: safetensors::SafeTensorError,
     },
     /// The file holds tensors but no metadata of ours.
@@ -26,12 +26,13 @@ pub enum Error {
     },
     /// The metadata does not describe what the reader expects.
     #[error(
-        "the metadata of {path} is for another model or version; use a checkpoint of this kind of model, written by this version"
+        "the metadata of {path} is for another model or version; use a checkpoint of this kind of model, written by \
+         this version"
     )]
     Metadata {
         /// The file.
         path: PathBuf,
-        /// What the reader found.
+        /// The reader's error.
         source: serde_json::Error,
     },
     /// Tensors could not be moved between memory and the device.
@@ -39,7 +40,7 @@ pub enum Error {
     Tensor {
         /// The file.
         path: PathBuf,
-        /// What candle found.
+        /// The error of candle.
         source: candle_core::Error,
     },
 }

@@ -1,11 +1,12 @@
-//! Sinusoidal encodings of numbers: how does a network see small and large differences of a position, time or noise level?
+//! Sinusoidal encodings of numbers: how does a network see small and large differences of a position, time or noise
+//! level?
 
 use candle_core::{Result, Tensor, bail};
 
 use super::ops;
 
-/// `dim` features of every entry of `x` (..): the sines, then the cosines, of 2 π x / p for `dim` / 2 periods p that grow
-/// geometrically from `min_period` to `max_period` (Vaswani et al. 2017, with the periods of DJINN's appendix A).
+/// `dim` features of every entry of `x` (..): the sines, then the cosines, of 2 π x / p for `dim` / 2 periods p that
+/// grow geometrically from `min_period` to `max_period` (Vaswani et al. 2017, with the periods of DJINN's appendix A).
 /// Returns (.., `dim`), differentiable in `x`.
 ///
 /// # Errors

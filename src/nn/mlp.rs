@@ -12,8 +12,8 @@ pub struct Mlp {
 }
 
 impl Mlp {
-    /// A perceptron through widths `dims`, whose tensors are named as in `torch.nn.Sequential(Linear, ReLU, Linear, ..)`:
-    /// `0.weight`, `2.weight`, and so on.
+    /// A perceptron through widths `dims`, whose tensors are named as in
+    /// `torch.nn.Sequential(Linear, ReLU, Linear, ..)`: `0.weight`, `2.weight`, and so on.
     ///
     /// # Errors
     /// When the parameters exist with other shapes.

@@ -57,7 +57,7 @@ impl Params {
         Self { vars: BTreeMap::new(), compute: compute.clone(), dtype, is_trainable: true }
     }
 
-    /// The same parameters, sharing memory, for sampling and evaluation: layers built on them record nothing for a
+    /// A view of the parameters, sharing memory, for sampling and evaluation: layers built on them record nothing for a
     /// backward pass through the parameters, and see every later optimizer step.
     pub fn frozen(&self) -> Self {
         Self { is_trainable: false, ..self.clone() }

@@ -1,4 +1,5 @@
-//! What tests of tensors and networks share: values on the host, differences, and gradients that reach every parameter.
+//! Helpers for tests of tensors and networks: values on the host, differences, and gradients that reach every
+//! parameter.
 
 use super::Params;
 use candle_core::{DType, Tensor};

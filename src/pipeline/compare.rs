@@ -66,7 +66,8 @@ fn read_run(root: &Path) -> Result<ComparedRun> {
             "is no folder"
         };
         return Err(Failure::input_message(format_args!("{} {what}", root.display())).with_hint(
-            "pass the folders of two runs, such as output/quickstart/main; `djinn run` prints the folder of its results",
+            "pass the folders of two runs, such as output/quickstart/main; `djinn run` prints the folder of its \
+             results",
         ));
     }
     let mut run = ComparedRun { name: root.display().to_string(), ..ComparedRun::default() };
@@ -127,7 +128,8 @@ mod tests {
 
     #[test]
     fn settings_go_by_their_paths_and_sweeps_by_their_names() {
-        let text = "[run]\nseed = 3\n[[generate.sweeps]]\nname = \"b\"\nstrengths = [0.0, 2.0]\n[[mine.behaviors]]\nkind = \"cut_in\"\nx = 1\n";
+        let text = "[run]\nseed = 3\n[[generate.sweeps]]\nname = \"b\"\nstrengths = [0.0, 2.0]\n[[mine.behaviors]]\n\
+                    kind = \"cut_in\"\nx = 1\n";
         let mut settings = BTreeMap::new();
         flatten("", &toml::Value::Table(text.parse().unwrap()), &mut settings);
         let expected = [

@@ -176,7 +176,7 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
     Scene {
         id: SceneId("made-up".to_owned()),
         source: SceneSource {
-            // Any: nothing is asked of it.
+            // Any: none of its facts are used.
             dataset: Dataset::ALL[0],
             version: String::new(),
             split: Split::Unsplit,

@@ -84,7 +84,7 @@ pub const CORPUS: &str = "corpus";
 pub const METRICS: &str = "metrics.parquet";
 /// The figures that people look at first, and the gates.
 pub const METRICS_SUMMARY: &str = "metrics.json";
-/// What became of each scenario, beside the metric rows.
+/// The outcome of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";
 /// Predictions in the formats of benchmarks.
 pub const PREDICTIONS: &str = "predictions";

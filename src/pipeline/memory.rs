@@ -19,14 +19,15 @@ use crate::store::SceneStore;
 const NUMBER: f64 = 4.0;
 /// The program itself with its tables, and what it keeps of scenes, bytes.
 const BASE: f64 = 60e6;
-/// Copies of the parameters while they are trained: themselves, gradients, two moments, their average, and the state that is saved.
+/// Copies of the parameters while they are trained: themselves, gradients, two moments, their average, and the state
+/// that is saved.
 const TRAINED_COPIES: f64 = 6.0;
 /// Results and their gradients, with what the allocator keeps between them, per result of an operation. Measured.
 const TRAINED_RESULTS: f64 = 2.2;
 /// Agents of a busy scene, where scenes are not ingested yet.
 const N_AGENTS: usize = 16;
 
-/// What a stage takes, in bytes.
+/// The memory of a stage, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StageMemory {
     /// The stage.
@@ -178,8 +179,8 @@ impl<'a> Sizes<'a> {
         Ok(SceneSize { n_agents: n_agents.min(max_agents), n_timesteps, n_lanes, state_dim: state_dim.unwrap_or(3) })
     }
 
-    /// The denoiser's network and the scenes that it is shown: as it will be trained, or as its checkpoint says. `None` where neither is
-    /// known.
+    /// The denoiser's network and the scenes that it is shown: as it will be trained, or as its checkpoint says. `None`
+    /// where neither is known.
     fn denoiser(&self) -> Result<Option<(NetworkConfig, SceneSize)>> {
         let path = match &self.config.train.denoiser {
             Some(section) => match &section.checkpoint {
@@ -201,8 +202,8 @@ impl<'a> Sizes<'a> {
     }
 }
 
-/// Refuses stages that are to be run and would take more than `run.memory_limit_gb`, or than the `machine` bytes of memory where that
-/// is not set.
+/// Refuses stages that are to be run and would take more than `run.memory_limit_gb`, or than the `machine` bytes of
+/// memory where that is not set.
 ///
 /// # Errors
 /// Names the setting, the estimate, the limit, and what to lower.
@@ -224,13 +225,13 @@ fn limit(config: &PipelineConfig, machine: Option<u64>) -> Option<Limit> {
     set.or(machine.map(|bytes| Limit { bytes: bytes as f64, whose: "this machine has" }))
 }
 
-/// The memory that the process may use, bytes: the least limit of its control groups, or all that the machine has. `None` where the
-/// system does not say.
+/// The memory that the process may use, bytes: the least limit of its control groups, or all that the machine has.
+/// `None` where the system does not say.
 pub fn machine_memory() -> Option<u64> {
     memory_limit(&|path| fs_err::read_to_string(path).ok())
 }
 
-/// The same, where `read` gives the content of a file.
+/// [`machine_memory`], where `read` gives the content of a file.
 fn memory_limit(read: &dyn Fn(&str) -> Option<String>) -> Option<u64> {
     let total = read("/proc/meminfo").and_then(|text| {
         let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?.trim().to_owned();

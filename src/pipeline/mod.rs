@@ -1,8 +1,8 @@
 //! The pipeline: which stages are there, and where do their results lie?
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code and hands them to the
-//! [`engine`](crate::engine), [`compare`] sets two run folders side by side. [`cluster`] submits a pipeline to many machines,
-//! [`status`] tells how far it is.
+//! [`engine`](crate::engine), [`compare`] sets two run folders side by side. [`cluster`] submits a pipeline to many
+//! machines, [`status`] reports its progress.
 
 pub mod cluster;
 pub mod compare;

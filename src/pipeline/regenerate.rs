@@ -26,14 +26,14 @@ pub struct Regenerated {
     pub n_columns: usize,
 }
 
-/// Generates scenario `id` again, from the samples, scenes and models of `layout`, and compares it with its row there, or with
-/// that of `corpus`.
+/// Generates scenario `id` again, from the samples, scenes and models of `layout`, and compares it with its row there,
+/// or with that of `corpus`.
 ///
 /// The batch in which it was denoised is denoised as a whole, because the last digits depend on it; nothing else is.
 ///
 /// # Errors
-/// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with; the
-/// machine's when one of them, or the plan, is missing.
+/// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with;
+/// the machine's when one of them, or the plan, is missing.
 pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Compute) -> Result<Regenerated> {
     let manifest = SampleManifest::read(&layout.samples)?;
     let settings = SampleSettings::read(&layout.samples)?;

@@ -51,7 +51,7 @@ impl StageId {
         Self::Report,
     ];
 
-    /// What the engine knows of it.
+    /// The kind of stage, for the engine.
     pub fn kind(self) -> &'static StageKind {
         &KINDS[self as usize]
     }

@@ -26,7 +26,7 @@ pub struct Status {
 pub struct StageProgress {
     /// The stage.
     pub stage: StageId,
-    /// What can be said of it.
+    /// Its state, as far as it can be known.
     pub state: ProgressState,
     /// For a training, the steps in its statistics.
     pub steps: Option<u64>,

@@ -36,8 +36,8 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow], asks_for_collision: bool) -> Vec<S
         && own >= baseline
     {
         found.push(format!(
-            "Sweep {sweep}: unguided samples are no closer to the recording than a constant velocity (minSceneADE {own:.3} m \
-             against {baseline:.3} m). Train the denoiser longer, or on more scenes like these."
+            "Sweep {sweep}: unguided samples are no closer to the recording than a constant velocity (minSceneADE \
+             {own:.3} m against {baseline:.3} m). Train the denoiser longer, or on more scenes like these."
         ));
     }
     for (metric, what) in [
@@ -66,7 +66,8 @@ fn of_sweep(sweep: &str, rows: &[&MetricRow], asks_for_collision: bool) -> Vec<S
         let guided = rates.iter().filter(|row| matches!(row.group, Group::Sweep(_)));
         for row in guided.filter(|row| row.value <= unguided) {
             found.push(format!(
-                "Sweep {sweep}: guidance at {} does not raise the rate of the behavior ({:.1} % against {:.1} % unguided).",
+                "Sweep {sweep}: guidance at {} does not raise the rate of the behavior ({:.1} % against {:.1} % \
+                 unguided).",
                 row.level,
                 100.0 * row.value,
                 100.0 * unguided

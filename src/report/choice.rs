@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 pub struct Drawn {
     /// The sweep.
     pub sweep: String,
-    /// What is drawn, such as `verified scenarios`.
+    /// The kind of scenario that is drawn, such as `verified scenarios`.
     pub what: String,
     /// How many are drawn.
     pub n_drawn: usize,

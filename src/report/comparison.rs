@@ -223,7 +223,7 @@ impl Comparison {
         table
     }
 
-    /// How well tracks can be told from recorded ones.
+    /// The table of how well tracks can be told from recorded ones.
     pub(super) fn distinguishability(&self) -> PlainTable {
         distinguishability::comparison(&self.a.evaluation, &self.b.evaluation)
     }

@@ -6,11 +6,12 @@ use super::plain::{PlainSection, PlainTable};
 use crate::evaluate::{DistinguishabilityRow, EvaluationSummary};
 use crate::metrics::SeriesKey;
 
-const NOTE: &str = "For each series, gradient-boosted trees learn to tell generated from recorded futures of the same tracks, and \
-    are asked about scenes that they have not seen. The AUC is the share of pairs, one recorded and one generated track, of \
-    which they pick the generated one: 50 % is indistinguishable. In parentheses its interval of 95 % over scenes.";
+const NOTE: &str = "For each series, gradient-boosted trees learn to tell generated from recorded futures of the same \
+    tracks, and are asked about scenes that they have not seen. The AUC is the share of pairs, one recorded and one \
+    generated track, of which they pick the generated one: 50 % is indistinguishable. In parentheses its interval of \
+    95 % over scenes.";
 
-/// What the classifier sees, in words.
+/// The classifier's input, in words.
 fn title(features: &str) -> String {
     match features {
         "all" => "All features",

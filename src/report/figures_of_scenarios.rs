@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 pub(super) struct FiguresOfScenarios(BTreeMap<String, Vec<CardValue>>);
 
 impl FiguresOfScenarios {
-    /// Those of `records` among the rows of a metric table.
+    /// The figures of `records` among the rows of a metric table.
     pub(super) fn new<'a>(
         rows: impl Iterator<Item = Result<MetricRow>>,
         records: impl Iterator<Item = &'a ScenarioRecord>,
@@ -27,7 +27,7 @@ impl FiguresOfScenarios {
         }
     }
 
-    /// Those of one scenario.
+    /// The figures of one scenario.
     pub(super) fn of(&self, id: &str) -> Vec<CardValue> {
         self.0.get(id).cloned().unwrap_or_default()
     }

@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, BTreeSet};
 const N_BINS: usize = 40;
 /// Collects the motion of road users in the futures of scenes, group by group.
 ///
-/// The values themselves are kept, for their median and for bins that fit them; [`MotionHistograms`](crate::metrics::MotionHistograms)
-/// serve for whole sweeps. Scenes may be dropped once added.
+/// The values themselves are kept, for their median and for bins that fit them;
+/// [`MotionHistograms`](crate::metrics::MotionHistograms) serve for whole sweeps. Scenes may be dropped once added.
 #[derive(Debug, Clone, Default)]
 pub struct MotionDistributions {
     groups: Vec<(String, [Vec<f64>; MOTION.len()])>,
@@ -90,7 +90,8 @@ impl Thinned {
     }
 }
 
-/// Distributions of the parameters of events, one for each parameter that any event has; the first group is the reference.
+/// Distributions of the parameters of events, one for each parameter that any event has; the first group is the
+/// reference.
 pub fn event_distributions(groups: &[(&str, &EventParameters)]) -> Vec<Distribution> {
     let names: BTreeSet<&String> = groups.iter().flat_map(|(_, events)| events.0.keys()).collect();
     let none = Thinned::default();

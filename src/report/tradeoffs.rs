@@ -184,7 +184,8 @@ fn realism_of<'a>(
     evaluation.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
 }
 
-/// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a level.
+/// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a
+/// level.
 fn distances(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
     let mut quantities: Vec<(&str, &str)> = Vec::new();
     for row in sweeps.iter().flat_map(|sweep| realism_of(evaluation, sweep)) {

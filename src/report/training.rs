@@ -11,8 +11,8 @@ use std::collections::BTreeMap;
 const HELD_OUT_LOSS: &str = "held_out_loss_at_sigma_";
 
 impl TrainingSummary {
-    /// The curves of the training loop: the loss, and charts of the evaluations. Held-out losses of all noise levels share one, and so
-    /// do those of changed scenes.
+    /// The curves of the training loop: the loss, and charts of the evaluations. Held-out losses of all noise levels
+    /// share one, and so do those of changed scenes.
     pub fn of_fit(name: impl Into<String>, facts: Vec<Fact>, statistics: &[FitStatistics]) -> Self {
         let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
         let mut charts: BTreeMap<String, Vec<Curve>> = BTreeMap::new();
@@ -50,11 +50,12 @@ impl TrainingSummary {
         Self { name: name.into(), facts, charts: charts.collect(), tables: Vec::new() }
     }
 
-    /// The same with the held-out losses in a denoiser's checkpoint.
+    /// Adds the held-out losses in a denoiser's checkpoint.
     #[must_use]
     pub fn with_losses(mut self, changed: &[ChangedLoss], by_place: &[PlaceLoss]) -> Self {
         let mut table = PlainTable::new(
-            "Held-out loss by input of the denoiser, relative to unchanged scenes; the further from 1, the more it uses the changed input",
+            "Held-out loss by input of the denoiser, relative to unchanged scenes; the further from 1, the more it \
+             uses the changed input",
             &["Scenes", "σ", "Loss", "Of that compared with"],
         );
         for ChangedLoss { change, sigma, loss } in changed {

@@ -8,8 +8,8 @@ use crate::scene::{Scenario, Track};
 /// A generated scenario, with what was requested of it and what was found in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioRecord {
-    /// The scenario. Its states are rounded as the store rounds them (`store::as_stored`) before it is verified, so that
-    /// what was verified is what is written.
+    /// The scenario. Its states are rounded as the store rounds them (`store::as_stored`) before it is verified, so
+    /// that what was verified is what is written.
     pub scenario: Scenario,
     /// The sweep that it belongs to.
     pub sweep: String,

@@ -18,7 +18,7 @@ pub struct RequestTag {
 pub struct BucketTag {
     /// Its index among the buckets of the request.
     pub idx: usize,
-    /// What it holds: `gap_m 0..5, relative_speed_mps -5..0`.
+    /// Its ranges: `gap_m 0..5, relative_speed_mps -5..0`.
     pub ranges: String,
 }
 

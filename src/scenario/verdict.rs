@@ -17,7 +17,7 @@ pub struct VerdictRow {
     pub kept: bool,
     /// Why it is not accepted, the first reason first; empty if it is.
     pub reasons: Vec<String>,
-    /// The validity checks that were not made: of motion if the dataset does not allow them, of departures from the road
-    /// if the map does not.
+    /// The validity checks that were not made: of motion if the dataset does not allow them, of departures from the
+    /// road if the map does not.
     pub not_checked: Vec<String>,
 }

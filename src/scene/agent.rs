@@ -18,7 +18,8 @@ pub enum AgentClass {
     Pedestrian,
     /// INTERACTION does not distinguish pedestrians from cyclists.
     PedestrianOrCyclist,
-    /// Something that does not move by itself: Argoverse 2's `static`, `background`, `construction`, `riderless_bicycle`.
+    /// Something that does not move by itself: Argoverse 2's `static`, `background`, `construction`,
+    /// `riderless_bicycle`.
     Static,
     /// Not known: all of Argoverse 1.
     Unknown,
@@ -56,7 +57,8 @@ impl AgentClass {
         Self::ALL.into_iter().find(|class| class.name() == name)
     }
 
-    /// Whether the agent drives on lanes, as far as is known. Unknown agents count: in Argoverse 1 nearly all are vehicles.
+    /// Whether the agent drives on lanes, as far as is known. Unknown agents count: in Argoverse 1 nearly all are
+    /// vehicles.
     pub const fn is_motorized(self) -> bool {
         matches!(self, Self::Vehicle | Self::Bus | Self::Motorcyclist | Self::Unknown)
     }

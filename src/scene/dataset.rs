@@ -71,8 +71,8 @@ impl Dataset {
         match self {
             Self::Interaction => &DatasetFacts {
                 name: "interaction",
-                terms: "INTERACTION dataset (Zhan et al. 2019): non-commercial use under the terms it was obtained with. \
-                        Recordings of another origin in its format are under the terms of their maker.",
+                terms: "INTERACTION dataset (Zhan et al. 2019): non-commercial use under the terms it was obtained \
+                        with. Recordings of another origin in its format are under the terms of their maker.",
                 country: None,
                 has_headings: true,
                 has_velocities: true,
@@ -88,7 +88,7 @@ impl Dataset {
                 country: Some("USA"),
                 has_headings: false,
                 has_velocities: false,
-                // Those of a tracker, unfiltered and at uneven times.
+                // Motion of a tracker, unfiltered and at uneven times.
                 has_clean_motion: false,
                 has_chosen_focal: true,
                 begins_at_ns: false,

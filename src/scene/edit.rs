@@ -26,7 +26,8 @@ pub enum SceneEdit {
     Meet(Meet),
 }
 
-/// The agent is where it was recorded `by_s` before: position(t) = recorded(t - w(t) · `by_s`), where w rises from 0 to 1.
+/// The agent is where it was recorded `by_s` before: position(t) = recorded(t - w(t) · `by_s`), where w rises from 0
+/// to 1.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ShiftTime {
@@ -35,8 +36,8 @@ pub struct ShiftTime {
     /// How much later, seconds; negative: earlier.
     #[schemars(range(min = -60.0, max = 60.0))]
     pub by_s: f64,
-    /// How long after the present it takes until the shift is complete, seconds; more than 1.5 times `by_s`, so that nobody
-    /// drives backwards.
+    /// How long after the present it takes until the shift is complete, seconds; more than 1.5 times `by_s`, so that
+    /// nobody drives backwards.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub onset_s: f64,
 }
@@ -60,7 +61,8 @@ pub struct Shift {
     pub onset_s: f64,
 }
 
-/// The agent follows its recorded course at a multiple of its recorded speed; beyond the course's end it goes straight on.
+/// The agent follows its recorded course at a multiple of its recorded speed; beyond the course's end it goes straight
+/// on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScaleSpeed {
@@ -100,7 +102,8 @@ pub struct TimedPoint {
     pub y_m: f64,
 }
 
-/// The agent is shifted, smoothly from the present on, so that at `at_s` it is where the other one is: their paths cross.
+/// The agent is shifted, smoothly from the present on, so that at `at_s` it is where the other one is: their paths
+/// cross.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Meet {
@@ -285,7 +288,8 @@ mod tests {
         edit
     }
 
-    /// Two cars at 10 Hz, the present is timestep 3: one along x at 10 m/s (x = t), one along y at 5 m/s from (30, -10).
+    /// Two cars at 10 Hz, the present is timestep 3: one along x at 10 m/s (x = t), one along y at 5 m/s from (30,
+    /// -10).
     fn crossing() -> Scene {
         scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(30.0, -10.0, std::f64::consts::FRAC_PI_2, 5.0)])
     }

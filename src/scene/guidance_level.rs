@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The strength of guidance, and the weight of wanted states.
+/// The strength of guidance, and the weight of target states.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct GuidanceLevel {
     /// Strength α of the guidance by classifier and objectives; 0 is none.
@@ -16,7 +16,7 @@ impl GuidanceLevel {
     /// The level of forecasts and recordings.
     pub const UNGUIDED: Self = Self { strength: 0.0, weight: 0.0 };
 
-    /// Guidance of this strength, without wanted states.
+    /// Guidance of this strength, without target states.
     pub const fn of_strength(strength: f64) -> Self {
         Self { strength, weight: 0.0 }
     }

@@ -37,7 +37,7 @@ pub struct LaneAttributes {
     pub tags: BTreeMap<String, String>,
 }
 
-/// What a rule of the map asks of who comes along a lane.
+/// The duty that a rule of the map gives to those who come along a lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LaneDuty {
     /// Nothing: others yield.
@@ -49,13 +49,13 @@ pub enum LaneDuty {
 }
 
 impl LaneAttributes {
-    /// What the names of the tags of regulatory elements begin with.
+    /// Prefix of the names of tags of regulatory elements.
     pub const REGULATORY: &str = "regulatory:";
     /// The name, in such a tag, of the part that the lane has in the rule.
     pub const ROLE: &str = "role";
 
-    /// The rules at the end of the lane, each with the name of its tag, by name: Lanelet2's `right_of_way`, in which lanes
-    /// have the role `right_of_way` or `yield`, and `all_way_stop`.
+    /// The rules at the end of the lane, each with the name of its tag, by name: Lanelet2's `right_of_way`, in which
+    /// lanes have the role `right_of_way` or `yield`, and `all_way_stop`.
     pub fn duties(&self) -> impl Iterator<Item = (&str, LaneDuty)> {
         let rules = self.tags.iter().filter(|(key, _)| key.starts_with(Self::REGULATORY));
         rules.filter_map(|(key, rule)| {
@@ -179,7 +179,7 @@ impl LaneGraph {
         ways
     }
 
-    /// The same graph in another frame.
+    /// This graph in another frame.
     pub fn transformed(&self, to_from_here: &Transform2) -> Self {
         self.clone().into_frame(to_from_here)
     }

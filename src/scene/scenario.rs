@@ -67,7 +67,8 @@ pub struct Scenario {
     pub id: String,
     /// Observed states as recorded or edited, and generated ones, whose velocities follow from their positions.
     pub scene: Scene,
-    /// Which states of the scene were observed: one entry for each of its tracks and timesteps, false where it has no state.
+    /// Which states of the scene were observed: one entry for each of its tracks and timesteps, false where it has no
+    /// state.
     pub observed: ObservationMask,
     /// Its provenance.
     pub provenance: Provenance,

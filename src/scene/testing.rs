@@ -4,7 +4,8 @@ use super::*;
 use crate::geometry::{Polyline, Transform2, Vec2};
 use std::sync::Arc;
 
-/// A vehicle that drives a circular arc: `speed_mps` along a path of curvature `curvature_1pm` from (`x`, `y`) with `heading_rad`.
+/// A vehicle that drives a circular arc: `speed_mps` along a path of curvature `curvature_1pm` from (`x`, `y`) with
+/// `heading_rad`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Drive {
     pub(crate) x: f64,
@@ -70,7 +71,7 @@ pub(crate) fn scene(drives: &[Drive]) -> Scene {
     }
 }
 
-/// What an unguided sample of a scene came from.
+/// The provenance of an unguided sample of a scene.
 pub(crate) fn provenance(scene_id: &str) -> Provenance {
     Provenance {
         scene_id: scene_id.into(),

@@ -17,7 +17,7 @@ use std::fmt::Display;
 pub struct Issue {
     /// The path of the setting from the section that was checked, such as `pairs.max_distance_m` or `strengths.1`.
     pub key: String,
-    /// What is wrong and what was expected, to be read after the key: `is 0, expected 1 to 10000`.
+    /// The fault and the expectation, to be read after the key: `is 0, expected 1 to 10000`.
     pub message: String,
 }
 
@@ -41,7 +41,7 @@ impl Issue {
         Self { key: key.into(), message: message.to_string() }
     }
 
-    /// The same as seen from outside of the section.
+    /// The issue as seen from outside of the section.
     #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self { key: format!("{section}.{}", self.key), ..self }

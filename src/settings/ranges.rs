@@ -1,7 +1,7 @@
 //! Does every number lie in the range that its JSON schema states?
 //!
-//! One statement serves editors, readers and this check. Of JSON Schema it knows what our types become: references, properties,
-//! items, alternatives, and the bounds of numbers.
+//! One statement serves editors, readers and this check. Of JSON Schema it knows what our types become: references,
+//! properties, items, alternatives, and the bounds of numbers.
 
 use super::{Issue, Result};
 use schemars::JsonSchema;
@@ -18,8 +18,8 @@ const BOUNDS: [&str; 5] = ["minimum", "exclusiveMinimum", "maximum", "exclusiveM
 /// The key of what is checked within the text that is checked.
 const SECTION: &str = "section";
 
-/// Refuses settings of which a number is beyond the range that the type's schema states, or is NaN. A number with a range is
-/// finite.
+/// Refuses settings of which a number is beyond the range that the type's schema states, or is NaN. A number with a
+/// range is finite.
 ///
 /// # Errors
 /// The first such setting with the range; that they cannot be written as TOML.

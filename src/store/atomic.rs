@@ -32,7 +32,7 @@ impl FileStamp {
     /// Whether the file at `path` holds the bytes that were stamped.
     ///
     /// # Errors
-    /// Those of the file system, but that there is no such file.
+    /// On I/O errors other than a missing file.
     pub fn is_of(&self, path: &Path) -> Result<bool> {
         match self.verify_file(path) {
             Ok(()) => Ok(true),
@@ -65,7 +65,7 @@ impl FileStamp {
 /// Writes `value` as indented JSON with a final newline.
 ///
 /// # Errors
-/// Those of JSON and of the file system.
+/// On I/O errors, or if `value` cannot be written as JSON.
 pub fn write_json_atomically<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<FileStamp> {
     let mut text = serde_json::to_vec_pretty(value).map_err(Error::json(path))?;
     text.push(b'\n');
@@ -75,7 +75,7 @@ pub fn write_json_atomically<T: Serialize + ?Sized>(path: &Path, value: &T) -> R
 /// Reads a JSON file.
 ///
 /// # Errors
-/// Those of JSON and of the file system; both name the path.
+/// If the file cannot be read or is not JSON of this form; the message names the path.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&fs::read(path)?).map_err(Error::json(path))
 }
@@ -83,7 +83,7 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 /// Reads a JSON file of unfinished work; `None` where there is none that is whole.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub fn read_if_whole<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     match fs::read(path) {
         Err(error) if is_missing(&error) => Ok(None),
@@ -99,7 +99,7 @@ pub(super) fn is_missing(error: &io::Error) -> bool {
 /// Writes a record: an object as indented JSON, of which the last entry is a checksum of everything before it.
 ///
 /// # Errors
-/// Those of JSON and of the file system.
+/// On I/O errors, or if `value` cannot be written as JSON.
 pub fn write_record<T: Serialize>(path: &Path, value: &T) -> Result<FileStamp> {
     let text = serde_json::to_string_pretty(value).map_err(Error::json(path))?;
     let body = text.strip_suffix("\n}").unwrap_or(&text);

@@ -1,6 +1,7 @@
 //! Values that only this program reads: exact to the bit, and checked.
 //!
-//! A file begins with a line that names its format with a version and the BLAKE3 hash of what follows: the value, as `postcard` encodes it.
+//! A file begins with a line that names its format with a version and the BLAKE3 hash of what follows: the value, as
+//! `postcard` encodes it.
 
 use super::{Error, Result};
 use crate::files::{FileStamp, write_atomically};
@@ -11,7 +12,7 @@ use std::path::Path;
 /// Writes `value` in the format of this name, such as `figures.v1`.
 ///
 /// # Errors
-/// Those of the file system; when the value has a sequence of unknown length.
+/// On I/O errors, or if `value` has a sequence of unknown length.
 pub fn write_binary_atomically<T: Serialize>(path: &Path, format: &str, value: &T) -> Result<FileStamp> {
     let bytes = postcard::to_stdvec(value).map_err(std::io::Error::other)?;
     let head = format!("{format} {}\n", blake3::hash(&bytes).to_hex());
@@ -24,8 +25,8 @@ pub fn write_binary_atomically<T: Serialize>(path: &Path, format: &str, value: &
 /// Reads what [`write_binary_atomically`] wrote.
 ///
 /// # Errors
-/// [`Error::SchemaVersion`] when the file is of another format, [`Error::Corrupt`] when its content is not what was written; those of the
-/// file system.
+/// [`Error::SchemaVersion`] when the file is of another format, [`Error::Corrupt`] when its content is not what was
+/// written; those of the file system.
 pub fn read_binary<T: DeserializeOwned>(path: &Path, format: &str) -> Result<T> {
     let content = fs_err::read(path)?;
     let end = content.iter().position(|byte| *byte == b'\n').unwrap_or(content.len());

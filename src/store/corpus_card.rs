@@ -23,16 +23,16 @@ fn write_card(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     if manifest.is_non_commercial() {
         writeln!(
             text,
-            "> **Non-commercial use only.** The recordings that these scenarios were made from forbid commercial use, and so \
-             it is forbidden for these scenarios, too. See [Sources and licenses](#sources-and-licenses).\n"
+            "> **Non-commercial use only.** The recordings that these scenarios were made from forbid commercial use, \
+             and so it is forbidden for these scenarios, too. See [Sources and licenses](#sources-and-licenses).\n"
         )?;
     }
     writeln!(
         text,
-        "{n_scenarios} generated scenarios, {n_verified} of them with the behavior that was asked for, {n_new} of these where \
-         the recording does not show it. Recorded scenes that they continue: {n_recordings}; maps: {n_maps}. A scenario is the \
-         joint motion of all road users near an ego: the recorded past, and a future that was sampled from a learned model \
-         of traffic.\n"
+        "{n_scenarios} generated scenarios, {n_verified} of them with the behavior that was asked for, {n_new} of \
+         these where the recording does not show it. Recorded scenes that they continue: {n_recordings}; maps: \
+         {n_maps}. A scenario is the joint motion of all road users near an ego: the recorded past, and a future that \
+         was sampled from a learned model of traffic.\n"
     )?;
     counts(text, manifest)?;
     making(text, manifest)?;
@@ -46,7 +46,8 @@ fn counts(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     writeln!(text, "## What is in it\n")?;
     writeln!(
         text,
-        "| Requested behavior | Place | Scenarios | Verified | Rejected by the check | New |\n|---|---|---:|---:|---:|---:|"
+        "| Requested behavior | Place | Scenarios | Verified | Rejected by the check | \
+         New |\n|---|---|---:|---:|---:|---:|"
     )?;
     for count in &manifest.scenarios_by_partition {
         let (behavior, place) = (cell(&count.behavior), cell(&count.place));
@@ -56,9 +57,9 @@ fn counts(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     }
     writeln!(
         text,
-        "\n*Verified*: the behavior's definition, the same that finds it in recordings, finds it in the scenario, with the road \
-         users it was asked of. *New*: and does not find it in the recording. Where no behavior was asked for (`none`), there \
-         is nothing to verify.\n"
+        "\n*Verified*: the behavior's definition, the same that finds it in recordings, finds it in the scenario, with \
+         the road users it was asked of. *New*: and does not find it in the recording. Where no behavior was asked for \
+         (`none`), there is nothing to verify.\n"
     )?;
     for (title, counts) in [("dataset", &manifest.scenarios_by_dataset), ("sweep", &manifest.scenarios_by_sweep)] {
         let counts: Vec<String> = counts.iter().map(|(name, n)| format!("{} {n}", cell(name))).collect();
@@ -77,9 +78,9 @@ fn making(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     }
     writeln!(
         text,
-        "- Every row of `scenarios` names its recorded scene, the checkpoints, the guidance, the sampler and the seed it came \
-         from.\n- `manifest.json` has the size and the BLAKE3 hash of every file; `djinn corpus validate` checks them and much \
-         else.\n"
+        "- Every row of `scenarios` names its recorded scene, the checkpoints, the guidance, the sampler and the seed \
+         it came from.\n- `manifest.json` has the size and the BLAKE3 hash of every file; `djinn corpus validate` \
+         checks them and much else.\n"
     )
 }
 
@@ -93,8 +94,8 @@ fn sources(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     }
     writeln!(
         text,
-        "\nThe terms of a source hold for what is made from it, and for what is made from that. Keep this file with copies and \
-         parts of the corpus.\n"
+        "\nThe terms of a source hold for what is made from it, and for what is made from that. Keep this file with \
+         copies and parts of the corpus.\n"
     )
 }
 
@@ -132,11 +133,13 @@ tracks = ds.dataset("tracks", partitioning="hive").to_table(filter=ds.field("beh
 
 "#;
 
-const USE: &str = "## What it is for, and what it is not\n\nFor testing and training driving functions against events that recordings \
-hold too few of, and for research on traffic models.\n\n- Generated futures are plausible to a model; nobody drove them. How far their motion is from recorded \
-motion, and how often they collide or leave the road, is measured: see `metrics` and the report of the run.\n- How often something \
-happens here says nothing of how often it happens on roads: scenarios were asked for.\n- Scenarios of one recorded scene are not independent of each other: \
-split by `scene_id`, not by scenario.\n- Traffic lights, rules and intentions that the recordings do not hold are not in the scenarios either.\n\n";
+const USE: &str = "## What it is for, and what it is not\n\nFor testing and training driving functions against events \
+that recordings hold too few of, and for research on traffic models.\n\n- Generated futures are plausible to a model; \
+nobody drove them. How far their motion is from recorded motion, and how often they collide or leave the road, is \
+measured: see `metrics` and the report of the run.\n- How often something happens here says nothing of how often it \
+happens on roads: scenarios were asked for.\n- Scenarios of one recorded scene are not independent of each other: \
+split by `scene_id`, not by scenario.\n- Traffic lights, rules and intentions that the recordings do not hold are not \
+in the scenarios either.\n\n";
 
 fn tables(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     writeln!(text, "## Tables and columns\n\nUnits, frames and descriptions are also in the metadata of the files.\n")?;

@@ -1,10 +1,10 @@
 //! The layout of a corpus folder: its tables, and the partitions of the large ones.
 //!
 //! Scenarios and their tracks are partitioned by behavior and place, recordings by place, in folders with Hive's names
-//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip files that a query does not need. A file holds
-//! at most [`SCENES_PER_FILE`] of them, and the next ones are in another. Lanes (each map once) and metric values (some
-//! twenty short rows a scenario, and aggregates without a place) are single files. The rows of a file of `tracks` follow
-//! the order of the rows of the file of `scenarios` with the same number.
+//! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip files that a query does not need. A file
+//! holds at most [`SCENES_PER_FILE`] of them, and the next ones are in another. Lanes (each map once) and metric values
+//! (some twenty short rows a scenario, and aggregates without a place) are single files. The rows of a file of `tracks`
+//! follow the order of the rows of the file of `scenarios` with the same number.
 
 use super::schema::TableSchema;
 use super::tables::{lane, metric, recording, scenario, track};
@@ -16,8 +16,8 @@ pub(crate) const NO_BEHAVIOR: &str = "none";
 /// Hive's name for a missing value, which readers turn into one.
 const MISSING: &str = "__HIVE_DEFAULT_PARTITION__";
 
-/// Scenarios, or recorded scenes, of a file. It bounds the size of files, which are uploaded and verified as a whole, and
-/// the memory of their footers.
+/// Scenarios, or recorded scenes, of a file. It bounds the size of files, which are uploaded and verified as a whole,
+/// and the memory of their footers.
 pub(crate) const SCENES_PER_FILE: usize = 16 * 1024;
 
 /// The tables of a corpus.
@@ -83,8 +83,8 @@ impl CorpusTable {
         }
     }
 
-    /// The column whose value is the same in all rows of a scenario or a scene, which are in one file; `None` for a single
-    /// file.
+    /// The column whose value is the same in all rows of a scenario or a scene, which are in one file; `None` for a
+    /// single file.
     pub(crate) const fn unit(self) -> Option<&'static str> {
         match self {
             Self::Scenarios | Self::Tracks => Some("scenario_id"),
@@ -116,7 +116,7 @@ impl CorpusTable {
     }
 }
 
-/// What the rows of a file have in common.
+/// The values that all rows of a file share.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Partition {
     /// The requested behavior, or `none`; missing if the table is not partitioned by it.

@@ -30,7 +30,7 @@ pub struct CorpusNotes {
 pub struct FileEntry {
     /// Where it is in the corpus, with `/` between folders.
     pub path: String,
-    /// What its rows have in common.
+    /// The values that all of its rows share.
     pub partition: Partition,
     /// Number of rows.
     pub n_rows: u64,
@@ -95,7 +95,7 @@ pub struct CorpusManifest {
     pub sources: BTreeMap<String, String>,
     /// Other notes of the writer.
     pub notes: BTreeMap<String, String>,
-    /// What tools did to it since a pipeline wrote it, one line each.
+    /// Changes made by tools since a pipeline wrote it, one line each.
     pub history: Vec<String>,
     /// Sweep → reason why samples are not in the corpus → how many; each sample counts for its first reason.
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,

@@ -33,8 +33,8 @@ pub struct CorpusReader {
 }
 
 impl CorpusReader {
-    /// Opens a finished corpus, of this version or an earlier one with one file a table, and verifies the checksums of all
-    /// of its tables.
+    /// Opens a finished corpus, of this version or an earlier one with one file a table, and verifies the checksums of
+    /// all of its tables.
     ///
     /// # Errors
     /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when its version cannot be read,

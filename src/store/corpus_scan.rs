@@ -50,7 +50,7 @@ impl CorpusScan {
     /// Opens a finished corpus and verifies the checksums of all of its files.
     ///
     /// # Errors
-    /// Those of [`CorpusManifest::read`], [`Error::Corrupt`] when a file is not what was written.
+    /// See [`CorpusManifest::read`]; [`Error::Corrupt`] if a file differs from the one that was written.
     pub(crate) fn open(dir: &Path) -> Result<Self> {
         let scan = Self::open_unverified(dir)?;
         let files: Vec<&FileEntry> = scan.manifest.all_files().collect();
@@ -335,7 +335,7 @@ impl CorpusChunk {
 /// Returns the rows of a file in portions of any size.
 struct Feed {
     batches: PartBatches,
-    /// What is left of the last batch.
+    /// The rest of the last batch.
     rest: Option<RecordBatch>,
     n_taken: usize,
 }

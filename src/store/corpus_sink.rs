@@ -66,7 +66,7 @@ impl CorpusSink {
         Ok(Self { dir, scenes_per_file, parts, files, counts, manifest, scenario_schema })
     }
 
-    /// The same with files of this many scenarios or scenes.
+    /// With files of this many scenarios or scenes.
     #[cfg(test)]
     pub(crate) fn in_files_of(self, scenes_per_file: usize) -> Self {
         Self { scenes_per_file, ..self }
@@ -95,8 +95,8 @@ impl CorpusSink {
         self.write(CorpusTable::Lanes, &Partition::default(), &lane::encode(&[(id, lanes)])?)
     }
 
-    /// Adds rows to the files of a partition, without the columns that its folder's name holds. All rows of a scenario or
-    /// scene must come one after the other.
+    /// Adds rows to the files of a partition, without the columns that its folder's name holds. All rows of a scenario
+    /// or scene must come one after the other.
     pub(crate) fn write(&mut self, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<()> {
         let mut rest = without(batch, table.keys())?;
         let key = (table, partition.clone());
@@ -122,7 +122,7 @@ impl CorpusSink {
     fn limit_memory(&mut self) -> Result<()> {
         let size = |part: &Part| part.file.n_bytes_in_memory();
         while self.parts.values().map(size).sum::<usize>() > MAX_BYTES_IN_MEMORY {
-            // Of equally large ones the last, by name.
+            // The last by name among equally large ones.
             let largest = self.parts.values_mut().max_by_key(|part| size(part));
             let Some(part) = largest else { break };
             part.file.flush()?;
@@ -219,8 +219,8 @@ impl Part {
         Ok(Self { file, path, number, n_units: 0, last_unit: String::new(), pending: Vec::new(), n_pending: 0 })
     }
 
-    /// How many of these rows belong into the file, which ends when it has `n_max` whole scenarios or scenes. Counts those
-    /// that begin.
+    /// How many of these rows belong into the file, which ends when it has `n_max` whole scenarios or scenes. Counts
+    /// those that begin.
     fn n_rows_that_fit(&mut self, table: CorpusTable, rows: &RecordBatch, n_max: usize) -> Result<usize> {
         let Some(unit) = table.unit() else { return Ok(rows.num_rows()) };
         let ids: &StringArray = Columns::of_batch(rows, &self.path).get(unit)?;

@@ -55,7 +55,7 @@ impl<'m> CorpusWriter<'m> {
         })
     }
 
-    /// The same with files of this many scenarios or scenes.
+    /// With files of this many scenarios or scenes.
     #[cfg(test)]
     pub(crate) fn in_files_of(self, scenes_per_file: usize) -> Self {
         Self { sink: self.sink.in_files_of(scenes_per_file), ..self }
@@ -64,8 +64,8 @@ impl<'m> CorpusWriter<'m> {
     /// Adds scenarios, in the order given.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when an id occurs twice or a record would not be read back as it is; those of the maps and of the
-    /// file system.
+    /// [`Error::Invalid`] when an id occurs twice or a record would not be read back as it is; those of the maps and of
+    /// the file system.
     pub fn write_scenarios(&mut self, records: &[ScenarioRecord]) -> Result<()> {
         for batch in records.chunks(SCENARIOS_PER_BATCH) {
             for record in batch {
@@ -84,7 +84,7 @@ impl<'m> CorpusWriter<'m> {
     /// Adds the recorded scene that scenarios continue. A scene that was added before is skipped.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn write_recording(&mut self, scene: &Scene) -> Result<()> {
         if !self.known_scenes.insert(fingerprint(scene.id.0.as_bytes())) {
             return Ok(());
@@ -96,7 +96,7 @@ impl<'m> CorpusWriter<'m> {
     /// Adds metric values, in the order given, except those of scenarios that have not been added.
     ///
     /// # Errors
-    /// Those of the rows; those of the file system.
+    /// Errors of the rows, and I/O errors.
     pub fn write_metrics(&mut self, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<()> {
         let Self { scenario_ids, sink, .. } = self;
         let partition = CorpusTable::Metrics.partition(None, "");

@@ -156,7 +156,8 @@ fn partitions_are_folders_and_counted() {
     expected.extend(parts("scenarios"));
     expected.extend(parts("tracks"));
     assert_eq!(files, expected);
-    // Every seventh record asks for nothing: 20 of 140. Scenes 1, 5, … 69 are at the second place: 18 with two records each.
+    // Every seventh record asks for nothing: 20 of 140. Scenes 1, 5, … 69 are at the second place: 18 with two records
+    // each.
     let counts: Vec<u64> = manifest.scenarios_by_partition.iter().map(|count| count.n_scenarios).collect();
     let elsewhere = |records: &[ScenarioRecord], behavior: bool| {
         let is_counted =

@@ -15,7 +15,10 @@ pub enum Error {
     #[error(transparent)]
     Files(files::Error),
     /// A folder without its manifest, which is written last.
-    #[error("{} has no manifest.json, so the command that writes it did not finish; run that command again", .dir.display())]
+    #[error(
+        "{} has no manifest.json, so the command that writes it did not finish; run that command again",
+        .dir.display()
+    )]
     Unfinished {
         /// The folder.
         dir: PathBuf,
@@ -29,7 +32,10 @@ pub enum Error {
         inside: Option<PathBuf>,
     },
     /// A file with another schema, or another version of it.
-    #[error("{} has schema `{found}`, expected `{expected}`; write it again with this version of djinn", .path.display())]
+    #[error(
+        "{} has schema `{found}`, expected `{expected}`; write it again with this version of djinn",
+        .path.display()
+    )]
     SchemaVersion {
         /// The file.
         path: PathBuf,
@@ -40,13 +46,14 @@ pub enum Error {
     },
     /// A file whose content is not what was written.
     #[error(
-        "{} is damaged: {detail}; restore it from a copy, or move its folder away and run the command that writes it again",
+        "{} is damaged: {detail}; restore it from a copy, or move its folder away and run the command that writes it \
+         again",
         .path.display()
     )]
     Corrupt {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Description of the fault.
         detail: String,
     },
     /// A record of a run whose content is not what was written. What to do about it depends on the record.
@@ -54,7 +61,7 @@ pub enum Error {
     Record {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Description of the fault.
         detail: String,
     },
     /// A value that cannot be stored faithfully.
@@ -67,7 +74,8 @@ pub enum Error {
     },
     /// A scene that was added twice.
     #[error(
-        "scene {id} was read twice; check whether the inputs overlap, such as a folder and the archive it was unpacked from"
+        "scene {id} was read twice; check whether the inputs overlap, such as a folder and the archive it was unpacked \
+         from"
     )]
     DuplicateScene {
         /// The scene.
@@ -86,7 +94,7 @@ pub enum Error {
     NotFound {
         /// The file or folder.
         path: PathBuf,
-        /// What was requested, such as `scene 12 of 10`.
+        /// The item requested, such as `scene 12 of 10`.
         what: String,
     },
     /// JSON that does not have the expected form.
@@ -116,7 +124,7 @@ pub enum Error {
     /// A group-by failed.
     #[error("cannot summarize {table}: {source}")]
     Frame {
-        /// What was summarized.
+        /// The table summarized.
         table: &'static str,
         /// The cause.
         source: polars::prelude::PolarsError,

@@ -29,8 +29,8 @@ impl<'n> EventWriter<'n> {
     /// Adds all events of some scenes.
     ///
     /// # Errors
-    /// [`Error::Invalid`](super::Error::Invalid) when an event has a role or a parameter that no behavior declares, or a parameter has
-    /// the name of another column; those of the file system.
+    /// [`Error::Invalid`](super::Error::Invalid) when an event has a role or a parameter that no behavior declares, or
+    /// a parameter has the name of another column; those of the file system.
     pub fn write(&mut self, events: &[BehaviorEvent]) -> Result<()> {
         let batch = event::encode(events, &self.names)?;
         let file = match &mut self.file {
@@ -43,7 +43,7 @@ impl<'n> EventWriter<'n> {
     /// Finishes the table and gives the file its name.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn finish(mut self) -> Result<FileStamp> {
         if self.file.is_none() {
             self.write(&[])?;
@@ -89,7 +89,7 @@ mod tests {
         writer.finish()
     }
 
-    /// What occurs in these events.
+    /// The parameters and roles that occur in these events.
     fn names_of(events: &[BehaviorEvent]) -> EventNames<'_> {
         EventNames {
             roles: events.iter().flat_map(|event| event.roles.names()).collect(),
@@ -200,7 +200,7 @@ mod tests {
             let mut damaged = whole.clone();
             damaged[at] ^= 0x80;
             fs_err::write(&path, damaged).unwrap();
-            // A changed value cannot be told, but nothing may panic.
+            // A changed value cannot be detected, but nothing may panic.
             drop(read_all(&path));
         }
     }

@@ -107,7 +107,8 @@ impl MappedTable {
         self.blocks.len()
     }
 
-    /// Decodes the batch at `position`, which must be below [`n_batches`](Self::n_batches), without copying its content.
+    /// Decodes the batch at `position`, which must be below [`n_batches`](Self::n_batches), without copying its
+    /// content.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when it is not a batch of the table.

@@ -12,8 +12,8 @@ use std::path::Path;
 /// when read.
 ///
 /// # Errors
-/// [`Error::Invalid`](super::Error::Invalid) when a record would not be read back as it is, for instance because its scene
-/// was not passed through [`as_stored`](super::as_stored); those of the file system.
+/// [`Error::Invalid`](super::Error::Invalid) when a record would not be read back as it is, for instance because its
+/// scene was not passed through [`as_stored`](super::as_stored); those of the file system.
 pub fn write_samples(path: &Path, records: &[ScenarioRecord]) -> Result<FileStamp> {
     parquet_file::write_batch(path, &sample::schema(), &sample::encode(records)?)
 }

@@ -1,8 +1,8 @@
-//! What is known of the scenes of a store without loading them, in some tens of bytes for each.
+//! An index of the scenes of a store: facts about each scene without loading it, in some tens of bytes.
 
 use crate::scene::{Dataset, Split};
 
-/// What is known of a scene without loading it.
+/// Facts about a scene, known without loading it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SceneIndexEntry<'a> {
     /// The id of the scene.

@@ -39,7 +39,7 @@ pub struct MapsEntry {
     pub stamp: FileStamp,
 }
 
-/// What is known of a finished shard; written after it.
+/// Facts about a finished shard; written after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardSidecar {
     /// Schema of the scenes, such as `scene.v2`.

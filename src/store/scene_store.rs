@@ -49,8 +49,8 @@ impl SceneStore {
     /// Opens a finished store and verifies the checksums of all of its files.
     ///
     /// # Errors
-    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it, [`Error::Corrupt`]
-    /// when a file is not what was written.
+    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it,
+    /// [`Error::Corrupt`] when a file is not what was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let manifest = SceneManifest::read(dir)?;
         let fingerprint = blake3::hash(&fs::read(dir.join(MANIFEST_FILE))?).to_hex().to_string();
@@ -275,7 +275,10 @@ mod tests {
                 prop_assert_eq!(&read.lanes, &scene.lanes);
                 prop_assert_eq!(read.world_from_scene, scene.world_from_scene);
                 for (track, original) in read.tracks.iter().zip(&scene.tracks) {
-                    prop_assert_eq!((&track.id, track.class, track.role), (&original.id, original.class, original.role));
+                    prop_assert_eq!(
+                        (&track.id, track.class, track.role),
+                        (&original.id, original.class, original.role)
+                    );
                     for (state, original) in track.trajectory.entries().iter().zip(original.trajectory.entries()) {
                         prop_assert_eq!(state.is_some(), original.is_some());
                         let (Some(state), Some(original)) = (state, original) else { continue };

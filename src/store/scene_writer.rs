@@ -59,7 +59,7 @@ impl SceneWriter {
     /// Begins a store in `dir`, which is created if it is missing; the files of an earlier store there are removed.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn create(dir: &Path, options: SceneWriterOptions) -> Result<Self> {
         fs::create_dir_all(dir)?;
         remove_store_files(dir, &BTreeSet::new())?;
@@ -79,7 +79,7 @@ impl SceneWriter {
     /// `None` if no shard is finished. Unfinished files are removed.
     ///
     /// # Errors
-    /// Those of the file system, and of maps that cannot be read.
+    /// On I/O errors, or if a map cannot be read.
     pub fn resume(dir: &Path, options: SceneWriterOptions) -> Result<(Self, Option<ShardSidecar>)> {
         fs::create_dir_all(dir)?;
         let mut finished = Vec::new();
@@ -166,7 +166,7 @@ impl SceneWriter {
     /// Finishes the last shard and writes the manifest with the caller's report on the whole job.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn finish(mut self, report: &Value) -> Result<SceneManifest> {
         self.finish_shard()?;
         let manifest = SceneManifest::new(self.shards, report.clone());

@@ -26,7 +26,7 @@ pub struct OpenColumns {
     pub pattern: &'static str,
     /// Their type.
     pub data_type: DataType,
-    /// What they hold.
+    /// Their content.
     pub description: &'static str,
     /// The columns that are known beforehand.
     pub known: Vec<Field>,
@@ -39,7 +39,7 @@ pub struct TableSchema {
     pub name: &'static str,
     /// Version; it changes whenever a column is added, removed or changes its meaning.
     pub version: u32,
-    /// What one row is.
+    /// The meaning of one row.
     pub description: &'static str,
     /// The columns.
     pub fields: Vec<Field>,
@@ -119,7 +119,7 @@ impl TableSchema {
         let schema = self.arrow_with(self.open_of(batch.schema_ref()).cloned().collect());
         let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
             Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
-            // The same type with other descriptions of its members.
+            // Same type, but other descriptions of its members.
             Some(column) => cast(column, field.data_type()),
             None => Err(ArrowError::SchemaError(format!("column {} is missing", field.name()))),
         };
@@ -132,7 +132,7 @@ impl TableSchema {
     /// The schema as it is published in `schemas/`: indented JSON with a final newline.
     ///
     /// # Errors
-    /// Those of JSON.
+    /// If serialization fails.
     pub fn json(&self) -> serde_json::Result<String> {
         let open = |columns: &OpenColumns| OpenColumnsDoc {
             names: columns.pattern,
@@ -154,7 +154,8 @@ impl TableSchema {
 
 /// The definitions of the frames.
 const FRAMES: FramesDoc = FramesDoc {
-    scene: "Origin at the position of the center (the road user around which the scene was cut out) at timestep n_history - 1, x axis along its heading there.",
+    scene: "Origin at the position of the center (the road user around which the scene was cut out) at timestep \
+            n_history - 1, x axis along its heading there.",
     world: "The frame of the recording or its map, as the dataset defines it.",
 };
 

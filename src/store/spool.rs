@@ -21,7 +21,7 @@ impl<T: Serialize> Spool<T> {
     /// Begins the file.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         Ok(Self { file: AtomicFile::create(path)?, values: PhantomData })
     }
@@ -29,7 +29,7 @@ impl<T: Serialize> Spool<T> {
     /// Adds a value.
     ///
     /// # Errors
-    /// Those of the file system; when the value has a sequence of unknown length, or 4 GiB.
+    /// On I/O errors, or if the value has a sequence of unknown length, or 4 GiB.
     pub fn push(&mut self, value: &T) -> Result<()> {
         let bytes = postcard::to_stdvec(value).map_err(std::io::Error::other)?;
         let length = u32::try_from(bytes.len()).map_err(std::io::Error::other)?;
@@ -40,7 +40,7 @@ impl<T: Serialize> Spool<T> {
     /// Ends the file, so that it can be read.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn finish(self) -> Result<Spooled<T>> {
         let path = self.file.path().to_owned();
         let n_bytes = self.file.commit()?.n_bytes;
@@ -87,7 +87,7 @@ impl<T> Spooled<T> {
     /// Removes the file.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn remove(self) -> Result<()> {
         Ok(remove_if_present(&self.path)?)
     }

@@ -14,7 +14,7 @@ impl VerdictWriter {
     /// Begins the table.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         RowFile::create(path, &verdict::schema(), verdict::encode).map(Self)
     }
@@ -22,7 +22,7 @@ impl VerdictWriter {
     /// Adds a verdict.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn push(&mut self, row: VerdictRow) -> Result<()> {
         self.0.push(row)
     }
@@ -30,7 +30,7 @@ impl VerdictWriter {
     /// Finishes the table and gives the file its name.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn finish(self) -> Result<FileStamp> {
         self.0.finish()
     }

@@ -82,8 +82,8 @@ impl AgentFrame {
 /// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz.
 const STILL_STEP_M: f64 = 0.004;
 
-/// Leaves out the steps of a sample that are too short to be motion, after the last observed state: who stands is exactly
-/// still. What follows is shifted by the sum of the steps that were left out.
+/// Leaves out the steps of a sample that are too short to be motion, after the last observed state: who stands is
+/// exactly still. What follows is shifted by the sum of the steps that were left out.
 fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
     let n_entries = entries.len();
     let mut left_out = Vec2::ZERO;

@@ -22,8 +22,8 @@ pub(super) struct AgentRow<'a> {
     /// Its entries in order of time, and whether they are observed; the others are latent.
     entries: Vec<(usize, bool)>,
     is_observed_at_all: bool,
-    /// Whether x is relative to the reference, in the agent's own frame. An agent never observed has none: it is diffused in the
-    /// ego frame, in scene units.
+    /// Whether x is relative to the reference, in the agent's own frame. An agent never observed has none: it is
+    /// diffused in the ego frame, in scene units.
     is_residual: bool,
     /// The heading of the agent's frame in the ego frame.
     frame_heading_rad: f64,
@@ -126,8 +126,7 @@ impl<'a> AgentRow<'a> {
         self.entries.iter().map(heading).collect()
     }
 
-    /// What the entries decode to when x is 0: observed states unchanged, latent ones from the reference (0 without
-    /// one).
+    /// The decoded entries at x = 0: observed states unchanged, latent ones from the reference (0 without one).
     fn bases(&self, recorded_headings: &[f64]) -> Vec<Base> {
         let base = |((timestep, is_observed), recorded): (&(usize, bool), &f64)| {
             let pose = self.reference.at(*timestep).filter(|_| *is_observed || self.is_residual);

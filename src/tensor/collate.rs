@@ -15,10 +15,10 @@ use rayon::prelude::*;
 pub enum FutureValidity {
     /// The recorded ones: for training and for losses.
     Recorded,
-    /// Every stretch of hidden states that follows or precedes an observed state of the agent, whatever was recorded in it:
-    /// for sampling. Where the mask shows that the agent was not tracked, it stays absent.
+    /// Every stretch of hidden states that follows or precedes an observed state of the agent, whatever was recorded in
+    /// it: for sampling. Where the mask shows that the agent was not tracked, it stays absent.
     Everything,
-    /// The same stretches as for sampling, in which recorded states are scored: for training a network on the inputs
+    /// The stretches of [`Self::Everything`], in which recorded states are scored: for training a network on the inputs
     /// that it gets in sampling. States that were not recorded continue the last recorded motion.
     Continued,
 }
@@ -57,8 +57,8 @@ impl Collator {
     pub fn collate(&self, views: &[SceneView<'_>], validity: FutureValidity, device: &Device) -> Result<SceneBatch> {
         if self.sight.is_some() && self.normalizer.motion_covariance.is_none() {
             bail!(
-                "surroundings need the covariance of motion, which the normalizer does not have: no training scene has a track \
-                 that is recorded throughout"
+                "surroundings need the covariance of motion, which the normalizer does not have: no training scene has \
+                 a track that is recorded throughout"
             );
         }
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();

@@ -1,9 +1,9 @@
 //! How an agent is expected to go on: a linear prediction from the motion it was observed in.
 //!
-//! The reference of an agent carries on its velocity. Its acceleration and the bend it drives show in its observed steps
-//! p beyond that velocity, and W p with W = C_zp C_pp⁻¹ is the best linear prediction of its future motion z beyond it
-//! (Wiener's filter). What is diffused is the rest z - W p: a sample of zeros goes on as the agent was seen to move, and
-//! the covariance of the rest says how quickly traffic departs from that.
+//! The reference of an agent carries on its velocity. Its acceleration and the bend it drives show in its observed
+//! steps p beyond that velocity, and W p with W = C_zp C_pp⁻¹ is the best linear prediction of its future motion z
+//! beyond it (Wiener's filter). What is diffused is the rest z - W p: a sample of zeros goes on as the agent was seen
+//! to move, and the covariance of the rest says how quickly traffic departs from that.
 
 use super::MotionCovariance;
 use super::eigen::symmetric_eigen;
@@ -22,8 +22,8 @@ pub(super) struct Continuation {
 }
 
 impl Continuation {
-    /// The sums of the predicted motion W p over 1, 2, … N timesteps, for the k observed steps `past` by ascending time.
-    /// Dimensions that are not diffused go on as the reference does.
+    /// The sums of the predicted motion W p over 1, 2, … N timesteps, for the k observed steps `past` by ascending
+    /// time. Dimensions that are not diffused go on as the reference does.
     pub(super) fn sums(&self, past: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let n = self.weights.first().map_or(0, |weights| weights.len() / past.len().max(1));
         let mut sum = [0.0; 3];
@@ -70,7 +70,7 @@ impl MotionCovariance {
             let inverse = inverse(of_past, n_past);
             let to_past = grid(n, n_past, |i, j| noisy(future(i), past(j)));
             let w = product(&to_past, &inverse, n_past, n_past);
-            // Of z - W p, as they are in the recordings: C_zz - W C_pz - C_zp Wᵀ + W C_pp Wᵀ.
+            // The covariance of z - W p in the recordings: C_zz - W C_pz - C_zp Wᵀ + W C_pp Wᵀ.
             let explained =
                 |i: usize, j: usize| (0..n_past).map(|k| w[i * n_past + k] * c(past(k), future(j))).sum::<f64>();
             let spread = product(&w, &grid(n_past, n_past, |i, j| c(past(i), past(j))), n_past, n_past);
@@ -85,8 +85,8 @@ impl MotionCovariance {
     }
 
     /// The covariance of steps and future motion that independent errors of the observed positions (or headings) cause,
-    /// in the order of `values`: each step is a difference of two of them, and the velocity that is carried on is the slope
-    /// of the parabola through the last three.
+    /// in the order of `values`: each step is a difference of two of them, and the velocity that is carried on is the
+    /// slope of the parabola through the last three.
     fn noise_covariance(&self, dim: usize) -> Vec<f64> {
         let (k, size) = (self.n_past, self.n_past + self.n_timesteps);
         // Row i: how the errors of positions 0 to k enter entry i.
@@ -134,8 +134,8 @@ fn inverse(a: Vec<f64>, n: usize) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Motion at constant acceleration a of unit variance along the first dimension, beyond the velocity at the present: the steps
-    /// before it are a (i - 1/2 - k) for i = 1 to k, those after it a (i - 1/2).
+    /// Motion at constant acceleration a of unit variance along the first dimension, beyond the velocity at the
+    /// present: the steps before it are a (i - 1/2 - k) for i = 1 to k, those after it a (i - 1/2).
     fn accelerating(n_past: usize, n_timesteps: usize, noise: f64) -> MotionCovariance {
         let step = |i: usize| i as f64 + 0.5 - n_past as f64;
         let size = n_past + n_timesteps;

@@ -1,4 +1,4 @@
-//! The events that a network can be told of: behaviors, roles, and the units of their values.
+//! The events that a network can be conditioned on: behaviors, roles, and the units of their values.
 
 use crate::quantile::quantile;
 use crate::seed::Seed;
@@ -15,7 +15,7 @@ const ONE_DEVIATION: [f64; 2] = [0.1587, 0.8413];
 /// Decimal digits of examples: they are drawn from, not computed with.
 const EXAMPLE_DIGITS: i32 = 4;
 
-/// The events that a network can be told of, in the order of its inputs.
+/// The events that a network can be conditioned on, in the order of its inputs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EventVocabulary {
@@ -23,7 +23,7 @@ pub struct EventVocabulary {
     pub behaviors: Vec<KnownBehavior>,
 }
 
-/// A behavior that a network can be told of.
+/// A behavior that a network can be conditioned on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KnownBehavior {
@@ -35,7 +35,7 @@ pub struct KnownBehavior {
     pub values: Vec<ValueUnit>,
     /// Number of events that the network was trained on.
     pub n_events: usize,
-    /// Some of these events, from which values are drawn when none are asked for.
+    /// Some of these events, from which values are drawn when none are requested.
     pub examples: Vec<EventExample>,
 }
 
@@ -45,9 +45,11 @@ pub struct KnownBehavior {
 pub struct ValueUnit {
     /// Its name.
     pub name: String,
-    /// The median. 0 for a value that takes both signs, such as a side, so that the sign of the input is that of the value.
+    /// The median. 0 for a value that takes both signs, such as a side, so that the sign of the input is that of the
+    /// value.
     pub center: f64,
-    /// Half of what lies between -1 and +1 standard deviation of a normal distribution; around 0, the median distance from it.
+    /// Half of what lies between -1 and +1 standard deviation of a normal distribution; around 0, the median distance
+    /// from it.
     pub spread: f64,
 }
 
@@ -55,7 +57,7 @@ pub struct ValueUnit {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EventExample {
-    /// What a past shows of the agents ([`present_of`](super::present_of)).
+    /// The state of the agents at the present ([`present_of`](super::present_of)).
     pub present: Vec<f64>,
     /// Its values by name.
     pub values: BTreeMap<String, f64>,
@@ -94,8 +96,8 @@ impl EventVocabulary {
 }
 
 impl KnownBehavior {
-    /// The behavior `id` with these roles and the values of its `events`, in units that follow from them. A value that no event has
-    /// is none of its values.
+    /// The behavior `id` with these roles and the values of its `events`, in units that follow from them. A value that
+    /// no event has is none of its values.
     pub fn new(id: &str, roles: &[&str], events: &[BTreeMap<String, f64>], examples: Vec<EventExample>) -> Self {
         let mut by_name: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         for (name, value) in events.iter().flatten() {
@@ -110,7 +112,7 @@ impl KnownBehavior {
         }
     }
 
-    /// Inputs of a role: whether the agent has it, and for each value whether it is told, and the value.
+    /// Inputs of a role: whether the agent has it, and for each value whether it is given, and the value.
     pub(super) const fn n_inputs_of_role(&self) -> usize {
         1 + 2 * self.values.len()
     }

@@ -24,8 +24,8 @@ pub struct LanePoint {
     pub y: f32,
     /// Direction of the lane, radians.
     pub heading_rad: f32,
-    /// Distances to the edges of the road on the left and on the right, across the lane, meters; `None` if the map has no
-    /// outlines.
+    /// Distances to the edges of the road on the left and on the right, across the lane, meters; `None` if the map has
+    /// no outlines.
     pub edges_m: Option<[f32; 2]>,
 }
 
@@ -171,7 +171,8 @@ impl Outlines {
     }
 }
 
-/// Adds the intervals in which the line through `point` across `along` is inside of a closed outline, meters to the left.
+/// Adds the intervals in which the line through `point` across `along` is inside of a closed outline, meters to the
+/// left.
 fn crossings(outline: &[Vec2], point: Vec2, along: Vec2, inside: &mut Vec<(f64, f64)>) {
     let mut at: Vec<f64> = Vec::new();
     let n = outline.len();

@@ -6,7 +6,7 @@
 //! meaning by themselves: [`SceneBatch::decode`] turns them into meters and radians, linearly.
 //!
 //! With a `Sight`, the collator also looks around each agent: lane pieces that it can reach, in its own frame, and the
-//! modes of its motion. A batch can be told of events, one or none for each row; zeros mean that nothing is known.
+//! modes of its motion. A batch can carry events, one or none for each row; zeros mean that nothing is known.
 
 mod agent_frame;
 mod agent_row;

@@ -1,15 +1,16 @@
 //! Residuals to residual motion and back: smooth paths from independent numbers.
 //!
-//! Independent errors of a few centimeters in neighboring positions are accelerations that no vehicle reaches. The motion
-//! parametrization diffuses instead the numbers z from which a Brownian path makes the residuals r of an agent: away from
-//! its observed states r is the running sum of z, and between two of them a Brownian bridge. Whatever z is, r is
-//! continuous with the observed states, and small errors in z are small errors in velocity.
+//! Independent errors of a few centimeters in neighboring positions are accelerations that no vehicle reaches. The
+//! motion parametrization diffuses instead the numbers z from which a Brownian path makes the residuals r of an agent:
+//! away from its observed states r is the running sum of z, and between two of them a Brownian bridge. Whatever z is, r
+//! is continuous with the observed states, and small errors in z are small errors in velocity.
 
 /// How the residual of one latent timestep follows from that of the timestep before it in the chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Link {
     timestep: usize,
-    /// Place in the chain of the latent timestep it starts from; `None` if that is an observed state, whose residual is 0.
+    /// Place in the chain of the latent timestep it starts from; `None` if that is an observed state, whose residual
+    /// is 0.
     from: Option<usize>,
     /// The factor of that residual.
     carry: f64,
@@ -25,8 +26,8 @@ pub(super) struct MotionChain {
 }
 
 impl MotionChain {
-    /// The chain through the `latent` timesteps of an agent that is observed at the `observed` ones; both ascend, and neither
-    /// is shared. Without an observed timestep every link stands alone (z = r).
+    /// The chain through the `latent` timesteps of an agent that is observed at the `observed` ones; both ascend, and
+    /// neither is shared. Without an observed timestep every link stands alone (z = r).
     pub(super) fn new(observed: &[usize], latent: &[usize]) -> Self {
         let Some(first_observed) = observed.first() else {
             let alone = |timestep: &usize| Link { timestep: *timestep, from: None, carry: 0.0, scale: 1.0 };
@@ -153,7 +154,7 @@ mod tests {
                 }
             }
         }
-        // What is not known follows from what is before it.
+        // An unknown step follows from the one before it.
         let partly = MotionChain::new(&[0], &[1, 2, 3]).encode(|t| (t != 2).then_some([t as f64]));
         assert_eq!(partly, [(1, [1.0]), (2, [0.0]), (3, [2.0])]);
     }

@@ -16,8 +16,8 @@ const MIN_VARIANCE: f64 = 1e-4;
 /// The least standard deviation of a mode as a share of the noise of observed positions.
 const MIN_SHARE_OF_NOISE: f64 = 0.2;
 
-/// Covariance of an agent's motion along time in training traffic, in units of x: of K observed steps beyond the velocity at
-/// the present, and of the motion z at N timesteps after it, when nothing later is observed.
+/// Covariance of an agent's motion along time in training traffic, in units of x: of K observed steps beyond the
+/// velocity at the present, and of the motion z at N timesteps after it, when nothing later is observed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionCovariance {
@@ -42,14 +42,15 @@ impl MotionCovariance {
         Self { n_past, n_timesteps, values, noise, continuations: Continuations::default() }
     }
 
-    /// The least variance of a mode: half a millimeter of noise a step gives a sample away, and no recording is smoother
-    /// than it is exact.
+    /// The least variance of a mode: half a millimeter of noise a step gives a sample away, and no recording is
+    /// smoother than it is exact.
     fn min_variance(&self, dim: usize) -> f64 {
         self.noise.get(dim).map_or(MIN_VARIANCE, |noise| (MIN_SHARE_OF_NOISE * noise).powi(2))
     }
 
-    /// Covariance of the residual r (the sum of z, or of z - W p after `n_past` observed steps) at `i` and `j` timesteps after
-    /// the last observed one, counted from 1. Beyond N timesteps, motion continues as in the last of them.
+    /// Covariance of the residual r (the sum of z, or of z - W p after `n_past` observed steps) at `i` and `j`
+    /// timesteps after the last observed one, counted from 1. Beyond N timesteps, motion continues as in the last of
+    /// them.
     fn sums(&self, dim: usize, n: usize, n_past: usize) -> Vec<f64> {
         let at = |i: usize| i.min(self.n_timesteps.saturating_sub(1));
         let continued = self.continuation(n_past).map(|continuation| &continuation.covariance[dim]);
@@ -70,8 +71,8 @@ impl MotionCovariance {
     }
 }
 
-/// Modes of one agent's motion: for each diffused dimension an orthonormal basis of the latent timesteps and the variance along
-/// each of its vectors.
+/// Modes of one agent's motion: for each diffused dimension an orthonormal basis of the latent timesteps and the
+/// variance along each of its vectors.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct MotionModes {
     /// (D, T, T), one mode a row; zero where a timestep is not latent, and in rows without a mode.
@@ -111,7 +112,8 @@ pub(super) struct ModeTable {
 
 impl ModeTable {
     /// The modes of an agent that is observed at `observed` and generated at `latent` timesteps, both ascending, of
-    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps. An agent that is never observed has the variance σ_data² everywhere.
+    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps. An agent that is never
+    /// observed has the variance σ_data² everywhere.
     pub(super) fn modes(
         &self,
         covariance: &MotionCovariance,
@@ -165,7 +167,8 @@ impl ModeTable {
 }
 
 impl Stretch {
-    /// Covariance of the motion z of this stretch, row by row: that of free motion, given where it ends if that is observed.
+    /// Covariance of the motion z of this stretch, row by row: that of free motion, given where it ends if that is
+    /// observed.
     fn covariance(&self, covariance: &MotionCovariance, dim: usize) -> Vec<f64> {
         let last = self.offsets.last().copied().unwrap_or(0);
         let n = self.gap.unwrap_or(last).max(last);

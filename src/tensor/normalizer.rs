@@ -107,11 +107,12 @@ const KEPT_SHARE: f64 = 0.995;
 const TRACKS_PER_STEP: usize = 10;
 /// Motions so many times beyond the limit are jumps of a recording.
 const JUMP: f64 = 3.0;
-/// Errors of observed positions, meters, and headings, radians: about those of recordings that are rounded to millimeters and
-/// milliradians, with something to spare.
+/// Errors of observed positions, meters, and headings, radians: about those of recordings that are rounded to
+/// millimeters and milliradians, with something to spare.
 const POSITION_NOISE_M: f64 = 1e-3;
 const HEADING_NOISE_RAD: f64 = 1e-3;
-/// If the past predicts motion but for less than this share, it is as good as known, and units stay those of the motion.
+/// If the past predicts motion but for less than this share, it is as good as known, and units stay those of the
+/// motion.
 const MIN_REST: f64 = 0.1;
 /// Maximum number of motions kept for the constants: enough for three digits.
 const MAX_MOTIONS: usize = 2_000_000;
@@ -124,7 +125,7 @@ type Motion = Vec<(usize, [f32; 3])>;
 struct TrackMotion {
     /// Its observed steps beyond the velocity at the present.
     past: Motion,
-    /// What the motion parametrization diffuses without a prediction from the past.
+    /// The motion that the motion parametrization diffuses without a prediction from the past.
     future: Motion,
 }
 
@@ -133,8 +134,8 @@ struct TrackMotion {
 pub struct NormalizerFit {
     position: RootMeanSquare,
     heading: RootMeanSquare,
-    /// Motions of each agent that is present: of the steps in its history, and of the timesteps after it, both counted from 0;
-    /// turns are NaN where they are not known.
+    /// Motions of each agent that is present: of the steps in its history, and of the timesteps after it, both counted
+    /// from 0; turns are NaN where they are not known.
     motions: Vec<TrackMotion>,
     /// Number of steps in a history.
     n_past: usize,
@@ -246,9 +247,9 @@ impl NormalizerFit {
         futures.map(move |(_, z)| z[dim]).filter(|z| !z.is_nan())
     }
 
-    /// The covariance of motion in units of what is diffused, which are set to those of the motion that is not predicted from
-    /// the past. Only tracks that are recorded throughout count, lest the smallest variances be errors of its estimate, and
-    /// those without jumps far beyond the `limits`. `None` without any.
+    /// The covariance of motion in units of what is diffused, which are set to those of the motion that is not
+    /// predicted from the past. Only tracks that are recorded throughout count, lest the smallest variances be errors
+    /// of its estimate, and those without jumps far beyond the `limits`. `None` without any.
     fn covariance(&self, limits: &[f64], units: &mut [f64; 3]) -> Option<MotionCovariance> {
         let n_timesteps = self.motions.iter().map(|motion| motion.future.len()).max()?;
         let is_whole = |motion: &&TrackMotion| motion.past.len() == self.n_past && motion.future.len() == n_timesteps;

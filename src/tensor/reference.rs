@@ -11,9 +11,9 @@ pub(super) struct ReferencePose {
     pub(super) heading_rad: f64,
 }
 
-/// The reference trajectory of one agent: its observed states, linear interpolation between them, and the
-/// velocity of the nearest observed state carried on outside of them; after the present with the acceleration and the bend
-/// that the observed steps predict ([`Reference::continued`]).
+/// The reference trajectory of one agent: its observed states, linear interpolation between them, and the velocity of
+/// the nearest observed state carried on outside of them; after the present with the acceleration and the bend that the
+/// observed steps predict ([`Reference::continued`]).
 pub(super) struct Reference<'a> {
     observed: Vec<(usize, &'a State)>,
     /// Place among the observed states of the last one up to the present, or of the first one after it.
@@ -21,7 +21,7 @@ pub(super) struct Reference<'a> {
     dt_s: f64,
     /// Number of observed steps from which its motion after the last observed state is predicted.
     n_past: usize,
-    /// What the prediction adds at 1, 2, … timesteps after the last observed state: meters along and across its heading,
+    /// The predicted additions at 1, 2, … timesteps after the last observed state: meters along and across its heading,
     /// and radians.
     added: Vec<[f64; 3]>,
 }
@@ -107,8 +107,8 @@ impl<'a> Reference<'a> {
         }
     }
 
-    /// `carried` on to `elapsed` timesteps after the last observed state, with what the prediction adds. Beyond its end the
-    /// last step of the prediction is repeated.
+    /// `carried` on to `elapsed` timesteps after the last observed state, with what the prediction adds. Beyond its end
+    /// the last step of the prediction is repeated.
     fn predicted(&self, carried: ReferencePose, elapsed: usize) -> ReferencePose {
         let (Some(last), Some(i)) = (self.added.len().checked_sub(1), elapsed.checked_sub(1)) else { return carried };
         let before = last.checked_sub(1).map_or([0.0; 3], |before| self.added[before]);
@@ -180,8 +180,8 @@ mod tests {
         let continued = |observed: &dyn Fn(usize) -> bool| {
             Reference::new(&track, 0.1, 4, observed).continued(Some(&covariance), true)
         };
-        // x is t + t²/20, and the heading at timestep 4 is 0.4 rad. The covariance has one dimension, so only the part of the
-        // acceleration along that heading goes on.
+        // x is t + t²/20, and the heading at timestep 4 is 0.4 rad. The covariance has one dimension, so only the part
+        // of the acceleration along that heading goes on.
         let reference = continued(&|t| t <= 4);
         assert_eq!(reference.n_past(), 3);
         for (t, elapsed) in [(5, 1.0), (7, 3.0), (9, 5.0)] {

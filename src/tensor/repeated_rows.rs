@@ -11,7 +11,7 @@ pub struct RepeatedRows {
 }
 
 impl RepeatedRows {
-    /// Of `n_rows` rows.
+    /// Repeats each of `n_rows` rows `n` times.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.

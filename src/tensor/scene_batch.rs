@@ -54,7 +54,7 @@ pub struct SceneTensors {
     pub frames: Vec<Arc<AgentFrame>>,
     /// The surroundings of each agent, if the collator has `Sight`.
     pub surroundings: Option<Surroundings>,
-    /// What each agent is told of an event, (B, A, E), if a row is told of any ([`SceneBatch::telling`]).
+    /// Event inputs of each agent, (B, A, E), if a row is conditioned on an event ([`SceneBatch::telling`]).
     pub events: Option<Tensor>,
 }
 
@@ -62,7 +62,8 @@ pub struct SceneTensors {
 /// diffused state.
 #[derive(Debug, Clone)]
 pub struct Surroundings {
-    /// Where each agent's own frame has its origin, in the row's ego frame, (B, A, 2), meters. Its rotation is that of decoding.
+    /// Where each agent's own frame has its origin, in the row's ego frame, (B, A, 2), meters. Its rotation is that of
+    /// decoding.
     pub origin: Tensor,
     /// Attributes of agents, (B, A, `SurroundingsLayout::AGENT`).
     pub attributes: Tensor,
@@ -74,7 +75,7 @@ pub struct Surroundings {
     pub modes: Tensor,
     /// Variance of x along each mode, (B, A, D, T); 0 in rows without a mode.
     pub variances: Tensor,
-    /// The same lanes as geometry, and sizes.
+    /// The lanes as geometry, and sizes.
     pub rows: Vec<Arc<RowSurroundings>>,
 }
 

@@ -23,8 +23,8 @@ impl Sight {
         Self { n_lanes, modes: Arc::default() }
     }
 
-    /// The modes of an agent's motion, given its `observed` and `latent` timesteps; after the last observed one, its motion
-    /// is predicted from `n_past` steps.
+    /// The modes of an agent's motion, given its `observed` and `latent` timesteps; after the last observed one, its
+    /// motion is predicted from `n_past` steps.
     pub(super) fn modes_of_motion(
         &self,
         covariance: &MotionCovariance,
@@ -36,7 +36,8 @@ impl Sight {
     }
 
     /// The surroundings of the agents of all rows, A agents and T timesteps with D diffused dimensions a row.
-    /// `modes_of_agents` have the place of their agent in (B, A); agents are expected to go on as `covariance` predicts.
+    /// `modes_of_agents` have the place of their agent in (B, A); agents are expected to go on as `covariance`
+    /// predicts.
     pub(super) fn surroundings(
         &self,
         views: &[SceneView<'_>],

@@ -26,8 +26,9 @@ const REACH_M: f32 = 20.0;
 pub struct SurroundingsLayout;
 
 impl SurroundingsLayout {
-    /// Features of a piece of a lane in an agent's frame: x, y and the distances to both edges at ten points, whether edges are
-    /// known, whether it can be reached and how far that is, how much it turns, its length, and its attributes.
+    /// Features of a piece of a lane in an agent's frame: x, y and the distances to both edges at ten points, whether
+    /// edges are known, whether it can be reached and how far that is, how much it turns, its length, and its
+    /// attributes.
     pub const PIECE: usize = PIECE_POINTS * 4 + 5 + PIECE_FLAGS;
     /// Attributes of an agent: whether its size is recorded, and its class, one of eight.
     pub const AGENT: usize = 1 + AgentClass::ALL.len();
@@ -65,7 +66,8 @@ pub struct RowSurroundings {
     pub dt_s: f32,
 }
 
-/// An agent while its surroundings are looked up: its pose at the present and its reference path, in the row's ego frame.
+/// An agent while its surroundings are looked up: its pose at the present and its reference path, in the row's ego
+/// frame.
 pub(super) struct AgentPath<'a> {
     pub(super) track: &'a Track,
     pub(super) origin: Vec2,
@@ -232,7 +234,8 @@ mod tests {
     fn lanes_that_can_be_reached_come_first_with_the_way_to_them() {
         let all = shown(9, 3.0);
         let reached: Vec<_> = all.iter().take_while(|(_, _, reach)| reach.is_some()).copied().collect();
-        // Six of nine places are for those; a change of lanes counts 10 m. The lane back is near, and cannot be reached.
+        // Six of nine places are for those; a change of lanes counts 10 m. The lane back is near, and cannot be
+        // reached.
         assert_eq!(
             reached[..4],
             [(0, 0.0, Some(-8.0)), (2, 0.0, Some(2.0)), (0, 18.0, Some(10.0)), (2, 18.0, Some(20.0))]

@@ -1,28 +1,28 @@
-//! Which event is a network told of, for each row of a batch?
+//! The event that a network is conditioned on, for each row of a batch.
 //!
-//! A row is told one event or none. None means that nothing is known, not that nothing happens: a network learns it from
-//! ordinary traffic, in which events happen as often as they do. Each value has a flag, so that a value of 0 differs from one
-//! that is not told.
+//! A row is conditioned on one event or none. None means that nothing is known, not that nothing happens: a network
+//! learns it from ordinary traffic, in which events happen as often as they do. Each value has a flag, so that a value
+//! of 0 differs from a missing one.
 
 use super::{EventVocabulary, SceneBatch, SceneTensors};
 use crate::scene::Scene;
 use candle_core::{Result, Tensor, bail};
 use std::collections::BTreeMap;
 
-/// An event that a network is told of.
+/// An event that a network is conditioned on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToldEvent {
     /// The behavior.
     pub behavior: String,
     /// Who takes part: the scene's tracks, in the order of the roles.
     pub agents: Vec<usize>,
-    /// The values that are told, by name; the others are not.
+    /// The known values, by name; the others are unknown.
     pub values: BTreeMap<String, f64>,
 }
 
 impl SceneBatch {
-    /// The batch of which each row is told of an event, or of none: `told` has an entry for each row. Values that the vocabulary does
-    /// not have are not told, and neither are roles of agents that the row leaves out.
+    /// The batch with each row conditioned on an event, or on none: `told` has an entry for each row. Values that the
+    /// vocabulary does not have are left out, and so are roles of agents that the row leaves out.
     ///
     /// # Errors
     /// Fails when there are not as many entries as rows, or the vocabulary lacks a behavior.
@@ -54,7 +54,7 @@ impl SceneBatch {
     }
 }
 
-/// What the past of `scene` shows of these agents at the present, to find events that began alike: their speeds, and where the
+/// The state of these agents at the present of `scene`, to find events that began alike: their speeds, and where the
 /// others are in the frame of the first (ahead, left), meters. `None` if one of them is not there.
 pub fn present_of(scene: &Scene, agents: &[usize]) -> Option<Vec<f64>> {
     let state = |agent: &usize| scene.state(*agent, scene.current_timestep());
@@ -103,7 +103,8 @@ mod tests {
         let told = batch.telling(&vocabulary(), &told).unwrap();
         let found = told.events.as_ref().unwrap();
         assert_eq!(found.dims(), [3, 2, 3 + 2 * 5]);
-        // Of the behavior, then of each of its roles: the flag, and for gap and side whether it is told, and the value.
+        // One block for the behavior, then one for each of its roles: the flag, and for gap and side whether it is
+        // given, and the value.
         let (ego, other) = ([1.0, 0.0, 0.0, 1.0, -1.0], [0.0; 5]);
         let row = |first: [f64; 3], ego: [f64; 5], other: [f64; 5]| [&first[..], &ego[..], &other[..]].concat();
         let expected = [
@@ -112,7 +113,7 @@ mod tests {
             vec![0.0; 13],
             vec![0.0; 13],
             vec![0.0; 13],
-            // A value of 0 in its unit that is told.
+            // A given value that is 0 in its unit.
             row([1.0, 1.0, 0.0], other, other),
         ];
         assert_eq!(values(found), expected.concat());

@@ -81,8 +81,8 @@ pub fn map_warnings(losses: &[ChangedLoss]) -> Vec<String> {
         let has_map = at(SceneChange::NoMap, sigma)? != recorded;
         (has_map && ratio < MIN_RATIO).then(|| {
             format!(
-                "the denoiser barely uses the map: with lanes rotated by 90 degrees its held-out loss at sigma {sigma} is \
-                 {ratio:.2} times that with the true lanes; train longer, or on more places"
+                "the denoiser barely uses the map: with lanes rotated by 90 degrees its held-out loss at sigma {sigma} \
+                 is {ratio:.2} times that with the true lanes; train longer, or on more places"
             )
         })
     };

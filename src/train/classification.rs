@@ -14,7 +14,7 @@ pub const REPORT_SIGMAS: [f64; 6] = [0.02, 0.1, 0.3, 1.0, 3.0, 10.0];
 pub struct ClassificationTask<'a> {
     /// The classifier with trainable parameters.
     pub classifier: &'a BehaviorClassifier,
-    /// The same parameters without gradients, for evaluation.
+    /// The model without gradients, for evaluation.
     pub frozen: &'a BehaviorClassifier,
     /// The pairs.
     pub inputs: &'a NoisyPairs<'a>,

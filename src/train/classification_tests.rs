@@ -86,7 +86,8 @@ fn it_separates_the_better_the_less_noise_there_is() {
     }
 }
 
-/// With logits of 1 throughout, a positive example costs ln(1 + 1/e) and a negative one ln(1 + e). A quarter of the examples are positive.
+/// With logits of 1 throughout, a positive example costs ln(1 + 1/e) and a negative one ln(1 + e). A quarter of the
+/// examples are positive.
 #[test]
 fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
     let (dir, examples) = (tempfile::tempdir().unwrap(), examples(&pairs(0..240, 1000)));

@@ -90,7 +90,7 @@ pub struct PairData<'a> {
 /// The report on a trained classifier: the content of `classifier.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClassifierReport {
-    /// What the classifier is.
+    /// The specification of the classifier.
     pub spec: ClassifierSpec,
     /// Fingerprint of the checkpoint.
     pub fingerprint: String,

@@ -30,8 +30,8 @@ pub struct NoiseLevelReport {
 const N_BINS: usize = 10;
 
 impl NoiseLevelReport {
-    /// The figures of pairs with these logits and labels at noise level `sigma`, of a classifier for which positive pairs counted
-    /// `pos_weight` times as much as negative ones.
+    /// The figures of pairs with these logits and labels at noise level `sigma`, of a classifier for which positive
+    /// pairs counted `pos_weight` times as much as negative ones.
     pub fn new(sigma: f64, logits: &[f64], is_positive: &[bool], pos_weight: f64) -> Self {
         let count = |called: bool, label: bool| {
             let matches = |(logit, is_positive): (&f64, &bool)| (*logit > 0.0) == called && *is_positive == label;
@@ -54,7 +54,8 @@ impl NoiseLevelReport {
     }
 }
 
-/// Σ over bins of |Σ w (p - y)| / Σ w, with w = `pos_weight` for positive pairs and 1 for negative ones; `None` without pairs.
+/// Σ over bins of |Σ w (p - y)| / Σ w, with w = `pos_weight` for positive pairs and 1 for negative ones; `None` without
+/// pairs.
 fn calibration_error(logits: &[f64], is_positive: &[bool], pos_weight: f64) -> Option<f64> {
     let (mut excess, mut total) = ([0.0; N_BINS], 0.0);
     for (logit, is_positive) in logits.iter().zip(is_positive) {
@@ -96,12 +97,12 @@ mod tests {
         assert_eq!(report.recall, Some(2.0 / 3.0));
         assert_eq!(report.false_positive_rate, Some(0.5));
         assert_eq!(report.accuracy, Some(0.6));
-        // Of the six pairs of a positive and a negative: 2 > 1, 2 > -2, -0.5 > -2, 0.3 > -2 are in order.
+        // Four of the six pairs of a positive and a negative are in order: 2 > 1, 2 > -2, -0.5 > -2, 0.3 > -2.
         assert!((report.auc.unwrap() - 4.0 / 6.0).abs() < 1e-12);
     }
 
-    /// p = 1/2 twice, of which one is positive, and p = 0.9, which is negative. Weights of 1: |0.5 - 0.5| and 0.9, of 3 pairs. If positive
-    /// pairs count three times: 0.5 - 1.5 in the first bin, and 0.9, of 5.
+    /// p = 1/2 twice, of which one is positive, and p = 0.9, which is negative. Weights of 1: |0.5 - 0.5| and 0.9, of 3
+    /// pairs. If positive pairs count three times: 0.5 - 1.5 in the first bin, and 0.9, of 5.
     #[test]
     fn probabilities_are_compared_with_shares_bin_by_bin() {
         let logits = [0.0, 0.0, 9f64.ln()];

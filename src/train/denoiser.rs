@@ -63,8 +63,9 @@ fn keep_vocabulary(
     if let Some(events) = events {
         if !known.has_inputs_of(&events.vocabulary) {
             return Err(Error::Config(format!(
-                "the checkpoint of train.denoiser.start_from was trained on the events {}, train.denoiser.events.behaviors is {}: expected \
-                 the same behaviors in the same order, with the same parameters",
+                "the checkpoint of train.denoiser.start_from was trained on the events {}, \
+                 train.denoiser.events.behaviors is {}: expected the same behaviors in the same order, with the same \
+                 parameters",
                 known.names(),
                 events.vocabulary.names()
             )));

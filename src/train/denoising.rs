@@ -24,7 +24,7 @@ const EVENT_SIGMAS: [f64; 2] = [0.8, 3.0];
 pub struct DenoisingTask<'a> {
     /// The denoiser with trainable parameters.
     pub denoiser: &'a SceneDenoiser,
-    /// The same parameters without gradients, for evaluation.
+    /// The model without gradients, for evaluation.
     pub frozen: &'a SceneDenoiser,
     /// Settings.
     pub training: &'a DenoiserTraining,
@@ -61,7 +61,7 @@ impl DenoisingTask<'_> {
         sigmas.iter().map(|sigma| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma))).collect()
     }
 
-    /// The losses on held-out events that are told, and on the same that are not.
+    /// The losses on held-out events with event conditioning, and on the same events without.
     fn event_losses(&self) -> Result<Vec<(String, f64)>, Error> {
         if self.draws.events.is_none_or(|events| events.held_out.is_empty()) {
             return Ok(Vec::new());

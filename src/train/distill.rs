@@ -23,7 +23,8 @@ pub struct DistillSource<'a> {
 /// network, scales and limits that samples in few evaluations.
 ///
 /// # Errors
-/// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it, or training fails.
+/// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it,
+/// or training fails.
 pub fn distill_denoiser(
     training: &DistillTraining,
     data: &TrainingData<'_>,
@@ -76,7 +77,8 @@ fn keep_units(events: &mut LearnedEvents, teacher: &DenoiserSpec) -> Result<(), 
         Some(known) if known.has_inputs_of(&events.vocabulary) => events.vocabulary = known.clone(),
         known => {
             return Err(Error::Config(format!(
-                "train.distill.events.behaviors is {}, expected those that the denoiser was trained on, in the same order: {}",
+                "train.distill.events.behaviors is {}, expected those that the denoiser was trained on, in the same \
+                 order: {}",
                 events.vocabulary.names(),
                 known.as_ref().map_or_else(|| "none; remove the section".to_owned(), EventVocabulary::names)
             )));
@@ -114,7 +116,8 @@ fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error
         return Ok(());
     }
     Err(Error::Config(format!(
-        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of the same length",
+        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of the \
+         same length",
         scene.id,
         scene.n_history,
         scene.n_timesteps.saturating_sub(scene.n_history),

@@ -34,8 +34,8 @@ fn refused(issue: Issue) -> Error {
 scene_training_section! {
     /// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
     pub struct DistillTrainingConfig in "train.distill", each Own {
-        /// A few large steps that match many small ones of the denoiser: for sweeps with `sampler = { kind = "euler" }` of
-        /// the same `n_steps` and `grid`.
+        /// A few large steps that match many small ones of the denoiser: for sweeps with `sampler = { kind = "euler" }`
+        /// of the same `n_steps` and `grid`.
         pub method: StepDistillation,
         /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
         #[schemars(range(min = 0.0))]
@@ -47,8 +47,8 @@ scene_training_section! {
         /// Objectives for samples, in addition to matching the denoiser: each adds its weight
         /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
-        /// Mined events that the network is told of, of the behaviors that its denoiser was told of, in the same order. Left out: the
-        /// distilled denoiser cannot be told of events.
+        /// Mined events that the network is told of, of the behaviors that its denoiser was told of, in the same order.
+        /// Left out: the distilled denoiser cannot be told of events.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub events: Option<EventTraining>,
         /// A checkpoint of the same denoiser, distilled to the same steps, to start from: to train it toward other
@@ -97,7 +97,7 @@ pub struct DistillTraining {
     pub path_loss: f64,
     /// The objectives for samples.
     pub objectives: Vec<ObjectiveConfig>,
-    /// The events that the network is told of.
+    /// The events that the network is conditioned on.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub events: Option<EventTraining>,
     /// Tasks, batches, evaluations and the schedule.

@@ -141,7 +141,7 @@ fn one_large_step_leads_where_many_small_ones_lead() {
     let grid = StepGrid { sigma_min: None, ..steps.grid };
     let many = endings_m(&denoiser, &SamplerConfig::Heun(HeunConfig { grid, ..HeunConfig::with_steps(20) }));
     let (before, after) = (endings_m(&denoiser, &steps.sampler()), endings_m(&distilled, &steps.sampler()));
-    // The same noise leads to the same way.
+    // Equal noise leads to an equal way.
     let n_same = |endings: &[f64]| endings.iter().zip(&many).filter(|(a, b)| (**a - **b).abs() < 1.5).count();
     assert!(n_same(&before) < 20, "without training {} of 64 end where many steps lead", n_same(&before));
     assert!(n_same(&after) >= 50, "{} of 64 end where many steps lead: {after:?} {many:?}", n_same(&after));

@@ -16,7 +16,8 @@ pub enum Error {
     Io(#[from] std::io::Error),
     /// A training state that changed since it was saved.
     #[error(
-        "{path} has changed since it was saved, or the disk is failing; restore it from a copy, or remove it to train from the start"
+        "{path} has changed since it was saved, or the disk is failing; restore it from a copy, or remove it to train \
+         from the start"
     )]
     DamagedState {
         /// The file.
@@ -30,7 +31,8 @@ pub enum Error {
     NoScenes(String),
     /// A classifier needs examples of both labels.
     #[error(
-        "{behavior}: found {n_positive} positive and {n_negative} negative pairs; training needs both: mine more scenes or other places, or relax the behavior's definition"
+        "{behavior}: found {n_positive} positive and {n_negative} negative pairs; training needs both: mine more \
+         scenes or other places, or relax the behavior's definition"
     )]
     NoExamples {
         /// The behavior.
@@ -43,7 +45,7 @@ pub enum Error {
     /// An invalid setting.
     #[error("{0}")]
     Config(String),
-    /// The training was asked to stop, and its state is saved.
+    /// The training was interrupted, and its state is saved.
     #[error("stopped after step {step}, with everything saved")]
     Stopped {
         /// Steps taken.

@@ -1,4 +1,4 @@
-//! `[train.denoiser.events]`: which mined events is a denoiser told of, and how often?
+//! `[train.denoiser.events]`: which mined events is a denoiser conditioned on, and how often?
 
 use crate::behavior;
 use crate::settings::{self, Issue};
@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 
 /// Mined events that the network is told of, so that samples can ask for them (`classifier_free = { event = true }`).
 ///
-/// A share of each batch is drawn from events that begin after the present, and these rows are told theirs. All other rows are
-/// ordinary scenes that are told nothing, whether an event happens in them or not. What the network does untold is so learned
-/// from ordinary traffic alone, as without this section; it is what classifier-free guidance leans away from.
+/// A share of each batch is drawn from events that begin after the present, and these rows are told theirs. All other
+/// rows are ordinary scenes that are told nothing, whether an event happens in them or not. What the network does
+/// untold is so learned from ordinary traffic alone, as without this section; it is what classifier-free guidance leans
+/// away from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EventTraining {
@@ -19,8 +20,8 @@ pub struct EventTraining {
     #[serde(default = "half")]
     #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 1))]
     pub share: f64,
-    /// The chance that none of an event's values is told, only the behavior and who takes part; and otherwise the chance of each
-    /// value that it is not told.
+    /// The chance that none of an event's values is told, only the behavior and who takes part; and otherwise the
+    /// chance of each value that it is not told.
     #[serde(default = "three_tenths")]
     #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
     pub value_dropout: f64,

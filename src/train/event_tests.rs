@@ -1,4 +1,4 @@
-//! A denoiser that is told of mined events: which events count, what a batch is told, and that it learns from them.
+//! A denoiser that is conditioned on mined events: which events count, what a batch sees, and that it learns from them.
 
 use super::scene_draws::Entry;
 use super::testing::{MadeScenes, arcs, collator, draws_of_four, fork, job, one_source};
@@ -23,7 +23,7 @@ fn event(behavior: &str, label: EventLabel, start: usize, side: f64, scene: &Sce
     BehaviorEvent::new((behavior, roles), scene, label, agents, start..=11).with("side", side)
 }
 
-/// Scenes in which the second car bears left or right, which only the event tells, and an event for each.
+/// Scenes in which the second car bears left or right, a choice that only the event gives away, and an event for each.
 fn forks(n: usize) -> (MadeScenes<impl Fn(usize) -> Scene + Sync>, Vec<BehaviorEvent>) {
     let scenes = MadeScenes(n, |idx: usize| fork(idx, &[Drive::straight(0.0, 20.0, 0.0, 9.0)]));
     let made = |idx: usize| {
@@ -75,7 +75,7 @@ fn gather(data: &TrainingData<'_>) -> LearnedEvents {
 fn positive_events_after_the_present_count() {
     let (scenes, mut events) = forks(28);
     let all = gather(&data(&scenes, &events));
-    // Of 20 training scenes, every fifth has a near miss; of 8 held-out ones scene 20 and 25.
+    // Every fifth of 20 training scenes has a near miss; of 8 held-out ones scene 20 and 25.
     assert_eq!(all.by_behavior.iter().map(Vec::len).collect::<Vec<_>>(), [16, 4]);
     let held_out: Vec<usize> = all.held_out.iter().map(|event| event.scene_idx).collect();
     assert!(held_out.len() == 4 && held_out.iter().all(|idx| (20..28).contains(idx)), "{held_out:?}");
@@ -137,7 +137,7 @@ fn a_share_of_each_batch_is_told_and_behaviors_take_turns() {
             n_values += of_row[first + 1] + of_row[first + 3];
         }
     }
-    // Each of two values is told with probability 0.8 · 0.8; three standard deviations of 400 rows.
+    // Each of two values is shown with probability 0.8 · 0.8; three standard deviations of 400 rows.
     let share: f64 = n_values / n_rows;
     assert!((share - 1.28).abs() < 3.0 * (2.0f64 * 0.64 / n_rows).sqrt(), "{share} values of {n_rows} rows");
 }

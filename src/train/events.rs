@@ -1,4 +1,4 @@
-//! The mined events of a training: which count, in which units are their values, and what is told of one?
+//! The mined events of a training: which count, in which units are their values, and what does a step show of one?
 
 use super::{Error, EventTraining, MinedEvent, TrainingData};
 use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Examples of each behavior that a checkpoint keeps.
 const N_EXAMPLES: usize = 200;
 
-/// A mined event that a network can be told of.
+/// A mined event that a network can be conditioned on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearnedEvent {
     /// Index of the scene in the dataset.
@@ -29,13 +29,13 @@ pub struct LearnedEvent {
 pub struct LearnedEvents {
     /// The events to train on.
     pub events: Vec<LearnedEvent>,
-    /// Those of each behavior, by index; none is empty.
+    /// Indices of the events of each behavior; none is empty.
     pub by_behavior: Vec<Vec<usize>>,
     /// Held-out events to evaluate on; the behaviors take turns.
     pub held_out: Vec<LearnedEvent>,
-    /// What the network can be told.
+    /// The events that the network has inputs for.
     pub vocabulary: EventVocabulary,
-    /// How often it is told.
+    /// How often they are shown.
     pub config: EventTraining,
 }
 
@@ -63,8 +63,8 @@ impl LearnedEvents {
         let by_behavior = grouped(config, &events);
         if let Some(at) = by_behavior.iter().position(Vec::is_empty) {
             return Err(Error::Config(format!(
-                "{section}.events.behaviors.{at} is \"{0}\", but no training scene has a mined {0} that begins after the present: \
-                 add {{ kind = \"{0}\" }} to mine.behaviors, or remove it here",
+                "{section}.events.behaviors.{at} is \"{0}\", but no training scene has a mined {0} that begins after \
+                 the present: add {{ kind = \"{0}\" }} to mine.behaviors, or remove it here",
                 config.behaviors[at]
             )));
         }
@@ -81,7 +81,7 @@ impl LearnedEvents {
         })
     }
 
-    /// What a training step tells of an event, with values left out at random.
+    /// The values of an event that a training step shows, with some left out at random.
     pub(super) fn told_in_part(
         &self,
         event: &LearnedEvent,
@@ -113,7 +113,7 @@ impl LearnedEvent {
         })
     }
 
-    /// All that can be told of it.
+    /// All values of the event that the network has inputs for.
     ///
     /// # Errors
     /// When the scene lacks one of its tracks.

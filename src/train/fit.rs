@@ -203,7 +203,7 @@ mod tests {
         }
     }
 
-    /// Asks to stop after so many steps.
+    /// Interrupts after so many steps.
     struct StopAfter(AtomicU64);
 
     impl Progress for StopAfter {
@@ -288,8 +288,8 @@ mod tests {
         let mut params = Params::new(&Compute::cpu());
         let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
         let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &Silent)).unwrap();
-        // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose decay is
-        // 2/11, 3/12, 4/13 and 5/14.
+        // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose
+        // decay is 2/11, 3/12, 4/13 and 5/14.
         let evaluated: Vec<f64> =
             outcome.statistics.iter().filter_map(|line| line.evaluation.get("x").copied()).collect();
         let expected = [-0.040_909, -0.111_744, -0.162_706, -0.186_681];

@@ -66,7 +66,7 @@ fn one_hot(indices: &Tensor, n: usize, device: &candle_core::Device) -> Result<T
 pub struct JointFuturesTask<'a> {
     /// The network with trainable parameters.
     pub network: &'a SceneTransformer,
-    /// The same parameters without gradients, for evaluation.
+    /// The model without gradients, for evaluation.
     pub frozen: &'a SceneTransformer,
     /// Weight of -ln p of the best future beside its error.
     pub mode_loss: f64,

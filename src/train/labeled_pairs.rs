@@ -28,8 +28,8 @@ pub struct LabeledPair {
 
 impl LabeledPair {
     /// The pairs of `events`, which are all of one behavior, by scene. A pair with several events is positive if one of
-    /// them is. With more than `max_pairs` pairs, random negative ones are left out until half are positive, then random
-    /// ones of both.
+    /// them is. With more than `max_pairs` pairs, random negative ones are left out until half are positive, then
+    /// random ones of both.
     pub fn of_events(events: &[MinedEvent<'_>], max_pairs: usize, seed: Seed) -> Vec<Self> {
         let mut labels: BTreeMap<(usize, TrackId, TrackId), bool> = BTreeMap::new();
         for MinedEvent { scene_idx, event } in events {

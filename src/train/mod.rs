@@ -2,8 +2,8 @@
 //!
 //! The denoiser learns a mixture of observation tasks, the baseline the same draws, the classifier mined pairs in noisy
 //! states, and the distilled denoiser a few large steps. With events, a share of each batch is drawn from mined events,
-//! which these rows are told; all other rows are told nothing, so that the network does untold what ordinary traffic
-//! does.
+//! on which these rows are conditioned; all other rows have none, so that the network without an event does what
+//! ordinary traffic does.
 
 mod baseline;
 mod baseline_config;

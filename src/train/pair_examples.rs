@@ -70,7 +70,7 @@ impl PairExample {
 
 /// The pairs of a training on noisy states.
 pub struct NoisyPairs<'a> {
-    /// What the classifier is.
+    /// The specification of the classifier.
     pub spec: &'a ClassifierSpec,
     /// Distribution of the training noise levels.
     pub noise: NoiseDistribution,

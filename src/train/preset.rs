@@ -105,10 +105,10 @@ pub struct DenoiserTraining {
     pub objectives: Vec<ObjectiveConfig>,
     /// The noise level up to which they count.
     pub objectives_below_sigma: f64,
-    /// The events that the network is told of.
+    /// The events that the network is conditioned on.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub events: Option<EventTraining>,
-    /// What is drawn with equal weight.
+    /// The unit that is drawn with equal weight.
     pub balance: Balance,
     /// Maximum number of agents per scene.
     pub max_agents: usize,
@@ -151,7 +151,8 @@ impl DenoiserTrainingConfig {
         if let Some(events) = &self.events {
             events.validate().map_err(|issue| Self::refusal(issue.within("events")))?;
             if network.geometry.is_none() {
-                let message = "train.denoiser.events needs train.denoiser.network.geometry: only the geometric network can be told of events";
+                let message = "train.denoiser.events needs train.denoiser.network.geometry: only the geometric network \
+                               can be told of events";
                 return Err(Error::Config(message.to_owned()));
             }
         }
@@ -182,8 +183,8 @@ struct Size {
     max_lanes: usize,
 }
 
-/// A row of the table of schedules: scenes a step, learning rate and its warm-up, decay of the moving average, steps between
-/// evaluations and the held-out scenes of each.
+/// A row of the table of schedules: scenes a step, learning rate and its warm-up, decay of the moving average, steps
+/// between evaluations and the held-out scenes of each.
 struct Schedule {
     steps: u64,
     batch: usize,
@@ -198,11 +199,16 @@ impl Preset {
     #[rustfmt::skip]
     const fn size(self) -> Size {
         match self {
-            Self::Tiny       => Size { layers: "TMAT",               width:  32, n_heads: 2, max_agents: 12, max_lanes:  32 },
-            Self::Small      => Size { layers: "TMATMAT",            width:  96, n_heads: 4, max_agents: 20, max_lanes:  48 },
-            Self::Large      => Size { layers: "TMATMATMATMAT",      width: 256, n_heads: 8, max_agents: 64, max_lanes: 256 },
-            Self::PaperSmall => Size { layers: "TATM TAT",           width:  96, n_heads: 4, max_agents: 16, max_lanes:  48 },
-            Self::Paper      => Size { layers: "TATM TATM TATM TAT", width: 256, n_heads: 4, max_agents: 64, max_lanes: 256 },
+            Self::Tiny =>
+                Size { layers: "TMAT",               width:  32, n_heads: 2, max_agents: 12, max_lanes:  32 },
+            Self::Small =>
+                Size { layers: "TMATMAT",            width:  96, n_heads: 4, max_agents: 20, max_lanes:  48 },
+            Self::Large =>
+                Size { layers: "TMATMATMATMAT",      width: 256, n_heads: 8, max_agents: 64, max_lanes: 256 },
+            Self::PaperSmall =>
+                Size { layers: "TATM TAT",           width:  96, n_heads: 4, max_agents: 16, max_lanes:  48 },
+            Self::Paper =>
+                Size { layers: "TATM TATM TATM TAT", width: 256, n_heads: 4, max_agents: 64, max_lanes: 256 },
         }
     }
 
@@ -210,11 +216,16 @@ impl Preset {
     const fn schedule(self) -> Schedule {
         type S = Schedule;
         match self {
-            Self::Tiny       => S { steps:     400, batch:  8, rate: 2e-3,   warmup:    20, ema: 0.99,  every:   200, n_eval:  16 },
-            Self::Small      => S { steps:   8_000, batch: 16, rate: 1.5e-3, warmup:   200, ema: 0.995, every:   500, n_eval:  48 },
-            Self::Large      => S { steps: 200_000, batch: 64, rate: 5e-4,   warmup: 1_000, ema: 0.999, every: 5_000, n_eval: 200 },
-            Self::PaperSmall => S { steps:   8_000, batch:  8, rate: 1e-3,   warmup:   200, ema: 0.99,  every:   500, n_eval:  48 },
-            Self::Paper      => S { steps: 200_000, batch: 32, rate: 3e-4,   warmup:   133, ema: 0.0,   every: 5_000, n_eval: 200 },
+            Self::Tiny =>
+                S { steps:     400, batch:  8, rate: 2e-3,   warmup:    20, ema: 0.99,  every:   200, n_eval:  16 },
+            Self::Small =>
+                S { steps:   8_000, batch: 16, rate: 1.5e-3, warmup:   200, ema: 0.995, every:   500, n_eval:  48 },
+            Self::Large =>
+                S { steps: 200_000, batch: 64, rate: 5e-4,   warmup: 1_000, ema: 0.999, every: 5_000, n_eval: 200 },
+            Self::PaperSmall =>
+                S { steps:   8_000, batch:  8, rate: 1e-3,   warmup:   200, ema: 0.99,  every:   500, n_eval:  48 },
+            Self::Paper =>
+                S { steps: 200_000, batch: 32, rate: 3e-4,   warmup:   133, ema: 0.0,   every: 5_000, n_eval: 200 },
         }
     }
 
@@ -258,7 +269,8 @@ impl Preset {
         };
         match self {
             Self::Tiny | Self::Small | Self::Large => geometric,
-            // Diffused motion is of unit size: encodings with periods below 1 would show the network noise and little else.
+            // Diffused motion is of unit size: encodings with periods below 1 would show the network noise and little
+            // else.
             Self::PaperSmall => DenoiserTraining {
                 network: NetworkConfig { encoding: 32, latent_periods: [1.0, 100.0], path_input: true, ..network },
                 noise: NoiseDistribution { p_mean: -0.5, p_std: 1.4 },

@@ -30,7 +30,7 @@ pub(super) struct Position {
 }
 
 impl Position {
-    /// The same position, sealed with the tensors of its state.
+    /// This position, sealed with the tensors of its state.
     fn sealed(&self, tensors: &BTreeMap<String, Tensor>) -> Result<Self, Error> {
         let unsealed = Self { checksum: None, ..self.clone() };
         let checksum = checksum(tensors, &unsealed).map_err(std::io::Error::from)?;

@@ -35,7 +35,7 @@ pub struct SceneDraws<'a> {
     pub dataset: &'a dyn SceneDataset,
     /// The scenes to train on.
     pub train: &'a [WeightedGroups],
-    /// The events that batches are told of, if any.
+    /// The events that batches are conditioned on, if any.
     pub events: Option<&'a LearnedEvents>,
     /// Indices of the held-out scenes to evaluate on.
     pub held_out: &'a [usize],
@@ -93,7 +93,7 @@ pub struct DrawnBatch {
     pub rngs: Vec<SeededRng>,
 }
 
-/// What a row of a batch is made of.
+/// The source of a row of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Entry<'a> {
     /// A scene, by its index.
@@ -167,8 +167,8 @@ impl SceneDraws<'_> {
         self.collate(&drawn, seeds, rngs)
     }
 
-    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes. The seeds of a batch
-    /// are the same whenever it is evaluated.
+    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes. The
+    /// seeds of a batch are the same whenever it is evaluated.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -180,7 +180,7 @@ impl SceneDraws<'_> {
         self.changed_means(self.held_out, n, &|scene| scene, figures)
     }
 
-    /// The same over these held-out scenes after `change`.
+    /// [`Self::held_out_means`] over these held-out scenes after `change`.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -199,8 +199,8 @@ impl SceneDraws<'_> {
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 
-    /// The means of `n` scalar figures over the scenes of held-out events, whose first agents are at the center. The events are told
-    /// with all of their values, or not at all; everything else is the same.
+    /// The means of `n` scalar figures over the scenes of held-out events, whose first agents are at the center. The
+    /// events are shown with all of their values, or not at all; everything else is the same.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -234,8 +234,8 @@ impl SceneDraws<'_> {
         (step * batch_size..(step + 1) * batch_size).filter_map(|position| self.entry_at(position)).collect()
     }
 
-    /// The row at a position of the training: of the first n, ⌊n share⌋ are told of events. Their behaviors take turns, and each
-    /// yields consecutive entries of a shuffle.
+    /// The row at a position of the training: of the first n, ⌊n share⌋ are conditioned on events. Their behaviors take
+    /// turns, and each yields consecutive entries of a shuffle.
     fn entry_at(&self, position: u64) -> Option<Entry<'_>> {
         let Some(events) = self.events else { return self.scene_at(position).map(Entry::Scene) };
         let n_told = |n: u64| (n as f64 * events.config.share).floor() as u64;

@@ -11,7 +11,7 @@ fn any_masks() -> MaskSampler {
     MaskSampler::new(&TaskWeights::default()).unwrap()
 }
 
-/// The scenes of the batch of `step`, none of which is told of an event.
+/// The scenes of the batch of `step`, none of which is conditioned on an event.
 fn scenes_of(draws: &SceneDraws<'_>, step: u64) -> Vec<usize> {
     let scene = |entry: Entry<'_>| if let Entry::Scene(idx) = entry { idx } else { usize::MAX };
     draws.batch_entries(step).into_iter().map(scene).collect()

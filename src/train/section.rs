@@ -163,14 +163,15 @@ macro_rules! training_section {
     };
 }
 
-/// The same with the settings of every training on scenes.
+/// A section with the settings of every training on scenes.
 macro_rules! scene_training_section {
     ($(#[$meta:meta])* pub struct $name:ident in $section:literal, each $value:ident { $($own:tt)* }) => {
         crate::train::section::training_section! {
             $(#[$meta])*
             pub struct $name in $section, each $value {
                 $($own)*
-                /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains for prediction alone.
+                /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains
+                /// for prediction alone.
                 pub tasks: TaskWeights,
                 /// Decay of the moving average of the weights; 0 for none.
                 #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]

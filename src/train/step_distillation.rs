@@ -125,7 +125,7 @@ fn answer(x: &Tensor, next: &Tensor, from: f64, to: f64) -> candle_core::Result<
 pub struct StepDistillationTask<'a> {
     /// The denoiser with trainable parameters.
     pub denoiser: &'a SceneDenoiser,
-    /// The same parameters without gradients, for evaluations.
+    /// The model without gradients, for evaluations.
     pub frozen: &'a SceneDenoiser,
     /// The teacher.
     pub teacher: &'a SceneDenoiser,

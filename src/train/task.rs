@@ -6,15 +6,15 @@ use std::collections::BTreeMap;
 
 /// A training task.
 pub trait TrainTask: Sync {
-    /// The loss of the batch of `step`, a scalar. It must depend on the parameters and the step alone, so that a resumed
-    /// run takes the same steps.
+    /// The loss of the batch of `step`, a scalar. It must depend on the parameters and the step alone, so that a
+    /// resumed run takes the same steps.
     ///
     /// # Errors
     /// When the batch cannot be made.
     fn loss(&self, step: u64) -> Result<Tensor, Error>;
 
-    /// Prepares the batch of the next step in advance. It is called while a GPU computes the previous step, and must not
-    /// wait for it.
+    /// Prepares the batch of the next step in advance. It is called while a GPU computes the previous step, and must
+    /// not wait for it.
     ///
     /// # Errors
     /// When the batch cannot be made.

@@ -1,4 +1,4 @@
-//! What the tests of training share: scenes made by a function, jobs, and draws.
+//! Helpers that the tests of training share: scenes made by a function, jobs, and draws.
 
 use super::{Prefetched, SceneDataset, SceneDraws, TrainJob, TrainingData, TrainingSource, WeightedGroups};
 use crate::nn::Compute;

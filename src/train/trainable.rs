@@ -20,7 +20,7 @@ pub struct TrainJob<'a> {
     pub seed: Seed,
     /// The folder of the model. An interrupted training in it is resumed.
     pub dir: &'a Path,
-    /// What networks compute on.
+    /// The device and precision that networks compute on.
     pub compute: &'a Compute,
     /// Receives the progress.
     pub progress: &'a dyn Progress,
@@ -45,7 +45,7 @@ pub(super) struct Trainable<S: ModelSpec> {
     pub(super) params: Params,
     /// The network whose parameters take gradients.
     pub(super) network: S::Network,
-    /// The same without gradients, for evaluations.
+    /// The network without gradients, for evaluations.
     pub(super) frozen: S::Network,
 }
 
@@ -98,7 +98,7 @@ impl<'a> ScenesOfFit<'a> {
         })
     }
 
-    /// Draws batches, a share of which is told of `events`; `with_context` adds the context of objectives.
+    /// Draws batches, a share of which is conditioned on `events`; `with_context` adds the context of objectives.
     pub(super) fn draws<'b>(
         &'b self,
         with_context: bool,

@@ -14,7 +14,7 @@ pub struct TrainingData<'a> {
     pub dataset: &'a dyn SceneDataset,
     /// The scenes to draw, by source; not empty.
     pub sources: Vec<TrainingSource>,
-    /// The mined events of these scenes, if the training tells its model of events.
+    /// The mined events of these scenes, if the training conditions its model on events.
     pub events: Vec<MinedEvent<'a>>,
     /// Dimensions of a diffused state.
     pub state_dim: usize,

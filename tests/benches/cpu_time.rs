@@ -7,8 +7,8 @@ use std::time::Instant;
 pub(crate) struct Elapsed {
     /// On the clock.
     pub(crate) wall_s: f64,
-    /// Of all threads of the process together; says more than the clock on a machine that others use, too. Not a number where the
-    /// system does not tell it.
+    /// CPU time of all threads of the process together; says more than the clock on a machine that others use, too. Not
+    /// a number where the system does not report it.
     pub(crate) cpu_s: f64,
 }
 

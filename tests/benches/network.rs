@@ -1,7 +1,8 @@
 //! How long do the networks' calls take beside the same networks in PyTorch, with the same weights, on the same scenes?
 //!
-//! First DJINN's network of the paper's size, then the geometric one of the preset `small`. Both sides take turns, batch by batch, so that whatever else the machine does slows both. The peer is `scripts/bench_network.py`,
-//! which first has to give the same output.
+//! First DJINN's network of the paper's size, then the geometric one of the preset `small`. Both sides take turns,
+//! batch by batch, so that whatever else the machine does slows both. The peer is `scripts/bench_network.py`, which
+//! first has to give the same output.
 
 use crate::batch_tensors::tensors;
 use crate::cpu_time::{Elapsed, timed};
@@ -25,10 +26,10 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
 const SEED: Seed = Seed(1);
-/// What both networks may differ by, of the largest output.
+/// The largest difference allowed between both networks, relative to the largest output.
 const TOLERANCE: f64 = 1e-4;
 
-/// What to measure.
+/// The measurements to make.
 struct Options {
     scenes: PathBuf,
     python: String,
@@ -49,8 +50,8 @@ const fn name_of(preset: Preset) -> &'static str {
 
 /// Prints one row for each kind of call.
 pub(crate) fn run(arguments: &[String]) -> std::result::Result<(), String> {
-    let usage = "network SCENES [--python PROGRAM] [--batch N] [--rounds N] [--futures N] [--steps N] [--preset paper|small], \
-                 where SCENES is the folder `scenes` of a run";
+    let usage = "network SCENES [--python PROGRAM] [--batch N] [--rounds N] [--futures N] [--steps N] [--preset \
+                 paper|small], where SCENES is the folder `scenes` of a run";
     let (scenes, rest) = arguments.split_first().ok_or(usage)?;
     let mut options = Options {
         scenes: scenes.into(),
@@ -262,7 +263,8 @@ fn describe(options: &Options, batches: &[Noisy], scene: &SceneBatch) {
     };
     let dims: Vec<String> = batches.iter().skip(1).map(|noisy| noisy.batch.valid.dims()[1].to_string()).collect();
     println!(
-        "{} threads; T = {}; A = {} and L = {} with padding; {:.0} % of states and {:.0} % of lanes are none; the sampled scene has {} agents",
+        "{} threads; T = {}; A = {} and L = {} with padding; {:.0} % of states and {:.0} % of lanes are none; the \
+         sampled scene has {} agents",
         n_threads(),
         scene.valid.dims()[2],
         dims.join(", "),

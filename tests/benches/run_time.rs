@@ -1,7 +1,7 @@
 //! How long does one scene take, against the number of its agents (paper, Appendix: model runtime)?
 //!
-//! The networks have the paper's size and random weights, which cost what trained ones do. One scene at a time, as in the paper; a
-//! sweep samples many at once and is faster for each.
+//! The networks have the paper's size and random weights, which cost what trained ones do. One scene at a time, as in
+//! the paper; a sweep samples many at once and is faster for each.
 
 use crate::cpu_time::{Elapsed, timed};
 use crate::scenes::scene;
@@ -44,7 +44,8 @@ fn table(agents: &[usize], steps: &[usize]) -> Result<()> {
     let config = SceneTransformerConfig::default();
     let baseline = SceneTransformer::new(&mut baseline_params, &config, 3, PARAMETRIZATION, Seed(1))?;
     println!(
-        "Seconds for one scene of T = {N_TIMESTEPS}, L = {N_LANES}: on the clock (of the processor); denoiser {:.1} M, Scene Transformer {:.1} M parameters",
+        "Seconds for one scene of T = {N_TIMESTEPS}, L = {N_LANES}: on the clock (of the processor); denoiser {:.1} M, \
+         Scene Transformer {:.1} M parameters",
         params.n_parameters() as f64 * 1e-6,
         baseline_params.n_parameters() as f64 * 1e-6
     );

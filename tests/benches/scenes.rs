@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 const DT_S: f64 = 0.1;
 
-/// A scene in INTERACTION's shape: `n_agents` vehicles, `n_timesteps` of which `n_history` are observed, `n_lanes` lanes of ten points.
+/// A scene in INTERACTION's shape: `n_agents` vehicles, `n_timesteps` of which `n_history` are observed, `n_lanes`
+/// lanes of ten points.
 pub(crate) fn scene(n_agents: usize, n_timesteps: usize, n_history: usize, n_lanes: usize) -> Scene {
     let track = |idx: usize| {
         let (column, row) = ((idx % 8) as f64, (idx / 8) as f64);

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 const MAX_LINES: usize = 600;
+/// `max_width` of `rustfmt.toml`, which leaves comments and literals as they are.
+const MAX_WIDTH: usize = 120;
 
 /// A source file without its tests and comments.
 struct Source {
@@ -112,6 +114,19 @@ fn modules_named(code: &str) -> Vec<String> {
     named
 }
 
+/// Drops the content of raw strings, which cannot be broken, but for its ends of lines.
+fn without_raw_strings(text: &str) -> String {
+    let (mut kept, mut rest) = (String::new(), text);
+    while let Some(start) = rest.find("r#\"") {
+        let (before, raw) = rest.split_at(start + "r#\"".len());
+        let end = raw.find("\"#").unwrap_or(raw.len());
+        kept.push_str(before);
+        kept.extend(raw[..end].chars().filter(|c| *c == '\n'));
+        rest = &raw[end..];
+    }
+    kept + rest
+}
+
 fn identifier(text: &str) -> String {
     text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
 }
@@ -157,8 +172,8 @@ fn tensors_and_noise_know_nothing_of_scenes() {
     }
 }
 
-/// What differs between datasets is a fact of the table in `scene::dataset`, or a format in the dataset's own folder: code that asks
-/// for a dataset by its name is silently wrong about the next one.
+/// A difference between datasets is a fact of the table in `scene::dataset`, or a format in the dataset's own folder:
+/// code that asks for a dataset by its name is silently wrong about the next one.
 #[test]
 fn datasets_are_told_apart_in_their_table_and_their_readers_alone() {
     let table = sources().into_iter().find(|source| source.module == ["scene", "dataset"]).unwrap();
@@ -207,6 +222,21 @@ fn files_say_what_they_answer_and_stay_small() {
         let n_lines = text.lines().count();
         if n_lines > MAX_LINES {
             faults.push(format!("{} has {n_lines} lines, more than {MAX_LINES}", path.display()));
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn lines_fit_the_width() {
+    let mut faults = Vec::new();
+    for path in rust_files("src").into_iter().chain(rust_files("tests")) {
+        let text = fs_err::read_to_string(&path).unwrap();
+        for (idx, line) in without_raw_strings(&text).lines().enumerate() {
+            let width = line.chars().count();
+            if width > MAX_WIDTH {
+                faults.push(format!("{}:{} has {width} columns, more than {MAX_WIDTH}", path.display(), idx + 1));
+            }
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
@@ -277,9 +307,11 @@ fn links_in_the_documents_lead_somewhere() {
 #[test]
 fn the_scanner_sees_through_groups_strings_and_comments() {
     let code = without_tests_and_comments(
-        "use crate::{geometry::{Vec2, Polyline}, scene::Scene};\n// crate::cli\nfn f() { crate::nn::g() }\n#[cfg(test)]\nmod tests {\n use crate::cli;\n}\n",
+        "use crate::{geometry::{Vec2, Polyline}, scene::Scene};\n// crate::cli\nfn f() { crate::nn::g() }\n\
+         #[cfg(test)]\nmod tests {\n use crate::cli;\n}\n",
     );
     assert_eq!(modules_named(&code), ["geometry", "scene", "nn"]);
     assert!(names_crate("use polars::prelude::*;", "polars") && names_crate("fn f() -> csv::Result<()>", "csv"));
     assert!(!names_crate("use my_csv::X;", "csv") && !names_crate("use crate::ingest::csv::X;", "csv"));
+    assert_eq!(without_raw_strings("a(r#\"b\nc\"#, d)"), "a(r#\"\n\"#, d)");
 }

@@ -45,7 +45,7 @@ fn exit_codes_tell_whose_fault_it_is() {
     djinn(&["inspect", "Cargo.toml"]).expect(1);
     djinn(&["mine", "--quiet", "--verbose", "--output", "x"]).expect(1);
 
-    // What has no end, or another content the next time, is no input.
+    // A file without an end, or with another content the next time, is no input.
     let workspace = Workspace::new();
     let output = workspace.arg("devices");
     for args in [
@@ -72,8 +72,8 @@ fn exit_codes_tell_whose_fault_it_is() {
     assert!(outcome.stderr.contains("scenes-00000.arrow"), "{}", outcome.stderr);
 }
 
-/// A disk is full when nothing more can be written. Here no file may become longer than a few hundred bytes, which fails in the same
-/// places.
+/// A disk is full when nothing more can be written. Here no file may become longer than a few hundred bytes, which
+/// fails in the same places.
 #[cfg(unix)]
 #[test]
 fn a_full_disk_is_a_fault_of_the_machine_and_leaves_no_half_result() {

@@ -71,7 +71,7 @@ fn the_tools_work_from_the_command_line() {
         assert!(outcome.stderr.contains(advice), "{args:?}: {}", outcome.stderr);
     }
 
-    // A damaged corpus is told as such, with what is wrong with it.
+    // A damaged corpus is reported as such, with its faults.
     let lanes = workspace.path("two/lanes.parquet");
     let bytes = fs_err::read(&lanes).unwrap();
     fs_err::write(&lanes, &bytes[..100]).unwrap();
@@ -83,7 +83,8 @@ fn the_tools_work_from_the_command_line() {
     assert!(json["n_damages"].as_u64() > Some(1) && json["by_check"]["checksum"] == 1, "{json}");
 }
 
-/// What needs a Python package that is not here is skipped, and told; an error of a query fails it, and so does a missing Python.
+/// A query that needs a Python package that is not here is skipped, and reported; an error of a query fails the test,
+/// and so does a missing Python.
 #[test]
 fn the_example_queries_run() {
     let stdout = python(&["scripts/check_readme_queries.py", CORPUS]);

@@ -120,7 +120,7 @@ fn what_was_made_of_recordings_stays_without_them() {
     let plan = ingest(&["--dry-run"]).expect(0).stdout;
     assert!(plan.contains("#   ingest            cached"), "{plan}");
     djinn(&["mine", "--output", &out]).expect(0);
-    // What must be made anew needs them.
+    // A stage that must be run anew needs them.
     let told = ingest(&["--set", "ingest.max_agents=3"]).expect(1).stderr;
     assert!(told.contains("failed to read the input inputs.0"), "{told}");
 }

@@ -64,7 +64,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
             Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64)
         );
         assert_eq!(report["assumed"]["no_subject"].as_u64(), Some((n_scenarios - verified.len()) as u64));
-        // The same again, byte by byte.
+        // A second export has the same bytes.
         export(format, "again", &["-q"]).expect(0);
         assert_same(&files(&folder), &files(&workspace.path("again")));
         fs_err::remove_dir_all(workspace.path("again")).unwrap();
@@ -109,7 +109,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     let n_verified = index.iter().filter(|row| row["verified"] == "true").count();
     assert_eq!(Some(n_verified as u64), manifest["n_verified"].as_u64());
 
-    // CommonRoad leaves the ego to a planner unless told otherwise, OpenSCENARIO where it is asked to.
+    // CommonRoad leaves the ego to a planner by default, OpenSCENARIO on request.
     for (format, option, motion) in [
         ("commonroad", None, "free"),
         ("commonroad", Some("--free-ego"), "free"),
@@ -126,7 +126,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         assert_eq!(left_out == "ego_is_free", format == "commonroad" && motion == "free", "{out}");
     }
 
-    // What cannot be done says why, and leaves nothing behind.
+    // An impossible export says why, and leaves nothing behind.
     for (format, out, more, message) in [
         ("openlabel", "few", vec![], "is not empty"),
         ("openlabel", "none", vec!["--scenario", "nobody"], "holds no scenario nobody"),

@@ -80,7 +80,7 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
         &["1 of 7 shards were given up: samples-00002", "remove the marks"],
     );
 
-    // A worker that is asked to stop leaves no mark, and says that it goes on.
+    // A worker that is signaled to stop leaves no mark, and says that it goes on.
     (1..=10).for_each(|number| fs_err::remove_file(dir.join(format!("samples-00002.try-{number}"))).unwrap());
     let args = workspace
         .run_args("out", &[&SETTINGS[..], &["--stage", "generate", "--part", "work", "--worker", "1/1"]].concat());

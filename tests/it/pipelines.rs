@@ -1,4 +1,5 @@
-//! Every pipeline in `tests/pipelines`: the same bytes on one thread and on two, after being killed, and by several workers.
+//! Every pipeline in `tests/pipelines`: the same bytes on one thread and on two, after being killed, and by several
+//! workers.
 
 use crate::support::{Workspace, assert_same, files, start, wait_for_part};
 use std::collections::BTreeMap;

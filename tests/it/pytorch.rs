@@ -1,4 +1,5 @@
-//! Does the geometric denoiser compute what its independent implementation in PyTorch (`scripts/torch_geometric_network.py`) does?
+//! Does the geometric denoiser compute what its independent implementation in PyTorch
+//! (`scripts/torch_geometric_network.py`) does?
 
 use crate::batch_tensors::tensors;
 use crate::support::djinn;
@@ -17,7 +18,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What both may differ by, of the largest number: ours are computed in single precision.
+/// The largest difference allowed, relative to the largest number: ours are computed in single precision.
 const TOLERANCE: f32 = 1e-4;
 
 fn root() -> &'static Path {
@@ -46,7 +47,7 @@ fn assert_close(name: &str, found: &Tensor, expected: &Tensor) {
     assert!(error <= TOLERANCE, "{name}: relative difference {error:e}");
 }
 
-/// The same for each row, of which each has a noise level of its own.
+/// [`assert_close`] for each row, of which each has a noise level of its own.
 #[track_caller]
 fn assert_rows_close(name: &str, found: &Tensor, expected: &Tensor) {
     for row in 0..expected.dim(0).unwrap() {
@@ -126,8 +127,8 @@ fn rows(named: &HashMap<String, Tensor>, template: &LanePiece) -> Vec<Arc<RowSur
     (0..n_rows).map(row).collect()
 }
 
-/// The batch that these tensors are; the rows' frames, lanes and flags of pieces, which the geometric network does not read, are
-/// those of `other`.
+/// The batch that these tensors are; the rows' frames, lanes and flags of pieces, which the geometric network does not
+/// read, are those of `other`.
 fn batch_of(named: &HashMap<String, Tensor>, other: &SceneBatch) -> SceneBatch {
     let get = |name: &str| named[name].clone();
     let template = &other.surroundings.as_ref().unwrap().rows[0].pieces[0];
@@ -202,8 +203,9 @@ fn outputs_and_gradients_of_random_weights_are_those_of_pytorch() {
     }
 }
 
-/// `DJINN_UPDATE_GOLDEN=1 cargo test --test it pytorch` writes the batch that PyTorch is given; `scripts/golden_geometric.py` follows.
-/// How motion changes along time, and its modes, are no part of it: PyTorch works them out by itself.
+/// `DJINN_UPDATE_GOLDEN=1 cargo test --test it pytorch` writes the batch that PyTorch is given;
+/// `scripts/golden_geometric.py` follows. How motion changes along time, and its modes, are no part of it: PyTorch
+/// works them out by itself.
 #[test]
 fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
     let trained = carried();

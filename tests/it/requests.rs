@@ -49,7 +49,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     workspace.run("out", &[]).expect(0);
     assert_same(&before, &files(&root));
     an_earlier_run_teaches(&workspace);
-    // No sample is the recording itself: within a limit that asks for it nothing is accepted.
+    // No sample is the recording itself: within a limit that requires it nothing is accepted.
     workspace.run("out", &["--set", "generate.requests.0.limits.min_scene_ade_m=0.0"]).expect(0);
     let summary = read_requests(&root.join("samples")).unwrap().remove(0);
     assert!(summary.arms.iter().any(|arm| arm.total.n_beyond_limits > 0), "{summary:?}");
@@ -74,7 +74,7 @@ fn an_earlier_run_teaches(workspace: &Workspace) {
     assert!(missing.contains("nowhere.json") && missing.contains("samples/requests.json"), "{missing}");
 }
 
-/// What `requests.json` says is what the rows say, by a count of its own; and the corpus holds what was accepted.
+/// The counts of `requests.json` are those of the rows, by a count of its own; and the corpus holds what was accepted.
 fn counts_agree_with_the_rows(root: &Path) {
     let summaries = read_requests(&root.join("samples")).unwrap();
     let [summary] = summaries.as_slice() else { panic!("{} requests", summaries.len()) };
@@ -127,7 +127,7 @@ fn counts_agree_with_the_rows(root: &Path) {
     assert!(page.contains("Requested and delivered") && page.contains("Buckets of tight"));
 }
 
-/// Rows of every sweep and arm come out as they are stored; what changed or is missing is told.
+/// Rows of every sweep and arm come out as they are stored; changed or missing rows are reported.
 fn rows_are_generated_again(workspace: &Workspace, root: &Path) {
     let from = root.to_str().unwrap();
     let mut last_of_sweep = BTreeMap::new();

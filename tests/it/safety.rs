@@ -1,4 +1,5 @@
-//! Do the commands leave alone what they did not write: recordings, files beside results, trained models, other corpora?
+//! Do the commands leave alone what they did not write: recordings, files beside results, trained models, other
+//! corpora?
 
 use crate::support::{Outcome, Workspace, command, djinn, files, start};
 use std::collections::BTreeMap;

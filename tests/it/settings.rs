@@ -51,7 +51,7 @@ fn expect_refusals(rows: &[Row<'_>]) {
     assert!(!workspace.path("out").exists());
 }
 
-/// What a pipeline with such a setting is refused with, in words that name no type of the program.
+/// The message that refuses a pipeline with such a setting, in words that name no type of the program.
 fn refusal(more: &[String]) -> Option<String> {
     let error = parse(None, SMALL_PIPELINE, more).err()?.to_string();
     assert!(!["usize", "f64", "untagged", "Some("].iter().any(|text| error.contains(text)), "{more:?}: {error}");

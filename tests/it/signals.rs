@@ -1,4 +1,4 @@
-//! What does a signal leave, and what is said of it?
+//! What does a signal leave, and what is printed about it?
 
 use crate::support::{Workspace, assert_same, djinn, files, wait_for_part};
 use std::os::unix::process::ExitStatusExt;
@@ -19,7 +19,7 @@ fn send(child: &Child, signal: &str) {
     assert!(Command::new("kill").args(["-s", signal, &child.id().to_string()]).status().unwrap().success());
 }
 
-/// The exit code, or 128 and the number of the signal that ended the program, as a shell tells it; and what was said.
+/// The exit code, or 128 and the number of the signal that ended the program, as a shell reports it; and the output.
 fn ended(child: Child) -> (i32, String) {
     let output = child.wait_with_output().unwrap();
     let code = output.status.code().or(output.status.signal().map(|signal| 128 + signal));

@@ -27,7 +27,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     let rows = fs_err::read_to_string(root.join(table)).unwrap();
     assert!(rows.lines().count() > 30 && rows.lines().all(|row| row.split(',').count() == 24), "{rows}");
 
-    // The same command again does nothing.
+    // A second run of the command does nothing.
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
     assert_eq!(plan.matches("  cached").count(), 7, "{plan}");
     workspace.run("out", &[]).expect(0);
@@ -50,7 +50,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     for stage in ["ingest", "mine", "train denoiser", "train classifier", "generate", "evaluate", "report"] {
         let args: Vec<&str> = stage.split(' ').chain(["--config", &config, "--output", &alone, "-q"]).collect();
         let outcome = djinn(&args).expect(0);
-        // What a model of twelve steps has not learned is a warning, which quiet commands tell, too.
+        // A model of twelve steps has not learned to use the map; quiet commands print the warning, too.
         let told: Vec<&str> = outcome.stderr.lines().filter(|line| !line.contains("barely uses the map")).collect();
         assert_eq!((outcome.stdout.as_str(), told), ("", vec![]), "quiet");
     }
@@ -127,8 +127,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     assert_same(&before, &files(&root));
 }
 
-/// The small pipeline with a baseline in place of the classifier, and a sweep of it in place of the guided one.
-/// A file in which a byte is not as it was written is told by the plan, which makes it again.
+/// A file with a changed byte is detected by the plan, which makes it again.
 fn damage_is_seen(workspace: &Workspace, root: &Path) {
     for (file, stage) in [
         ("events.parquet", "mine"),
@@ -150,6 +149,7 @@ fn damage_is_seen(workspace: &Workspace, root: &Path) {
     }
 }
 
+/// The small pipeline with a baseline in place of the classifier, and a sweep of it in place of the guided one.
 fn with_baseline() -> String {
     let (before, rest) = SMALL_PIPELINE.split_once("[train.classifier]").unwrap();
     let (_, after) = rest.split_once("[generate]").unwrap();
@@ -211,7 +211,7 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     djinn(&["train", "baseline", "--config", &config, "--scenes", scenes, "--output", &alone, "-q"]).expect(0);
     assert_same(&files(&root.join("baseline")), &files(&workspace.path("alone/baseline")));
 
-    // What it cannot do is refused before anything runs.
+    // A sweep that the baseline cannot do is refused before anything runs.
     let guided = run(&["--dry-run", "--set", "generate.sweeps.1.strengths=[1.0]"]).expect(1);
     assert!(
         guided.stderr.contains("strengths is [1.0], but model = \"baseline\" has no such key"),

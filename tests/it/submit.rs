@@ -1,4 +1,4 @@
-//! What does submitting a pipeline hand to Slurm, and what is seen of a run from outside?
+//! The jobs that submitting a pipeline hands to Slurm, and the view of a run from outside.
 
 use crate::support::{Workspace, command, djinn, python};
 use std::os::unix::fs::PermissionsExt;
@@ -38,7 +38,8 @@ fn jobs_are_submitted_with_what_they_wait_for() {
         (output.status.code(), text(&output.stdout).as_str()),
         (
             Some(0),
-            "prepare\t101\nplan\t102\nwork\t103\nseal\t104\nevaluate-plan\t105\nevaluate-work\t106\nevaluate-seal\t107\nfinish\t108\n"
+            "prepare\t101\nplan\t102\nwork\t103\nseal\t104\nevaluate-plan\t105\nevaluate-work\t106\n\
+             evaluate-seal\t107\nfinish\t108\n"
         )
     );
     assert!(text(&output.stderr).contains("djinn status"), "{}", text(&output.stderr));
@@ -60,7 +61,7 @@ fn jobs_are_submitted_with_what_they_wait_for() {
     }
     assert!(workspace.run_folder("out").join("slurm").is_dir(), "Slurm makes no folders for what jobs print");
 
-    // The same jobs for others, in which --workers is as good as the setting.
+    // The jobs as JSON, in which --workers is as good as the setting.
     let graph = submit(&workspace, "exit 1", &["json", "--set", "cluster.workers=5"]);
     let graph: serde_json::Value = serde_json::from_slice(&graph.stdout).unwrap();
     assert_eq!((graph["jobs"][2]["name"].as_str(), graph["jobs"][2]["workers"].as_u64()), (Some("work"), Some(5)));

@@ -1,11 +1,11 @@
-//! What the tests of the program share: a way to run it, a small pipeline, and folders compared byte by byte.
+//! Helpers that the tests of the program share: a way to run it, a small pipeline, and folders compared byte by byte.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// What a finished program said.
+/// The output of a finished program.
 #[derive(Debug)]
 pub(crate) struct Outcome {
     pub(crate) code: i32,
@@ -44,7 +44,8 @@ pub(crate) fn start(args: &[&str]) -> Child {
     command(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
-/// Waits for a shard, or another file beside the shards, of a stage that processes are at work on in the run folder `root`.
+/// Waits for a shard, or another file beside the shards, of a stage that processes are at work on in the run folder
+/// `root`.
 pub(crate) fn wait_for_part(root: &Path, stage: &str, file: &str) {
     let plans = root.join(format!("{stage}.parts"));
     let is_there =

@@ -1,4 +1,5 @@
-//! Does a pipeline train a denoiser that is told of mined events, distill it, and ask both for events in sweeps and requests?
+//! Does a pipeline train a denoiser that is conditioned on mined events, distill it, and use both for events in sweeps
+//! and requests?
 
 use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
 use djinn::model::DenoiserSpec;
@@ -110,7 +111,7 @@ fn mined_events_are_told_asked_for_and_generated_again() {
     }
     let kind = |sweep: &str| by_sweep[sweep].last().unwrap().scenario.provenance.guidance.kind.as_str();
     assert_eq!((kind("told"), kind("distilled")), ("event", "target_speed+event"));
-    // Samples of an arm are told an event in a bucket: both of its parameters are told.
+    // Samples of an arm are conditioned on an event in a bucket, on both of its parameters.
     for record in &by_sweep["left/told@1"] {
         let told = told(record);
         assert!((-30.0..30.0).contains(&told["relative_speed_mps"]) && told["side"].abs() == 1.0, "{told:?}");

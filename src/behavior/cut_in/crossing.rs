@@ -87,8 +87,8 @@ impl LaneCrossing<'_> {
         Some(Crossing { intrusion, reached, crossing, ego_shift_m, moment })
     }
 
-    /// When the other, which comes from `side`, is in the lane with its center, having headed along it until then. `None` also where it goes back
-    /// soon.
+    /// When the other, which comes from `side`, is in the lane with its center, having headed along it until then.
+    /// `None` also where it goes back soon.
     fn crossed(&self, other: &Track, side: f64) -> Option<usize> {
         let (present, end) = (self.scene.current_timestep(), self.scene.n_timesteps);
         let beyond_m = |t: usize, side: f64| self.lane.beyond_m(state(other, t)?.position, side);
@@ -106,8 +106,8 @@ impl LaneCrossing<'_> {
         (is_outside(present) && !goes_back && (present..=crossing).all(is_along)).then_some(crossing)
     }
 
-    /// Whether the other is ahead of the ego when it crosses and when it intrudes, clear of it when both have happened, and the ego in its lane until
-    /// then.
+    /// Whether the other is ahead of the ego when it crosses and when it intrudes, clear of it when both have happened,
+    /// and the ego in its lane until then.
     fn is_ahead(&self, places: &[[Option<Place>; 2]], crossing: usize, intrusion: usize) -> bool {
         let both = |t: usize| places[t][0].zip(places[t][1]);
         let is_ahead = |t: usize| both(t).is_some_and(|(own, theirs)| theirs.station_m > own.station_m);
@@ -176,7 +176,8 @@ impl LaneCrossing<'_> {
         Some(Place { station_m, offset_m, heading_rad, half_along_m, half_across_m })
     }
 
-    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also where the other is in its strip already at present.
+    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also where the other is in its strip
+    /// already at present.
     fn replayed(&self, places: &[[Option<Place>; 2]]) -> Option<(usize, usize)> {
         let (scene, extent) = (self.scene, self.scene.tracks[self.pair[0]].extent_or_nominal());
         let kept_offset_m = places[scene.current_timestep()][0]?.offset_m;
@@ -202,8 +203,8 @@ fn state(track: &Track, timestep: usize) -> Option<&State> {
     track.trajectory.get(timestep).filter(|state| state.is_finite())
 }
 
-/// How far an agent gets to the left between two timesteps (or the first and last between them at which it is tracked), across the mean of its
-/// headings at both, meters: nothing on an even bend.
+/// How far an agent gets to the left between two timesteps (or the first and last between them at which it is tracked),
+/// across the mean of its headings at both, meters: nothing on an even bend.
 fn across_headings_m(track: &Track, from: usize, to: usize) -> Option<f64> {
     let mut states = (from..=to).filter_map(|timestep| state(track, timestep));
     let first = states.next()?;

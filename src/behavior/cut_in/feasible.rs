@@ -173,7 +173,7 @@ mod tests {
     use crate::scene::Trajectory;
     use crate::scene::testing::{Drive, scene};
 
-    /// What the second of two cars could come to before the first, which drives along x at 10 m/s.
+    /// Reachable outcomes of the second of two cars ahead of the first, which drives along x at 10 m/s.
     fn outcomes(other: Drive) -> Vec<Outcome> {
         let mut scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other]);
         // Four seconds of future.
@@ -203,8 +203,8 @@ mod tests {
     #[test]
     fn the_way_aside_takes_its_share_of_the_time() {
         // 3.3 m aside, less 1.8 m of two half widths, with 0.3 m inside the lane: 1.8 m, which 2 m/s² take √3.6 s for.
-        // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2 or 2.5 of the 4 s: 3 would leave less than is
-        // to spare.
+        // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2 or 2.5 of the 4 s: 3
+        // would leave less than is to spare.
         let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
         let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
         let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();

@@ -84,22 +84,25 @@ impl Default for CutInConfig {
 
 /// One vehicle (`other`) crosses into the lane that another (`ego`) keeps, shortly ahead of it.
 ///
-/// The lane of the ego is the one it is in at present, with those that lead to it and follow on; the other is measured along and across its
-/// center line, so that a bend is no sideways motion. The future is every timestep after the present.
+/// The lane of the ego is the one it is in at present, with those that lead to it and follow on; the other is measured
+/// along and across its center line, so that a bend is no sideways motion. The future is every timestep after the
+/// present.
 ///
 /// **Positive**: all of
 ///
-/// - At present the other's center is beyond a side of the lane, and its box not in front of the ego's. In the future it crosses that side
-///   and stays beyond it for a second (or to the end of the scene), heading along the lane throughout (within 30 degrees).
-/// - It moves over by at least 0.5 m, and by more than the ego moves toward it, from the present to a second after it has come in.
+/// - At present the other's center is beyond a side of the lane, and its box not in front of the ego's. In the future
+///   it crosses that side and stays beyond it for a second (or to the end of the scene), heading along the lane
+///   throughout (within 30 degrees).
+/// - It moves over by at least 0.5 m, and by more than the ego moves toward it, from the present to a second after it
+///   has come in.
 /// - The ego keeps its lane until the other has come in (its center is at most 0.3 m beyond a side).
 /// - The event remains when the ego is replayed straight along its lane, that is at its present offset and with its own
 ///   progress: at a future time t_other the other's box is in the strip that the replayed ego sweeps, and at t_ego with
 ///   t_other < t_ego < t_other + 3 s the ego's box is where the other's was.
-/// - The other comes into the way of the ego as it drives, too: at some future time, and not at present, it is ahead, and
-///   beside the place at which the ego passes it, or is last, by at most half of both widths.
-/// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened; and both move, with at least
-///   1 m/s at t_other.
+/// - The other comes into the way of the ego as it drives, too: at some future time, and not at present, it is ahead,
+///   and beside the place at which the ego passes it, or is last, by at most half of both widths.
+/// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened; and both
+///   move, with at least 1 m/s at t_other.
 ///
 /// The event *starts* at the intrusion, the first such t_other, and is *complete* at the first such t_ego.
 ///
@@ -110,26 +113,27 @@ impl Default for CutInConfig {
 /// as on a ramp, offsets do not show which one cuts in: it is the one that moves more across the mean of its headings
 /// at both ends.
 ///
-/// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and end are the first and the
-/// last timestep of the scene.
+/// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and
+/// end are the first and the last timestep of the scene.
 ///
-/// Parameters, all at the intrusion and of the replayed ego unless said otherwise; a parameter is absent where it is not defined.
+/// Parameters, all at the intrusion and of the replayed ego unless said otherwise; a parameter is absent where it is
+/// not defined.
 ///
-/// | name | meaning |
-/// |---|---|
-/// | `intrusion_timestep`, `t_other_s` | the start, as a timestep and in seconds since the first timestep of the scene |
-/// | `crossing_timestep` | when the other's center crosses the side of the lane |
-/// | `t_ego_s` | the end, in seconds since the first timestep of the scene |
-/// | `ego_speed_mps`, `other_speed_mps` | speeds |
-/// | `relative_speed_mps` | ego's speed less the other's, along the lane; positive when closing |
-/// | `gap_m` | along the lane from the ego's front to the nearest part of the other; negative when alongside |
-/// | `ttc_s` | gap / relative speed; absent when not closing or alongside |
-/// | `time_headway_s` | gap / ego's speed; absent when the ego stands or is alongside |
-/// | `lateral_speed_mps` | the other's speed across the lane, positive toward the ego's side |
-/// | `shift_m`, `ego_shift_m` | how far the other moves over across the lane, and how far the ego moves toward it, from the present to a second after the other has come in |
-/// | `side` | the side the other comes from: +1 left, -1 right |
-/// | `ego_length_m`, `other_length_m` | lengths of the boxes, which tell cars from trucks where a dataset calls both vehicles; nominal where it gives no size |
-/// | `min_distance_m` | smallest distance of the boxes at the same time, from the present on; also for negatives |
+/// - `intrusion_timestep`, `t_other_s`: the start, as a timestep and in seconds since the first timestep of the scene;
+/// - `crossing_timestep`: when the other's center crosses the side of the lane;
+/// - `t_ego_s`: the end, in seconds since the first timestep of the scene;
+/// - `ego_speed_mps`, `other_speed_mps`: speeds;
+/// - `relative_speed_mps`: ego's speed less the other's, along the lane; positive when closing;
+/// - `gap_m`: along the lane from the ego's front to the nearest part of the other; negative when alongside;
+/// - `ttc_s`: gap / relative speed; absent when not closing or alongside;
+/// - `time_headway_s`: gap / ego's speed; absent when the ego stands or is alongside;
+/// - `lateral_speed_mps`: the other's speed across the lane, positive toward the ego's side;
+/// - `shift_m`, `ego_shift_m`: how far the other moves over across the lane, and how far the ego moves toward it, from
+///   the present to a second after the other has come in;
+/// - `side`: the side the other comes from: +1 left, -1 right;
+/// - `ego_length_m`, `other_length_m`: lengths of the boxes, which tell cars from trucks where a dataset calls both
+///   vehicles; nominal where it gives no size;
+/// - `min_distance_m`: smallest distance of the boxes at the same time, from the present on; also for negatives.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CutIn {
     config: CutInConfig,

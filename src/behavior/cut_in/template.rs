@@ -68,7 +68,7 @@ impl CutIn {
     }
 
     /// The ways in which `other` can cut in before `ego` with nobody in the way, each with its outcome, for the plans
-    /// whose outcome is wanted. `None` if the pair cannot show a cut-in at all.
+    /// whose outcome meets the request. `None` if the pair cannot show a cut-in at all.
     pub(super) fn ways(
         &self,
         scene: &Scene,
@@ -219,7 +219,8 @@ impl Pair {
     }
 }
 
-/// The integral of a speed that changes smoothly from 0 to 1 within `takes_s`, by 3 u² - 2 u³, over the first `elapsed_s` of them, seconds.
+/// The integral of a speed that changes smoothly from 0 to 1 within `takes_s`, by 3 u² - 2 u³, over the first
+/// `elapsed_s` of them, seconds.
 fn changed_s(elapsed_s: f64, takes_s: f64) -> f64 {
     if takes_s <= 0.0 {
         return 0.0;

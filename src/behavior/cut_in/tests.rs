@@ -1,4 +1,4 @@
-//! What must hold of cut-ins in any traffic; their definition is told by the example scenes.
+//! Properties of cut-ins in any traffic; the example scenes specify the definition itself.
 
 use super::*;
 use crate::behavior::testing::{SceneSpec, random_scene, transformed};
@@ -12,8 +12,8 @@ fn random_traffic(seed: u64, size_m: f64) -> Scene {
     Scene { lanes: spec.expect("valid").build("lanes").lanes, ..random_scene(seed, 9, size_m) }
 }
 
-/// Random traffic is no test of lanes, but of what pairs are looked at: each pair has at most one event, and pairs that are near
-/// have one.
+/// Random traffic is no test of lanes, but of what pairs are looked at: each pair has at most one event, and pairs that
+/// are near have one.
 #[test]
 fn every_near_pair_has_one_event() {
     let (mut n_positive, mut n_negative) = (0, 0);

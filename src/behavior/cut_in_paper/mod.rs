@@ -92,8 +92,8 @@ impl Default for CutInPaperConfig {
 /// - It is *complete* at the first such t_ego: the ego stands where the other was.
 /// - *What does not count*: pairs in which the box of `other` at present overlaps any box of the ego's trajectory,
 ///   since there the ego merely follows; agents not tracked at present, since they have no initial state.
-/// - *What does count*, by the letter: crossing and oncoming traffic, unless `max_heading_difference_rad` is given; an ego
-///   that moves in behind the other itself, and boxes that only graze, unless `min_shift_m` is given; driving into
+/// - *What does count*, by the letter: crossing and oncoming traffic, unless `max_heading_difference_rad` is given; an
+///   ego that moves in behind the other itself, and boxes that only graze, unless `min_shift_m` is given; driving into
 ///   the ego, unless `collision_free` is set.
 ///
 /// **Negative**: any other ordered pair whose boxes come closer than 5 m, by default at any two timesteps of the
@@ -102,20 +102,19 @@ impl Default for CutInPaperConfig {
 /// Parameters, all at the intrusion unless said otherwise. "Along" and "across" refer to the path that the ego goes on
 /// to drive; a parameter is absent where it is not defined.
 ///
-/// | name | meaning |
-/// |---|---|
-/// | `intrusion_timestep`, `t_other_s` | the start, as a timestep and in seconds since the first timestep of the scene |
-/// | `t_ego_s` | the end, in seconds since the first timestep of the scene |
-/// | `ego_speed_mps`, `other_speed_mps` | speeds |
-/// | `relative_speed_mps` | ego's speed less the other's along the path; positive when closing |
-/// | `gap_m` | along the path from the ego's front to the nearest part of the other; negative when alongside |
-/// | `ttc_s` | gap / relative speed; absent when not closing or alongside |
-/// | `time_headway_s` | gap / ego's speed; absent when the ego stands or is alongside |
-/// | `lateral_speed_mps` | the other's speed across the path, positive toward it |
-/// | `shift_m` | how far the other moves sideways toward the path within the future, across its heading at present |
-/// | `side` | the side the other comes from: +1 left, -1 right |
-/// | `ego_length_m`, `other_length_m` | lengths of the boxes, which tell cars from trucks where a dataset calls both vehicles; nominal where it gives no size |
-/// | `min_distance_m` | smallest distance of the boxes at the same time, from the present on; also for negatives |
+/// - `intrusion_timestep`, `t_other_s`: the start, as a timestep and in seconds since the first timestep of the scene;
+/// - `t_ego_s`: the end, in seconds since the first timestep of the scene;
+/// - `ego_speed_mps`, `other_speed_mps`: speeds;
+/// - `relative_speed_mps`: ego's speed less the other's along the path; positive when closing;
+/// - `gap_m`: along the path from the ego's front to the nearest part of the other; negative when alongside;
+/// - `ttc_s`: gap / relative speed; absent when not closing or alongside;
+/// - `time_headway_s`: gap / ego's speed; absent when the ego stands or is alongside;
+/// - `lateral_speed_mps`: the other's speed across the path, positive toward it;
+/// - `shift_m`: how far the other moves sideways toward the path within the future, across its heading at present;
+/// - `side`: the side the other comes from: +1 left, -1 right;
+/// - `ego_length_m`, `other_length_m`: lengths of the boxes, which tell cars from trucks where a dataset calls both
+///   vehicles; nominal where it gives no size;
+/// - `min_distance_m`: smallest distance of the boxes at the same time, from the present on; also for negatives.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CutInPaper {
     config: CutInPaperConfig,

@@ -1,4 +1,5 @@
-//! Driving into each other: two agents continue along their ways, perhaps drifting aside, until they meet, and then brake.
+//! Driving into each other: two agents continue along their ways, perhaps drifting aside, until they meet, and then
+//! brake.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::collision::{Collision, core_or_recorded};
@@ -90,8 +91,8 @@ fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
     tried.map(course).collect()
 }
 
-/// The positions of a drifting agent at present and at each timestep after it, and its poses at the latter. It drifts over
-/// the distance that it would drive without braking, so that it does not slide aside while it stops.
+/// The positions of a drifting agent at present and at each timestep after it, and its poses at the latter. It drifts
+/// over the distance that it would drive without braking, so that it does not slide aside while it stops.
 fn drifting(driver: &Driver, (rail, pace, drift_m): (usize, &Pace, f64)) -> (Vec<Vec2>, Vec<(Vec2, f64)>) {
     let driven_m = driver.travel(rail, pace).driven_m;
     let way_m = driver.travel(rail, &pace.unchanged()).driven_m.last().copied().unwrap_or_default().max(1.0);

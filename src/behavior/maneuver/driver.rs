@@ -62,20 +62,20 @@ impl Pace {
         Self { first_mps2, changes: Vec::new(), briskness: 1.0 }
     }
 
-    /// The same with another acceleration from `from_s` seconds after the present on, later than all other changes.
+    /// Adds a change to another acceleration from `from_s` seconds after the present on, later than all other changes.
     #[must_use]
     pub(in crate::behavior) fn then(mut self, from_s: f64, acceleration_mps2: f64) -> Self {
         self.changes.push((from_s, acceleration_mps2));
         self
     }
 
-    /// The same without the changes.
+    /// The plan without its changes.
     #[must_use]
     pub(in crate::behavior) fn unchanged(&self) -> Self {
         Self { changes: Vec::new(), ..self.clone() }
     }
 
-    /// The same with this multiple of the ordinary speed in bends; the lateral acceleration grows with its square.
+    /// The plan with this multiple of the ordinary speed in bends; the lateral acceleration grows with its square.
     #[must_use]
     pub(in crate::behavior) fn brisk(self, briskness: f64) -> Self {
         Self { briskness, ..self }
@@ -135,7 +135,7 @@ impl Driver {
         self.places(rail, driven_m).into_iter().map(|(at, _)| at).collect()
     }
 
-    /// The same, with the directions of the way.
+    /// Like [`Self::positions`], each with the direction of the way there.
     pub(in crate::behavior) fn places(&self, rail: usize, driven_m: &[f64]) -> Vec<(Vec2, Vec2)> {
         std::iter::once(&0.0).chain(driven_m).map(|driven_m| self.rails[rail].at(*driven_m)).collect()
     }

@@ -6,8 +6,8 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
-/// Decelerations that are tried, above the least one of an event, because the measured one is smoothed; and the hardest,
-/// m/s².
+/// Decelerations that are tried, above the least one of an event, because the measured one is smoothed; and the
+/// hardest, m/s².
 const MORE_MPS2: [f64; 4] = [0.5, 1.25, 2.25, 3.25];
 const HARDEST_MPS2: f64 = 7.75;
 /// When braking begins and how long it lasts, seconds.

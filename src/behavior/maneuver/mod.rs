@@ -1,7 +1,8 @@
-//! How could agents drive to show a behavior? Candidates along the lanes are drawn up, and tried with the behavior's own
-//! miner before one becomes a template.
+//! How could agents drive to show a behavior? Candidates along the lanes are drawn up, and tried with the behavior's
+//! own miner before one becomes a template.
 //!
-//! One behavior per file. Those of the near miss are in its own folder; the templates of the cut-in are solved directly.
+//! One behavior per file. Those of the near miss are in its own folder; the templates of the cut-in are solved
+//! directly.
 
 mod collision;
 mod cut_out;
@@ -32,8 +33,8 @@ use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// How many plans of one kind are kept to list outcomes and to choose a template from, and how many candidates are tried
-/// for them.
+/// How many plans of one kind are kept to list outcomes and to choose a template from, and how many candidates are
+/// tried for them.
 const N_TO_TELL: usize = 2;
 const N_TO_CHOOSE: usize = 4;
 const N_TRIED: usize = 8;
@@ -62,8 +63,9 @@ pub(super) struct Plan {
     positions: Vec<Vec<Vec2>>,
 }
 
-/// The plans by which `agents` show `behavior`, easiest first: maneuvers in which nobody leaves the road, accelerates too
-/// hard or collides with others that continue straight, and in which the miner finds the event with the agents alone.
+/// The plans by which `agents` show `behavior`, easiest first: maneuvers in which nobody leaves the road, accelerates
+/// too hard or collides with others that continue straight, and in which the miner finds the event with the agents
+/// alone.
 fn plans(behavior: &(impl Behavior + ?Sized), scene: &Scene, agents: &[usize], n_alike: usize) -> Vec<Plan> {
     let mut maneuvers = behavior.maneuvers(scene, agents);
     if maneuvers.is_empty() {

@@ -1,5 +1,5 @@
-//! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along their
-//! ways, and the other brakes if it has to.
+//! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along
+//! their ways, and the other brakes if it has to.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::footprint::{Bounds, Footprint};

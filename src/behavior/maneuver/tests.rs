@@ -12,7 +12,7 @@ fn drive(x: f64, y: f64, speed_mps: f64) -> Drive {
     Drive::straight(x, y, 0.0, speed_mps)
 }
 
-/// Of each behavior a scene in which the agents can show it, in the order of the roles.
+/// A scene for each behavior in which the agents can show it, with their indices in the order of the roles.
 fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
     let alone = || vec![drive(0.0, 0.0, 10.0)];
     let mut beside_the_road = going_on(&[drive(0.0, 0.0, 10.0), drive(32.0, -3.0, 0.0)], two_lanes());
@@ -55,7 +55,7 @@ fn oncoming(x: f64, speed_mps: f64) -> Drive {
 
 #[test]
 fn the_miner_finds_what_templates_were_made_for_and_as_it_was_wanted() {
-    // Those of the cut-in are solved without plans.
+    // Cut-ins are solved without plans.
     for (id, scene, agents) in possible().into_iter().filter(|(id, ..)| *id != "cut_in") {
         let behavior = BehaviorConfig::from_id(id).unwrap().build();
         let plans = super::plans(&*behavior, &scene, &agents, 4);

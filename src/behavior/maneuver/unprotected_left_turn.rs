@@ -12,8 +12,8 @@ use std::f64::consts::FRAC_PI_3;
 const ONCOMING_RAD: f64 = FRAC_PI_3;
 
 impl UnprotectedLeftTurn {
-    /// Maneuvers in which the turner passes ahead of the oncoming vehicle along any of its ways. The miner decides which
-    /// of them are left turns.
+    /// Maneuvers in which the turner passes ahead of the oncoming vehicle along any of its ways. The miner decides
+    /// which of them are left turns.
     pub(in crate::behavior) fn turns_ahead(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let heading_rad = |agent_idx| scene.state(agent_idx, scene.current_timestep()).map(|state| state.heading_rad);
         let [Some(own_rad), Some(their_rad)] = agents.map(heading_rad) else { return Vec::new() };

@@ -48,7 +48,8 @@ const MAX_TTC_S: f64 = 10.0;
 ///   move at 1 m/s or more. Their courses differ there by at least 30 degrees, and so does each course from the path
 ///   that the other drives through this place: an agent that follows another around a bend or merges behind it does not
 ///   cross it.
-/// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are recorded.
+/// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are
+///   recorded.
 ///
 /// The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
 ///
@@ -254,7 +255,8 @@ mod tests {
     use super::*;
     use crate::behavior::testing::SceneSpec;
 
-    /// What is found with sizes, without them by the default definition, and without them where they need not be recorded.
+    /// Events found with sizes, without them by the default definition, and without them where sizes need not be
+    /// recorded.
     fn events(second: &str) -> [Vec<EventLabel>; 3] {
         let spec: Result<SceneSpec, _> = toml::from_str(&format!(
             "agents = [{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", {second} }}]"

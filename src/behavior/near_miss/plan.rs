@@ -47,8 +47,8 @@ struct Course {
 }
 
 impl NearMiss {
-    /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then the
-    /// smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
+    /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then
+    /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
     /// accelerate with at most half of -4 to 2.5 m/s², and nobody else is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let config = self.config();

@@ -1,4 +1,4 @@
-//! What makes a template usable: nobody in the way, on the road, within what vehicles can do, and unlike the others.
+//! Checks of a template: nobody in the way, on the road, within the limits of vehicles, and unlike the others.
 
 use super::{Motion, Template};
 use crate::behavior::lane_relation::SceneLanes;

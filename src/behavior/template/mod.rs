@@ -1,4 +1,4 @@
-//! A maneuver that is solved for a wanted event: the agents that take part, and their states after the present.
+//! A maneuver that is solved for a requested event: the agents that take part, and their states after the present.
 //!
 //! A template fixes the motion of the agents of the event; the denoiser samples everybody else around them. It depends
 //! on the past and the map alone.
@@ -44,9 +44,9 @@ impl Template {
         Self { motions: Vec::new() }
     }
 
-    /// The maneuver with one more agent, which follows `place`, its position by the seconds after the present. The motion
-    /// starts at the agent's present position, velocity and acceleration and joins `place` within a second. `None` if the
-    /// agent is not tracked at present, or `place` is undefined at some time.
+    /// Adds an agent that follows `place`, its position by the seconds after the present. The motion starts at the
+    /// agent's present position, velocity and acceleration and joins `place` within a second. `None` if the agent is not
+    /// tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
@@ -114,9 +114,9 @@ fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
     (last.len() >= LEAST_OBSERVED).then(|| bend * (2.0 / (norm * dt_s * dt_s)))
 }
 
-/// The states of an agent that was at the positions of its `past`, is `now` somewhere and then at `positions`. Velocities
-/// are slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while the agent
-/// stands.
+/// The states of an agent that was at the positions of its `past`, is `now` somewhere and then at `positions`.
+/// Velocities are slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while
+/// the agent stands.
 fn states(now: &State, dt_s: f64, past: &[Vec2], positions: &[Vec2]) -> Vec<State> {
     // A vehicle may be recorded with a heading that differs from its motion.
     let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
@@ -156,7 +156,8 @@ pub(super) fn quintic_inverse(value: f64) -> f64 {
     high
 }
 
-/// The course after `past` with its corners rounded off, by a binomial filter over half a second that leaves the past as it is.
+/// The course after `past` with its corners rounded off, by a binomial filter over half a second that leaves the past
+/// as it is.
 fn rounded(past: &[Vec2], future: Vec<Vec2>) -> Vec<Vec2> {
     let n_past = past.len();
     let mut course: Vec<Vec2> = past.iter().copied().chain(future).collect();

@@ -26,7 +26,7 @@ pub(crate) struct Case {
     pub(crate) events: Vec<ExpectedEvent>,
 }
 
-/// What must be found.
+/// An event that must be found.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ExpectedEvent {

@@ -112,7 +112,7 @@ fn examples_say_of_every_behavior_who_the_subject_is() {
     }
 }
 
-/// What is listed is what requests for events may name: nothing that events never have, and all that they have.
+/// The list has exactly the parameters that events have: requests may name no others.
 #[test]
 fn parameters_are_listed_and_occur_in_the_examples() {
     for entry in ALL {

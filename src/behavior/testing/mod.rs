@@ -42,7 +42,7 @@ pub(crate) fn fork() -> LaneGraph {
     lane_graph(&format!("lanes = [{FORK} {}] }}]", bend()))
 }
 
-/// The same fork, with an oncoming lane 3.5 m to the left of the straight one, and with a lane that leads on from the bend.
+/// [`fork`] with an oncoming lane 3.5 m to the left of the straight one, and with a lane that leads on from the bend.
 pub(crate) fn fork_with_oncoming() -> LaneGraph {
     let bend = bend();
     lane_graph(&format!(
@@ -58,7 +58,8 @@ const FORK: &str = "
     { id = 2, centerline = [[20.0, 0.0], [100.0, 0.0]] },
     { id = 3, centerline = [";
 
-/// A main road along x that has the right of way, and a side road along y that crosses it and has this role in the rule.
+/// A main road along x that has the right of way, and a side road along y that crosses it and has this role in the
+/// rule.
 pub(crate) fn side_road(role: &str) -> LaneGraph {
     let rule = |role: &str| format!(r#"tags = {{ "regulatory:1" = "role={role};subtype=right_of_way" }}"#);
     lane_graph(&format!(
@@ -76,7 +77,8 @@ pub(crate) fn side_road(role: &str) -> LaneGraph {
 pub(crate) fn stop_line() -> LaneGraph {
     lane_graph(
         "lanes = [
-            { id = 1, centerline = [[-100, 0], [-6, 0]], successors = [2], tags = { 'regulatory:1' = 'role=yield;subtype=all_way_stop' } },
+            { id = 1, centerline = [[-100, 0], [-6, 0]], successors = [2], tags = { 'regulatory:1' = \
+         'role=yield;subtype=all_way_stop' } },
             { id = 2, centerline = [[-6, 0], [100, 0]] }]",
     )
 }

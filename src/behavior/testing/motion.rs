@@ -19,7 +19,7 @@ pub(crate) struct Start {
     speed_mps: f64,
 }
 
-/// What an agent does for some time; after its last segment it goes on straight at its speed.
+/// A piece of an agent's motion; after the last one it goes on straight at its speed.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Segment {

@@ -9,7 +9,7 @@ pub(in crate::cli) struct SubmitArgs {
     /// The pipeline file
     #[arg(value_name = "PIPELINE.toml")]
     pub(in crate::cli) pipeline: PathBuf,
-    /// What runs the jobs: slurm, kubernetes, or json to print the graph of jobs for other engines
+    /// The scheduler that runs the jobs: slurm, kubernetes, or json to print the graph of jobs for other engines
     #[arg(long, value_name = "ENGINE")]
     pub(in crate::cli) engine: Engine,
     /// Number of jobs that sample, or measure, at once [default: cluster.workers of the file, or 4]

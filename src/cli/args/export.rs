@@ -33,8 +33,8 @@ pub(in crate::cli) struct ExportArgs {
     /// Only the first N scenarios of the corpus
     #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
     pub(in crate::cli) limit: Option<usize>,
-    /// The ego: `event`, the vehicle to which the requested event happens, such as the one that is cut off; `scene`, the
-    /// center of the recorded window; or the name of a track
+    /// The ego: `event`, the vehicle to which the requested event happens, such as the one that is cut off; `scene`,
+    /// the center of the recorded window; or the name of a track
     #[arg(long, value_name = "event|scene|TRACK", default_value = "event")]
     pub(in crate::cli) ego: String,
     /// Leave the ego to your driving function from the present on (openscenario; the default for commonroad)

@@ -30,7 +30,7 @@ pub(in crate::cli) struct Args {
     pub(in crate::cli) output: OutputArgs,
 }
 
-/// What is printed and how fast it goes; for all commands.
+/// Options of output and speed, for all commands.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct OutputArgs {
     /// Print results, warnings and errors, but no progress
@@ -104,7 +104,8 @@ pub(in crate::cli) struct RunArgs {
     /// Print the resolved configuration and the stages that would run; write nothing
     #[arg(long)]
     pub(in crate::cli) dry_run: bool,
-    /// Rerun this stage, such as train_denoiser, even if it is up to date; a trained model is moved aside (may be repeated)
+    /// Rerun this stage, such as train_denoiser, even if it is up to date; a trained model is moved aside (may be
+    /// repeated)
     #[arg(long, value_name = "STAGE")]
     pub(in crate::cli) redo: Vec<StageId>,
     /// Run only this stage, such as generate; those it reads from must be done (may be repeated)

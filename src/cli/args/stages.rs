@@ -24,7 +24,7 @@ pub(in crate::cli) enum TrainCommand {
     Baseline(SceneStageArgs),
 }
 
-/// What every stage takes when it runs alone.
+/// Arguments of every stage that runs alone.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct StageArgs {
     /// A pipeline file; the stage's section of it is used [default: the section's defaults]
@@ -55,7 +55,7 @@ pub(in crate::cli) struct IngestArgs {
     pub(in crate::cli) stage: StageArgs,
 }
 
-/// What a stage takes that reads scenes and nothing else.
+/// Arguments of a stage that reads scenes and nothing else.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct SceneStageArgs {
     #[command(flatten)]
@@ -74,7 +74,7 @@ pub(in crate::cli) struct TrainDenoiserArgs {
     pub(in crate::cli) stage: StageArgs,
 }
 
-/// What a training takes that starts from a denoiser.
+/// Arguments of a training that starts from a denoiser.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct TrainFurtherArgs {
     #[command(flatten)]
@@ -117,7 +117,12 @@ pub(in crate::cli) struct ReportArgs {
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) from: Option<PathBuf>,
     /// Compare two runs instead
-    #[arg(long, num_args = 2, value_names = ["RUN_A", "RUN_B"], conflicts_with_all = ["from", "config", "set", "dry_run", "redo"])]
+    #[arg(
+        long,
+        num_args = 2,
+        value_names = ["RUN_A", "RUN_B"],
+        conflicts_with_all = ["from", "config", "set", "dry_run", "redo"]
+    )]
     pub(in crate::cli) compare: Option<Vec<PathBuf>>,
     /// The file for the comparison [default: comparison.html]
     #[arg(long, value_name = "FILE", requires = "compare", value_parser = on_disk())]

@@ -90,12 +90,14 @@ fn tell(printer: &Printer, outcome: &CopyOutcome, out: &Path) {
     }
     if *n_differing_recordings > 0 {
         printer.message(format_args!(
-            "{n_differing_recordings} recorded scenes differ between the corpora, for example in which agents were kept; the first was used"
+            "{n_differing_recordings} recorded scenes differ between the corpora, for example in which agents were \
+             kept; the first was used"
         ));
     }
     if *n_aggregates_left_out > 0 {
         printer.message(format_args!(
-            "{n_aggregates_left_out} aggregated metric values were left out, because they cover whole runs; metrics of scenarios were kept"
+            "{n_aggregates_left_out} aggregated metric values were left out, because they cover whole runs; metrics of \
+             scenarios were kept"
         ));
     }
     if manifest.n_scenarios == 0 {
@@ -121,7 +123,8 @@ fn validation_text(report: &ValidationReport) -> String {
     let verdict = if *n_damages == 0 { "whole" } else { "damaged" };
     let _ = writeln!(
         text,
-        "{verdict}: {n_damages} errors, {n_remarks} remarks in {n_files} files, {n_scenarios} scenarios, {n_states} states"
+        "{verdict}: {n_damages} errors, {n_remarks} remarks in {n_files} files, {n_scenarios} scenarios, {n_states} \
+         states"
     );
     text
 }

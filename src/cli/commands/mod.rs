@@ -35,8 +35,8 @@ use crate::pipeline::memory::{check_memory, estimate_memory, machine_memory};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Sets up the worker threads: as many as the command line says, or else as are `configured`; 0 for all cores. rayon keeps one pool for
-/// the process, so that every command calls this once, before it works.
+/// Sets up the worker threads: as many as the command line says, or else as are `configured`; 0 for all cores. rayon
+/// keeps one pool for the process, so that every command calls this once, before it works.
 fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
     let n_threads = output.threads.unwrap_or(configured);
     rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
@@ -46,7 +46,7 @@ fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
 fn finish(place: Place, outcome: Result<()>) -> Result<()> {
     match (outcome, place.finish()) {
         (Ok(()), finished) => Ok(finished?),
-        // What is not there counts for more than what it says.
+        // A missing result counts for more than its message.
         (Err(failure), Err(error)) if matches!(failure.blame, Blame::Gate | Blame::Later) => Err(error.into()),
         (Err(failure), _) => Err(failure),
     }

@@ -68,7 +68,7 @@ fn run_in(
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
 }
 
-/// The stage that is run in parts, if the arguments ask for that as they must.
+/// The stage that is run in parts, if the arguments are valid for that.
 fn check_part(args: &RunArgs, part: Part) -> Result<StageId> {
     let &[stage] = args.stage.as_slice() else {
         return Err(Failure::input_message(format_args!("--part {part} goes with one --stage, not with several")));

@@ -63,7 +63,7 @@ struct Request<'a> {
     id: StageId,
     args: &'a StageArgs,
     layout: Layout,
-    /// What the command's own arguments say, as overrides of the configuration.
+    /// The command's own arguments, as overrides of the configuration.
     overrides: Vec<String>,
     /// A run folder that it reads, other than the one it writes.
     reads: Option<&'a Path>,

@@ -14,7 +14,7 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
     overrides.extend(args.workers.map(|n_workers| format!("cluster.workers={n_workers}")));
     let (config, root) = load(&args.pipeline, &overrides, &args.place)?;
     let cluster = config.cluster.clone().unwrap_or_default();
-    // What cannot work is refused now and not by each of the jobs.
+    // A pipeline that cannot work is refused now and not by each of the jobs.
     stages::of_pipeline(&config, &Layout::below(&root))?.iter().try_for_each(|stage| stage.check())?;
     if args.engine != Engine::Json && ObjectUrl::is_meant(&root) {
         let message = format!("{} cannot hold the output of jobs: run.output is in an object store", root.display());
@@ -44,8 +44,8 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
             printer.data(&kubernetes::submit(&graph, &cluster)?)?;
             let (name, root) = (kubernetes::name(&graph), root.display());
             printer.message(format_args!(
-                "results will be in {root}, the output of jobs in `kubectl logs --selector jobset.sigs.k8s.io/jobset-name={name}`; \
-                 follow their progress with `djinn status {root}`"
+                "results will be in {root}, the output of jobs in `kubectl logs --selector \
+                 jobset.sigs.k8s.io/jobset-name={name}`; follow their progress with `djinn status {root}`"
             ));
             Ok(())
         }

@@ -54,7 +54,7 @@ fn outputs(folder: &Folder) -> Folder {
     folder.iter().filter(|(name, _)| is_output(name)).map(|(name, bytes)| (name.clone(), bytes.clone())).collect()
 }
 
-/// What the pipeline relies on: outputs belong to the record, or are missing, which it notices by the record.
+/// The pipeline's assumption: outputs belong to the record, or are missing, which it notices by the record.
 fn assert_state_of_a_run(seen: &Folder, n_writes: u64) {
     let record = seen.get("evaluate.done.json").map(|bytes| String::from_utf8(bytes.clone()).unwrap());
     let of_record = match record.as_deref() {
@@ -120,8 +120,8 @@ fn killed_at_any_moment_the_next_machine_goes_on_to_the_same_bytes() {
             break;
         }
     }
-    // Old: the journal, a manifest, three outputs and the manifest again, and the journal that is the turning point. New: two records,
-    // three removals, the end of the journal, and everything.
+    // Old: the journal, a manifest, three outputs and the manifest again, and the journal that is the turning point.
+    // New: two records, three removals, the end of the journal, and everything.
     assert_eq!((n_seen["old"], n_seen["new"]), (7, 7));
 }
 
@@ -135,7 +135,7 @@ fn a_folder_without_its_manifest_is_told_from_a_whole_one() {
             machine(Bucket::in_store(Arc::new(killed), url("s3://bucket/runs/main"), patience), Access::Write);
         make(shown.path(), &after());
         let is_done = shown.finish().is_ok();
-        // What a reader that knows no journal finds.
+        // The objects that a reader without the journal finds.
         let found = objects(&run_of(&store));
         let scenarios = |folder: &Folder| -> Folder {
             let of_table = folder.iter().filter(|(name, _)| name.starts_with("corpus/scenarios/"));

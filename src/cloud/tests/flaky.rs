@@ -14,7 +14,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// What goes wrong with a request.
+/// A way in which a request fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Fault {
     /// The server has too much to do; nothing was done.
@@ -67,7 +67,7 @@ impl Flaky {
         self.n_faults.load(Ordering::Relaxed)
     }
 
-    /// What goes wrong with the next request, of those things that can.
+    /// The fault of the next request, among those possible.
     fn fault(&self, possible: &[Fault]) -> Option<Fault> {
         let number = self.n_requests.fetch_add(1, Ordering::Relaxed);
         let is_write = possible.contains(&Fault::Reset);

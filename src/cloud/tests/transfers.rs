@@ -102,7 +102,7 @@ fn recordings_keep_their_names_and_are_downloaded_once() {
     };
     at("s3://bucket/rec").write("train/a.csv", b"one").unwrap();
     at("s3://bucket/rec").write("train/sub/b.csv", b"two").unwrap();
-    // What some tools make of a folder, and a neighbor that only begins with the same name.
+    // Folder markers as some tools make them, and a neighbor that only begins with the same name.
     at("s3://bucket/rec").write("train/sub", b"").unwrap();
     at("s3://bucket").write("rec/training.csv", b"no").unwrap();
     let folder = tempfile::tempdir().unwrap();

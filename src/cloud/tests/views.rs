@@ -175,7 +175,7 @@ fn the_cache_gives_what_has_not_changed() {
     let before = flaky.n_requests();
     let shown = Shown::of(run_in(&flaky), cache(), Access::Write).unwrap();
     assert_eq!(flaky.n_requests(), before + 2, "the listing, and the log, which this machine has not downloaded");
-    // What is appended to a log does not get into the cache.
+    // Lines that are appended to a log do not get into the cache.
     let mut log = fs_err::OpenOptions::new().append(true).open(shown.path().join("log.txt")).unwrap();
     log.write_all(b"more\n").unwrap();
     drop(shown);

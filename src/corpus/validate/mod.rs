@@ -41,11 +41,11 @@ pub struct Finding {
     pub file: String,
     /// The row of the file, from 0; `None` where it is about the file as a whole.
     pub row: Option<u64>,
-    /// What was found and what was expected.
+    /// The value found and the value expected.
     pub detail: String,
 }
 
-/// What was looked at and what was found.
+/// The checks made, and their findings.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct ValidationReport {
     /// Files that were read.
@@ -85,7 +85,7 @@ impl ValidationReport {
     /// Adds the damage for which a file cannot be read.
     ///
     /// # Errors
-    /// Those of the system: the file may well be whole.
+    /// On I/O errors: the file may well be whole.
     fn unreadable(&mut self, check: &'static str, file: &str, error: impl Into<Error>) -> Result<()> {
         match error.into() {
             Error::Io(io) | Error::Store(store::Error::Io(io)) if io.kind() != ErrorKind::NotFound => Err(io.into()),
@@ -102,7 +102,7 @@ impl ValidationReport {
     }
 }
 
-/// What is known of all scenarios, to look the other tables up in.
+/// Facts about all scenarios, to look the other tables up in.
 #[derive(Default)]
 struct Known {
     scenarios: BTreeSet<Fingerprint>,
@@ -115,7 +115,8 @@ struct Known {
 /// Checks the corpus in `dir`.
 ///
 /// # Errors
-/// When there is no manifest that can be read: then nothing can be checked; those of the system. Everything else is a finding.
+/// When there is no manifest that can be read: then nothing can be checked; those of the system. Everything else is a
+/// finding.
 pub fn validate(dir: &Path, progress: &dyn Progress) -> Result<ValidationReport> {
     let scan = CorpusScan::open_unverified(dir)?;
     let (mut report, mut known) = (ValidationReport::default(), Known::default());

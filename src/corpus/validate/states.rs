@@ -55,7 +55,7 @@ impl<'a> States<'a> {
     }
 }
 
-/// Where findings are told.
+/// Where findings are reported.
 struct Place<'r> {
     file: &'r str,
     /// Position in the file of the first row of the batch.

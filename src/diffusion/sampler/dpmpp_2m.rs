@@ -1,9 +1,9 @@
 //! DPM-Solver++(2M): second order with one evaluation a step, by reusing the previous clean estimate.
 //!
 //! Lu et al. 2022, "DPM-Solver++: Fast Solver for Guided Sampling of Diffusion Probabilistic Models", algorithm 2. With
-//! EDM's noise process (no scaling of the data, standard deviation σ) the half log-SNR is λ = -ln σ, and one step from σ
-//! to σ' of length h = λ' - λ reads x' = (σ' / σ) x + (1 - σ' / σ) D, where D extrapolates the estimates to the middle of
-//! the step.
+//! EDM's noise process (no scaling of the data, standard deviation σ) the half log-SNR is λ = -ln σ, and one step from
+//! σ to σ' of length h = λ' - λ reads x' = (σ' / σ) x + (1 - σ' / σ) D, where D extrapolates the estimates to the
+//! middle of the step.
 
 use super::{Observer, Step, StepGrid, denoise_at, steps};
 use crate::diffusion::Denoiser;

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 /// The sampler's own grid of noise levels: few steps should not be spent where little is decided.
 ///
-/// EDM (equation 5) begins at σ_max = 80, far above the data's σ_data = 0.5. From σ = 20 on, the data still is 1/1600 of the
-/// variance, so that pure noise is as good a start there.
+/// EDM (equation 5) begins at σ_max = 80, far above the data's σ_data = 0.5. From σ = 20 on, the data still is 1/1600
+/// of the variance, so that pure noise is as good a start there.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct StepGrid {
@@ -44,7 +44,7 @@ impl StepGrid {
         }
     }
 
-    /// What a sampler's name says of it: nothing where the denoiser's own is kept.
+    /// The suffix of a sampler's name; empty where the denoiser's own grid is kept.
     pub(super) fn suffix(self) -> String {
         let part = |word: &str, value: Option<f64>| value.map_or_else(String::new, |value| format!("-{word}-{value}"));
         [part("from", self.sigma_max), part("to", self.sigma_min), part("rho", self.rho)].concat()

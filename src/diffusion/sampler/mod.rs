@@ -39,7 +39,7 @@ impl Default for SamplerConfig {
     }
 }
 
-/// What an observer sees after each step.
+/// The state that an observer sees after each step.
 #[derive(Debug)]
 pub struct Step<'a> {
     /// Which step was just taken, from 0.
@@ -138,8 +138,8 @@ impl SamplerConfig {
         self.integrate(&self.schedule(edm, sigma_start), denoiser, x, noise, observer)
     }
 
-    /// Integrates from `x` (B, …), a state at noise level `sigmas[0]`, along the decreasing `sigmas` to the last of them.
-    /// The number of steps is that of `sigmas`. `noise` is drawn from only by samplers that add noise on the way.
+    /// Integrates from `x` (B, …), a state at noise level `sigmas[0]`, along the decreasing `sigmas` to the last of
+    /// them. The number of steps is that of `sigmas`. `noise` is drawn from only by samplers that add noise on the way.
     pub fn integrate(
         &self,
         sigmas: &[f64],

@@ -1,4 +1,5 @@
-//! Do the samplers solve the equation they claim to, at the order they claim to? Checked on a mixture with known answers.
+//! Do the samplers solve the equation they claim to, at the order they claim to? Checked on a mixture with known
+//! answers.
 
 use super::*;
 use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};

@@ -39,7 +39,7 @@ const PARTS: [&str; 20] = [
     LIST_FILE,
 ];
 
-/// What somebody wrote into a run folder.
+/// A file that somebody wrote into a run folder.
 #[derive(Debug, Clone)]
 struct Crafted {
     is_cheap: bool,
@@ -47,7 +47,8 @@ struct Crafted {
     outputs: Vec<String>,
     files: Vec<String>,
     fingerprint: Option<String>,
-    /// Names in the list of the work folder, if there is one; whether its work is whole, and what is to be kept as what.
+    /// Names in the list of the work folder, if there is one; whether its work is whole, and what is to be kept as
+    /// what.
     list: Option<Vec<String>>,
     is_done: bool,
     keep: Vec<(String, String)>,
@@ -100,7 +101,8 @@ fn crafted() -> impl Strategy<Value = Crafted> {
 }
 
 impl Crafted {
-    /// Writes it into the finished run folder `root` below `outside`. Whether any name leads out of the place where it stands.
+    /// Writes it into the finished run folder `root` below `outside`. Whether any name leads out of the place where it
+    /// stands.
     fn write(&self, root: &Path, outside: &Path, stage: &'static StageKind) -> bool {
         let named = |name: &String| name.replace(ABSOLUTE, &outside.to_string_lossy());
         let mut record = StageRecord::done(root, stage).unwrap().unwrap();
@@ -150,7 +152,8 @@ proptest! {
         THEIRS.iter().for_each(|name| put(&outside.join(name), FOREIGN));
         if crafted.list.is_none() {
             fs::write(outside.join("theirs").join(LIST_FILE), "").unwrap();
-            enter_all(&outside.join("theirs"), ["victim.txt", "deep/model.safetensors"].map(Path::new).into_iter()).unwrap();
+            enter_all(&outside.join("theirs"), ["victim.txt", "deep/model.safetensors"].map(Path::new).into_iter())
+                .unwrap();
         }
         let theirs = || {
             let names = files_below(outside).unwrap().into_iter().filter(|name| !name.starts_with("output/run"));
@@ -166,7 +169,8 @@ proptest! {
                 let said = format!("{failure:?}");
                 prop_assert!(said.contains("nothing was changed"), "{said}");
                 // A link in the place of ours is somebody's, and may be found first.
-                let is_damage = failure.blame == Blame::Fault && said.contains(" is damaged: ") && said.contains(" away");
+                let is_damage =
+                    failure.blame == Blame::Fault && said.contains(" is damaged: ") && said.contains(" away");
                 prop_assert!(is_damage || crafted.link.is_some(), "{said}");
             }
         }

@@ -85,7 +85,7 @@ pub(super) fn toy(text: &str) -> Toy {
     Toy { text: text.to_owned(), ..Toy::default() }
 }
 
-/// What was planned.
+/// The plan of the toy.
 pub(super) struct Planned {
     pub(super) action: Action,
     pub(super) redone: Option<String>,

@@ -28,16 +28,16 @@ pub(crate) struct ShardFolder {
     about: About,
 }
 
-/// What is known of a plan without reading it.
+/// Facts about a plan, known without reading it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct About {
-    /// What its workers have in common.
+    /// The identity that its workers share.
     #[serde(flatten)]
     identity: Identity,
     /// Number of its shards.
     n_shards: usize,
-    /// Whether it was made for several workers. Nobody else knows of a plan that a process made for itself, and that is discarded
-    /// without asking.
+    /// Whether it was made for several workers. Nobody else knows of a plan that a process made for itself, and that is
+    /// discarded without asking.
     is_shared: bool,
 }
 
@@ -52,7 +52,7 @@ pub(super) struct FinishedShard<S> {
     pub(super) seconds: f64,
     /// Size and hash of its file.
     pub(super) stamp: FileStamp,
-    /// What the stage wants to know of it later.
+    /// Facts that the stage needs later.
     pub(super) facts: S,
 }
 
@@ -122,7 +122,7 @@ impl ShardFolder {
     /// Lets several workers use the plan.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn share(&self) -> Result<()> {
         let about = About { is_shared: true, ..self.about.clone() };
         write_record(&self.dir.join(ABOUT_FILE), &about)?;
@@ -150,8 +150,8 @@ impl ShardFolder {
         self.dir.join(ABOUT_FILE).exists()
     }
 
-    /// Shows what other workers have done, where the folder has a mirror. If that fails, what is known already stays true: the next
-    /// shard that is written tells of the failure.
+    /// Shows what other workers have done, where the folder has a mirror. If that fails, what is known already stays
+    /// true: the next shard that is written reports the failure.
     pub(super) fn refresh(&self) {
         if let Some(mirror) = mirror_above(&self.dir) {
             drop(mirror.refresh(&self.dir));
@@ -165,12 +165,12 @@ impl ShardFolder {
         here.or_else(|| mirror_above(&path)?.n_bytes_elsewhere(&path))
     }
 
-    /// What differs between the plan and a process of this identity; `None` if they fit together.
+    /// The difference between the plan and a process of this identity; `None` if they fit together.
     pub(super) fn difference(&self, own: &Identity) -> Option<String> {
         own.difference(self.kind, self.identity())
     }
 
-    /// What its workers have in common.
+    /// The identity that its workers share.
     pub(super) fn identity(&self) -> &Identity {
         &self.about.identity
     }
@@ -183,7 +183,7 @@ impl ShardFolder {
     /// Number of shards in the plan, or begun since.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn n_shards(&self) -> Result<usize> {
         let after = |name: PathBuf| {
             let (shard, _) = name.to_str()?.strip_prefix(self.names.shard)?.strip_prefix('-')?.split_once('.')?;
@@ -211,7 +211,7 @@ impl ShardFolder {
         self.dir.join(format!("{LOG}{worker:05}.txt"))
     }
 
-    /// What shard `idx` is called.
+    /// The name of shard `idx`.
     pub(super) fn shard_name(&self, idx: usize) -> String {
         self.names.shard_name(idx)
     }
@@ -237,7 +237,7 @@ impl ShardFolder {
     /// Declares a shard finished; its file must be complete.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn finish<S: Serialize>(
         &self,
         idx: usize,
@@ -253,7 +253,7 @@ impl ShardFolder {
     /// Compares the content of a finished shard with its checksum. A damaged shard no longer counts as finished.
     ///
     /// # Errors
-    /// Those of the file system: a shard that cannot be read now is none that is damaged.
+    /// On I/O errors: a shard that cannot be read now is none that is damaged.
     pub(super) fn verified<S: DeserializeOwned>(&self, idx: usize) -> Result<Option<FinishedShard<S>>> {
         let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
         if shard.stamp.is_of(&self.dir.join(self.file_name(idx)))? {
@@ -263,10 +263,11 @@ impl ShardFolder {
         Ok(None)
     }
 
-    /// Removes the marks of tries that failed, so that these shards are tried again; where nobody else can be at work, all marks.
+    /// Removes the marks of tries that failed, so that these shards are tried again; where nobody else can be at work,
+    /// all marks.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn forget_tries(&self) -> Result<()> {
         for name in self.tried()? {
             let Some(idx) = name.strip_prefix(self.names.shard).and_then(|rest| rest.strip_prefix('-')?.parse().ok())
@@ -292,7 +293,7 @@ impl ShardFolder {
     /// that is faster than looking for many missing files.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn tried(&self) -> Result<BTreeSet<String>> {
         let names = files_below(&self.dir)?;
         let shard_of = |name: &PathBuf| Some(name.to_str()?.split_once(".try-")?.0.to_owned());
@@ -302,7 +303,7 @@ impl ShardFolder {
     /// Appends the workers' logs to the log at `path`.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn append_logs(&self, path: &Path) -> Result<()> {
         let mut text = String::new();
         for name in files_below(&self.dir)? {

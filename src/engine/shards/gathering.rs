@@ -31,10 +31,10 @@ impl<'a> Gathering<'a> {
         self.folder.decisions()
     }
 
-    /// What is known of shard `idx`, if it is finished and undamaged; otherwise notes that it is missing.
+    /// The facts about shard `idx`, if it is finished and undamaged; otherwise notes that it is missing.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn look_up<S: DeserializeOwned>(&mut self, idx: usize) -> Result<Option<S>> {
         if let Some(finished) = self.folder.verified::<S>(idx)? {
             return Ok(Some(finished.facts));
@@ -65,8 +65,8 @@ impl<'a> Gathering<'a> {
     /// Refuses to go on while one of the examined shards is missing.
     ///
     /// # Errors
-    /// When shards are missing: [`Blame::Later`](crate::engine::Blame::Later) while they may still come, a fault once all of them are
-    /// given up.
+    /// When shards are missing: [`Blame::Later`](crate::engine::Blame::Later) while they may still come, a fault once
+    /// all of them are given up.
     pub fn check_whole(&self) -> Result<()> {
         let Self { folder, missing, given_up, n_shards } = self;
         let given_up_text = few(given_up);

@@ -1,4 +1,4 @@
-//! What must all processes that work on one plan have in common?
+//! The identity that all processes that work on one plan must share.
 
 use crate::engine::fingerprint::fingerprint_value;
 use crate::engine::kind::StageKind;
@@ -27,10 +27,10 @@ impl Identity {
         Ok(Self { stage, program: program()?, compute: compute.class() })
     }
 
-    /// What names the plan: 16 hexadecimal digits.
+    /// The plan's name: 16 hexadecimal digits.
     ///
     /// # Errors
-    /// Those of JSON.
+    /// If serialization fails.
     pub(super) fn plan_id(&self) -> Result<String> {
         let mut id = fingerprint_value(&(&self.stage.fingerprint, &self.program, &self.compute))?;
         id.truncate(16);
@@ -42,7 +42,7 @@ impl Identity {
         self.stage.fingerprint == record.fingerprint || self.stage.is_same_work(record)
     }
 
-    /// What differs between this process and a `plan` of another one; `None` if they fit together.
+    /// The difference between this process and a `plan` of another one; `None` if they fit together.
     pub(super) fn difference(&self, kind: &StageKind, plan: &Self) -> Option<String> {
         let rewritten = self.stage.rewritten_since(&plan.stage).map(why);
         let named = |what: &str, own: &str, plans: &str| {
@@ -68,7 +68,8 @@ impl Identity {
             "this run folder holds another plan of stage {stage}: {difference}; nothing was changed"
         ))
         .with_hint(format!(
-            "finish it with the same pipeline file, kind of device and program ({}), or discard it with its {n_finished} finished shards of {n_shards}: plan again with --part plan --redo {stage}",
+            "finish it with the same pipeline file, kind of device and program ({}), or discard it with its \
+             {n_finished} finished shards of {n_shards}: plan again with --part plan --redo {stage}",
             self.program
         ))
     }

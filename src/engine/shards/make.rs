@@ -76,8 +76,8 @@ impl Worker {
 /// Makes shards of the stage's plan in the run folder `root` until none is left to start.
 ///
 /// # Errors
-/// When there is no plan yet ([`Blame::Later`]), or the plan belongs to another configuration, program or kind of device; those
-/// of the work.
+/// When there is no plan yet ([`Blame::Later`]), or the plan belongs to another configuration, program or kind of
+/// device; those of the work.
 pub fn work(
     stage: &dyn Stage,
     root: &Path,
@@ -132,7 +132,7 @@ impl<'a> Shards<'a> {
     /// Makes sure that shards are made again that failed before, or were damaged since.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub(super) fn try_again(&self) -> Result<()> {
         for idx in 0..self.folder.n_shards()? {
             self.folder.verified::<IgnoredAny>(idx)?;
@@ -163,7 +163,7 @@ impl<'a> Shards<'a> {
         self.dir().join(self.folder.file_name(idx))
     }
 
-    /// What is known of shard `idx`, if it is finished.
+    /// The facts about shard `idx`, if it is finished.
     pub fn finished<S: DeserializeOwned>(&self, idx: usize) -> Option<S> {
         let found = || self.folder.finished::<S>(idx);
         let shard = found().or_else(|| {
@@ -179,8 +179,8 @@ impl<'a> Shards<'a> {
     }
 
     /// Tries each of these shards once, in the worker's order. Afterwards each is finished, not needed or given up.
-    /// `make` makes a shard, advances the progress by its `worth`, and returns the stamp of its file with what the stage wants to
-    /// know of it later.
+    /// `make` makes a shard, advances the progress by its `worth`, and returns the stamp of its file with the facts
+    /// that the stage needs later.
     ///
     /// # Errors
     /// When the process must stop; those of making a shard, which its mark then records.

@@ -1,10 +1,11 @@
-//! A stage that is divided into shards, which any number of processes make: who plans, who makes which shard, who publishes?
+//! A stage that is divided into shards, which any number of processes make: who plans, who makes which shard, who
+//! publishes?
 //!
 //! A shard is a function of the plan and its index alone, so there are no leases and no coordinator: if two workers
 //! make the same shard, that costs time but not correctness. One process plans ([`plan`]), workers make shards
-//! ([`work`]) below `<stage>.parts/<plan-id>/`, and one process publishes ([`ready`]). Only the first and the last hold the
-//! lock of the run folder; workers remove nothing but their own marks. A process that runs the stage alone does all three, as
-//! worker 1 of 1, and so writes the same bytes.
+//! ([`work`]) below `<stage>.parts/<plan-id>/`, and one process publishes ([`ready`]). Only the first and the last hold
+//! the lock of the run folder; workers remove nothing but their own marks. A process that runs the stage alone does all
+//! three, as worker 1 of 1, and so writes the same bytes.
 
 mod folder;
 mod gathering;
@@ -138,8 +139,8 @@ fn alone(
         match other.difference(&identity) {
             None if !(planned.is_requested && other.is_shared()) => begun = Some(other),
             Some(difference) if other.is_shared() && !planned.is_requested => progress.warn(&format!(
-                "{kind}: the shards of workers in {kind}.parts belong to another plan and are not used: {difference}; discard them \
-                 with --stage {kind} --part plan --redo {kind}"
+                "{kind}: the shards of workers in {kind}.parts belong to another plan and are not used: {difference}; \
+                 discard them with --stage {kind} --part plan --redo {kind}"
             )),
             _ => other.discard()?,
         }
@@ -159,11 +160,11 @@ pub(super) fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<Sta
     Ok(ShardFolder::all(root, stage)?.pop().map(|folder| folder.identity().stage.clone()))
 }
 
-/// Removes the plans and shards of the stage with this record, once it is finished. Plans for other work stay; workers' logs are
-/// appended to the log of the run.
+/// Removes the plans and shards of the stage with this record, once it is finished. Plans for other work stay; workers'
+/// logs are appended to the log of the run.
 ///
 /// # Errors
-/// Those of the file system; when somebody else put files there.
+/// On I/O errors, or if somebody else put files there.
 pub(super) fn clean_up(root: &Path, stage: &'static StageKind, done: &StageRecord) -> Result<()> {
     for folder in ShardFolder::all(root, stage)? {
         if folder.identity().is_work_of(done) {

@@ -21,7 +21,7 @@ pub struct ShardStatus {
     pub stage: &'static str,
     /// Number of shards in the plan.
     pub n_shards: usize,
-    /// Of these, finished.
+    /// Finished ones among them.
     pub n_done: usize,
     /// Begun not long ago.
     pub n_running: usize,
@@ -38,7 +38,7 @@ pub struct ShardStatus {
 /// The shards of the plan in the run folder `root`, if there is one; of the last stage that has one.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub fn shard_status(root: &Path, kinds: &'static [StageKind]) -> Result<Option<ShardStatus>> {
     for stage in kinds.iter().rev() {
         if let Some(folder) = ShardFolder::all(root, stage)?.first() {

@@ -199,7 +199,7 @@ fn what_others_are_at_is_left_to_them_for_a_while() {
     };
     assert!(shards.complete(0..3, &|_| 0, &mut make).unwrap());
     assert_eq!(*made.borrow(), [0, 2, 1]);
-    // What failed often enough is not waited for.
+    // A shard that failed often enough is not waited for.
     (1..=3).for_each(|number| tries::fail(&planned.folder.try_path(3, number), "1/1", "disk full").unwrap());
     assert!(!shards.complete(2..4, &|_| 0, &mut make).unwrap());
     assert_eq!(made.borrow().len(), 3);
@@ -306,6 +306,7 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
     assert!((found.seconds_left.unwrap() - 60.0).abs() < 1e-9);
     assert_eq!(
         found.text(),
-        "shards            2 of 6 done, 2 running, 1 missing, 1 given up\ntime left         60 s\ngiven up          samples-00004 (10 workers died in it, or are still at work on it)\n"
+        "shards            2 of 6 done, 2 running, 1 missing, 1 given up\ntime left         60 s\ngiven up          \
+         samples-00004 (10 workers died in it, or are still at work on it)\n"
     );
 }

@@ -22,7 +22,7 @@ pub(super) const MAX_TRIES: usize = 10;
 /// After this long, a worker in its last try is presumed dead.
 const LONG: Duration = Duration::from_secs(600);
 
-/// What a mark says.
+/// The content of a mark.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Try {
     /// The worker.
@@ -46,7 +46,7 @@ pub(super) struct Tries {
 }
 
 impl Tries {
-    /// Those of shard `idx`.
+    /// The tries of shard `idx`.
     pub(super) fn of(folder: &ShardFolder, idx: usize) -> Self {
         let mut tries = Self::default();
         for number in 1..=MAX_TRIES {
@@ -88,7 +88,7 @@ impl Tries {
 /// Marks the beginning of a try; `None` if the shard is given up. Returns the mark.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub(super) fn begin(folder: &ShardFolder, idx: usize, worker: &str) -> Result<Option<PathBuf>> {
     if Tries::of(folder, idx).are_over() {
         return Ok(None);
@@ -114,7 +114,7 @@ pub(super) fn begin(folder: &ShardFolder, idx: usize, worker: &str) -> Result<Op
 /// Writes into the mark why the try failed.
 ///
 /// # Errors
-/// Those of the file system.
+/// On I/O errors.
 pub(super) fn fail(path: &Path, worker: &str, why: &str) -> Result<()> {
     let mark = Try { worker: worker.to_owned(), started: utc_now(), failed: Some(why.to_owned()) };
     write_json_atomically(path, &mark)?;

@@ -16,11 +16,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-pub(super) const NOTES: &str = "<split>/<id>/scenario_<id>.parquet and log_map_archive_<id>.json, with the columns of Argoverse \
-    2; the focal track is the ego. Scenarios have as many timesteps as they have: those of other datasets are not 110 long, \
-    which the av2 package reads and models for Argoverse 2 may not expect. Maps hold the lanes near the scenario, \
-    without heights and crossings; drivable areas are the lanes, one area each, so that shoulders and parking lots are not \
-    in them.";
+pub(super) const NOTES: &str = "<split>/<id>/scenario_<id>.parquet and log_map_archive_<id>.json, with the columns of \
+    Argoverse 2; the focal track is the ego. Scenarios have as many timesteps as they have: those of other datasets \
+    are not 110 long, which the av2 package reads and models for Argoverse 2 may not expect. Maps hold the lanes near \
+    the scenario, without heights and crossings; drivable areas are the lanes, one area each, so that shoulders and \
+    parking lots are not in them.";
 
 /// Kinds of lanes that the format knows; others become `VEHICLE`.
 const LANE_TYPES: [&str; 3] = ["VEHICLE", "BIKE", "BUS"];

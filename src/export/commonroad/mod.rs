@@ -17,11 +17,13 @@ use crate::scene::State;
 use crate::store::write_atomically;
 use std::path::{Path, PathBuf};
 
-pub(super) const NOTES: &str = "<benchmark id>.xml: CommonRoad 2020a, valid against its schema. Time step 0 is the present of the \
-    scenario; what was observed before is not written. The planning problem begins where the ego is at present; its goal is to survive: \
-    to drive on in the last second of the scenario, wherever the ego of the scenario is then. The ego itself is no obstacle, unless the export was asked to replay it (tracks.tsv says which \
-    one it is then): take it out before you plan. velocity is that along the heading, velocityY that to the left of it. Lanelets are numbered in ascending order of the map's lane ids. The \
-    date in the files is a placeholder: equal corpora give equal files.";
+pub(super) const NOTES: &str = "<benchmark id>.xml: CommonRoad 2020a, valid against its schema. Time step 0 is the \
+    present of the scenario; what was observed before is not written. The planning problem begins where the ego is at \
+    present; its goal is to survive: to drive on in the last second of the scenario, wherever the ego of the scenario \
+    is then. The ego itself is no obstacle, unless the export was asked to replay it (tracks.tsv says which one it is \
+    then): take it out before you plan. velocity is that along the heading, velocityY that to the left of it. Lanelets \
+    are numbered in ascending order of the map's lane ids. The date in the files is a placeholder: equal corpora give \
+    equal files.";
 
 /// Writes a file for each scenario.
 pub(super) struct CommonRoad {

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// The edges of neighbors are one line if they are nowhere farther apart than this, meters.
 const SAME_EDGE_M: f64 = 0.05;
-/// The lanes of a road end in one cross-section: the ends of their edges lie this close to a line, meters. Where one lane
-/// ends alone, its edges must still meet those of the next road.
+/// The lanes of a road end in one cross-section: the ends of their edges lie this close to a line, meters. Where one
+/// lane ends alone, its edges must still meet those of the next road.
 const SAME_END_M: f64 = 0.005;
 
 /// The lanes of a road, from left to right, with the lines between and beside them: one more than lanes.
@@ -20,7 +20,8 @@ pub(super) struct Bundle<'l> {
 }
 
 impl<'l> Bundle<'l> {
-    /// The roads of a map, each in the place of its leftmost lane, and each lane in one. Lanes without extent are in none.
+    /// The roads of a map, each in the place of its leftmost lane, and each lane in one. Lanes without extent are in
+    /// none.
     pub(super) fn all(map: &'l LaneGraph) -> Vec<Self> {
         let bounds: BTreeMap<LaneId, LaneBounds> =
             map.lanes().iter().filter_map(|lane| Some((lane.id, LaneBounds::of(lane)?))).collect();

@@ -1,8 +1,8 @@
 //! OpenDRIVE 1.7: the lanes of a scenario as roads.
 //!
-//! Lanes that run side by side from one cross-section to another are one road ([`bundles`]), numbered from -1 on its left
-//! to the right. Its reference line is the middle between its outer edges ([`reference_line`]), and the edges of its lanes
-//! are those of the map ([`cross_section`]).
+//! Lanes that run side by side from one cross-section to another are one road ([`bundles`]), numbered from -1 on its
+//! left to the right. Its reference line is the middle between its outer edges ([`reference_line`]), and the edges of
+//! its lanes are those of the map ([`cross_section`]).
 
 mod bundles;
 mod cross_section;
@@ -38,7 +38,8 @@ struct Road<'l> {
     edges: Vec<Edges>,
 }
 
-/// The roads of a map, in its frame; `None` if no lane has any length. Roads are numbered from 1, in the order of their leftmost lanes.
+/// The roads of a map, in its frame; `None` if no lane has any length. Roads are numbered from 1, in the order of their
+/// leftmost lanes.
 pub(super) fn of(map: &LaneGraph) -> Option<RoadNetwork> {
     let mut n_nominal = 0;
     let mut roads = Vec::new();

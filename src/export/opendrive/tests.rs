@@ -55,8 +55,8 @@ fn across(road: &Node, s: f64) -> [Vec2; 3] {
     [offset, offset - 0.5 * width, offset - width].map(|t| middle + to_left * t)
 }
 
-/// The largest distance from points along `line` to one of the three lines along the road. Roads end square and lanes need not:
-/// edges are looked at from `from_end_m` off their ends on.
+/// The largest distance from points along `line` to one of the three lines along the road. Roads end square and lanes
+/// need not: edges are looked at from `from_end_m` off their ends on.
 fn largest_distance(road: &Node, which: usize, line: &Polyline, from_end_m: f64) -> f64 {
     let length = road.attr_number("length");
     let n = (length / 0.01).ceil();

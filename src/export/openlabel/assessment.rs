@@ -90,12 +90,13 @@ pub(super) fn definitions() -> Map<String, Value> {
     let checks: Map<String, Value> =
         Check::ALL.into_iter().map(|check| (check.id().to_owned(), Value::from(check.description()))).collect();
     let assessment = json!({
-        "definition": "Judgments of the scenario, independent of what guided it; undefined ones are left out. The attribute unit \
-                       of a number names its unit, 1 for shares and ratios.",
+        "definition": "Judgments of the scenario, independent of what guided it; undefined ones are left out. The \
+                       attribute unit of a number names its unit, 1 for shares and ratios.",
         "data": data,
     });
     let violation = json!({
-        "definition": "A validity check that the scenario fails, at its worst place. A scenario without such a tag is valid.",
+        "definition": "A validity check that the scenario fails, at its worst place. A scenario without such a tag is \
+                       valid.",
         "data": {
             "check": "Which check.",
             "track": "The road user at fault; for a collision, the first of the two.",

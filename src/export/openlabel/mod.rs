@@ -10,9 +10,10 @@ use crate::store::{unit_of_name, write_json_atomically};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-pub(super) const NOTES: &str = "<id>.json: OpenLABEL 1.0.0 tags, valid against its schema: what was asked for, what was found, who \
-    has which role, parameters of events, what was judged (decision, criticality, failed checks, each number with its unit), provenance. Types of tags are defined in ontology.json, which lies beside them; \
-    where ASAM's own ontology has a tag for the behavior, that is there, too. No states: use another format for them.";
+pub(super) const NOTES: &str = "<id>.json: OpenLABEL 1.0.0 tags, valid against its schema: what was asked for, what \
+    was found, who has which role, parameters of events, what was judged (decision, criticality, failed checks, each \
+    number with its unit), provenance. Types of tags are defined in ontology.json, which lies beside them; where \
+    ASAM's own ontology has a tag for the behavior, that is there, too. No states: use another format for them.";
 
 /// The file with the definitions of our tags.
 const ONTOLOGY_FILE: &str = "ontology.json";
@@ -95,7 +96,10 @@ fn scenario_tag(item: &Item<'_>) -> Value {
         "scenario",
         &json!({
             "text": text,
-            "boolean": [value("verified", record.verified), value("accepted", is_accepted(record)), value("recorded_event", record.recorded_event)],
+            "boolean": [
+                value("verified", record.verified), value("accepted", is_accepted(record)),
+                value("recorded_event", record.recorded_event)
+            ],
             "num": [
                 quantity("duration_s", rounded(scene.n_timesteps.saturating_sub(1) as f64 * scene.dt_s), "s"),
                 quantity("present_s", rounded(scene.current_timestep() as f64 * scene.dt_s), "s"),
@@ -192,7 +196,8 @@ fn ontology() -> Value {
                     "dataset": "The dataset of the recording that it continues.",
                     "place": "City or location, as the dataset names it.",
                     "split": "Part of the dataset: train, val, test or unsplit.",
-                    "ego": "The track of the vehicle to which the requested event happens, unless the export was asked for another one.",
+                    "ego": "The track of the vehicle to which the requested event happens, unless the export was asked \
+                            for another one.",
                     "requested_behavior": "The requested behavior.",
                     "verified": "Whether that behavior was found with the requested roles.",
                     "accepted": "Whether it is verified, valid and no near-duplicate of another.",
@@ -219,8 +224,9 @@ fn ontology() -> Value {
             },
         },
         "behaviors": {
-            "definition": "A tag of a behavior's name is an event that was found: start_s and end_s count from the first timestep; \
-                           role_<role> is the id of the track in that role; further numbers are parameters; each has its unit as an attribute, too.",
+            "definition": "A tag of a behavior's name is an event that was found: start_s and end_s count from the \
+                           first timestep; role_<role> is the id of the track in that role; further numbers are \
+                           parameters; each has its unit as an attribute, too.",
             "tags": behaviors,
         },
     });

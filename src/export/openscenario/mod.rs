@@ -18,12 +18,13 @@ use entities::Body;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a trajectory, \
-    whose times are those of the scenario; positions of vehicles are those of their rear axles, as the standard has it, and the bounding box says where the center \
-    is. Who enters later is added when it does, and who leaves is deleted. roads/<id>.xodr: OpenDRIVE 1.7 with the lanes near \
-    the scenario, one file for all scenarios of a scene, on a plane; roads are named for their lanes from left to right, \
-    which are side by side wherever they begin and end together. Sizes along the vertical, axles and performance \
-    are not recorded; usual ones are written. The date in the files is a placeholder: equal corpora give equal files.";
+pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against its schema. Every road user follows a \
+    trajectory, whose times are those of the scenario; positions of vehicles are those of their rear axles, as the \
+    standard has it, and the bounding box says where the center is. Who enters later is added when it does, and who \
+    leaves is deleted. roads/<id>.xodr: OpenDRIVE 1.7 with the lanes near the scenario, one file for all scenarios of \
+    a scene, on a plane; roads are named for their lanes from left to right, which are side by side wherever they \
+    begin and end together. Sizes along the vertical, axles and performance are not recorded; usual ones are written. \
+    The date in the files is a placeholder: equal corpora give equal files.";
 
 /// The folder of roads.
 const ROADS_FOLDER: &str = "roads";

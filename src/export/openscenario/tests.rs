@@ -13,7 +13,7 @@ fn written(scene: &Scene, ego: EgoMotion) -> (Node, Written) {
     (Node::parse(&testing::read(dir.path(), &written.file)), written)
 }
 
-/// Of the events of an entity: name, time, and the action's innermost names.
+/// The name, the time and the action's innermost names of each event of an entity.
 fn events<'a>(root: &'a Node, entity: &str) -> Vec<(String, f64, &'a Node)> {
     let groups = root.below("ManeuverGroup");
     let group = groups.into_iter().find(|group| group.at("Actors").at("EntityRef").attr("entityRef") == entity);
@@ -135,7 +135,7 @@ fn a_free_ego_moves_as_recorded_until_the_present() {
     let vertices = ego[0].2.below("Vertex");
     assert_eq!((vertices.len(), vertices[3].attr_number("time")), (4, 0.3));
     assert_eq!(root.at("FileHeader").below("Property")[3].attr("value"), "0.3");
-    // What lies before a gap is not the way to the present.
+    // The states before a gap are not the way to the present.
     let gap = without_states(scene.clone(), 0, |timestep| timestep == 1);
     let (root, _) = written(&gap, EgoMotion::Free);
     let names: Vec<String> = events(&root, "Ego").into_iter().map(|(name, ..)| name).collect();

@@ -1,4 +1,4 @@
-//! Which buckets does a request have, which one does an event fall into, and how many are wanted in each?
+//! The buckets of a request: which one does an event fall into, and how many scenarios does each need?
 
 use super::config::{Divisions, RequestConfig};
 use super::facts::{Facts, SIDE, side};
@@ -90,7 +90,7 @@ impl Buckets {
         self.wanted.is_empty()
     }
 
-    /// Scenarios wanted in each bucket.
+    /// The number of scenarios requested in each bucket.
     pub fn wanted(&self) -> &[u64] {
         &self.wanted
     }
@@ -104,7 +104,7 @@ impl Buckets {
         self.dimensions.iter().zip(self.part_indices(bucket)).map(part).collect()
     }
 
-    /// The same in one line: `gap_m 0..5, relative_speed_mps -5..0`.
+    /// Its parts in one line: `gap_m 0..5, relative_speed_mps -5..0`.
     pub fn ranges(&self, bucket: usize) -> String {
         let parts = self.parts(bucket).into_iter().map(|part| format!("{} {}", part.parameter, part.range));
         parts.collect::<Vec<_>>().join(", ")
@@ -168,8 +168,8 @@ impl Buckets {
     }
 }
 
-/// Distributes `n` in proportion to weights: the whole numbers first, the rest to the largest fractions, and to the first of
-/// equal ones.
+/// Distributes `n` in proportion to weights: the whole numbers first, the rest to the largest fractions, and to the
+/// first of equal ones.
 fn apportion(n: u64, weights: &[f64]) -> Vec<u64> {
     let sum: f64 = weights.iter().sum();
     let exact: Vec<f64> = weights.iter().map(|weight| n as f64 * weight / sum).collect();

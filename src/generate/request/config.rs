@@ -27,12 +27,12 @@ pub struct RequestConfig {
     #[serde(default)]
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub n_total: Option<u64>,
-    /// How `n_total` is distributed: for a parameter of `buckets` a weight for each of its parts; equal where left out. Weights of
-    /// several parameters multiply.
+    /// How `n_total` is distributed: for a parameter of `buckets` a weight for each of its parts; equal where left out.
+    /// Weights of several parameters multiply.
     #[serde(default)]
     pub weights: BTreeMap<String, Vec<f64>>,
-    /// What every accepted scenario must satisfy: a range `[least, most]` of a parameter, both ends included, or a list of
-    /// texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
+    /// What every accepted scenario must satisfy: a range `[least, most]` of a parameter, both ends included, or a list
+    /// of texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
     #[serde(default, rename = "where")]
     pub conditions: BTreeMap<String, Requirement>,
     /// Limits on metrics of the single scenario, such as validity and criticality, as in a sweep's `select`.
@@ -102,8 +102,8 @@ pub enum Requirement {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PlanKind {
-    /// First every arm without a `prior` on the same scenes; then, round by round, the arms and scenes that fill open buckets, each in
-    /// proportion to its probability of being the best (Thompson sampling).
+    /// First every arm without a `prior` on the same scenes; then, round by round, the arms and scenes that fill open
+    /// buckets, each in proportion to its probability of being the best (Thompson sampling).
     #[default]
     Adaptive,
     /// Every arm on every scene in turn, repeatedly: a grid.

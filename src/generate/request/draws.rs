@@ -33,8 +33,8 @@ mod tests {
     use super::*;
     use crate::seed::Seed;
 
-    /// Mean a / (a + b) and variance ab / ((a + b)² (a + b + 1)), within four standard errors of the sample mean and 5 % of the
-    /// variance.
+    /// Mean a / (a + b) and variance ab / ((a + b)² (a + b + 1)), within four standard errors of the sample mean and 5
+    /// % of the variance.
     #[test]
     fn draws_have_the_moments_of_the_distribution() {
         for (i, (a, b)) in [(0.5, 0.5), (1.0, 1.0), (2.0, 8.0), (0.05, 4.0), (40.0, 3.0)].into_iter().enumerate() {

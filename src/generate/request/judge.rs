@@ -29,7 +29,7 @@ pub struct PlacedScenario {
     /// The place of its cell within the shard.
     cell: usize,
     placement: Placement,
-    /// Of a hit: how those who were asked move.
+    /// The motion of the requested agents; present for hits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     path: Option<PairPath>,
 }
@@ -147,7 +147,7 @@ impl ResolvedRequest {
     }
 }
 
-/// What is accepted when a scenario comes to its turn.
+/// Scenarios accepted before this one.
 struct Accepted<'a> {
     /// Their number by bucket.
     by_bucket: Vec<u64>,

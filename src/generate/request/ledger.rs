@@ -38,13 +38,13 @@ pub struct CellTally {
     pub next_sample: usize,
     /// Samples that show the behavior with the requested agents.
     pub n_found: u64,
-    /// Of those: in no bucket, or outside the conditions of `where`.
+    /// Found, but in no bucket, or outside the conditions of `where`.
     pub n_outside: u64,
-    /// Of those: beyond a limit.
+    /// Found, but beyond a limit.
     pub n_beyond_limits: u64,
-    /// Of those: in a bucket, by bucket.
+    /// Found, and in a bucket, by bucket.
     pub hits: BTreeMap<usize, Hits>,
-    /// How those who were asked move in the accepted ones.
+    /// The motion of the requested agents in the accepted ones.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub accepted_paths: Vec<PairPath>,
 }
@@ -92,7 +92,7 @@ pub(super) struct ArmCounts {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Aimed {
     pub(super) n_samples: u64,
-    /// Those of them that fell into it.
+    /// Hits among them: samples that fell into the bucket.
     pub(super) n_hits: u64,
 }
 
@@ -120,14 +120,14 @@ pub struct Ledger {
     /// Samples and evaluations spent while a bucket was not full.
     pub(super) spent_while_open: Vec<(u64, u64)>,
     pub(super) arms: Vec<ArmCounts>,
-    /// The same of the first round, in which all arms are tried on the same scenes with the same noise.
+    /// [`Self::arms`] for the first round, in which all arms are tried on the same scenes with the same noise.
     pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
     /// Whether the first round tries arms.
     has_trial: bool,
     behavior: String,
-    /// How those who were asked move in accepted scenarios.
+    /// The motion of the requested agents in accepted scenarios.
     paths: PathIndex,
     duplicate_distance_m: f64,
 }
@@ -194,7 +194,7 @@ impl Ledger {
         }
     }
 
-    /// Whether a bucket has fewer scenarios than wanted, can get more, and was not given up.
+    /// Whether a bucket has fewer scenarios than requested, can get more, and was not given up.
     pub fn is_open(&self, bucket: usize) -> bool {
         self.lacks(bucket) && !self.is_given_up(bucket)
     }
@@ -208,7 +208,8 @@ impl Ledger {
         self.accepted[bucket] < self.wanted[bucket].min(self.room[bucket])
     }
 
-    /// Whether those who were asked move almost as in an accepted scenario, or in one `of_shard` that is not counted yet.
+    /// Whether the requested agents move almost as in an accepted scenario, or in one `of_shard` that is not counted
+    /// yet.
     pub(super) fn has_like(&self, path: &PairPath, of_shard: &[&PairPath]) -> bool {
         let is_near = |distance_m: f64| distance_m < self.duplicate_distance_m;
         self.paths.nearest(&self.behavior, path).is_some_and(|(_, distance_m)| is_near(distance_m))

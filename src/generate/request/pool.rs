@@ -67,7 +67,8 @@ impl Generator<'_> {
                 n_considered: n_scenes,
                 hint: match n_scenes {
                     0 => {
-                        " with a suitable pair; choose other generate.splits or generate.places, or raise pairs.max_distance_m"
+                        " with a suitable pair; choose other generate.splits or generate.places, or raise \
+                         pairs.max_distance_m"
                     }
                     _ => ", but none has a pair that meets the request; widen where, or raise pairs.max_distance_m",
                 },

@@ -1,7 +1,7 @@
-//! What earlier runs teach about the arms of a request.
+//! Evidence from earlier runs about the arms of a request.
 //!
-//! Hit rates of an arm depend on the behavior, the buckets and the models, so those of an earlier run are evidence, but no
-//! more than some samples' worth of it: a request that differs overrules them soon.
+//! Hit rates of an arm depend on the behavior, the buckets and the models, so those of an earlier run are evidence, but
+//! no more than some samples' worth of it: a request that differs overrules them soon.
 
 use super::resolve::ResolvedRequest;
 use super::summary::RequestSummary;
@@ -15,7 +15,7 @@ const MOST_SAMPLES: f64 = 20.0;
 pub struct ArmPrior {
     /// Samples; of an arm that aims, those that aimed at a bucket.
     pub n_samples: f64,
-    /// Those of them that fell into a bucket; of an arm that aims, into the one at which they aimed.
+    /// Samples among them that fell into a bucket; for an arm that aims, into the one at which they aimed.
     pub n_hits: f64,
 }
 

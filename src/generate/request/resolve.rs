@@ -40,11 +40,12 @@ pub struct ResolvedRequest {
     pub idx: usize,
     /// As it was written.
     pub config: RequestConfig,
-    /// What it asks for.
+    /// The buckets to fill.
     pub buckets: Buckets,
-    /// What may be tried.
+    /// The ways of sampling that may be tried.
     pub arms: Vec<Arm>,
-    /// Scenarios in which those who were asked move nearer to an accepted one than this are near-duplicates of it, meters.
+    /// Scenarios in which the requested agents move nearer to an accepted one than this are near-duplicates of it,
+    /// meters.
     pub duplicate_distance_m: f64,
 }
 
@@ -63,7 +64,7 @@ pub struct Arm {
     pub level: GuidanceLevel,
     /// Whether one of its objectives aims at the open bucket.
     pub aims: bool,
-    /// What earlier runs tell about it.
+    /// Results of earlier runs.
     pub prior: Option<ArmPrior>,
 }
 
@@ -98,7 +99,8 @@ impl GenerateConfig {
                     if let Some(other) = resolved.sweeps.iter().position(|other| other.name == sweep.name) {
                         let key = if other < self.sweeps.len() { "generate.sweeps" } else { "generate.requests" };
                         let why = format_args!(
-                            "is \"{}\": samples of its arm {name} are called {}, as are those of one of {key}; choose another",
+                            "is \"{}\": samples of its arm {name} are called {}, as are those of one of {key}; choose \
+                             another",
                             request.name, sweep.name
                         );
                         return Err(within(Issue::new("name", why)));

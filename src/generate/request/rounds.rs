@@ -1,4 +1,4 @@
-//! What to try next? Rounds of shards, each decided from the results of finished rounds alone.
+//! The next things to try: rounds of shards, each decided from the results of finished rounds alone.
 
 use super::config::PlanKind;
 use super::draws::{beta, gamma};
@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 /// How much untried cells are expected to differ: their rates relative to the mean have a gamma distribution of this
 /// shape.
 const CELL_SHAPE: f64 = 0.5;
-/// What is known of the hit rate of an arm before it is tried: half a hit and one miss.
+/// The prior of the hit rate of an arm before it is tried: half a hit and one miss.
 const PRIOR_HITS: f64 = 0.5;
 const PRIOR_MISSES: f64 = 1.0;
 /// How many samples the prior of an arm that aims is worth.
@@ -41,7 +41,7 @@ pub struct RoundShard {
     pub arm: usize,
     /// The places of its cells in the pool.
     pub members: Vec<usize>,
-    /// What is sampled.
+    /// The samples to draw.
     pub plan: ShardPlan,
 }
 
@@ -143,8 +143,9 @@ impl ResolvedRequest {
         (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
     }
 
-    /// The posterior of how often a sample of an arm falls into an open bucket: Beta of these hits and misses, pseudo-counts included. An
-    /// arm that aims has a prior of its own: it is expected to hit the buckets at which it has not aimed as often as the others.
+    /// The posterior of how often a sample of an arm falls into an open bucket: Beta of these hits and misses,
+    /// pseudo-counts included. An arm that aims has a prior of its own: it is expected to hit the buckets at which it
+    /// has not aimed as often as the others.
     fn open_hit_rate(&self, ledger: &Ledger, arm: usize) -> (f64, f64) {
         let earlier = self.arms[arm].prior.unwrap_or_default();
         if self.arms[arm].aims {

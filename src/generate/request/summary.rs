@@ -29,7 +29,7 @@ pub struct RequestSummary {
     pub behavior: String,
     /// Why it was ended.
     pub ended: Ended,
-    /// What it might have cost.
+    /// The budget that it had.
     pub budget: BudgetConfig,
     /// Rounds, samples and evaluations that it took.
     pub n_rounds: usize,
@@ -43,7 +43,7 @@ pub struct RequestSummary {
     pub n_cells: usize,
     /// Pairs that cannot and were not tried.
     pub n_infeasible: usize,
-    /// Scenarios wanted in all.
+    /// Scenarios requested in all.
     pub n_wanted: u64,
     /// Scenarios accepted.
     pub n_accepted: u64,
@@ -65,7 +65,7 @@ pub struct ArmSummary {
     pub n_evaluations_per_sample: u64,
     /// Samples that aimed at a bucket, over all rounds.
     pub n_aimed: u64,
-    /// Those of them that fell into it.
+    /// Samples among them that fell into it.
     pub n_aimed_hits: u64,
     /// Over all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
@@ -80,13 +80,13 @@ pub struct Yield {
     pub n_samples: u64,
     /// Those that show the behavior with the requested agents.
     pub n_found: u64,
-    /// Of those: outside of all buckets and conditions.
+    /// Found, but outside of all buckets and conditions.
     pub n_outside: u64,
-    /// Of those: beyond a limit.
+    /// Found, but beyond a limit.
     pub n_beyond_limits: u64,
-    /// Of those: in a bucket, accepted or not, near-duplicates aside.
+    /// Found, and in a bucket, accepted or not, near-duplicates aside.
     pub n_hits: u64,
-    /// Of those: accepted.
+    /// Accepted.
     pub n_accepted: u64,
 }
 
@@ -95,13 +95,13 @@ pub struct Yield {
 pub struct BucketSummary {
     /// Its index, as in the column `bucket`.
     pub idx: usize,
-    /// What it holds.
+    /// The range of each parameter.
     pub parts: Vec<BucketPart>,
     /// Pairs of agents that can reach it; 0: nothing was spent on it.
     pub n_feasible: usize,
     /// Whether it was given up: many samples aimed at it in a row, and none was accepted.
     pub is_given_up: bool,
-    /// Scenarios wanted.
+    /// Scenarios requested.
     pub n_wanted: u64,
     /// Scenarios accepted.
     pub n_accepted: u64,
@@ -115,7 +115,7 @@ pub struct BucketSummary {
     pub accepted_by_arm: Vec<u64>,
     /// Scenarios in it by arm, accepted or not, near-duplicates aside.
     pub hits_by_arm: Vec<u64>,
-    /// The same of the first round.
+    /// [`Self::hits_by_arm`] for the first round.
     pub first_round_hits_by_arm: Vec<u64>,
     /// Samples drawn, for all buckets together, while this one was not full.
     pub n_samples_while_open: u64,

@@ -57,8 +57,8 @@ pub(super) fn pool(n: usize) -> Pool {
     }
 }
 
-/// Fulfils a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls. Returns the
-/// rounds and their tallies.
+/// Fulfils a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls.
+/// Returns the rounds and their tallies.
 pub(super) fn fulfil(
     request: &ResolvedRequest,
     pool: &Pool,
@@ -120,7 +120,8 @@ pub(super) fn world(arm: usize, cell: usize, sample: usize) -> Option<usize> {
 #[test]
 fn arms_become_sweeps_at_each_strength() {
     let resolved = resolve(&request(
-        "arms = ['guided', 'plain']\nper_bucket = 2\nbudget = { n_samples = 9 }\nn_scenes = 7\npairs = { per_scene = 2 }",
+        "arms = ['guided', 'plain']\nper_bucket = 2\nbudget = { n_samples = 9 }\nn_scenes = 7\n\
+         pairs = { per_scene = 2 }",
     ));
     let resolved = resolved.unwrap();
     let names: Vec<&str> = resolved.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
@@ -278,7 +279,8 @@ fn cheap_arms_are_preferred_where_evaluations_are_counted() {
 
 #[test]
 fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at() {
-    let other = "[[arms]]\nname = 'other'\nn_samples = 3\nstrengths = [5.0]\nclassifier_scope = 'none'\nobjectives = [{ kind = 'cut_in' }]\n";
+    let other = "[[arms]]\nname = 'other'\nn_samples = 3\nstrengths = [5.0]\nclassifier_scope = 'none'\n\
+                 objectives = [{ kind = 'cut_in' }]\n";
     let more = "arms = ['aimed', 'other']\nper_bucket = 5\nbudget = { n_samples = 9000 }";
     let request = resolve(&format!("{other}{}", request(more))).unwrap().requests.remove(0);
     let pool = pool(30);
@@ -336,7 +338,8 @@ fn a_bucket_of_which_nothing_comes_is_given_up() {
 fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_reach() {
     let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 300 }");
     assert_eq!(request.arms.iter().map(|arm| arm.aims).collect::<Vec<_>>(), [false, true]);
-    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket, which is never hit, but for bucket 0.
+    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket, which is never
+    // hit, but for bucket 0.
     let pool = Pool { feasible: (0..12).map(|cell| std::iter::once((cell % 4, 0.5)).collect()).collect(), ..pool(12) };
     let (rounds, tallies, _) = fulfil(&request, &pool, 1, |_, cell, _| (cell % 4 == 0).then_some(0));
     let mut n_aimed = 0;
@@ -349,7 +352,7 @@ fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_rea
                     let low = if member % 4 < 2 { 0.0 } else { 5.0 };
                     assert!(low < least && least < most && most < low + 5.0, "{least} to {most} for cell {member}");
                 }
-                // A cell whose bucket is full is asked for nothing in particular.
+                // A cell whose bucket is full has no target.
                 (1, None) => assert_eq!(member % 4, 0),
                 (arm, target) => panic!("arm {arm} aims at {target:?}"),
             }
@@ -383,7 +386,7 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     assert_eq!(ledger.open_hits_of_cell(0), 2);
     ledger.add(&tally(1, 1));
     assert_eq!(ledger.open_hits_of_cell(0), 0);
-    // When all who can fall into it have, it is closed, although it wanted more.
+    // When all who can fall into it have, it is closed, although it is not full.
     let narrow = Pool { feasible: vec![BTreeMap::from([(1, 0.0)]), BTreeMap::from([(2, 0.0)])], ..pool(2) };
     let mut ledger = Ledger::new(&request, &narrow);
     assert_eq!([0, 1, 2, 3].map(|bucket| ledger.is_open(bucket)), [false, true, true, false]);

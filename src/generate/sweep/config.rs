@@ -51,8 +51,8 @@ pub struct SweepConfig {
     /// Name of the mined behavior to request. Left out: scenes are continued without a request.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub behavior: Option<String>,
-    /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same scenes, pairs
-    /// and noise, for comparison. `validity_strength` acts at all of them. Left out: 0 alone.
+    /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same
+    /// scenes, pairs and noise, for comparison. `validity_strength` acts at all of them. Left out: 0 alone.
     #[serde(default = "unguided")]
     pub strengths: Vec<f64>,
     /// When guidance acts and how far it may go.
@@ -87,7 +87,8 @@ pub struct SweepConfig {
     #[serde(default)]
     pub aim: Aim,
     /// Which states are observed: the name of a training task (`predictive`, `goal_conditioned`, `agent_conditioned`,
-    /// `ego_conditioned`, `windowed`, `upsampling`, `imputation`), or a list of rules. The rest is generated. Left out: `predictive`.
+    /// `ego_conditioned`, `windowed`, `upsampling`, `imputation`), or a list of rules. The rest is generated. Left out:
+    /// `predictive`.
     #[serde(default)]
     pub observe: ObserveConfig,
     /// States that samples lean toward, by classifier-free guidance.
@@ -119,8 +120,8 @@ impl SweepConfig {
 
     /// Refuses what the baseline does not have.
     pub(super) fn check_baseline(&self) -> Result {
-        let why = "model = \"baseline\" has no such key, because Scene Transformer predicts in one pass and cannot be guided \
-                   or edited; remove it, or set model = \"denoiser\"";
+        let why = "model = \"baseline\" has no such key, because Scene Transformer predicts in one pass and cannot be \
+                   guided or edited; remove it, or set model = \"denoiser\"";
         self.refuse(OF_DIFFUSION, why)
     }
 
@@ -152,8 +153,8 @@ pub enum SampledModel {
     /// The denoiser: samples are independent draws, in any number.
     #[default]
     Denoiser,
-    /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "euler" }` and the `n_steps` and `grid` of
-    /// `train.distill.method`.
+    /// The denoiser of `[train.distill]`, in few evaluations: with `sampler = { kind = "euler" }` and the `n_steps` and
+    /// `grid` of `train.distill.method`.
     Distilled,
     /// Scene Transformer of `[train.baseline]`: samples are its joint futures, the most likely first, with their
     /// probabilities.

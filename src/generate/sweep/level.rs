@@ -18,8 +18,8 @@ impl SweepConfig {
             (strengths, Some(weights)) => Err(Issue::new(
                 "classifier_free.weights",
                 format_args!(
-                    "has {} values and strengths has {}, but only one of them may vary in a sweep; give the other a single \
-                     value, or use several sweeps",
+                    "has {} values and strengths has {}, but only one of them may vary in a sweep; give the other a \
+                     single value, or use several sweeps",
                     weights.len(),
                     strengths.len()
                 ),

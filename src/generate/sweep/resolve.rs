@@ -12,7 +12,7 @@ use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
 
-/// What the parts of a sweep must agree with.
+/// The context that the parts of a sweep must agree with.
 struct Purpose<'a> {
     /// The section, which provides the defaults of sweeps.
     config: &'a GenerateConfig,
@@ -54,8 +54,9 @@ impl SweepConfig {
         if self.aim == Aim::Feasible && !can_aim {
             return Err(Issue::new(
                 "aim",
-                "is \"feasible\", which needs a behavior and what can aim at the event's parameters: template = true, classifier_free = { event = true }, or strengths other than 0 and an objective, such as objectives = [{ kind = \
-                 \"cut_in\" }]",
+                "is \"feasible\", which needs a behavior and what can aim at the event's parameters: template = true, \
+                 classifier_free = { event = true }, or strengths other than 0 and an objective, such as \
+                 objectives = [{ kind = \"cut_in\" }]",
             ));
         }
         if let Some(select) = &self.select {
@@ -147,9 +148,9 @@ impl SweepConfig {
                     return Err(Issue::new(
                         "sampler",
                         format_args!(
-                            "is {}, which expects a denoiser that predicts means; a distilled one does not, and samples would \
-                             be far too wide; set sampler = {{ kind = \"euler\", n_steps = 2, grid = … }} as in \
-                             train.distill.method",
+                            "is {}, which expects a denoiser that predicts means; a distilled one does not, and \
+                             samples would be far too wide; set sampler = {{ kind = \"euler\", n_steps = 2, \
+                             grid = … }} as in train.distill.method",
                             resolved.sampler.name()
                         ),
                     ));
@@ -157,7 +158,8 @@ impl SweepConfig {
                 if resolved.goes_through_network(resolved.classifies(purpose)) {
                     return Err(Issue::new(
                         "objective_guidance.gradient",
-                        "is \"through_network\", which needs a denoiser that predicts means; a distilled one does not, so use \"clean\"",
+                        "is \"through_network\", which needs a denoiser that predicts means; a distilled one does not, \
+                         so use \"clean\"",
                     ));
                 }
                 Ok(SweepModel::Distilled(resolved))
@@ -235,7 +237,8 @@ impl Diffusion {
         self.is_guided() && purpose.behavior.is_some() && self.guidance.classifier_scope != ClassifierScope::None
     }
 
-    /// Whether potentials of clean estimates are carried back through the network, with a classifier that guides or not.
+    /// Whether potentials of clean estimates are carried back through the network, with a classifier that guides or
+    /// not.
     pub(super) fn goes_through_network(&self, classifies: bool) -> bool {
         let guidance = &self.guidance;
         let judges_estimates = (classifies && guidance.classifier_input == ClassifierInput::CleanEstimate)
@@ -273,8 +276,8 @@ impl Diffusion {
         {
             return Err(Issue::new(
                 "objective_guidance.gradient",
-                "is \"through_network\", which differentiates through the network once: for objectives, or for classifier_input = \
-                 \"clean_estimate\"; for both use gradient = \"clean\"",
+                "is \"through_network\", which differentiates through the network once: for objectives, or for \
+                 classifier_input = \"clean_estimate\"; for both use gradient = \"clean\"",
             ));
         }
         if classifies { check_classified_mask(observe, guidance.classifier_input) } else { Ok(()) }
@@ -283,7 +286,7 @@ impl Diffusion {
 
 /// Refuses observation masks under which a classifier cannot guide.
 fn check_classified_mask(observe: &ObserveConfig, input: ClassifierInput) -> Result {
-    // What rules hide is known only once they are applied to a scene.
+    // The states that rules hide are known only once the rules are applied to a scene.
     if let ObserveConfig::Task(task @ (MaskTask::Windowed | MaskTask::Upsampling | MaskTask::Imputation)) = observe {
         let why =
             format_args!("is \"{}\", but a classifier guides by the histories, which observe must show", task.name());
@@ -292,7 +295,8 @@ fn check_classified_mask(observe: &ObserveConfig, input: ClassifierInput) -> Res
     if *observe != ObserveConfig::default() && input == ClassifierInput::NoisyStates {
         return Err(Issue::new(
             "classifier_input",
-            "is \"noisy_states\", which a classifier can read only with observe = \"predictive\"; other masks need classifier_input = \"clean_estimate\"",
+            "is \"noisy_states\", which a classifier can read only with observe = \"predictive\"; other masks need \
+             classifier_input = \"clean_estimate\"",
         ));
     }
     Ok(())

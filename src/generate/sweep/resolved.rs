@@ -47,14 +47,14 @@ pub enum SweepModel {
     Baseline,
 }
 
-/// What guides samples, and how.
+/// The guidance of samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepGuidance {
     /// When guidance acts and how far it may go.
     pub gate: GuidanceConfig,
     /// Which agents the classifier of the behavior judges.
     pub classifier_scope: ClassifierScope,
-    /// What the classifier is shown.
+    /// The states that the classifier sees.
     pub classifier_input: ClassifierInput,
     /// What of the classifier is made large.
     pub classifier_potential: ClassifierPotential,
@@ -71,7 +71,7 @@ pub struct Diffusion {
     pub sampler: SamplerConfig,
     /// How strongly samples are kept apart and on the road, at every level. 0: not at all.
     pub validity_strength: f64,
-    /// What samples of a scene differ in beside their noise; at least one.
+    /// The levels of guidance at which each scene is sampled; at least one.
     pub levels: Vec<GuidanceLevel>,
     /// The guidance at strengths other than 0.
     pub guidance: SweepGuidance,
@@ -103,7 +103,7 @@ impl ResolvedSweep {
         matches!(self.model, SweepModel::Baseline)
     }
 
-    /// What samples of a scene differ in beside their noise.
+    /// The levels of guidance at which each scene is sampled.
     pub fn levels(&self) -> &[GuidanceLevel] {
         self.diffusion().map_or(&[GuidanceLevel::UNGUIDED], |diffusion| &diffusion.levels)
     }
@@ -113,7 +113,7 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
 
-    /// Whether some of its samples are forecasts: not guided, not edited, without wanted states and without a template.
+    /// Whether some of its samples are forecasts: not guided, not edited, without target states and without a template.
     pub fn has_unguided(&self) -> bool {
         self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
             && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
@@ -128,7 +128,7 @@ impl ResolvedSweep {
     }
 
     /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
-    /// denoiser is told.
+    /// denoiser is conditioned on.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
         let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
@@ -144,7 +144,7 @@ impl ResolvedSweep {
         BehaviorEntry::is_collision(self.behavior.as_deref())
     }
 
-    /// Whether its denoiser is told of the requested event.
+    /// Whether its denoiser is conditioned on the requested event.
     pub fn tells_event(&self) -> bool {
         self.diffusion().and_then(|diffusion| diffusion.classifier_free.as_ref()).is_some_and(|config| config.event)
     }
@@ -182,8 +182,9 @@ impl ResolvedSweep {
         match sigmas.ends_with(&asked) {
             true => Ok(()),
             false => Err(Error::Config(format!(
-                "sweep {}: the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through {asked:?}: give it the \
-                 n_steps and grid of train.distill.method, and edits a tau that is one of these levels",
+                "sweep {}: the distilled denoiser steps through the noise levels {sigmas:?}, the sweep through \
+                 {asked:?}: give it the n_steps and grid of train.distill.method, and edits a tau that is one of these \
+                 levels",
                 self.name
             ))),
         }

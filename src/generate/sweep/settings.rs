@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 impl ResolvedSweep {
     /// The settings of a sample of this sweep at `level` as JSON: sampler, observed states, edits, and its guidance
-    /// with strengths and every option of the objectives. Settings without effect at this level are left out. `told` is what its
-    /// denoiser was told of the event.
+    /// with strengths and every option of the objectives. Settings without effect at this level are left out. `told` is
+    /// the event that its denoiser was conditioned on.
     pub(in crate::generate) fn settings(&self, level: GuidanceLevel, told: Option<&ToldEvent>) -> String {
         let mut settings = match &self.model {
             SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) => diffusion.settings(level),

@@ -62,7 +62,7 @@ fn a_classifier_guides_under_other_masks_by_clean_estimates() {
         let records = run(&format!("observe = {observe}\nclassifier_input = 'clean_estimate'"));
         assert_eq!(kinds(&records), ["classifier:drift", "none"]);
         assert!(apart_m(&at(&records, 0.0, 0.0), &at(&records, 3.0, 0.0)) > 1e-3, "{observe}");
-        // What is observed stays, whatever guides.
+        // Observed states stay, whatever guides.
         for (unguided, guided) in at(&records, 0.0, 0.0).iter().zip(at(&records, 3.0, 0.0)) {
             assert_eq!(unguided.scenario.observed, guided.scenario.observed);
             for (agent_idx, track) in guided.scenario.scene.tracks.iter().enumerate() {
@@ -87,7 +87,8 @@ fn masks_that_a_classifier_cannot_see_through_are_refused() {
         ("observe = 'goal_conditioned'", "need classifier_input = \"clean_estimate\""),
         ("observe = 'windowed'\nclassifier_input = 'clean_estimate'", "which observe must show"),
         (
-            "observe = [{ agents = 'all', times = { timesteps = { from = 1, to = 4 } } }]\nclassifier_input = 'clean_estimate'",
+            "observe = [{ agents = 'all', times = { timesteps = { from = 1, to = 4 } } }]\n\
+             classifier_input = 'clean_estimate'",
             "unobserved at timestep 0 of its history",
         ),
     ] {

@@ -1,4 +1,4 @@
-//! Do classifier and objectives act as the sweep says, alone and together, and does the provenance tell?
+//! Do classifier and objectives act as the sweep says, alone and together, and does the provenance record it?
 
 use super::*;
 use crate::behavior::BehaviorConfig;
@@ -75,7 +75,8 @@ fn samples_are_kept_apart_unless_told_otherwise() {
         let sampler = SamplerConfig::Heun(HeunConfig::with_steps(12));
         let toml = format!(
             "{options}\nsplits = ['train']\n[[sweeps]]\nname = 'plain'\nn_scenes = 8\nn_samples = 8\nedit.tau = 2.0\n\
-             edit.edits = [{{ kind = 'meet', agent = {{ track = 'ahead' }}, with = {{ track = 'behind' }}, at_s = 0.8 }}]"
+             edit.edits = [{{ kind = 'meet', agent = {{ track = 'ahead' }}, with = {{ track = 'behind' }}, \
+             at_s = 0.8 }}]"
         );
         let records = generate(&GenerateConfig { sampler, ..config(&toml) });
         assert_eq!(kinds(&records), ["none"]);
@@ -105,7 +106,8 @@ fn classifier_and_objectives_act_together() {
     assert!(guided.iter().zip(&classified).any(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3));
 }
 
-/// An untrained classifier wants something or other; log odds want more of it than log p, which is all that is told apart here.
+/// An untrained classifier prefers something or other; log odds pull harder than log p, which is all that is
+/// distinguished here.
 #[test]
 fn a_classifier_guides_the_pair_by_either_potential() {
     for input in ["noisy_states", "clean_estimate"] {
@@ -126,7 +128,8 @@ fn a_classifier_guides_the_pair_by_either_potential() {
 #[test]
 fn objectives_alone_may_serve_a_behavior() {
     let toml = format!(
-        "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'goal', agents = 'other', x_m = 9.0, y_m = -4.0 }}]"
+        "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'goal', agents = 'other', x_m = 9.0, \
+         y_m = -4.0 }}]"
     );
     let (denoiser, config) = (denoiser(0), resolve(&toml));
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
@@ -140,13 +143,14 @@ fn objectives_alone_may_serve_a_behavior() {
         let own = records.iter().filter(|r| r.scenario.provenance.guidance.level.strength == strength);
         own.filter(|record| record.verified).count()
     };
-    // The goal lies 4 m to the right: what the behavior asks for.
+    // The goal lies 4 m to the right, as the requested behavior requires.
     assert!(rate(3.0) == 8 && rate(0.0) < 8, "{} of 8 guided, {} unguided", rate(3.0), rate(0.0));
 }
 
 #[test]
 fn each_sample_of_a_pair_aims_at_another_of_its_outcomes_whatever_the_batch() {
-    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    objectives = [{ kind = 'cut_in' }]\n    aim = 'feasible'";
+    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    objectives = [{ kind = 'cut_in' }]\n    \
+                 aim = 'feasible'";
     let aimed = SWEEPS.replace("behavior = 'drift'", asked).replace("n_samples = 2", "n_samples = 5");
     let plan = with_generator(&config(&aimed), 0, |generator| generator.plan(&index(12)).unwrap());
     for cell in &plan.shards.last().unwrap().cells {
@@ -183,7 +187,8 @@ fn who_follows_a_template_is_observed_and_each_sample_has_its_own_whatever_the_b
             let idx = scenario.scene.track_idx(performer).unwrap();
             let n_timesteps = scenario.scene.n_timesteps;
             let velocity_mps = |timestep: usize| scenario.scene.state(idx, timestep).unwrap().velocity;
-            // It follows its template, which drifts to the right ever faster, and what was made is judged like what was sampled.
+            // It follows its template, which drifts to the right ever faster, and what was made is judged like what was
+            // sampled.
             let n_history = scenario.scene.n_history;
             let is_observed = |agent: usize| (n_history..n_timesteps).any(|t| scenario.observed.is_observed(agent, t));
             assert!(record.verified && !(0..3).any(is_observed));

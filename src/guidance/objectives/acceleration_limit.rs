@@ -6,7 +6,8 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Accelerate, brake and turn no harder than a limit: J = -½ Σ ∫ (max(‖a(t)‖ - a_max, 0) / τ)² dt over the chosen agents.
+/// Accelerate, brake and turn no harder than a limit: J = -½ Σ ∫ (max(‖a(t)‖ - a_max, 0) / τ)² dt over the chosen
+/// agents.
 ///
 /// a is the second difference quotient of positions, in all directions, its norm rounded by 0.05 m/s² at zero.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

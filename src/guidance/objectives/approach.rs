@@ -15,8 +15,8 @@ pub(super) struct Approach {
 }
 
 impl Approach {
-    /// Of the pair of `one` and `other` in each row, with the pairs and the separation of their boxes, (P, T). `None` where there is no such pair, or
-    /// only one timestep.
+    /// The approach of the pair of `one` and `other` in each row, with the pairs and the separation of their boxes,
+    /// (P, T). `None` where there is no such pair, or only one timestep.
     pub(super) fn between(
         states: &Tensor,
         context: &SceneContext,
@@ -31,7 +31,7 @@ impl Approach {
         Ok(Some((pairs, separation_m, approach)))
     }
 
-    /// Of `pairs`. There must be two timesteps.
+    /// The approach of `pairs`, at two or more timesteps.
     fn new(pairs: &Pairs, dt_s: f64) -> Result<Self> {
         let between = (positions(&pairs.second.states)? - positions(&pairs.first.states)?)?;
         let n_steps = between.dim(1)? - 1;

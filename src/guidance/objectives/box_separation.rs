@@ -9,16 +9,16 @@ const BLEND_M: f64 = 0.1;
 const ROUNDING_M: f64 = 0.02;
 const ROUNDING: f64 = 0.01;
 
-/// The separation of the boxes of each pair at each timestep, meters, (P, T): the largest gap between their projections onto
-/// any of their four axes, which is negative exactly when they overlap, and never more than their distance.
+/// The separation of the boxes of each pair at each timestep, meters, (P, T): the largest gap between their projections
+/// onto any of their four axes, which is negative exactly when they overlap, and never more than their distance.
 ///
-/// The largest of the four is taken as β (ln Σ exp(gₖ / β) - ln 4) with β = 0.1 m, and |z| as √(z² + r²): smooth, and at
-/// most 0.2 m less than the exact separation for boxes of vehicles, never more than 0.02 m above it.
+/// The largest of the four is taken as β (ln Σ exp(gₖ / β) - ln 4) with β = 0.1 m, and |z| as √(z² + r²): smooth, and
+/// at most 0.2 m less than the exact separation for boxes of vehicles, never more than 0.02 m above it.
 pub(super) fn separation_m(pairs: &Pairs) -> Result<Tensor> {
     separation_between_m(&pairs.first, &pairs.second)
 }
 
-/// The same between places of one agent and of another that need not be of the same time.
+/// [`separation_m`] between places of one agent and of another that need not be of the same time.
 pub(super) fn separation_between_m(one: &Agents, other: &Agents) -> Result<Tensor> {
     let of = |states: &Tensor, dim: usize| states.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
     let between = (&other.states - &one.states)?;

@@ -8,11 +8,11 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Touch with a wanted relative speed.
+/// Touch with a target relative speed.
 ///
-/// With s(t) the separation of the boxes (`no_collision`) and ‖u‖ the relative speed that led to timestep t, a moment costs
-/// c = ½ (\[s + 0.4 m\]₊ / τ_m)² + ½ (\[‖u‖\] / τ_u)², where \[‖u‖\] is the distance to the wanted speeds. The best moment decides, smoothly:
-/// J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01.
+/// With s(t) the separation of the boxes (`no_collision`) and ‖u‖ the relative speed that led to timestep t, a moment
+/// costs c = ½ (\[s + 0.4 m\]₊ / τ_m)² + ½ (\[‖u‖\] / τ_u)², where \[‖u‖\] is the distance to the target interval. The
+/// best moment decides, smoothly: J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Collision {

@@ -10,10 +10,12 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Cross a place shortly before `to` does, as in a left turn across oncoming traffic or where the right of way is taken.
+/// Cross a place shortly before `to` does, as in a left turn across oncoming traffic or where the right of way is
+/// taken.
 ///
-/// What two moments cost, one of `agents` and a later one of `to`, says [`Encroachment`]; those count that are a wanted
-/// post-encroachment time apart. With s(t) the separation of the boxes (`no_collision`), the best decides, smoothly:
+/// [`Encroachment`] defines the cost of two moments, one of `agents` and a later one of `to`; pairs count that are a
+/// target post-encroachment time apart. With s(t) the separation of the boxes (`no_collision`), the best decides,
+/// smoothly:
 ///
 /// J = -(Σ (c + δ)⁻⁴)^(-1/4) - ∫ ½ (max(margin - s, 0) / τ_s)² dt
 ///

@@ -8,20 +8,21 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Move into the path of `before`, ahead of it, at a moment with the wanted gap and relative speed.
+/// Move into the path of `before`, ahead of it, at a moment with the target gap and relative speed.
 ///
-/// With d(t) the lateral offset of an agent from the path that `before` drives *in the sample*, carried straight on at both ends,
-/// g(t) the gap along it from front to rear, u(t) the speed at which it closes, h half the sum of both widths, and v the speed of `before`,
-/// a moment costs
+/// With d(t) the lateral offset of an agent from the path that `before` drives *in the sample*, carried straight on at
+/// both ends, g(t) the gap along it from front to rear, u(t) the speed at which it closes, h half the sum of both
+/// widths, and v the speed of `before`, a moment costs
 ///
 /// c(t) = ½ ((|d| - h) / 0.5 m)² + ½ (\[g\] / τ)² + ½ (\[u\] / τ_u)² + ½ (max(g - 0.9 v Δ(t), 0) / τ)²,
 ///
-/// where \[·\] is the distance to the wanted interval: the boxes begin to share a path there, and `before` gets there within
-/// Δ(t), the longest delay or the time that is left of the scene. The best moment decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last second of
+/// where \[·\] is the distance to the target interval: the boxes begin to share a path there, and `before` gets there
+/// within Δ(t), the longest delay or the time that is left of the scene. The best moment decides, smoothly:
+/// (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last second of
 /// ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front.
 ///
-/// `before` is taken as it is: nothing pulls at it, so that it does not move in behind the other instead. J = -(both), and 0 where one of the
-/// two has no future.
+/// `before` is taken as it is: nothing pulls at it, so that it does not move in behind the other instead. J = -(both),
+/// and 0 where one of the two has no future.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CutIn {
@@ -169,7 +170,7 @@ mod tests {
         assert_eq!(states[0], traffic.states_vec()[0][0]);
         let last = traffic.generated().end - 1;
         assert!(states[1][last][1].abs() < 1.3, "{:?}", states[1][last]);
-        // The boxes begin to share a path with the gap that was wanted.
+        // The boxes begin to share a path with the target gap.
         let is_met = |t: usize| {
             let gap_m = states[1][t][0] - states[0][t][0] - 4.5;
             (states[1][t][1].abs() - 1.8).abs() < 0.3 && (4.8..6.2).contains(&gap_m)
@@ -207,7 +208,8 @@ mod tests {
 
     #[test]
     fn a_bend_is_no_shift() {
-        // Both on circles around (0, 50), the other 3.5 m further in and ahead: across the ego's path it stays where it is.
+        // Both on circles around (0, 50), the other 3.5 m further in and ahead: across the ego's path it stays where it
+        // is.
         let arc = |radius_m: f64, ahead_m: f64, t: usize| {
             let angle = (1.6 * t as f64 + ahead_m) / 50.0;
             [radius_m * angle.sin(), 50.0 - radius_m * angle.cos(), angle]

@@ -10,7 +10,8 @@ const LEAST_STEP_M: f64 = 0.05;
 /// Rounding of the way beside a path at zero, meters.
 const ROUNDING_M: f64 = 0.05;
 
-/// An agent relative to the path of another, from the pose of it that is nearest, (B, T) each. The path is taken as it is: nothing pulls at it.
+/// An agent relative to the path of another, from the pose of it that is nearest, (B, T) each. The path is taken as it
+/// is: nothing pulls at it.
 pub(super) struct PathFrame {
     /// Way along the path from where its owner is at this timestep, less half of both lengths, meters.
     pub(super) gap_m: Tensor,
@@ -27,7 +28,7 @@ pub(super) struct PathFrame {
 }
 
 impl PathFrame {
-    /// Of the agent of each row that is named `agent`, relative to the path of the one named `owner`.
+    /// The frame for the agent of each row that is named `agent`, relative to the path of the one named `owner`.
     pub(super) fn between(
         states: &Tensor,
         context: &SceneContext,
@@ -68,7 +69,7 @@ fn backward_rate(x: &Tensor, dt_s: f64) -> Result<Tensor> {
     Tensor::cat(&[&rate.narrow(1, 0, 1)?, &rate], 1)
 }
 
-/// What is read off the paths, for each row and timestep: numbers that nothing pulls at.
+/// Values read off the paths, for each row and timestep: plain numbers without gradients.
 struct Paths {
     /// Position of the pose of the path that is nearest to the other, meters.
     x: Vec<f64>,

@@ -5,7 +5,8 @@ use super::motion::{norm, penalty, positions};
 use super::pairs::{self, Agents};
 use candle_core::{D, DType, Result, Tensor};
 
-/// How much the boxes are to overlap, at their two times, meters; their separation is up to 0.2 m less than it is for the smoothing.
+/// How much the boxes are to overlap, at their two times, meters; their separation is up to 0.2 m less than it is for
+/// the smoothing.
 const OVERLAP_M: f64 = 0.7;
 /// The distance to overlapping that costs ½, meters.
 const DISTANCE_TOLERANCE_M: f64 = 0.5;
@@ -17,20 +18,20 @@ const COS_TOLERANCE: f64 = 0.15;
 const LEAST_SPEED_MPS: f64 = 2.0;
 const SPEED_TOLERANCE_MPS: f64 = 1.0;
 
-/// Places of one agent of each pair, and of the other k timesteps later, for all wanted k.
+/// Places of one agent of each pair, and of the other k timesteps later, for all target k.
 ///
-/// With s the separation of the boxes at their two times, Δψ the difference of headings and v the speeds, a pair of moments costs
-/// c = ½ (\[s + 0.7 m\]₊ / 0.5 m)² + ½ (\[cos Δψ - cos 45°\]₊ / 0.15)² + ½ Σ (\[2 m/s - v\]₊ / 1 m/s)².
+/// With s the separation of the boxes at their two times, Δψ the difference of headings and v the speeds, a pair of
+/// moments costs c = ½ (\[s + 0.7 m\]₊ / 0.5 m)² + ½ (\[cos Δψ - cos 45°\]₊ / 0.15)² + ½ Σ (\[2 m/s - v\]₊ / 1 m/s)².
 pub(super) struct Encroachment {
     /// (P, N).
     pub(super) costs: Tensor,
-    /// 1 where both have a state, of which one is generated, and the time between them is wanted, (P, N).
+    /// 1 where both have a state, of which one is generated, and the time between them is in the target, (P, N).
     pub(super) counts: Tensor,
 }
 
 impl Encroachment {
-    /// Of pairs (who is earlier, who is later), for post-encroachment times between the least and the most `wanted_s` of
-    /// each pair, (P, 2). Each of `orders` has the same pairs. `None` where no two timesteps are so far apart.
+    /// From pairs (who is earlier, who is later), for post-encroachment times between the least and the most `wanted_s`
+    /// of each pair, (P, 2). Each of `orders` has the same pairs. `None` where no two timesteps are so far apart.
     pub(super) fn new(orders: &[[&Agents; 2]], wanted_s: &Tensor, dt_s: f64) -> Result<Option<Self>> {
         let n_timesteps = orders[0][0].valid.dim(1)?;
         let wanted = wanted_s.to_dtype(DType::F64)?.to_vec2::<f64>()?;

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 /// Brake hard at some moment, from a sufficient speed.
 ///
-/// With v(t) the speed and b(t) = (v(t) - v(t + W)) / W the mean deceleration over the W = 0.6 s that follow, a moment costs
-/// ½ (\[b\] / τ)² + ½ (max(v_least - v, 0) / 1 m/s)², where \[·\] is the distance to the wanted interval. The best moment decides, smoothly:
-/// J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01, summed over the chosen agents.
+/// With v(t) the speed and b(t) = (v(t) - v(t + W)) / W the mean deceleration over the W = 0.6 s that follow, a moment
+/// costs ½ (\[b\] / τ)² + ½ (max(v_least - v, 0) / 1 m/s)², where \[·\] is the distance to the target interval. The
+/// best moment decides, smoothly: J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01, summed over the chosen agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HardBrake {

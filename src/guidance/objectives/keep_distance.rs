@@ -8,8 +8,8 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Keep a distance: J = -½ Σ ∫ { (max(d_min - d(t), 0) / τ)² + (max(d(t) - d_max, 0) / τ)² } dt over the pairs of one agent
-/// of `agents` and another of `to`.
+/// Keep a distance: J = -½ Σ ∫ { (max(d_min - d(t), 0) / τ)² + (max(d(t) - d_max, 0) / τ)² } dt over the pairs of one
+/// agent of `agents` and another of `to`.
 ///
 /// d is the distance of the centers, rounded by 0.05 m at zero. Without `max_m` there is no upper bound.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on
 /// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last 1.2 s. If
-/// there are several lanes, the one that costs least counts. 0 if the map has no lane on the wanted side: see
+/// there are several lanes, the one that costs least counts. 0 if the map has no lane on the target side: see
 /// `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -76,8 +76,8 @@ pub trait SceneObjective {
     fn validate(&self) -> settings::Result {
         Ok(())
     }
-    /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight. `states` (B, A, T, 3) are positions
-    /// and headings in meters and radians of each row's ego frame. Differentiable in them, row by row.
+    /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight. `states` (B, A, T, 3) are
+    /// positions and headings in meters and radians of each row's ego frame. Differentiable in them, row by row.
     ///
     /// # Errors
     /// When shapes do not fit, or no agent has a role.
@@ -159,7 +159,7 @@ pub enum InvalidObjective {
     Role {
         /// As written.
         role: String,
-        /// What can be written.
+        /// The values that can be written.
         known: String,
     },
 }
@@ -209,7 +209,7 @@ fn beyond(x: &Tensor, interval: &Tensor) -> Result<Tensor> {
     x.broadcast_sub(&least)?.neg()?.relu()? + x.broadcast_sub(&most)?.relu()?
 }
 
-/// Checks an interval of wanted values.
+/// Checks a target interval.
 fn interval(key: &str, interval: Option<[f64; 2]>) -> settings::Result {
     match interval {
         Some([least, most]) if !(least < most && least.is_finite() && most.is_finite()) => {

@@ -25,7 +25,8 @@ pub(super) fn rate(x: &Tensor, dt_s: f64) -> Result<Tensor> {
     (x.narrow(2, 1, n)? - x.narrow(2, 0, n)?)? * (1.0 / dt_s)
 }
 
-/// √(‖v‖² + r²) over the last dimension, with r = 0.05: the norm, rounded at zero so that it has a gradient there. Never 0.
+/// √(‖v‖² + r²) over the last dimension, with r = 0.05: the norm, rounded at zero so that it has a gradient there.
+/// Never 0.
 pub(super) fn norm(v: &Tensor) -> Result<Tensor> {
     (v.sqr()?.sum(D::Minus1)? + ROUNDING * ROUNDING)?.sqrt()
 }
@@ -35,15 +36,15 @@ pub(super) fn penalty(x: &Tensor, tolerance: f64) -> Result<Tensor> {
     x.sqr()? * (-0.5 / (tolerance * tolerance))
 }
 
-/// The log potential of the best of the moments that count, smoothly: of `potentials`, each at most 0 and of the shape of `counts`, the sum over them
-/// at that moment.
+/// The log potential of the best of the moments that count, smoothly: of `potentials`, each at most 0 and of the shape
+/// of `counts`, the sum over them at that moment.
 pub(super) fn best_potential(potentials: &[Tensor], counts: &Tensor) -> Result<Tensor> {
     let sum = potentials.iter().skip(1).try_fold(potentials[0].clone(), |sum, potential| sum + potential)?;
     best_moment(&sum.neg()?, counts)?.neg()
 }
 
-/// The cost of the best of the moments that count, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) over the last dimension, 0 where no moment counts. `costs` are at
-/// least 0; `counts` has the same shape, and is 0 or 1.
+/// The cost of the best of the moments that count, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) over the last dimension, 0 where no
+/// moment counts. `costs` are at least 0; `counts` has the same shape, and is 0 or 1.
 pub(super) fn best_moment(costs: &Tensor, counts: &Tensor) -> Result<Tensor> {
     let powers = (counts * (costs + LEAST_COST)?.powf(-4.0)?)?.sum(D::Minus1)?;
     let any = counts.sum(D::Minus1)?.minimum(1.0)?;
@@ -56,8 +57,8 @@ pub(super) fn integral(values: &Tensor, terms: &Tensor, agents: &Tensor, dt_s: f
     (counted * agents)?.sum(1)? * dt_s
 }
 
-/// 0 in each row, (B), that depends on `states` as gradients need it: backward passes do not follow a factor that is a plain
-/// 0, so the zeros are a tensor.
+/// 0 in each row, (B), that depends on `states` as gradients need it: backward passes do not follow a factor that is a
+/// plain 0, so the zeros are a tensor.
 pub(in crate::guidance) fn nothing(states: &Tensor) -> Result<Tensor> {
     let sums = states.flatten_from(1)?.sum(1)?;
     &sums * sums.zeros_like()?

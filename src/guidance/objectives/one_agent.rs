@@ -16,7 +16,7 @@ pub(super) struct OneAgent {
     states: Tensor,
     /// 1 where they are generated and valid, (B, T).
     pub(super) counts: Tensor,
-    /// The same on the host.
+    /// The states on the host.
     at: Vec<f64>,
     is_valid: Vec<f64>,
     n_timesteps: usize,
@@ -115,8 +115,8 @@ impl OneAgent {
         lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
     }
 
-    /// The agents across one line a row; where there is none, they are 0 beside it. The nearest point of a line is found on the host and held:
-    /// by the envelope theorem the gradients are those of the offset.
+    /// The agents across one line a row; where there is none, they are 0 beside it. The nearest point of a line is
+    /// found on the host and held: by the envelope theorem the gradients are those of the offset.
     pub(super) fn across(&self, lines: &[Option<Polyline>]) -> Result<LineFrame> {
         let n_rows = lines.len();
         let list = || Vec::with_capacity(n_rows * self.n_timesteps);

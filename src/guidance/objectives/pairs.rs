@@ -39,7 +39,7 @@ impl Agents {
         Ok(Self { states: of(states)?, extent_m: of(&context.extent_m)?.to_dtype(states.dtype())?, valid, latent })
     }
 
-    /// The same from timestep `start` on, `len` of them.
+    /// These agents from timestep `start` on, `len` of them.
     pub(super) fn during(&self, start: usize, len: usize) -> Result<Self> {
         let narrow = |tensor: &Tensor| tensor.narrow(1, start, len);
         Ok(Self {
@@ -51,14 +51,14 @@ impl Agents {
     }
 }
 
-/// What pairs are looked for.
+/// The agents between which pairs are looked for.
 pub(super) struct PairQuery<'a> {
     /// One agent is of these,
     pub(super) one: &'a AgentSelector,
     /// and the other of these.
     pub(super) other: &'a AgentSelector,
-    /// Pairs that are never nearer than this count nothing: center distance, in sums of the radii around both boxes, and
-    /// meters beyond. `None` for all pairs.
+    /// Pairs that are never nearer than this count nothing: center distance, in sums of the radii around both boxes,
+    /// and meters beyond. `None` for all pairs.
     pub(super) reach: Option<Reach>,
     /// One pair that is left out.
     pub(super) except: Option<&'a [AgentSelector; 2]>,
@@ -143,7 +143,7 @@ impl Pairs {
         Ok(found)
     }
 
-    /// What belongs to the row of each pair, (P, ..), of `values` (B, ..).
+    /// The rows of `values` (B, ..) that belong to the pairs, (P, ..).
     pub(super) fn of_rows(&self, values: &Tensor) -> Result<Tensor> {
         values.index_select(&self.rows, 0)
     }

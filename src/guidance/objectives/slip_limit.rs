@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 
 /// Point where you drive: J = -½ Σ ∫ (max(|v⊥(t)| - ‖v(t)‖ sin β, 0) / τ)² dt over the chosen motorized agents.
 ///
-/// v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is
-/// rounded by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside. The potential is 0 where headings follow the motion anyway.
+/// v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is rounded
+/// by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside. The potential is 0 where headings
+/// follow the motion anyway.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SlipLimit {

@@ -7,18 +7,18 @@ use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Stay on the road: J = -½ Σ ∫ (max(e(t) - e₀, 0) / τ)² dt with e(t) = max(d(p(t)) + m, 0), over the chosen motorized agents,
-/// and over their corners with `points = "corners"` (each counts a quarter).
+/// Stay on the road: J = -½ Σ ∫ (max(e(t) - e₀, 0) / τ)² dt with e(t) = max(d(p(t)) + m, 0), over the chosen motorized
+/// agents, and over their corners with `points = "corners"` (each counts a quarter).
 ///
-/// e₀ is the excess e of the agent where it was last observed, so that only what a sample adds to it counts: who is parked
-/// beside the road, or enters it from there, is not dragged onto it.
+/// e₀ is the excess e of the agent where it was last observed, so that only what a sample adds to it counts: who is
+/// parked beside the road, or enters it from there, is not dragged onto it.
 ///
-/// d(p) is how far p lies outside of the nearest lane corridor: its distance to the center line of the lane less half the
-/// lane's width (that of the map's boundaries, 3.5 m where it has none), negative inside. Beyond ends that no lane continues,
-/// lanes are carried straight on by 100 m. The nearest corridor is found on the host; by the envelope theorem the gradient
-/// of the distance to its nearest point, held fixed, is that of d, except where two corridors are equally near.
-/// The potential is 0 in scenes without lanes and at places whose maps lack parts of the road, and agents that are not
-/// motorized do not count.
+/// d(p) is how far p lies outside of the nearest lane corridor: its distance to the center line of the lane less half
+/// the lane's width (that of the map's boundaries, 3.5 m where it has none), negative inside. Beyond ends that no lane
+/// continues, lanes are carried straight on by 100 m. The nearest corridor is found on the host; by the envelope
+/// theorem the gradient of the distance to its nearest point, held fixed, is that of d, except where two corridors are
+/// equally near. The potential is 0 in scenes without lanes and at places whose maps lack parts of the road, and agents
+/// that are not motorized do not count.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StayOnRoad {
@@ -158,7 +158,8 @@ mod tests {
         SceneContext { roads: vec![Arc::new(road)], ..Traffic::straight(cars).context }
     }
 
-    /// The cost per second of a car along the lane that was observed at `observed_m` beside its middle and then is at `sampled_m`.
+    /// The cost per second of a car along the lane that was observed at `observed_m` beside its middle and then is at
+    /// `sampled_m`.
     fn cost(points: RoadPoints, observed_m: f64, sampled_m: f64) -> f64 {
         let car = [(0.0, observed_m, 0.0, 5.0)];
         let mut traffic = Traffic { context: context(&car), ..Traffic::straight(&car) };

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 ///
 /// J = -½ Σ { ∫ (max(s(t), 0) / τ_s)² dt + (s(T) / τ_s)² + (v(T) / τ_v)² }
 ///
-/// over the chosen agents: never beyond the line, at it in the end, and standing then. Agents without a state at present do
-/// not count.
+/// over the chosen agents: never beyond the line, at it in the end, and standing then. Agents without a state at
+/// present do not count.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StopAtLine {

@@ -1,4 +1,5 @@
-//! Traffic for tests of objectives, in double precision: gradients against finite differences, and what following them does.
+//! Traffic for tests of objectives, in double precision: gradients against finite differences, and what following them
+//! does.
 
 use super::SceneObjective;
 use crate::geometry::{OrientedBox, Polyline, Transform2, Vec2};
@@ -103,7 +104,7 @@ pub(super) fn assert_gradients_match(objective: &dyn SceneObjective, traffic: &T
     assert_gradients_of_match(objective, traffic, &(0..n_agents).collect::<Vec<_>>());
 }
 
-/// The same for the entries of these agents.
+/// [`assert_gradients_match`] for the entries of these agents.
 pub(super) fn assert_gradients_of_match(objective: &dyn SceneObjective, traffic: &Traffic, agents: &[usize]) {
     let is_compared = |at: usize| agents.contains(&(at / (3 * N_TIMESTEPS)));
     let gradient = traffic.gradient(objective);

@@ -1,4 +1,4 @@
-//! What all objectives have in common, and what single ones do to trajectories.
+//! Properties of all objectives, and the effect of single ones on trajectories.
 
 use super::testing::{Traffic, after_ascent, assert_gradients_match, assert_gradients_of_match, nested};
 use super::*;

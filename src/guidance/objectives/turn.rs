@@ -12,10 +12,10 @@ use serde::{Deserialize, Serialize};
 
 /// Turn to one side along the next lane that turns there, far enough within the scene.
 ///
-/// The way leads on from the agent's own lane and is the one on which the wanted change of heading is nearest; on a scene
-/// without lanes it is an arc. Its station s(t) is where the agent would be on it with the lengths of its own steps, if they
-/// had the wanted mean speed in the bend and ended where the way has turned by the wanted change. With d(t) the distance
-/// from there, and θ(t) the angle from the heading of the way there,
+/// The way leads on from the agent's own lane and is the one on which the target change of heading is nearest; on a
+/// scene without lanes it is an arc. Its station s(t) is where the agent would be on it with the lengths of its own
+/// steps, if they had the target mean speed in the bend and ended where the way has turned by the target change. With
+/// d(t) the distance from there, and θ(t) the angle from the heading of the way there,
 ///
 /// J = -mean of ½ (max(d - within, 0) / τ)² + (1 - cos θ) / (0.3 rad)²
 ///

@@ -1,4 +1,4 @@
-//! Gradients, the miner's view of what following them does, and what is not asked.
+//! Gradients, the miner's view of what following them does, and cases without an effect.
 
 use super::super::testing::{Traffic, after_ascent};
 use super::*;
@@ -62,7 +62,8 @@ fn found(scene: &Scene, side: Side) -> [bool; 2] {
     if side == Side::Left { [left, right] } else { [right, left] }
 }
 
-/// Where the car is at its speed after it has driven for `t` timesteps along the left bend of the junction, and its heading.
+/// Where the car is at its speed after it has driven for `t` timesteps along the left bend of the junction, and its
+/// heading.
 fn on_bend(t: usize) -> [f64; 3] {
     let way_m = 1.6 * t as f64;
     let angle = ((way_m - 6.0) / 6.0).clamp(0.0, std::f64::consts::FRAC_PI_2);

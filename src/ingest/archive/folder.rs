@@ -16,7 +16,8 @@ pub(super) fn visit(
     visit_folder(root, &mut Vec::new(), &mut Vec::new(), wanted, visit)
 }
 
-/// `below` are the names from the root to this folder, `ancestors` the folders on the way as the file system knows them.
+/// `below` are the names from the root to this folder, `ancestors` the folders on the way as the file system knows
+/// them.
 fn visit_folder(
     root: &Path,
     below: &mut Vec<OsString>,
@@ -33,7 +34,7 @@ fn visit_folder(
     ancestors.push(canonical);
     for name in sorted_names(&folder)? {
         let path = folder.join(&name);
-        // A dangling link counts as a file, which cannot be opened where it is wanted.
+        // A dangling link counts as a file; opening it fails when the file is needed.
         let is_folder = fs_err::metadata(&path).is_ok_and(|metadata| metadata.is_dir());
         below.push(name);
         let flow = if is_folder {

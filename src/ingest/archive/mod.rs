@@ -1,9 +1,9 @@
 //! Which files do the inputs hold, and what is in them, without unpacking anything?
 //!
-//! Inputs are folders, single files, and containers: `.zip`, `.tar`, `.tar.gz`, `.tgz`, and `.gz` around one file. Every
-//! file is handed on as a stream, one after the other, in an order that depends on the inputs alone: folders by name,
-//! archives in the order of their directory. Memory does not grow with the size of a file. Names inside an archive are
-//! names and nothing else: nothing is ever written, so `..` and absolute paths lead nowhere.
+//! Inputs are folders, single files, and containers: `.zip`, `.tar`, `.tar.gz`, `.tgz`, and `.gz` around one file.
+//! Every file is handed on as a stream, one after the other, in an order that depends on the inputs alone: folders by
+//! name, archives in the order of their directory. Memory does not grow with the size of a file. Names inside an
+//! archive are names and nothing else: nothing is ever written, so `..` and absolute paths lead nowhere.
 
 mod folder;
 mod tarball;
@@ -33,7 +33,7 @@ impl Entry {
     }
 }
 
-/// What is called for every wanted entry: with the entry and its bytes, of which any number may be read.
+/// Callback for every wanted entry: with the entry and its bytes, of which any number may be read.
 ///
 /// An entry that cannot be opened is handed on all the same, as a stream whose first read fails, so that the caller
 /// decides whether a broken file among many is a reject or the end.
@@ -45,7 +45,8 @@ pub type Visitor<'a> = dyn FnMut(&Entry, &mut dyn BufRead) -> Result<ControlFlow
 /// inside archives, and what macOS adds to archives are passed over.
 ///
 /// # Errors
-/// An input that does not exist or cannot be read, a container that is damaged or cut short, and whatever `visit` returns.
+/// An input that does not exist or cannot be read, a container that is damaged or cut short, and whatever `visit`
+/// returns.
 pub fn visit_entries(inputs: &[PathBuf], wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<'_>) -> Result<(), Error> {
     for input in inputs {
         if visit_input(input, wanted, visit)?.is_break() {
@@ -59,7 +60,7 @@ fn visit_input(input: &Path, wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<
     if fs_err::metadata(input)?.is_dir() {
         return folder::visit(input, wanted, visit);
     }
-    // A bare name lies in the current folder, whose name may tell the place.
+    // A bare name lies in the current folder, whose name may be the place.
     let folder = input.parent().filter(|folder| *folder != Path::new("")).unwrap_or_else(|| Path::new("."));
     let name = input.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     visit_file(folder, &name, input, wanted, visit)

@@ -14,8 +14,8 @@ const MAX_EXTENSION_BYTES: u64 = 64 * 1024;
 
 /// Visits the regular files of the tar stream `reader`, which is the file `path`.
 ///
-/// A stream cannot be entered again behind a damaged place, so damage between entries is an error. So is an end without the mark that
-/// ends archives, and a checksum of the compression, behind that mark, that does not agree.
+/// A stream cannot be entered again behind a damaged place, so damage between entries is an error. So is an end without
+/// the mark that ends archives, and a checksum of the compression, behind that mark, that does not agree.
 pub(super) fn visit(
     path: &Path,
     reader: impl Read,
@@ -65,7 +65,8 @@ pub(super) fn visit(
     }
 }
 
-/// Whether what stands behind a compressed stream, such as zeros or a signature, was taken for another one. `gzip` passes over it, too.
+/// Whether what stands behind a compressed stream, such as zeros or a signature, was taken for another one. `gzip`
+/// passes over it, too.
 fn is_of_what_follows(error: &io::Error) -> bool {
     error.to_string().contains("invalid gzip header")
 }

@@ -182,7 +182,7 @@ fn the_end_of_an_archive_is_checked() {
     let mut wrong_checksum = gz(&tar);
     let at = wrong_checksum.len() - 8;
     wrong_checksum[at] ^= 1;
-    // What follows the mark, or the compressed stream, is no part of the archive.
+    // Bytes after the mark, or after the compressed stream, are no part of the archive.
     for (name, bytes) in [
         ("a.tar", [&tar[..], b"signed"].concat()),
         ("a.tar.gz", [gz(&tar), vec![0; 600]].concat()),

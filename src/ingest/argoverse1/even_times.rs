@@ -20,7 +20,8 @@ const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 /// A track has a timestep if one of its rows is this near, seconds, or if the rows around the timestep are consecutive
 /// in the file.
 const NEAR_S: f64 = DT_S / 2.0;
-/// The same tolerance before the first and after the last time of the file: 49 steps may take slightly less than 4.9 s.
+/// The tolerance before the first and after the last time of the file, seconds: 49 steps may take slightly less than
+/// 4.9 s.
 const NEAR_END_S: f64 = 1.5 * DT_S;
 
 /// Times closer than this are equal, seconds.
@@ -37,7 +38,8 @@ pub(super) struct Row {
     pub(super) position: Vec2,
 }
 
-/// The states of one track at timesteps 0 to `n_timesteps`; `rows` by ascending time, of the `n_times` times of the file.
+/// The states of one track at timesteps 0 to `n_timesteps`; `rows` by ascending time, of the `n_times` times of the
+/// file.
 pub(super) fn smoothed_states(rows: &[Row], n_times: usize, n_timesteps: usize) -> DerivedStates {
     let n_past = rows.partition_point(|row| row.time_idx < RECORDED.n_history);
     let (past, future) = rows.split_at(n_past);

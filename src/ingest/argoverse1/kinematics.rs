@@ -25,8 +25,8 @@ pub(super) struct DerivedStates {
 ///
 /// `positions` and `timestamps_s` have one entry a timestep, of which the first `n_observed` are the past.
 ///
-/// - Velocity: backward difference over the actual time between tracked timesteps; forward difference for the first one,
-///   0 where that would look from the past into the future.
+/// - Velocity: backward difference over the actual time between tracked timesteps; forward difference for the first
+///   one, 0 where that would look from the past into the future.
 /// - Heading: direction of the displacement since the track was last 1 m away; before it has moved that far, the
 ///   direction of its first such motion within the past; headings of the future are held while it stands.
 pub(super) fn derive_states(positions: &[Option<Vec2>], timestamps_s: &[f64], n_observed: usize) -> DerivedStates {

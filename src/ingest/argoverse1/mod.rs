@@ -19,7 +19,7 @@ use std::ops::ControlFlow;
 #[cfg(test)]
 pub(super) use tracks::tests::csv_text;
 
-/// What the dataset records: 2 s of past and 3 s of future at 10 Hz.
+/// The length of recordings: 2 s of past and 3 s of future at 10 Hz.
 const RECORDED: Horizon = Horizon { n_history: 20, n_future: 30 };
 
 /// The formats of Argoverse 1.

@@ -50,7 +50,7 @@ impl Estimate {
         Self { position, velocity: Vec2::ZERO, covariance }
     }
 
-    /// The same without uncertainty, so that later states continue exactly from here.
+    /// The estimate without uncertainty, so that later states continue exactly from here.
     pub(super) fn for_certain(self) -> Self {
         Self { covariance: [0.0; 3], ..self }
     }

@@ -1,7 +1,7 @@
 //! Argoverse 1 maps: from the XML of a city's lane centerlines to a lane graph.
 //!
-//! `<node id x y/>` are points, `<way lane_id>` are centerlines of `<nd ref/>` with attributes in `<tag k v/>`. Booleans
-//! are `True` and `False`, a missing neighbor is `None`, and ids may name lanes outside the file.
+//! `<node id x y/>` are points, `<way lane_id>` are centerlines of `<nd ref/>` with attributes in `<tag k v/>`.
+//! Booleans are `True` and `False`, a missing neighbor is `None`, and ids may name lanes outside the file.
 
 use crate::geometry::{Polyline, Vec2};
 use crate::ingest::assemble::MAX_COORDINATE_M;

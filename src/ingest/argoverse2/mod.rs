@@ -17,7 +17,7 @@ use std::sync::Arc;
 #[cfg(test)]
 pub(super) use tracks::tests::scenario_bytes;
 
-/// What the dataset records: 5 s of past and 6 s of future at 10 Hz.
+/// The length of recordings: 5 s of past and 6 s of future at 10 Hz.
 const RECORDED: Horizon = Horizon { n_history: 50, n_future: 60 };
 
 /// The formats of Argoverse 2.

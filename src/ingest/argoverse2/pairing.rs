@@ -103,8 +103,9 @@ impl UnitReader for PairReader {
             }
         };
         if self.n_waiting_bytes > MAX_WAITING_BYTES {
-            let detail = "more than 128 MiB of scenarios and maps without their counterpart; each `scenario_<id>.parquet` \
-                          needs `log_map_archive_<id>.json` beside it, or set `ingest.maps = \"none\"`";
+            let detail = "more than 128 MiB of scenarios and maps without their counterpart; each \
+                          `scenario_<id>.parquet` needs `log_map_archive_<id>.json` beside it, or set \
+                          `ingest.maps = \"none\"`";
             return Err(Error::Container {
                 container: entry.container.clone(),
                 file: entry.path.clone(),
@@ -132,7 +133,7 @@ impl UnitReader for PairReader {
 mod tests {
     use super::*;
 
-    /// What comes of reading these files: `id+map`, `id`, or the reason of a reject.
+    /// The result of reading these files: `id+map`, `id`, or the reason of a reject.
     fn emitted(needs_maps: bool, paths: &[&str]) -> Vec<String> {
         let mut reader = PairReader::new(needs_maps);
         let mut seen = Vec::new();

@@ -169,11 +169,12 @@ fn lanes_that_anybody_can_reach_belong_to_the_scene() {
         let (scene, _) = assemble(raw(vec![focal, far]), Some(&index), &config).expect("complete");
         scene.lanes.lanes().iter().map(|lane| lane.id.0).collect::<Vec<_>>()
     };
-    // At 10 m/s and 5 m/s² the far agent gets 2.1 m in the two timesteps to come, and 10 m are around it: the lane is at 10.3 and at 13.5 m.
+    // At 10 m/s and 5 m/s² the far agent gets 2.1 m in the two timesteps to come, and 10 m are around it: the lane is
+    // at 10.3 and at 13.5 m.
     assert_eq!(ids(context("far", 295.0, 0.0), 2), [1, 3]);
     assert_eq!(ids(context("far", 290.0, 0.0), 2), [1]);
     assert_eq!(ids(context("far", 295.0, 0.0), 1), [1], "who does not take part counts for nothing");
-    // What it does after the present counts for nothing.
+    // Its motion after the present counts for nothing.
     let jumps = |timestep: usize| if timestep > PRESENT { 5.0 } else { 0.0 };
     let mut far = context("far", 290.0, 0.0);
     let moved = far

@@ -104,7 +104,7 @@ fn the_windows_of_a_recording_come_a_few_at_a_time() {
     let first_frames: Vec<String> = scenes(&batches).into_iter().map(|scene| scene.source.first_frame).collect();
     let expected: Vec<String> = (1..=150).chain(1..=10).map(|frame: u32| frame.to_string()).collect();
     assert_eq!(first_frames, expected);
-    // What ends within a recording says so.
+    // A limit within a recording is reported.
     let (batches, report) = run(&IngestConfig { limit: Some(70), ..config }, None).expect("whole");
     assert_eq!(batches.iter().map(|batch| batch.units_done).collect::<Vec<_>>(), [None, Some(1)]);
     assert_eq!((report.n_units, report.n_scenes), (1, 70));

@@ -84,7 +84,7 @@ pub(super) fn cut_cases(
                 };
                 let detail =
                     format!("{error}; {rest} is left out, and earlier rows of a damaged file may be wrong too");
-                // Who only counts wants to know of its rows all the same.
+                // A pass that only counts rows needs the rest of them all the same.
                 let is_stopped = !keeps_rows && cases.end_all(done).is_break();
                 return if is_stopped { End::Stopped } else { End::Unreadable(detail) };
             }
@@ -105,8 +105,8 @@ struct Cases<'a> {
     /// The ids that have begun.
     seen: BTreeSet<String>,
     current: Option<Case>,
-    /// While the current case has nothing but rows that are not whole: the case before all of these, which may go on, and those of them
-    /// that say they are of further cases.
+    /// While the current case has nothing but rows that are not whole: the case before all of these, which may go on,
+    /// and those of them that say they are of further cases.
     held: Vec<Case>,
     section: usize,
     end: Option<End>,
@@ -193,8 +193,8 @@ impl Cases<'_> {
 /// The case that a row says it is of.
 enum CaseId<'a> {
     Whole(&'a [u8]),
-    /// The row has too few or too many columns, so this is the case only if it looks like one: a number with more behind
-    /// it. Else the row stays with the case around it, which is found to be malformed.
+    /// The row has too few or too many columns, so this is the case only if it looks like one: a number with more
+    /// behind it. Else the row stays with the case around it, which is found to be malformed.
     Broken(Option<&'a [u8]>),
 }
 

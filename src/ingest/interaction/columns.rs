@@ -36,8 +36,8 @@ pub(super) struct TrackColumns {
 impl TrackColumns {
     /// The columns in `header`.
     ///
-    /// A table without `case_id` is of v1.1, where pedestrians have a table of their own without `psi_rad`, `length` and
-    /// `width`; all other tables must have these.
+    /// A table without `case_id` is of v1.1, where pedestrians have a table of their own without `psi_rad`, `length`
+    /// and `width`; all other tables must have these.
     pub(super) fn of(header: &[u8], is_pedestrians: bool) -> Result<Self, Malformed> {
         let names: Vec<&[u8]> = header.split(|byte| *byte == b',').map(<[u8]>::trim_ascii).collect();
         if names.len() > MAX_COLUMNS {

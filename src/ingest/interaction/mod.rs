@@ -7,23 +7,25 @@
 //!
 //! An error rejects only its own case or recording. Reasons of rejects:
 //!
-//! | reason | what is wrong |
-//! |---|---|
-//! | `malformed_row` | too few or too many columns, a cell that is no number, no whole number, or no id; a motorized agent without `psi_rad` |
-//! | `non_finite` | a number is NaN or infinite |
-//! | `out_of_range` | a position beyond 1000 km, a speed beyond 1 km/s, a size below a millimeter or beyond 1 km, a frame that no recording has |
-//! | `bad_timestamp` | `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz |
-//! | `duplicate_frame` | a track is twice at the same frame |
-//! | `too_many_tracks` | more than 100,000 tracks, which no recording has |
-//! | `unknown_agent_type`, `inconsistent_agent_type` | not a type of the format; two types in one track |
-//! | `bad_case_id`, `case_not_contiguous` | no usable id; a scattered case of a file that breaks off, a case before and after a second header |
-//! | `frame_out_of_range` | the frames of a case span more than 40, or those of a recording more than a day |
-//! | `recording_repeated` | a file of a recording comes twice |
-//! | `recording_too_short`, `window_across_holdout`, `empty_window` | see [`scenes`] |
-//! | `no_rows`, `bad_header`, `unreadable`, `too_large` | of a whole file or case |
+//! - `malformed_row`: too few or too many columns, a cell that is no number, no whole number, or no id; a motorized
+//!   agent without `psi_rad`;
+//! - `non_finite`: a number is NaN or infinite;
+//! - `out_of_range`: a position beyond 1000 km, a speed beyond 1 km/s, a size below a millimeter or beyond 1 km, a
+//!   frame that no recording has;
+//! - `bad_timestamp`: `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz;
+//! - `duplicate_frame`: a track is twice at the same frame;
+//! - `too_many_tracks`: more than 100,000 tracks, which no recording has;
+//! - `unknown_agent_type`, `inconsistent_agent_type`: not a type of the format; two types in one track;
+//! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
+//!   after a second header;
+//! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
+//! - `recording_repeated`: a file of a recording comes twice;
+//! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`scenes`];
+//! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
-//! Tolerated: cases whose rows do not stand together (see [`scattered`]), columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end, whole
-//! numbers printed as floats, sizes that change along a track (the first counts) or are blank, quotes around cells (closed on their line).
+//! Tolerated: cases whose rows do not stand together (see [`scattered`]), columns in any order and unknown ones, CRLF,
+//! byte order marks, empty lines, a missing last line end, whole numbers printed as floats, sizes that change along a
+//! track (the first counts) or are blank, quotes around cells (closed on their line).
 
 mod cases;
 mod columns;
@@ -110,7 +112,8 @@ impl RecordingSource for Interaction<'_> {
 
     fn map_of(&self, path: &str) -> Option<MapId> {
         let file = TrackFile::of_path(path)?;
-        // A name without anything that tracks are named by may be of another table altogether, of which no map is to be missed.
+        // A name without anything that tracks are named by may be of another table altogether, of which no map is to be
+        // missed.
         let is_certain = !file.place.is_empty() && (file.recording.is_some() || file.place != path::stem(path));
         is_certain.then(|| map_id(Dataset::Interaction, &file.place))
     }

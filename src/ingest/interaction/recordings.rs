@@ -122,7 +122,8 @@ impl Recordings {
         self.held.remove(key).map_or(ControlFlow::Continue(()), |unit| emit(Ok(unit)))
     }
 
-    /// Emits what is held, each file as a recording of its own: its counterpart was there in the first pass and has gone.
+    /// Emits what is held, each file as a recording of its own: its counterpart was there in the first pass and has
+    /// gone.
     pub(super) fn flush(&mut self, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         std::mem::take(&mut self.held).into_values().try_for_each(|unit| emit(Ok(unit)))
     }
@@ -133,8 +134,8 @@ mod tests {
     use super::super::path::TrackFile;
     use super::*;
 
-    /// Takes files of these sizes in and lists what comes out, pass by pass: `vehicles+pedestrians` of each unit, or the reason of a
-    /// reject. A file whose name has `!` cannot be read. Also the most bytes that were held.
+    /// Takes files of these sizes in and lists what comes out, pass by pass: `vehicles+pedestrians` of each unit, or
+    /// the reason of a reject. A file whose name has `!` cannot be read. Also the most bytes that were held.
     fn add_all(files: &[(&str, u64)]) -> (Vec<Vec<String>>, u64) {
         let mut recordings = Recordings::default();
         let found: Vec<(RecordingKey, RecordingPart, RawUnit, u64)> = files

@@ -150,7 +150,8 @@ mod tests {
     use super::*;
 
     fn parse(line: &str) -> Result<Row<'_>, Flaw> {
-        let header = b"track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width,track_to_predict,interesting_agent";
+        let header = b"track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width,\
+            track_to_predict,interesting_agent";
         Row::parse(line.as_bytes(), &TrackColumns::of(header, false).unwrap(), &mut Vec::new())
     }
 

@@ -15,7 +15,7 @@ use std::ops::ControlFlow;
 /// Maximum number of bytes gathered in one pass, unless a single case has more.
 pub(super) const MAX_GATHERED_BYTES: usize = 128 * 1024 * 1024;
 
-/// What a first pass over a table found.
+/// The result of a first pass over a table.
 #[derive(Debug, Default)]
 pub(super) struct Survey {
     /// The scattered cases, by their plain ids.
@@ -35,7 +35,7 @@ enum Fate {
     CutShort,
 }
 
-/// What is known of a case while the table is surveyed.
+/// Facts about a case while the table is surveyed.
 struct Found {
     n_parts: usize,
     n_bytes: usize,

@@ -206,7 +206,7 @@ fn tables_sorted_by_track_are_those_sorted_by_case() {
     for (a, b) in by_case.iter().zip(&by_track) {
         assert_eq!(a.as_ref().unwrap().tracks, b.as_ref().unwrap().tracks);
     }
-    // A flaw in a row that stands apart is told with its line.
+    // A flaw in a row that stands apart is reported with its line.
     let late = [&car("1.0,", 7, 1..=40), &car("2.0,", 7, 1..=40), "1.0,8,1,100,car,x,2,10,0,0,4.5,1.8\n"].concat();
     let scenes = scenes_of(&[("SIM_A_val.csv", &[V1_2, &late].concat())]);
     let reject = scenes[1].as_ref().unwrap_err();

@@ -215,8 +215,8 @@ impl RecordedTrack {
         Some((self.states.first()?.0, self.states.last()?.0))
     }
 
-    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` if it was not
-    /// tracked in any of them.
+    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` if it was
+    /// not tracked in any of them.
     ///
     /// An agent that is slow from its start on has one heading until it moves: that of its first motion, if it is
     /// observed moving; else the direction of its first velocity. Looking further ahead would leak the future direction
@@ -272,7 +272,8 @@ mod tests {
 
     #[test]
     fn tracks_are_in_order_of_appearance_and_their_states_in_order_of_time() {
-        let rows = "9,3,300,car,3,0,1,0,0.1,4,2\r\n9,2,200,car,2,0,1,0,7.0,5,3\r\n\r\n1,2,200,car,0,0,0,0,0,4,2\r\n9,5,500,car,5,0,1,0,0.3,4,2";
+        let rows = "9,3,300,car,3,0,1,0,0.1,4,2\r\n9,2,200,car,2,0,1,0,7.0,5,3\r\n\r\n1,2,200,car,0,0,0,0,0,4,2\r\n\
+                    9,5,500,car,5,0,1,0,0.3,4,2";
         let tracks = read(rows).unwrap();
         assert_eq!(tracks.iter().map(|track| track.id.0.as_str()).collect::<Vec<_>>(), ["9", "1"]);
         assert_eq!(tracks[0].states.iter().map(|(frame, ..)| *frame).collect::<Vec<_>>(), [2, 3, 5]);
@@ -288,7 +289,8 @@ mod tests {
         assert!(tracks[0].cut(6, 4, 1).is_none() && tracks[1].cut(3, 4, 1).is_none());
     }
 
-    /// Headings in degrees and whether they are held, of who moves with these velocities, in the frames from `first_frame` on, of which `n_history` are observed.
+    /// Headings in degrees and whether they are held, of who moves with these velocities, in the frames from
+    /// `first_frame` on, of which `n_history` are observed.
     fn cut(rows: &[(f64, f64)], first_frame: i64, n_history: usize) -> (Vec<f64>, Vec<bool>) {
         // Positions whose backward differences are these velocities.
         let (mut at, mut step) = (Vec2::ZERO, Vec2::new(rows[0].0, rows[0].1) * DT_S);
@@ -315,7 +317,7 @@ mod tests {
         assert_eq!(cut(&rows, 1, 3), (vec![90.0, 90.0, 90.0, 90.0, 0.0], vec![true, true, false, true, false]));
         // It is not: what there is of a velocity.
         assert_eq!(cut(&rows, 1, 2), (vec![180.0, 180.0, 90.0, 90.0, 0.0], vec![true, true, false, true, false]));
-        // What was before a window is known in it.
+        // The past before a window is known in it.
         assert_eq!(cut(&rows, 4, 1), (vec![90.0, 0.0], vec![true, false]));
     }
 

@@ -58,8 +58,8 @@ impl Lanelet {
 /// The mean of both bounds at equal shares of their lengths, about every 2 m.
 fn centerline(left: &Polyline, right: &Polyline) -> Polyline {
     let mean_length_m = f64::midpoint(left.length_m(), right.length_m());
-    // The slack makes a length of exactly 10 m the same number of points in both encodings of a map. The cast saturates,
-    // so absurd lengths end at the cap.
+    // The slack makes a length of exactly 10 m the same number of points in both encodings of a map. The cast
+    // saturates, so absurd lengths end at the cap.
     let n_segments = (mean_length_m / CENTERLINE_SPACING_M - 1e-3).ceil() as usize;
     let n_points = (n_segments.saturating_add(1)).clamp(2, MAX_CENTERLINE_POINTS);
     let (left, right) = (left.resampled(n_points), right.resampled(n_points));

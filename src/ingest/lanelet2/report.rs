@@ -15,7 +15,7 @@ pub struct MapReport {
     pub n_not_drivable: u64,
     /// Lanes read.
     pub n_lanes: u64,
-    /// What is wrong with the map by reason, with the ids of the first few elements.
+    /// The faults of the map by reason, with the ids of the first few elements.
     pub warnings: BTreeMap<&'static str, RejectCount>,
 }
 

@@ -1,4 +1,5 @@
-//! What follows the last state of a scenario: does the subject drive into somebody, and could a careful driver avoid it?
+//! What follows the last state of a scenario: does the subject drive into somebody, and could a careful driver avoid
+//! it?
 
 use super::CarefulDriverConfig;
 use super::braking::Braking;
@@ -9,7 +10,7 @@ use crate::metrics::{Check, Violation};
 use crate::scene::{Scene, State, Track};
 use serde::{Deserialize, Serialize};
 
-/// Only contacts within this time after the last state count, seconds: later, motion on straight lines tells little.
+/// Only contacts within this time after the last state count, seconds: later, motion on straight lines predicts little.
 const CONTACT_WITHIN_S: f64 = 1.0;
 /// A vehicle brakes if its speed falls by at least this much, m/s², over [`BRAKING_S`].
 const BRAKING_MPS2: f64 = 1.0;
@@ -17,7 +18,7 @@ const BRAKING_S: f64 = 0.5;
 /// Step and end of the simulation, seconds.
 const STEP_S: f64 = 0.025;
 const END_S: f64 = 10.0;
-/// What is required where no braking helps, m/s², as for DRAC.
+/// The deceleration that stands for "no braking helps", m/s², as for DRAC.
 const MOST_MPS2: f64 = 20.0;
 
 /// How a scenario ends for its subject.
@@ -26,15 +27,17 @@ const MOST_MPS2: f64 = 20.0;
 /// it count, since braking is no help against others.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Ending {
-    /// When the subject touches somebody if it does not brake, seconds after the last state; `None` if it does not within
-    /// a second.
+    /// When the subject touches somebody if it does not brake, seconds after the last state; `None` if it does not
+    /// within a second.
     pub contact_s: Option<f64>,
-    /// The least steady deceleration from the last state on with which it does not, at most 20 m/s²; 0 if none is needed.
+    /// The least steady deceleration from the last state on with which it does not, at most 20 m/s²; 0 if none is
+    /// needed.
     pub required_deceleration_mps2: f64,
     /// The relative speed with which they touch although the careful driver takes over at the last state, m/s: 0.75 s
     /// later it brakes, or at once if the subject brakes already. `None` if they do not touch.
     pub remaining_mps: Option<f64>,
-    /// Whether the subject reacts: slows down by at least 1 m/s² over half a second, at some time since the event began.
+    /// Whether the subject reacts: slows down by at least 1 m/s² over half a second, at some time since the event
+    /// began.
     pub subject_reacts: bool,
 }
 
@@ -81,7 +84,8 @@ impl Ending {
     }
 }
 
-/// Those ahead of the subject that it touches within a second after `last` if nobody brakes: when, and their state then.
+/// Those ahead of the subject that it touches within a second after `last` if nobody brakes: when, and their state
+/// then.
 fn met(scene: &Scene, subject_idx: usize, last: usize) -> Vec<(f64, &Track, &State)> {
     let at = |agent_idx: usize| {
         let (track, state) = (&scene.tracks[agent_idx], scene.state(agent_idx, last)?);
@@ -98,8 +102,8 @@ fn met(scene: &Scene, subject_idx: usize, last: usize) -> Vec<(f64, &Track, &Sta
         .collect()
 }
 
-/// The relative speed with which a subject that brakes like this, straight on, touches the other. `None` if it stands or
-/// is no faster than the other before.
+/// The relative speed with which a subject that brakes like this, straight on, touches the other. `None` if it stands
+/// or is no faster than the other before.
 fn touched_mps(
     (subject, state): (&Track, &State),
     (track, other): (&Track, &State),
@@ -139,8 +143,8 @@ mod tests {
     use crate::scene::Trajectory;
     use crate::scene::testing::{Drive, scene};
 
-    /// A car at 20 m/s whose front is `gap_m` behind the rear of one at 10 m/s at the last state. If it brakes, it does so
-    /// with 2 m/s² all the time.
+    /// A car at 20 m/s whose front is `gap_m` behind the rear of one at 10 m/s at the last state. If it brakes, it does
+    /// so with 2 m/s² all the time.
     fn ending(gap_m: f64, aside_m: f64, brakes: bool) -> Ending {
         let mut scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 20.0), Drive::straight(0.0, aside_m, 0.0, 10.0)]);
         let last = scene.n_timesteps - 1;

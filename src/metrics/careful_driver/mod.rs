@@ -4,10 +4,12 @@
 //! the ego's speed at present and on its future path. The other moves as it does in the scene, and after the end of the
 //! scene at its last velocity.
 //!
-//! 1. *Perception.* Within 0.375 m of its place in its lane a vehicle only wanders. Once it has come closer to the path than that, it takes
-//!    0.4 s to see that it cuts in. Maps need not show lanes, so its place is where it was farthest from the path up to then.
+//! 1. *Perception.* Within 0.375 m of its place in its lane a vehicle only wanders. Once it has come closer to the path
+//!    than that, it takes 0.4 s to see that it cuts in. Maps need not show lanes, so its place is where it was farthest
+//!    from the path up to then.
 //! 2. *Danger.* The driver reacts when, from then on, the time to collision along the path is 2 s or less.
-//! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, that is by 12.65 m/s³, and stays.
+//! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, that is by 12.65 m/s³,
+//!    and stays.
 //!
 //! The cut-in is preventable if the boxes do not touch before the driver is no faster than the other, or stands. A
 //! driver without a reason to react keeps its speed. Steering is not modeled, nor is the regulation's stronger braking

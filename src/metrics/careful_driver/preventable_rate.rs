@@ -4,7 +4,7 @@ use super::{CarefulDriverConfig, CutInJudgment};
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
 use std::sync::LazyLock;
 
-/// Of the samples in which the requested `other` enters the lane of the requested `ego`, the share in which the careful
+/// Among samples in which the requested `other` enters the lane of the requested `ego`, the share in which the careful
 /// driver avoids a collision. Not defined if no such roles were requested, or no sample shows it.
 #[derive(Debug, Clone, Default)]
 pub struct PreventableRate {
@@ -20,7 +20,8 @@ impl Metric for PreventableRate {
             id: "preventable_rate",
             unit: "1",
             direction: Direction::Neither,
-            description: "of samples in which the other comes into the ego's lane, the share in which UN R157's careful driver avoids a collision",
+            description: "of samples in which the other comes into the ego's lane, the share in which UN R157's \
+                          careful driver avoids a collision",
         }
     }
 

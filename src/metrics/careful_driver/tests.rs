@@ -29,8 +29,8 @@ fn braking_grows_stays_and_ends() {
     assert!(near(steady.driven_m(3.0), 30.0) && steady.stands_from_s().is_none());
 }
 
-/// The ego at 20 m/s, the other at 10 m/s in the lane to the left, `gap_m` between bumpers at the present (0.9 s), when the other starts to
-/// move over by `shift_m` within a second.
+/// The ego at 20 m/s, the other at 10 m/s in the lane to the left, `gap_m` between bumpers at the present (0.9 s), when
+/// the other starts to move over by `shift_m` within a second.
 fn cut_in(gap_m: f64, y_m: f64, shift_m: f64) -> Scene {
     let spec: SceneSpec = toml::from_str(&format!(
         "agents = [
@@ -50,9 +50,10 @@ fn judged(scene: &Scene) -> Option<CutInJudgment> {
 
 #[test]
 fn a_cut_in_is_preventable_down_to_the_distance_that_braking_takes() {
-    // After 0.3 s the other has moved by 0.52 m (after 0.2 s by 0.17 m), which is seen 0.4 s later. By then the gap is at most 20 m, two
-    // seconds at 10 m/s, and 0.75 s later, 1.45 s after the present, the driver brakes. Until then the gap shrinks by 14.5 m. While
-    // the brake builds up another 10 · 0.6 - 7.593 · 0.6² / 6 = 5.544 m, with 7.722 m/s left, and then 7.722² / (2 · 7.593) = 3.927 m.
+    // After 0.3 s the other has moved by 0.52 m (after 0.2 s by 0.17 m), which is seen 0.4 s later. By then the gap is
+    // at most 20 m, two seconds at 10 m/s, and 0.75 s later, 1.45 s after the present, the driver brakes. Until then
+    // the gap shrinks by 14.5 m. While the brake builds up another 10 · 0.6 - 7.593 · 0.6² / 6 = 5.544 m, with 7.722
+    // m/s left, and then 7.722² / (2 · 7.593) = 3.927 m.
     let least_m = 14.5 + 5.5444 + 3.9268;
     let enough = judged(&cut_in(least_m + 0.1, 3.5, -3.5)).expect("comes into the lane");
     assert!(enough.preventable && near(enough.braking_from_s.expect("brakes"), 1.45), "{enough:?}");

@@ -1,18 +1,23 @@
-//! How close does a scene come to a collision? Surrogate measures of safety, for one pair of road users and for the worst pair.
+//! How close does a scene come to a collision? Surrogate measures of safety, for one pair of road users and for the
+//! worst pair.
 //!
 //! All measures are taken over the future, the timesteps from `n_history` on, and from positions and headings alone, so
 //! that recorded and generated scenes are measured alike. A measure that is not defined, such as a time to collision
 //! without a collision course, is absent.
 //!
-//! | Measure | Definition | Source |
-//! |---|---|---|
-//! | time to collision (TTC) | time until the boxes touch if both keep velocity and heading: exact, by the separating-axis theorem; 0 while they overlap, absent beyond 10 s | Hayward 1972, with boxes in the plane for points on a line |
-//! | time exposed (TET) | time during which TTC is below 1.5 s | Minderhoud and Bovy 2001 |
-//! | time integrated (TIT) | integral of 1.5 s - TTC over that time | the same |
-//! | deceleration rate to avoid a crash (DRAC) | \|v_rel\| / (2 TTC): what brings the relative velocity to zero just before the boxes touch; Δv² / (2 d) for one behind the other; at most 20 m/s², which also stands for boxes that overlap | Cooper and Ferguson 1976, with the relative velocity for the difference of speeds |
-//! | time headway | gap / speed of the follower, along the path that it goes on to drive, while the other is on that path ahead and heads the same way (within 45 degrees) | follow-distance literature |
-//! | post-encroachment time (PET) | time between one leaving the conflict area and the other entering it, whoever comes first; the conflict area is where the areas that their boxes sweep overlap | Allen, Shin and Cooper 1978 |
-//! | smallest distance | between the boxes at the same timestep, 0 where they overlap | |
+//! - time to collision (TTC): time until the boxes touch if both keep velocity and heading: exact, by the
+//!   separating-axis theorem; 0 while they overlap, absent beyond 10 s (Hayward 1972, with boxes in the plane for
+//!   points on a line);
+//! - time exposed (TET): time during which TTC is below 1.5 s (Minderhoud and Bovy 2001);
+//! - time integrated (TIT): integral of 1.5 s - TTC over that time (the same);
+//! - deceleration rate to avoid a crash (DRAC): |v_rel| / (2 TTC): what brings the relative velocity to zero just
+//!   before the boxes touch; Δv² / (2 d) for one behind the other; at most 20 m/s², which also stands for boxes that
+//!   overlap (Cooper and Ferguson 1976, with the relative velocity for the difference of speeds);
+//! - time headway: gap / speed of the follower, along the path that it goes on to drive, while the other is on that
+//!   path ahead and heads the same way (within 45 degrees) (follow-distance literature);
+//! - post-encroachment time (PET): time between one leaving the conflict area and the other entering it, whoever comes
+//!   first; the conflict area is where the areas that their boxes sweep overlap (Allen, Shin and Cooper 1978);
+//! - smallest distance: between the boxes at the same timestep, 0 where they overlap.
 //!
 //! Velocities are central differences of positions. PET is about paths that cross: an agent that follows another, or
 //! merges and stays, never leaves the conflict area within the scene, so it has none. (The parameter `pet_s` of a near

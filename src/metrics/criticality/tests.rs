@@ -1,4 +1,5 @@
-//! Closed forms: head-on, following, crossing, side by side, standing, overlapping; and the quick search against all pairs.
+//! Closed forms: head-on, following, crossing, side by side, standing, overlapping; and the quick search against all
+//! pairs.
 
 use super::closing::MAX_DRAC_MPS2;
 use super::*;
@@ -10,7 +11,8 @@ use crate::scene::Roles;
 fn scene(cars: &[[f64; 4]]) -> Scene {
     let agent = |(idx, [x, y, heading, speed]): (usize, &[f64; 4])| {
         format!(
-            "{{ id = \"{idx}\", start = {{ x_m = {x:?}, y_m = {y:?}, heading_deg = {heading:?}, speed_mps = {speed:?} }} }}"
+            "{{ id = \"{idx}\", start = {{ x_m = {x:?}, y_m = {y:?}, heading_deg = {heading:?}, \
+             speed_mps = {speed:?} }} }}"
         )
     };
     let agents: Vec<String> = cars.iter().enumerate().map(agent).collect();
@@ -63,8 +65,8 @@ fn following_at_constant_speeds() {
 
 #[test]
 fn crossing_at_right_angles() {
-    // The conflict area is a square of 1.8 m. The first leaves it with its center at x = 3.15, after 2.315 s; the second enters it with
-    // its center at y = -3.15, after 2.985 s.
+    // The conflict area is a square of 1.8 m. The first leaves it with its center at x = 3.15, after 2.315 s; the
+    // second enters it with its center at y = -3.15, after 2.985 s.
     let found = pair([[-20.0, 0.0, 0.0, 10.0], [0.0, -33.0, 90.0, 10.0]]);
     assert!(found.pet_s.is_some_and(|pet_s| (pet_s - 0.67).abs() < 1e-3), "{found:?}");
     assert_eq!((found.min_ttc_s, found.min_headway_s), (None, None));
@@ -72,8 +74,8 @@ fn crossing_at_right_angles() {
     let found = pair([[-20.0, 0.0, 0.0, 10.0], [0.0, -21.0, 90.0, 10.0]]);
     assert_eq!((found.pet_s, found.min_ttc_s, found.min_distance_m), (None, Some(0.0), 0.0));
     assert_eq!(found.max_drac_mps2, MAX_DRAC_MPS2);
-    // Before both have passed, they are on the course: at 1.0 s the first has 6.85 m to its entry, the second 7.85 m. They touch when
-    // the second enters, 0.785 s later.
+    // Before both have passed, they are on the course: at 1.0 s the first has 6.85 m to its entry, the second 7.85 m.
+    // They touch when the second enters, 0.785 s later.
     let moving = MovingAgent::of(&scene(&[[-20.0, 0.0, 0.0, 10.0], [0.0, -21.0, 90.0, 10.0]]), 0).expect("tracked");
     let other = MovingAgent::of(&scene(&[[0.0, -21.0, 90.0, 10.0]]), 0).expect("tracked");
     assert!(near(Closing::over(&moving, &other, 10..11, 0.1).min_ttc_s, Some(0.785)));

@@ -21,7 +21,8 @@ const MIN_HESSIAN: f64 = 1e-3;
 
 /// A feature of all training rows, binned.
 struct BinnedFeature {
-    /// Row i is in bin b if `thresholds[b - 1] < x <= thresholds[b]`, and in [`BinnedFeature::missing_bin`] if it is NaN.
+    /// Row i is in bin b if `thresholds[b - 1] < x <= thresholds[b]`, and in [`BinnedFeature::missing_bin`] if it is
+    /// NaN.
     bins: Vec<u8>,
     /// Increasing, one fewer than there are bins of numbers.
     thresholds: Vec<f64>,
@@ -135,8 +136,8 @@ pub(super) struct BoostedTrees {
 }
 
 impl BoostedTrees {
-    /// Fits trees to `columns` (one for each feature, NaN where it is missing) of rows that are in the second class or not.
-    /// Minimizes the mean of -log p(class).
+    /// Fits trees to `columns` (one for each feature, NaN where it is missing) of rows that are in the second class or
+    /// not. Minimizes the mean of -log p(class).
     pub(super) fn fit(columns: &[Vec<f64>], is_second: &[bool]) -> Self {
         let features: Vec<BinnedFeature> = columns.iter().map(|column| BinnedFeature::new(column)).collect();
         let n = is_second.len();

@@ -2,17 +2,17 @@
 //! velocities.
 //!
 //! Positions p_t and headings θ_t are rounded to 1 mm and 1 mrad in the frame of the recording, as INTERACTION
-//! publishes them, so that digits tell nothing. With Δt the time between timesteps and t₀ the present:
+//! publishes them, so that digits give nothing away. With Δt the time between timesteps and t₀ the present:
 //!
 //! - velocity v_t = (p_{t+1} - p_t) / Δt, acceleration a_t = (v_t - v_{t-1}) / Δt, jerk j_t = (a_{t+1} - a_t) / Δt;
 //! - a_t along the heading θ_t (`acc_long`) and to the left of it (`acc_lat`);
 //! - yaw rate r_t = (θ_{t+1} - θ_t) / Δt and its change; slip, the angle of v_t to θ_t, 0 below 1 m/s.
 //!
-//! Of each, the 10 %, 50 % and 90 % quantiles, least and greatest value over the future (`_q10` … `_max`). `seam_` are
-//! values at t₀ whose differences reach across it. `lane_` is the distance to the nearest center line whose direction
-//! is within 60° of the heading (to the nearest one if there is none), `lane_dh` the angle to it. `half_second_` are
-//! differences of positions and headings every .5 s. `smoothed_` are taken after positions are smoothed: quadratics
-//! fitted over .7 s (Savitzky and Golay 1964).
+//! The 10 %, 50 % and 90 % quantiles and the least and greatest value of each are taken over the future (`_q10` …
+//! `_max`). `seam_` are values at t₀ whose differences reach across it. `lane_` is the distance to the nearest center
+//! line whose direction is within 60° of the heading (to the nearest one if there is none), `lane_dh` the angle to it.
+//! `half_second_` are differences of positions and headings every .5 s. `smoothed_` are taken after positions are
+//! smoothed: quadratics fitted over .7 s (Savitzky and Golay 1964).
 
 use super::motion::{Motion, Segment};
 use crate::geometry::{OrientedBox, Vec2};
@@ -141,8 +141,8 @@ impl<'s> Surroundings<'s> {
         }
     }
 
-    /// Whether the track is judged: motorized or of no known class, and tracked from two timesteps before the present to
-    /// the end.
+    /// Whether the track is judged: motorized or of no known class, and tracked from two timesteps before the present
+    /// to the end.
     pub fn is_judged(&self, track: usize) -> bool {
         let from = self.scene.n_history.saturating_sub(3);
         let class = self.scene.tracks[track].class;
@@ -162,8 +162,8 @@ impl<'s> Surroundings<'s> {
         TrackFeatures(values)
     }
 
-    /// The least distance between the boxes of the track and of anybody else whose center comes within 30 m in the future,
-    /// at most 30 m.
+    /// The least distance between the boxes of the track and of anybody else whose center comes within 30 m in the
+    /// future, at most 30 m.
     fn gap_m(&self, track: usize) -> f64 {
         let future = |of: usize| self.poses[of].iter().enumerate().skip(self.scene.n_history);
         let outline = |of: usize, (center, heading_rad): (Vec2, f64)| {

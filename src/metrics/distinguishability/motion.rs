@@ -4,7 +4,7 @@ use crate::geometry::{Vec2, wrap_angle};
 use crate::quantile::quantile;
 use std::f64::consts::FRAC_PI_3;
 
-/// What receives the name of a feature, in two parts, its unit and its value.
+/// Callback for the values of features: the name in two parts, the unit and the value.
 type Visitor<'v> = dyn FnMut(&str, &str, &'static str, f64) + 'v;
 
 /// A piece of a center line.

@@ -49,8 +49,8 @@ fn on_the_lane(timestep: usize) -> [f64; 3] {
 #[test]
 fn features_of_a_constant_jerk_are_its_derivatives() {
     let scene = scene_of(&[&|k| [cubic(k), 1.2, 0.0], &|k| [cubic(k), 4.7, 0.0], &|_| [-30.0, 80.0, 0.0]]);
-    // The second difference at timestep m is 2 + .6 m. Of the future, accelerations begin two timesteps after the present, at
-    // which all three positions are of the future.
+    // The second difference at timestep m is 2 + .6 m. Of the future, accelerations begin two timesteps after the
+    // present, at which all three positions are of the future.
     let x = cubic;
     let last = N_TIMESTEPS - 1;
     let half_second = |from: usize| (x(from + 5) - x(from)) / 0.5;

@@ -1,5 +1,4 @@
-//! The two-sample test: boosted trees learn to tell generated from recorded tracks, and are asked about scenes that they have
-//! not seen.
+//! The two-sample test: boosted trees learn to tell generated from recorded tracks, and are tested on unseen scenes.
 
 use super::auc::{Auc, Scored, area, area_with_interval};
 use super::boosting::BoostedTrees;
@@ -10,9 +9,9 @@ use rayon::prelude::*;
 
 /// Parts into which scenes are divided; each is judged by trees fitted to the others.
 const N_FOLDS: usize = 5;
-/// Fewer tracks than this tell nothing.
+/// With fewer tracks than this, the test says nothing.
 pub const MIN_TRACKS: usize = 50;
-/// Features whose share in telling tracks apart is tried out, those first that tell most alone.
+/// How many features are tried for their share in telling tracks apart, the most telling ones first.
 const N_TRIED: usize = 22;
 /// Features that are named.
 const N_NAMED: usize = 5;
@@ -106,8 +105,8 @@ impl TwoSampleTest {
         part(pairs, &self.log_odds, is_meant)
     }
 
-    /// The probability that the tracks of a scenario were recorded, by the mean of their log odds, from trees that have not
-    /// seen `scene`; `None` without tracks.
+    /// The probability that the tracks of a scenario were recorded, by the mean of their log odds, from trees that have
+    /// not seen `scene`; `None` without tracks.
     pub fn likeness<'v>(&self, scene: usize, tracks: impl Iterator<Item = &'v TrackFeatures>) -> Option<f64> {
         let trees = &self.trees[fold_of(&self.folds, scene)];
         let log_odds: Vec<f64> = tracks.map(|values| trees.log_odds(|idx| values.get(idx))).collect();

@@ -61,8 +61,8 @@ fn is_coordinate(name: &str) -> bool {
     has_unit && !name.starts_with("t_")
 }
 
-/// The least spread, in the unit of the parameter. If egos keep their lanes to the micrometer, a shift of a centimeter is
-/// nothing new.
+/// The least spread, in the unit of the parameter. If egos keep their lanes to the micrometer, a shift of a centimeter
+/// is nothing new.
 const LEAST_SPREAD: f64 = 0.1;
 
 /// The robust standard deviation of values, at least [`LEAST_SPREAD`]; `None` if they do not vary.
@@ -102,7 +102,8 @@ mod tests {
 
     #[test]
     fn distances_are_in_spreads_of_what_was_recorded() {
-        // Gaps of 0, 10, …, 40 m: quartiles 10 and 30 m, spread 14.826 m. The speed never varies, the time says when, one lacks a TTC.
+        // Gaps of 0, 10, …, 40 m: quartiles 10 and 30 m, spread 14.826 m. The speed never varies, the time says when,
+        // one lacks a TTC.
         let recorded = |i: u32| {
             let gap = ("gap_m", 10.0 * f64::from(i));
             let mut all = vec![gap, ("ego_speed_mps", 5.0), ("t_other_s", f64::from(i)), ("side", 1.0), ("ttc_s", 1.0)];

@@ -50,7 +50,8 @@ impl PairPath {
         Some(Self { points: points.into(), n_agents: agents.len() })
     }
 
-    /// Mean distance between the positions of the same agent at the same time, meters. It is a metric: the mean of norms.
+    /// Mean distance between the positions of the same agent at the same time, meters. It is a metric: the mean of
+    /// norms.
     pub fn distance_m(&self, other: &Self) -> f64 {
         let apart = |(a, b): (&[f32; 2], &[f32; 2])| {
             (f64::from(a[0]) - f64::from(b[0])).hypot(f64::from(a[1]) - f64::from(b[1]))

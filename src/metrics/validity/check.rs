@@ -101,7 +101,8 @@ impl Check {
             Self::Curvature => "a vehicle's heading turns faster than its tightest circle allows at its speed",
             Self::Heading => "a vehicle moves at an angle to its heading larger than the limit",
             Self::StartPosition => {
-                "a road user is farther than the limit from where its motion leads, where given and generated states meet"
+                "a road user is farther than the limit from where its motion leads, where given and generated states \
+                 meet"
             }
             Self::StartHeading => {
                 "a road user turns by more than the limit in one timestep, where given and generated states meet"
@@ -113,7 +114,8 @@ impl Check {
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",
             Self::ContactAfterEnd => {
-                "within a second after the end, the subject of the requested event touches somebody ahead of it if all go on, although a careful driver takes over at the last state; the value is their relative speed"
+                "within a second after the end, the subject of the requested event touches somebody ahead of it if all \
+                 go on, although a careful driver takes over at the last state; the value is their relative speed"
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Does the map of a place show the whole road? Its recordings tell.
+//! Does the map of a place show the whole road? Measured by where its recordings drive.
 
 use super::{Check, Judged, ValidityConfig, offroad};
 use crate::metrics::road::Road;

@@ -49,7 +49,7 @@ impl<'a> Judged<'a> {
         Self::new(scene, asked, |_, timestep| timestep >= scene.n_history)
     }
 
-    /// The same, with the collisions of the requested agents with each other excused if they were `asked_to_collide`.
+    /// Excuses collisions among the requested agents if they were `asked_to_collide`.
     #[must_use]
     pub fn excused_if(self, asked_to_collide: bool) -> Self {
         Self { may_collide: asked_to_collide, ..self }
@@ -75,7 +75,8 @@ impl<'a> Judged<'a> {
         )
     }
 
-    /// The checks that the scene fails, in the order of [`Check::ALL`], each with its worst place. Empty: the scene is valid.
+    /// The checks that the scene fails, in the order of [`Check::ALL`], each with its worst place. Empty: the scene is
+    /// valid.
     pub fn violations(&self, config: &ValidityConfig) -> Vec<Violation> {
         let not_checked = self.not_checked(config);
         let mut found = Vec::new();

@@ -85,7 +85,8 @@ fn accelerations_have_a_sign() {
 
 #[test]
 fn a_step_in_acceleration_is_a_jerk() {
-    // By hand: the cubic fitted to seven positions of a step of size a in the middle has a third derivative of 10 a / 3 per second.
+    // By hand: the cubic fitted to seven positions of a step of size a in the middle has a third derivative of 10 a / 3
+    // per second.
     let braking = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 2.5, acceleration_mps2 = -6.0 }");
     let (check, value, timestep) = only(&braking, &ValidityConfig { max_jerk_mps3: 15.0, ..defaults() });
     assert!(check == Check::Jerk && (value - 20.0).abs() < 0.5 && timestep == 15, "{value} at {timestep}");
@@ -186,7 +187,8 @@ fn only_what_was_generated_is_judged() {
 fn collisions_are_excused_only_where_they_were_asked_for() {
     // The second one closes 15.5 m at 10 m/s: contact after 1.55 s.
     let crash = built(
-        "{ id = \"a\", start = { x_m = 20, y_m = 0, speed_mps = 5 } }, { id = \"b\", start = { x_m = 0, y_m = 0, speed_mps = 15 } }",
+        "{ id = \"a\", start = { x_m = 20, y_m = 0, speed_mps = 5 } }, { id = \"b\", start = { x_m = 0, y_m = 0, \
+         speed_mps = 15 } }",
     );
     let (check, value, timestep) = only(&crash, &defaults());
     assert!(check == Check::Collision && (value - 10.0).abs() < 1e-9 && timestep == 16, "{value} {timestep}");
@@ -201,10 +203,12 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
 
 #[test]
 fn who_has_no_known_size_collides_as_the_smallest_of_its_kind_would() {
-    // Two side by side, at 10 and 15 m/s, with this distance between centers: boxes of 1.9 m would overlap when one passes.
+    // Two side by side, at 10 and 15 m/s, with this distance between centers: boxes of 1.9 m would overlap when one
+    // passes.
     let passing = |distance_m: f64, agents: [(AgentClass, TrackRole); 2]| {
         let mut scene = built(&format!(
-            "{{ id = \"a\", start = {{ x_m = 15, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, y_m = {distance_m:?}, speed_mps = 15 }} }}"
+            "{{ id = \"a\", start = {{ x_m = 15, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, \
+             y_m = {distance_m:?}, speed_mps = 15 }} }}"
         ));
         for (track, (class, role)) in scene.tracks.iter_mut().zip(agents) {
             *track = Track { class, role, extent: None, ..track.clone() };
@@ -219,7 +223,8 @@ fn who_has_no_known_size_collides_as_the_smallest_of_its_kind_would() {
         assert!(passing(0.85, [vehicle, unknown]) && !passing(0.95, [vehicle, unknown]), "{role:?}");
     }
     let mut of_known_size = built(
-        "{ id = \"a\", start = { x_m = 15, y_m = 0, speed_mps = 10 } }, { id = \"b\", start = { x_m = 0, y_m = 1.55, speed_mps = 15 } }",
+        "{ id = \"a\", start = { x_m = 15, y_m = 0, speed_mps = 10 } }, { id = \"b\", start = { x_m = 0, y_m = 1.55, \
+         speed_mps = 15 } }",
     );
     of_known_size.tracks.iter_mut().for_each(|track| track.extent = Some(AgentClass::Vehicle.nominal_extent()));
     assert_eq!(checks(&of_known_size, &defaults()), ["collision"]);
@@ -231,7 +236,8 @@ fn nothing_is_claimed_of_two_tracks_that_may_be_of_one_vehicle() {
     let catching_up = |present_m: f64| {
         let start_m = present_m + 0.9;
         let mut scene = built(&format!(
-            "{{ id = \"a\", start = {{ x_m = {start_m:?}, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, y_m = 0.1, speed_mps = 11 }} }}"
+            "{{ id = \"a\", start = {{ x_m = {start_m:?}, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", \
+             start = {{ x_m = 0, y_m = 0.1, speed_mps = 11 }} }}"
         ));
         scene.tracks.iter_mut().for_each(|track| (track.class, track.extent) = (AgentClass::Unknown, None));
         checks(&scene, &defaults())
@@ -254,13 +260,15 @@ fn leaving_the_road_is_measured_in_meters() {
 
 #[test]
 fn a_lane_that_ends_on_the_road_is_not_carried_on() {
-    // The right one of two lanes ends at 20 m, where the left one goes on; the car in it would be 12 m beyond after 3.9 s.
+    // The right one of two lanes ends at 20 m, where the left one goes on; the car in it would be 12 m beyond after 3.9
+    // s.
     let lanes = |successors: &str| {
         let spec: Result<SceneSpec, _> = toml::from_str(&format!(
             "agents = [{{ id = \"a\", start = {{ x_m = -7, y_m = 0, speed_mps = 10 }} }}]\n\
              lanes = [{{ id = 1, centerline = [[-60, 0], [20, 0]], width_m = 4.0, left_neighbor = 2 }},\
-             {{ id = 2, centerline = [[-60, 4], [20, 4]], width_m = 4.0, right_neighbor = 1, successors = [{successors}] }},\
-             {{ id = 3, centerline = [[20, 4], [300, 4]], width_m = 4.0, predecessors = [2] }}]"
+             {{ id = 2, centerline = [[-60, 4], [20, 4]], width_m = 4.0, right_neighbor = 1, \
+             successors = [{successors}] }},{{ id = 3, centerline = [[20, 4], [300, 4]], width_m = 4.0, \
+             predecessors = [2] }}]"
         ));
         spec.expect("valid").build("judged")
     };
@@ -311,7 +319,8 @@ fn a_map_that_recordings_leave_does_not_allow_to_judge_departures() {
     assert_eq!(fit(1), MapFit { n_scenes: 1, n_scenes_leaving: 0, n_states: 32, n_states_off: 8 });
     assert!(fit(0).allows_offroad(&defaults()) && !fit(1).allows_offroad(&defaults()));
     assert!(fit(1).allows_offroad(&ValidityConfig { max_recorded_offroad: 1.0, ..defaults() }));
-    // Half of the lanes removed: whoever was in them is beside the road throughout, and "leaves" nothing. 1 of 40 cars is 2.5 %.
+    // Half of the lanes removed: whoever was in them is beside the road throughout, and "leaves" nothing. 1 of 40 cars
+    // is 2.5 %.
     let many = (0..9).fold(fit(1), |all, _| all.with(fit(0)));
     assert!(many.allows_offroad(&defaults()) && !many.with(fit(1)).allows_offroad(&defaults()));
     // A single recorded departure is that of a driver, several are those of the map.

@@ -8,7 +8,7 @@ pub(in crate::model) const LANE: usize = 13;
 
 /// A lane that points away counts as so many meters farther, per unit of 1 - cos of the angle.
 const AWAY_M: f32 = 2.0;
-/// Points of a lane ahead, over which its turning is told: about six meters.
+/// Points of a lane ahead, over which its turning is measured: about six meters.
 const PREVIEW_POINTS: usize = 3;
 
 /// The nearest piece of each of the `n` nearest lanes among those that the agent is shown.

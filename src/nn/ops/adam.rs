@@ -11,13 +11,13 @@ const N_ENTRIES: usize = 1 << 14;
 /// Running means of a parameter's gradient and of its square.
 #[derive(Debug, Clone)]
 pub(in crate::nn) struct Moments {
-    /// Of the gradient.
+    /// First moment: the mean gradient.
     pub(in crate::nn) first: Tensor,
-    /// Of its square.
+    /// Second moment: the mean square.
     pub(in crate::nn) second: Tensor,
 }
 
-/// What one step of Adam does to every parameter.
+/// The parameters of one step of Adam.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::nn) struct AdamStep {
     /// Factor of the gradient, from clipping.

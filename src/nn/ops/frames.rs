@@ -12,7 +12,7 @@ use super::host::{slice, values};
 /// Coordinates of one triple.
 const TRIPLE: usize = 3;
 
-/// What is done to triples of features, given the frame of their row.
+/// A map of triples of features, given the frame of their row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameMap {
     /// ρ: from the row's own frame to the common one.
@@ -52,7 +52,7 @@ impl FrameMap {
         }
     }
 
-    /// The same of tensors, which broadcast to each other.
+    /// [`Self::of_triple`] for tensors, which broadcast to each other.
     fn of_tensors(self, frame: &[Tensor; 4], [u, v, w]: [Tensor; TRIPLE]) -> Result<[Tensor; TRIPLE]> {
         let [cos, sin, x, y] = frame;
         let times = |a: &Tensor, b: &Tensor| a.broadcast_mul(b);

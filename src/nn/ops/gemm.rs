@@ -45,16 +45,17 @@ pub(super) enum Into {
     Add,
 }
 
-/// dst = [dst +] `scale` · lhs · rhs, with `dst` row-major, on the calling thread: the same values whatever the number of
-/// threads.
+/// dst = [dst +] `scale` · lhs · rhs, with `dst` row-major, on the calling thread: the same values whatever the number
+/// of threads.
 ///
 /// # Panics
 /// When the dimensions do not fit.
 pub(super) fn matmul(dst: &mut [f32], into: Into, scale: f32, lhs: Matrix<'_>, rhs: Matrix<'_>) {
     let (m, n, k) = fitting(dst, &lhs, &rhs);
     #[expect(unsafe_code, reason = "the kernels of the gemm crate take pointers")]
-    // SAFETY: all entries of the three matrices lie inside their slices by the assertions of `fitting`, `dst` is row-major and
-    // therefore without overlapping entries, and it cannot overlap `lhs` or `rhs` because it is borrowed exclusively.
+    // SAFETY: all entries of the three matrices lie inside their slices by the assertions of `fitting`, `dst` is
+    // row-major and therefore without overlapping entries, and it cannot overlap `lhs` or `rhs` because it is borrowed
+    // exclusively.
     unsafe {
         gemm::gemm(
             m,

@@ -1,6 +1,7 @@
 //! One attention head on dense matrices: the part that self-attention and cross-attention share.
 //!
-//! Masked states are left out when queries, keys and values are gathered; no mask is needed here, and padding costs nothing.
+//! Masked states are left out when queries, keys and values are gathered; no mask is needed here, and padding costs
+//! nothing.
 
 use super::gemm::{Into, Matrix, matmul};
 use super::kernels::{softmax_rows, softmax_rows_backward};

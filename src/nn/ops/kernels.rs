@@ -65,8 +65,8 @@ const ROUND: f32 = 12_582_912.0;
 /// As [`ROUND`], for numbers below 2⁵¹ in double precision.
 const ROUND_F64: f64 = 6_755_399_441_055_744.0;
 
-/// eˣ for x <= 0, to 2 units in the last place, and exactly 0 below -50: no weight in a softmax then is so small that its
-/// products become denormal, which would slow every later operation down by two orders of magnitude.
+/// eˣ for x <= 0, to 2 units in the last place, and exactly 0 below -50: no weight in a softmax then is so small that
+/// its products become denormal, which would slow every later operation down by two orders of magnitude.
 #[inline(always)]
 fn exp_of_non_positive(x: f32) -> f32 {
     const LN_2_HIGH: f32 = 0.693_359_4;

@@ -63,7 +63,8 @@ pub fn linear(
     }
 }
 
-/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias` (D).
+/// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias`
+/// (D).
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -78,8 +79,8 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
     }
 }
 
-/// Softmax attention in `n_heads` heads among the valid states along `axis`: `qkv` (B, A, T, 3 D) and `valid` (B, A, T) to
-/// (B, A, T, D). Invalid states have weight exactly 0 and get exactly 0.
+/// Softmax attention in `n_heads` heads among the valid states along `axis`: `qkv` (B, A, T, 3 D) and `valid` (B, A, T)
+/// to (B, A, T, D). Invalid states have weight exactly 0 and get exactly 0.
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -95,9 +96,9 @@ pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) 
     }
 }
 
-/// Softmax attention in `n_heads` heads from states to lanes: `query` (B, A, T, D), `valid` (B, A, T), `keys` (M, L, 2 D)
-/// with keys before values, and `lane_valid` (M, L), to (B, A, T, D). M divides B; each map serves B / M consecutive rows.
-/// Invalid lanes have weight exactly 0; invalid states and states without a lane get exactly 0.
+/// Softmax attention in `n_heads` heads from states to lanes: `query` (B, A, T, D), `valid` (B, A, T), `keys` (M, L, 2
+/// D) with keys before values, and `lane_valid` (M, L), to (B, A, T, D). M divides B; each map serves B / M consecutive
+/// rows. Invalid lanes have weight exactly 0; invalid states and states without a lane get exactly 0.
 ///
 /// # Errors
 /// When shapes do not fit.
@@ -126,7 +127,8 @@ pub fn cross_attention(
     }
 }
 
-/// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L): those that cross-attention serves.
+/// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L): those that cross-attention
+/// serves.
 ///
 /// # Errors
 /// When M does not divide B.
@@ -155,8 +157,8 @@ pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
     }
 }
 
-/// Uᵀ g U x for the states `x` (B, A, T, D), each agent and dimension with `modes` U (B, A, D, T, T), one mode a row, and
-/// `gains` g (B, A, D, T) of its own. Differentiable in `x` alone.
+/// Uᵀ g U x for the states `x` (B, A, T, D), each agent and dimension with `modes` U (B, A, D, T, T), one mode a row,
+/// and `gains` g (B, A, D, T) of its own. Differentiable in `x` alone.
 ///
 /// # Errors
 /// When shapes do not fit.

@@ -26,8 +26,8 @@ pub(super) fn mask(shape: &[usize], share: f64, seed: u64) -> Tensor {
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
 }
 
-/// Result and gradients of Σ result · fixed random numbers, computed in `dtype`: `f32` takes the fused implementation, `f64`
-/// the plain one.
+/// Result and gradients of Σ result · fixed random numbers, computed in `dtype`: `f32` takes the fused implementation,
+/// `f64` the plain one.
 pub(super) fn run(op: Op<'_>, arguments: &[Tensor], dtype: DType) -> Vec<Vec<f64>> {
     let vars: Vec<Var> =
         arguments.iter().map(|argument| Var::from_tensor(&argument.to_dtype(dtype).unwrap()).unwrap()).collect();

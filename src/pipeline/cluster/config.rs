@@ -31,7 +31,8 @@ pub struct ClusterConfig {
     /// How long before the end of its time a job is notified, seconds: enough for a step of training.
     #[schemars(range(min = 10, max = 3_600))]
     pub notice_s: u32,
-    /// On Slurm, what runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty: the program that submits.
+    /// On Slurm, what runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty:
+    /// the program that submits.
     pub container: String,
     /// More lines of Slurm's scripts, such as `#SBATCH --account=traffic` or `module load cuda`.
     pub lines: Vec<String>,

@@ -13,10 +13,10 @@ const SHARDS_PER_WORKER: usize = 4;
 /// Stands for a worker's number, from 1, in a command.
 pub(super) const WORKER: &str = "{worker}";
 
-/// What is submitted.
+/// A pipeline and how it is submitted.
 #[derive(Debug)]
 pub struct Submission<'a> {
-    /// What runs the jobs.
+    /// The engine that runs the jobs.
     pub engine: Engine,
     /// The pipeline file.
     pub pipeline: &'a Path,
@@ -59,7 +59,7 @@ pub struct Job {
     pub workers: Option<usize>,
     /// Whether it computes with networks.
     pub computes: bool,
-    /// What it waits for.
+    /// The jobs that it waits for.
     pub after: Vec<Dependency>,
 }
 
@@ -137,8 +137,8 @@ pub fn cautions(config: &PipelineConfig, cluster: &ClusterConfig) -> Vec<String>
     let too_few = requests.filter(|(_, request)| cluster.workers > 1 && request.shards_per_round < enough);
     let caution = |(idx, request): (usize, &RequestConfig)| {
         format!(
-            "request {} has {} shards a round for {} workers, most of which will be idle; {enough} or more keep them busy \
-             (generate.requests.{idx}.shards_per_round, which changes what is sampled)",
+            "request {} has {} shards a round for {} workers, most of which will be idle; {enough} or more keep them \
+             busy (generate.requests.{idx}.shards_per_round, which changes what is sampled)",
             request.name, request.shards_per_round, cluster.workers
         )
     };

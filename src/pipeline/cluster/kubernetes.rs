@@ -55,7 +55,7 @@ pub fn manifest(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
 /// Submits the JobSet to Kubernetes. Returns the output of `kubectl`.
 ///
 /// # Errors
-/// Those of [`manifest`]; when `kubectl` cannot be started or the cluster refuses the JobSet.
+/// As for [`manifest`], and if `kubectl` cannot be started or the cluster refuses the JobSet.
 pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<String> {
     let args = ["apply", "-f", "-"].map(str::to_owned);
     let output = feed("kubectl", "the command that talks to Kubernetes", &args, &manifest(graph, cluster)?)?;
@@ -200,6 +200,7 @@ fn is_mounted(folder: &Path, cluster: &ClusterConfig) -> Result<()> {
     let message =
         format_args!("{} is in none of the volumes of the jobs (cluster.volumes: {volumes})", folder.display());
     Err(Failure::input_message(message).with_hint(
-        "submit from a folder in a volume, and name its claim and mount path: cluster.volumes = { CLAIM = \"/FOLDER\" }",
+        "submit from a folder in a volume, and name its claim and mount path: \
+         cluster.volumes = { CLAIM = \"/FOLDER\" }",
     ))
 }

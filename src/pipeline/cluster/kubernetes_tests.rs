@@ -1,4 +1,4 @@
-//! What does the JobSet say, and what is refused before there is one?
+//! The content of the JobSet, and what is refused before there is one.
 
 use super::tests::{PIPELINE, assert_golden, graph_for};
 use super::{Engine, kubernetes};

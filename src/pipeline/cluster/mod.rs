@@ -21,7 +21,7 @@ pub use jobs::{Completion, Dependency, Job, JobGraph, Submission, cautions};
 use crate::settings::Unreadable;
 use std::str::FromStr;
 
-/// What runs the jobs.
+/// The engine that runs the jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Engine {
     /// Slurm, through its commands `sbatch` and `scontrol`.

@@ -6,10 +6,12 @@ use crate::pipeline::config::{PipelineConfig, parse};
 use std::path::Path;
 use std::process::Command;
 
-pub(super) const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n[train.denoiser]\n[generate]\n\
+pub(super) const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n\
+    [train.denoiser]\n[generate]\n\
     [[generate.sweeps]]\nname = 'plain'\n[evaluate]\n";
-const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'gpu'\ntime = '04:00:00'\ngpus = 1\ncpus = 8\nmemory = '16G'\n\
-    container = 'apptainer exec --nv /images/djinn.sif djinn'\nlines = ['module load cuda', '#SBATCH --account=traffic']\n";
+const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'gpu'\ntime = '04:00:00'\ngpus = 1\ncpus = 8\n\
+    memory = '16G'\ncontainer = 'apptainer exec --nv /images/djinn.sif djinn'\n\
+    lines = ['module load cuda', '#SBATCH --account=traffic']\n";
 
 fn graph(text: &str, overrides: &[String]) -> (JobGraph, ClusterConfig) {
     graph_for(Engine::Slurm, text, overrides)
@@ -111,7 +113,8 @@ fn settings_that_would_break_a_script_apart_are_refused() {
     }
 }
 
-/// Runs the script of the workers with a program that ends so, and says what became of it: the exit code, and what was queued again.
+/// Runs the script of the workers with a program that ends so, and says what became of it: the exit code, and what was
+/// queued again.
 #[cfg(unix)]
 fn run_script(program: &str, restarts: &str, signal: Option<&str>) -> (i32, String) {
     let (graph, cluster) = graph(&format!("{PIPELINE}[cluster]\nretries = 3\ncontainer = 'djinn'\n"), &[]);
@@ -119,7 +122,7 @@ fn run_script(program: &str, restarts: &str, signal: Option<&str>) -> (i32, Stri
     run_text(&slurm::script(&graph, work, &cluster), program, restarts, signal)
 }
 
-/// The same with this script.
+/// [`run_script`] with the text of a script.
 #[cfg(unix)]
 fn run_text(script: &str, program: &str, restarts: &str, signal: Option<&str>) -> (i32, String) {
     use std::os::unix::fs::PermissionsExt;
@@ -171,7 +174,7 @@ fn a_job_that_was_stopped_or_died_is_queued_again_so_often_and_no_other() {
         (0, String::new()),
         "the number of the worker"
     );
-    // What Slurm announces to the script reaches the program, and the script waits for it.
+    // A notice from Slurm to the script reaches the program, and the script waits for it.
     let stops = "trap 'sleep 0.3; exit 75' TERM; touch begun; while :; do sleep 0.05; done";
     for signal in ["USR1", "TERM"] {
         assert_eq!(run_script(stops, "1", Some(signal)), (75, requeued.to_owned()), "{signal}");

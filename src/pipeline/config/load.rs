@@ -20,7 +20,7 @@ use toml::de::{DeTable, DeValue};
 pub struct ConfigError {
     /// Where the mistake is.
     pub place: ConfigPlace,
-    /// What is wrong.
+    /// The fault.
     pub message: String,
     /// The name the user probably meant, if one is close.
     pub suggestion: Option<String>,
@@ -62,7 +62,8 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
         .iter()
         .map(|written| Override::parse(written).map_err(|why| source.override_error(written, why)))
         .collect::<Result<Vec<_>, _>>()?;
-    // Which override a mistake came with is seen by leaving out those after it: what is inside of some enums has no place of its own.
+    // Which override a mistake came with is seen by leaving out those after it: what is inside of some enums has no
+    // place of its own.
     let table = |n_overrides: usize| -> Result<Spanned<DeTable<'_>>, ConfigError> {
         let root = DeTable::parse(text).map_err(|error| source.error(&error))?;
         let span = root.span();
@@ -119,7 +120,7 @@ fn fill_seed<'a>(table: &mut DeTable<'a>, root: &Value, schema: &Value, seed: &S
     }
 }
 
-/// What was parsed, for finding places.
+/// The parsed texts, for finding places.
 struct Source<'a> {
     path: Option<&'a Path>,
     text: &'a str,
@@ -156,7 +157,7 @@ impl Source<'_> {
         ConfigError { place: self.place(error.span()), message, suggestion }
     }
 
-    /// What is wrong with a setting that was read; `table` knows where it stands.
+    /// The error for a setting that was read; `table` knows where it stands.
     fn issue(&self, table: &DeTable<'_>, issue: &Issue) -> ConfigError {
         let mut parts = issue.key.split('.');
         let mut found = parts.next().and_then(|part| table.get(part));

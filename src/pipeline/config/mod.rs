@@ -1,4 +1,5 @@
-//! What does a pipeline file say? One TOML table a stage, each with the type that is defined beside the code it configures.
+//! What does a pipeline file say? One TOML table a stage, each with the type that is defined beside the code it
+//! configures.
 //!
 //! A stage is part of the pipeline if its section is there, be it empty. Unknown keys are errors, defaults are in the
 //! types, `--set` overrides single values, and relative paths are relative to the current directory (not to the file:
@@ -77,16 +78,16 @@ pub struct RunConfig {
     /// Number of worker threads; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
     pub threads: usize,
-    /// What training and sampling on the processor may take by the estimate of `--dry-run`, gigabytes (10⁹ bytes); stages that
-    /// would take more are refused. Left out: the memory of the machine, or the limit of its control group.
+    /// What training and sampling on the processor may take by the estimate of `--dry-run`, gigabytes (10⁹ bytes);
+    /// stages that would take more are refused. Left out: the memory of the machine, or the limit of its control group.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub memory_limit_gb: Option<f64>,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
     pub device: DeviceChoice,
     /// Precision of the matrix products of networks: `f32`, or `tf32` or `bf16` for the tensor cores of a GPU.
     pub precision: Precision,
-    /// The folder that holds the folders of all pipelines; with the feature `cloud`, also one in an object store, such as
-    /// `s3://bucket/runs`.
+    /// The folder that holds the folders of all pipelines; with the feature `cloud`, also one in an object store, such
+    /// as `s3://bucket/runs`.
     pub output: PathBuf,
 }
 
@@ -105,7 +106,7 @@ impl Default for RunConfig {
 }
 
 impl RunConfig {
-    /// What networks compute on, and how exactly.
+    /// The device that networks compute on, and the precision.
     pub const fn compute(&self) -> ComputeChoice {
         ComputeChoice { device: self.device, precision: self.precision }
     }
@@ -129,7 +130,8 @@ impl PipelineConfig {
         Ok(config)
     }
 
-    /// Refuses numbers beyond the ranges that the schema states, URLs where they cannot be, and texts that would break pages and terminals.
+    /// Refuses numbers beyond the ranges that the schema states, URLs where they cannot be, and texts that would break
+    /// pages and terminals.
     ///
     /// # Errors
     /// Names the setting.
@@ -142,7 +144,7 @@ impl PipelineConfig {
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
     }
 
-    /// What a run of it says of itself.
+    /// The description that a run of it writes.
     ///
     /// # Errors
     /// When it cannot be written as TOML.
@@ -159,7 +161,7 @@ impl PipelineConfig {
     #[must_use]
     pub fn with_section(mut self, stage: StageId) -> Self {
         match stage {
-            // What to read cannot be guessed.
+            // The input cannot be guessed.
             StageId::Ingest => {}
             StageId::Mine => _ = self.mine.get_or_insert_default(),
             StageId::TrainDenoiser => _ = self.train.denoiser.get_or_insert_default(),
@@ -178,8 +180,8 @@ impl PipelineConfig {
         Ok(toml::to_string(self)?)
     }
 
-    /// The configuration without what does not bear on results: the number of threads, the memory, the output folder and the cluster. Two
-    /// runs of one pipeline on two machines have the same.
+    /// The configuration without what does not bear on results: the number of threads, the memory, the output folder
+    /// and the cluster. Two runs of one pipeline on two machines have the same.
     #[must_use]
     pub fn portable(&self) -> Self {
         let mut config = self.clone();

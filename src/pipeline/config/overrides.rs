@@ -1,4 +1,4 @@
-//! What does `--set a.b.c=value` change in a parsed configuration?
+//! The effect of `--set a.b.c=value` on a parsed configuration.
 
 use crate::settings::Unreadable;
 use std::ops::Range;
@@ -32,14 +32,14 @@ impl Override {
     }
 
     /// Sets the value in `table`, making tables that are missing. Everything it adds gets `span`, so that a later error
-    /// about it can be told from one about the file.
+    /// about it can be distinguished from one about the file.
     pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), Unreadable> {
         let (last, parents) = self.key.split_last().ok_or("its key is empty")?;
         let mut place = Container::Table(table);
         for part in parents {
             place = place.enter(part, span)?;
         }
-        // What is no TOML value is taken as text, so that strings need no quotes: `--set run.name=night`.
+        // A value that is not TOML is taken as text, so that strings need no quotes: `--set run.name=night`.
         let value = DeValue::parse(&self.value)
             .map_or_else(|_| DeValue::String(DeString::Borrowed(&self.value)), Spanned::into_inner);
         place.set(last, relocate(value, span), span)

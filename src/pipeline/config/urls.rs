@@ -45,8 +45,8 @@ fn check_text(key: &str, path: &Path) -> settings::Result {
         }
         Ok(Some(url)) if !IS_BUILT => {
             let message = format!(
-                "is {url}, expected a path on disk: this djinn was built without object stores; use one that was built with them \
-                 (`cargo build --release --features cloud`), or copy the files to disk"
+                "is {url}, expected a path on disk: this djinn was built without object stores; use one that was built \
+                 with them (`cargo build --release --features cloud`), or copy the files to disk"
             );
             Err(Issue::new(key, message))
         }

@@ -48,7 +48,7 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
         stages.insert(record.stage.to_string(), state);
     }
     for record in started {
-        // What was begun again is still there as it was.
+        // A stage that was begun again still has its outputs as they were.
         stages.entry(record.stage.to_string()).or_insert_with(|| json!({ "status": "unfinished" }));
     }
     let requests = requests::describe(&path.join(SAMPLES))?;

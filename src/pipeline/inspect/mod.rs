@@ -16,16 +16,16 @@ use std::path::Path;
 /// A description.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Description {
-    /// What the path is, such as `scene store`.
+    /// The kind of thing at the path, such as `scene store`.
     pub kind: &'static str,
-    /// Names and values, the most asked for first.
+    /// Names and values, the most important first.
     pub entries: Vec<(String, Value)>,
 }
 
 /// Describes `path` if it is of its kind.
 type Describer = fn(&Path) -> Result<Option<Description>>;
 
-/// Every describer, in the order in which they are asked.
+/// Every describer, in the order in which they are tried.
 const DESCRIBERS: [Describer; 11] = [
     folders::run,
     folders::scenes,
@@ -86,12 +86,13 @@ impl Description {
     }
 }
 
-/// From this depth on, what consists of single values is written on a line of its own: such things come in great numbers.
+/// From this depth on, what consists of single values is written on a line of its own: such things come in great
+/// numbers.
 const DEPTH_OF_LINES: usize = 4;
 
 fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
     let indent = "  ".repeat(depth);
-    // What lies deeper may be a name of the data, such as a place, and is given as it is.
+    // A deeper name may be one of the data, such as a place, and is given as it is.
     let name = if depth == 1 { name.replace('_', " ") } else { one_line(name) };
     match value {
         Value::Null => {}
@@ -155,7 +156,8 @@ mod tests {
             .with("stages", json!([{ "id": "x" }]));
         assert_eq!(
             description.text(),
-            "thing\n  n scenes: 3\n  name: a b\n  counts\n    train: 2\n    val: 1\n  list: 1, 2\n  warnings\n    short, at one\n    long, at two\n  stages\n    1\n      id: x\n"
+            "thing\n  n scenes: 3\n  name: a b\n  counts\n    train: 2\n    val: 1\n  list: 1, 2\n  warnings\n    \
+             short, at one\n    long, at two\n  stages\n    1\n      id: x\n"
         );
         assert_eq!(description.json()["kind"], "thing");
     }

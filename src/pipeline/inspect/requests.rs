@@ -76,15 +76,20 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         assert_eq!(describe(dir.path()).unwrap(), None);
         let bucket = |idx: usize, range: &str, n_accepted: u64| {
-            json!({ "idx": idx, "parts": [{ "parameter": "gap_m", "range": range }], "n_wanted": 5, "n_accepted": n_accepted,
-                "n_surplus": 0, "n_repeated": 0, "accepted_by_arm": [n_accepted], "hits_by_arm": [n_accepted],
-                "first_round_hits_by_arm": [0], "n_samples_while_open": 100, "n_evaluations_while_open": 1900 })
+            json!({ "idx": idx, "parts": [{ "parameter": "gap_m", "range": range }], "n_wanted": 5,
+                "n_accepted": n_accepted, "n_surplus": 0, "n_repeated": 0, "accepted_by_arm": [n_accepted],
+                "hits_by_arm": [n_accepted], "first_round_hits_by_arm": [0], "n_samples_while_open": 100,
+                "n_evaluations_while_open": 1900 })
         };
-        let own = |n_accepted: u64| json!({ "n_samples": 100, "n_found": 20, "n_outside": 3, "n_beyond_limits": 2, "n_hits": 15, "n_accepted": n_accepted });
+        let own = |n_accepted: u64| {
+            json!({ "n_samples": 100, "n_found": 20, "n_outside": 3, "n_beyond_limits": 2, "n_hits": 15,
+                "n_accepted": n_accepted })
+        };
         let request = json!({ "name": "tight", "behavior": "cut_in", "ended": "budget",
-            "budget": { "n_samples": null, "n_evaluations": 1900 }, "n_rounds": 3, "n_samples": 100, "n_evaluations": 1900,
-            "n_scenes": 4, "n_cells": 4, "n_wanted": 15, "n_accepted": 6,
-            "arms": [{ "name": "guided", "strength": 2.0, "weight": 0.0, "n_evaluations_per_sample": 19, "total": own(6), "first_round": own(0) }],
+            "budget": { "n_samples": null, "n_evaluations": 1900 }, "n_rounds": 3, "n_samples": 100,
+            "n_evaluations": 1900, "n_scenes": 4, "n_cells": 4, "n_wanted": 15, "n_accepted": 6,
+            "arms": [{ "name": "guided", "strength": 2.0, "weight": 0.0, "n_evaluations_per_sample": 19,
+                "total": own(6), "first_round": own(0) }],
             "buckets": [bucket(0, "0..5", 5), bucket(1, "5..10", 1), bucket(2, "10..20", 0)] });
         fs_err::write(dir.path().join("requests.json"), json!([request]).to_string()).unwrap();
         let found = describe(dir.path()).unwrap().unwrap();
@@ -94,7 +99,7 @@ mod tests {
         assert_eq!(tight["buckets"][1]["n_evaluations_per_accepted"], json!(1900.0));
         assert_eq!(tight["arms"][0]["n_evaluations_per_accepted"], json!(316.7));
         let text = Description::new("generated scenarios").with("requests", found).text();
-        // What nothing was accepted of has no cost.
+        // A bucket of which nothing was accepted has no cost.
         assert!(text.contains("        3: bucket gap_m 10..20; n_accepted 0; n_short 5; n_wanted 5\n"), "{text}");
     }
 }

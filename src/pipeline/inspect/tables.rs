@@ -16,7 +16,7 @@ fn has_extension(path: &Path, extension: &str) -> bool {
     path.is_file() && path.extension().is_some_and(|found| found == extension)
 }
 
-/// What was read, unless the file is a table of another kind.
+/// The table, unless the file is a table of another kind.
 fn of_this_schema<T>(read: Result<T, Error>) -> Result<Option<T>> {
     match read {
         Ok(rows) => Ok(Some(rows)),

@@ -8,7 +8,7 @@ impl From<ingest::Error> for Failure {
     fn from(error: ingest::Error) -> Self {
         match error {
             ingest::Error::Io(io) => of_named_path(io),
-            // What the sink fails with is ours: the store's errors, which say more than the wrapper.
+            // Failures of the sink are ours: the store's errors, which say more than the wrapper.
             ingest::Error::Sink(source) => match source.downcast::<store::Error>() {
                 Ok(source) => Self::from(*source).context("failed to store ingested scenes"),
                 Err(source) => Self::fault(anyhow::anyhow!(source)),
@@ -45,7 +45,7 @@ impl From<files::Error> for Failure {
     }
 }
 
-/// What a store refuses is for the user to act on.
+/// The user can act on refusals of a store.
 impl From<cloud::Error> for Failure {
     fn from(error: cloud::Error) -> Self {
         if error.is_refusal() { Self::input(error) } else { Self::fault(error) }

@@ -31,7 +31,7 @@ pub struct Evaluate<'a> {
     pub pipeline: &'a str,
     /// Whether there are recorded events to compare scenarios with.
     pub has_events: bool,
-    /// What generates the scenarios, and whether there are maps, where the pipeline does both itself.
+    /// The configuration that generates the scenarios, and whether there are maps, where the pipeline does both itself.
     pub generated: Option<(&'a GenerateConfig, bool)>,
     /// Where the scenes, events and samples are.
     pub layout: &'a Layout,
@@ -88,7 +88,7 @@ impl Stage for Evaluate<'_> {
     }
 }
 
-/// What workers share instead of finding it one by one.
+/// Values that workers share instead of finding them one by one.
 #[derive(Serialize, Deserialize)]
 struct EvaluationPlan {
     /// How well the maps of places fit their recordings.
@@ -116,7 +116,8 @@ impl Sharded for Evaluate<'_> {
         Ok(())
     }
 
-    /// Tells the tracks of all shards from recorded ones, decides about every scenario, and writes the corpus.
+    /// Tests how well the tracks of all shards can be told from recorded ones, decides about every scenario, and writes
+    /// the corpus.
     fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value> {
         let ready = self.ready(Some(shards.decisions()?))?;
         let EvaluationReady { store, samples, behaviors, maps, config } = &ready;
@@ -192,7 +193,7 @@ impl Evaluate<'_> {
         })
     }
 
-    /// What measures shards.
+    /// The measurer of shards.
     fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
         let events = self.has_events.then_some(self.layout.events.as_path());
         Ok(Measurer::new(&ready.config, &ready.behaviors, &ready.store, events)?)
@@ -205,7 +206,7 @@ impl Evaluate<'_> {
         Ok(Shard { sweep: &shard.sweep, n_evaluations: shard.n_evaluations, records })
     }
 
-    /// What the corpus says of itself.
+    /// The corpus's notes.
     fn notes(&self, summary: &EvaluationSummary) -> CorpusNotes {
         let mut notes = BTreeMap::from([
             ("pipeline".to_owned(), self.pipeline.to_owned()),

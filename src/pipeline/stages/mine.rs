@@ -16,7 +16,8 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Scenes that are mined together: enough for every thread, few enough to show progress and to hold their events in memory.
+/// Scenes that are mined together: enough for every thread, few enough to show progress and to hold their events in
+/// memory.
 const SCENES_PER_CHUNK: usize = 256;
 
 /// Which behaviors to mine, and in which scenes.
@@ -33,7 +34,7 @@ impl MineConfig {
     /// The detectors.
     ///
     /// # Errors
-    /// When a behavior is listed twice: their events could not be told apart.
+    /// When a behavior is listed twice: their events could not be distinguished.
     pub fn build(&self) -> Result<Vec<Box<dyn Behavior>>> {
         let mut configs = self.behaviors.clone();
         if configs.is_empty() {
@@ -147,8 +148,8 @@ fn warn_of_blind(behaviors: &[Box<dyn Behavior>], [has_lanes, has_sizes]: [bool;
         }
         if !has_sizes && behavior.needs_sizes() {
             progress.warn(&format!(
-                "{id} needs road users of recorded size, but no scene has any: set recorded_sizes = false, or leave it out of \
-                 mine.behaviors"
+                "{id} needs road users of recorded size, but no scene has any: set recorded_sizes = false, or leave it \
+                 out of mine.behaviors"
             ));
         }
     }

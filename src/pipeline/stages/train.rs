@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// What a model is made of, beside the outputs of earlier stages.
+/// The sources of a model, beside the outputs of earlier stages.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Source<'a> {
     /// The checkpoint to use instead of training.
@@ -31,7 +31,7 @@ pub struct Source<'a> {
 
 /// How a model comes to be: the section of a training stage, and what is done with it.
 pub trait Recipe: Serialize {
-    /// What its checkpoint says.
+    /// The description in its checkpoint.
     type Spec: ModelSpec;
     /// The stage.
     const STAGE: StageId;
@@ -40,16 +40,17 @@ pub trait Recipe: Serialize {
     /// The stages whose outputs it learns from.
     const LEARNS_FROM: &'static [StageId];
 
-    /// What it is made of.
+    /// Its sources.
     fn source(&self) -> Source<'_>;
 
-    /// What the section comes to, where presets decide a part of it: they change from version to version, and what they come to counts.
+    /// The resolved section, where presets decide a part of it: presets change from version to version, and the
+    /// resolved values count.
     ///
     /// # Errors
     /// When a value cannot work, naming it.
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error>;
 
-    /// What the summary says of a model that was trained elsewhere.
+    /// The summary of a model that was trained elsewhere.
     fn about(spec: &Self::Spec) -> Value;
 
     /// Trains the model, and says what it came to.

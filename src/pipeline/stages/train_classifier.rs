@@ -66,7 +66,7 @@ fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
     Ok(event.roles.names().map(str::to_owned).collect())
 }
 
-/// Those of the events that are in the given scenes, in the order of the event table.
+/// The events that are in the given scenes, in the order of the event table.
 fn mined<'e>(store: &SceneStore, events: &'e [BehaviorEvent], scenes: &[usize]) -> Vec<MinedEvent<'e>> {
     let scene_idx: BTreeMap<&str, usize> = scenes.iter().map(|idx| (store.index().get(*idx).id, *idx)).collect();
     let mined =

@@ -73,7 +73,7 @@ pub(super) struct OpenedScenes<'a> {
 
 /// An ingest, and what of it is trained on.
 struct OpenedSource<'a> {
-    /// What the user calls it: its key, or the run's own scenes.
+    /// Its name for the user: its key, or the run's own scenes.
     name: String,
     /// The folder of its scenes.
     path: PathBuf,
@@ -116,8 +116,8 @@ impl<'a> OpenedScenes<'a> {
         Ok(Self { section, sources })
     }
 
-    /// The scenes to train on and those held out. Left out, `state_dim` is that of the datasets. Only a network that derives headings
-    /// can learn from vehicles with recorded headings and from others at once.
+    /// The scenes to train on and those held out. Left out, `state_dim` is that of the datasets. Only a network that
+    /// derives headings can learn from vehicles with recorded headings and from others at once.
     pub(super) fn training_data(
         &self,
         state_dim: Option<usize>,
@@ -151,8 +151,8 @@ impl<'a> OpenedScenes<'a> {
         Ok(TrainingData { fingerprint: self.fingerprint()?, dataset: self, sources, events: Vec::new(), state_dim })
     }
 
-    /// The mined events of a section, with the index of their scenes: those of the run in `own`, those of other runs beside their
-    /// scenes. None without a section.
+    /// The mined events of a section, with the index of their scenes: those of the run in `own`, those of other runs
+    /// beside their scenes. None without a section.
     pub(super) fn events(
         &self,
         own: &Path,
@@ -284,7 +284,7 @@ pub(super) fn mined(events: &[(usize, BehaviorEvent)]) -> Vec<MinedEvent<'_>> {
     events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect()
 }
 
-/// What a training stage says of itself, beside what is particular to it.
+/// The part of a training stage's summary that all trainings share.
 pub(super) fn training_summary<S>(data: &TrainingData<'_>, steps: u64, outcome: &TrainOutcome<S>) -> Value {
     json!({
         "fingerprint": outcome.fingerprint,

@@ -114,7 +114,8 @@ mod tests {
 
     #[test]
     fn letters_are_those_of_source_maps() {
-        // 0 to A, 1 to C, -1 to D, 15 to e; 16 is the first that needs two. By hand, and by a program in another language.
+        // 0 to A, 1 to C, -1 to D, 15 to e; 16 is the first that needs two. By hand, and by a program in another
+        // language.
         assert_eq!(letters(&[0, 1, -1, 15, 16, 123, 123_456_789]), "ACDegB2HqxmvrH");
         let all: Vec<i64> = (-5000..5000).chain([1 << 40, -(1 << 40)]).collect();
         assert_eq!(numbers(&letters(&all)), all);

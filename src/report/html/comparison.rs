@@ -11,12 +11,33 @@ use maud::{Markup, html};
 pub fn render_comparison(comparison: &Comparison) -> String {
     let sections: Vec<Section> = [
         Some(Section::new("settings", "Settings that differ", settings(&comparison.settings()))),
-        of_table("outcome", "Requested and generated", &comparison.sampling(), "A star marks shares whose Wilson intervals (95 %) do not overlap."),
+        of_table(
+            "outcome",
+            "Requested and generated",
+            &comparison.sampling(),
+            "A star marks shares whose Wilson intervals (95 %) do not overlap.",
+        ),
         charts(comparison),
         metrics(comparison),
-        of_table("distinguishability", "Told from recordings", &comparison.distinguishability(), "50 % is indistinguishable. A star marks areas whose intervals (95 %) do not overlap."),
-        of_table("realism", "Realism of motion", &comparison.realism(), "Wasserstein-1 distance in the quantity's unit and Jensen-Shannon divergence in bits; lower is closer to the recording."),
-        of_table("mining", "Events in the recordings", &comparison.mining(), "Shares of scenes. They differ if recordings, splits or definitions do."),
+        of_table(
+            "distinguishability",
+            "Told from recordings",
+            &comparison.distinguishability(),
+            "50 % is indistinguishable. A star marks areas whose intervals (95 %) do not overlap.",
+        ),
+        of_table(
+            "realism",
+            "Realism of motion",
+            &comparison.realism(),
+            "Wasserstein-1 distance in the quantity's unit and Jensen-Shannon divergence in bits; lower is closer to \
+             the recording.",
+        ),
+        of_table(
+            "mining",
+            "Events in the recordings",
+            &comparison.mining(),
+            "Shares of scenes. They differ if recordings, splits or definitions do.",
+        ),
     ]
     .into_iter()
     .flatten()
@@ -30,7 +51,9 @@ pub fn render_comparison(comparison: &Comparison) -> String {
 
 fn settings(table: &PlainTable) -> Markup {
     html! {
-        @if table.rows.is_empty() { p class="fine" { "None: both runs have the same configuration." } } @else { (plain_table(table)) }
+        @if table.rows.is_empty() { p class="fine" { "None: both runs have the same configuration." } } @else {
+            (plain_table(table))
+        }
     }
 }
 
@@ -52,14 +75,17 @@ fn metrics(comparison: &Comparison) -> Option<Section> {
     (!tables.is_empty()).then(|| {
         let body = html! {
             p class="note" {
-                "Means over scenes, all places together. A star marks differences of more than twice their standard error, "
+                "Means over scenes, all places together. A star marks differences of more than twice their standard \
+                 error, "
                 "which holds for different scenes and is too large where both runs continue the same ones."
             }
             div class="grid broad" { @for table in &tables { (plain_table(table)) } }
             details {
                 summary { "What the metrics mean" }
                 dl class="definitions" {
-                    @for (i, doc) in docs[0].iter().chain(docs[1].iter().filter(|doc| !docs[0].contains(doc))).enumerate() {
+                    @for (i, doc) in
+                        docs[0].iter().chain(docs[1].iter().filter(|doc| !docs[0].contains(doc))).enumerate()
+                    {
                         @let changed = i >= docs[0].len() && docs[0].iter().any(|other| other.metric == doc.metric);
                         dt { (doc.metric) @if changed { " (in B)" } } dd { (doc.description) "." }
                     }

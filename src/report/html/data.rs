@@ -11,13 +11,15 @@ use std::collections::BTreeMap;
 pub(super) fn mining(model: &ReportModel) -> Option<Section> {
     let MiningSummary { definitions, counts } = model.mining.as_ref()?;
     let head = html! {
-        tr { th scope="col" { "Behavior" } th scope="col" { "Split" } th scope="col" { "Place" } th scope="col" class="n" { "Scenes" }
+        tr { th scope="col" { "Behavior" } th scope="col" { "Split" } th scope="col" { "Place" }
+            th scope="col" class="n" { "Scenes" }
             th scope="col" class="n" { "Scenes with it" } th scope="col" class="n" { "Share" }
             th scope="col" class="n" { "Events" } th scope="col" class="n" { "Hard negatives" } }
     };
     let rows = html! {
         @for row in counts {
-            tr { th scope="row" { (row.behavior) } td { (row.split) } td { (row.place) } td class="n" { (count(row.n_scenes)) }
+            tr { th scope="row" { (row.behavior) } td { (row.split) } td { (row.place) }
+                td class="n" { (count(row.n_scenes)) }
                 td class="n" { (count(row.n_scenes_with)) } td class="n" { (share(row.n_scenes_with, row.n_scenes)) }
                 td class="n" { (count(row.n_positive)) } td class="n" { (count(row.n_negative)) } }
         }
@@ -34,7 +36,7 @@ pub(super) fn mining(model: &ReportModel) -> Option<Section> {
     Some(Section::new("mining", "Events in the recordings", body))
 }
 
-/// What was read and rejected.
+/// The section on what was read and rejected.
 pub(super) fn ingest(model: &ReportModel) -> Option<Section> {
     let report = model.ingest.as_ref()?;
     let head = html! { tr { th scope="col" { "Split and place" } th scope="col" class="n" { "Scenes" } } };
@@ -42,7 +44,8 @@ pub(super) fn ingest(model: &ReportModel) -> Option<Section> {
         html! { @for (part, n) in &report.scenes_by { tr { th scope="row" { (part) } td class="n" { (count(*n)) } } } };
     let body = html! {
         p {
-            (count(report.n_units)) " files, cases or recordings were read (" (count(report.n_bytes / 1_000_000)) " MB uncompressed); they gave "
+            (count(report.n_units)) " files, cases or recordings were read (" (count(report.n_bytes / 1_000_000))
+            " MB uncompressed); they gave "
             (count(report.n_scenes)) " scenes with " (count(report.n_agents)) " agents."
         }
         (table("Scenes", &head, &rows))
@@ -54,7 +57,9 @@ pub(super) fn ingest(model: &ReportModel) -> Option<Section> {
 }
 
 fn rejects(report: &crate::ingest::IngestReport) -> Markup {
-    let head = html! { tr { th scope="col" { "Reason" } th scope="col" class="n" { "Count" } th scope="col" { "First examples" } } };
+    let head = html! {
+        tr { th scope="col" { "Reason" } th scope="col" class="n" { "Count" } th scope="col" { "First examples" } }
+    };
     let rows = html! {
         @for (reason, rejects) in &report.rejects {
             tr { th scope="row" { (reason.replace('_', " ")) } td class="n" { (count(rejects.count)) }
@@ -62,7 +67,9 @@ fn rejects(report: &crate::ingest::IngestReport) -> Markup {
         }
     };
     html! {
-        @if report.rejects.is_empty() { p class="fine" { "Nothing was rejected." } } @else { (table("Rejected", &head, &rows)) }
+        @if report.rejects.is_empty() { p class="fine" { "Nothing was rejected." } } @else {
+            (table("Rejected", &head, &rows))
+        }
     }
 }
 

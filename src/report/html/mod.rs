@@ -107,7 +107,10 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
                     }
                 }
                 footer {
-                    p { "Written by djinn " (env!("CARGO_PKG_VERSION")) ". Lengths in meters, times in seconds, angles in radians unless a heading says otherwise." }
+                    p {
+                        "Written by djinn " (env!("CARGO_PKG_VERSION"))
+                        ". Lengths in meters, times in seconds, angles in radians unless a heading says otherwise."
+                    }
                 }
                 script { (PreEscaped(TABLES)) }
                 (scripts)

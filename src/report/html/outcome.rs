@@ -26,7 +26,8 @@ fn sampling_table(model: &ReportModel) -> Markup {
             th scope="col" { "Sweep" } th scope="col" { "Behavior" } th scope="col" { "Place" }
             th scope="col" class="n" { "Strength α" } th scope="col" { "Sampler" }
             th scope="col" class="n" { "Scenes" } th scope="col" class="n" { "Scenarios" }
-            th scope="col" class="n" { "Verified" } th scope="col" class="n" { "Verified rate" small { " (95 %)" } } th scope="col" class="n" { "New" }
+            th scope="col" class="n" { "Verified" } th scope="col" class="n" { "Verified rate" small { " (95 %)" } }
+            th scope="col" class="n" { "New" }
             th scope="col" class="n" { "With collision" } th scope="col" class="n" { "Off-road agents" }
             th scope="col" class="n" { "Evaluations per verified" }
         }
@@ -54,8 +55,11 @@ fn sampling_table(model: &ReportModel) -> Markup {
     html! {
         (table("Sampling by sweep and guidance strength", &head, &body))
         p class="note" {
-            "A scenario is verified if the miner that defines the behavior finds it for the requested tracks, independently of the "
-            "classifier that guided the sample. Rows of the recording show how often it contains the requested behavior. A scenario is new if the recorded future of the same tracks does not contain it. Intervals are 95 % Wilson intervals."
+            "A scenario is verified if the miner that defines the behavior finds it for the requested tracks, \
+             independently of the "
+            "classifier that guided the sample. Rows of the recording show how often it contains the requested \
+             behavior. A scenario is new if the recorded future of the same tracks does not contain it. Intervals are \
+             95 % Wilson intervals."
         }
     }
 }
@@ -71,7 +75,9 @@ fn recorded_row(model: &ReportModel, row: &SamplingRow) -> Markup {
             tr class="reference" {
                 th scope="row" { "recorded (" (row.sweep) ")" }
                 td { (row.behavior.as_deref().unwrap_or(ABSENT)) } td { "all" }
-                @for text in [ABSENT, "recording", ABSENT, ABSENT, ABSENT, &behavior, ABSENT, &collision, &offroad, ABSENT] {
+                @for text in
+                    [ABSENT, "recording", ABSENT, ABSENT, ABSENT, &behavior, ABSENT, &collision, &offroad, ABSENT]
+                {
                     td class=[(text != "recording").then_some("n")] { (text) }
                 }
             }

@@ -29,10 +29,17 @@ pub(super) fn metrics(model: &ReportModel) -> Option<Section> {
     }
     let body = html! {
         @for place in &places {
-            @let tables = place_tables(place, &docs, &rows.iter().copied().filter(|row| row.place == *place).collect::<Vec<_>>());
-            @if place.is_empty() || places.len() == 1 { (tables) } @else { details { summary { "Metrics, " (place) } (tables) } }
+            @let tables = place_tables(
+                place,
+                &docs,
+                &rows.iter().copied().filter(|row| row.place == *place).collect::<Vec<_>>()
+            );
+            @if place.is_empty() || places.len() == 1 { (tables) } @else {
+                details { summary { "Metrics, " (place) } (tables) }
+            }
         }
-        p class="note" { "Means with their standard error. Recorded futures are the reference: their column shows the metric on real traffic. "
+        p class="note" { "Means with their standard error. Recorded futures are the reference: their column shows the \
+                          metric on real traffic. "
             "The constant-velocity baseline continues every agent at its present velocity." }
         details {
             summary { "What the metrics mean" }
@@ -58,13 +65,17 @@ fn place_tables(place: &str, docs: &[&MetricDoc], rows: &[&MetricRow]) -> Markup
                 tr {
                     th scope="col" { "Metric" }
                     @for (series, rows) in &series {
-                        th scope="col" class="n" { (column_of_series(series)) br; small { "n = " (count(rows.iter().map(|row| row.n).max().unwrap_or(0))) } }
+                        th scope="col" class="n" {
+                            (column_of_series(series)) br;
+                            small { "n = " (count(rows.iter().map(|row| row.n).max().unwrap_or(0))) }
+                        }
                     }
                 }
             };
             @let body = html! {
                 @for doc in docs {
-                    @let cells: Vec<_> = series.iter().map(|(_, rows)| rows.iter().copied().find(|row| row.metric == doc.metric)).collect();
+                    @let cells: Vec<_> = series.iter()
+                        .map(|(_, rows)| rows.iter().copied().find(|row| row.metric == doc.metric)).collect();
                     @if cells.iter().any(Option::is_some) {
                         tr { th scope="row" { (heading(doc)) } @for row in cells { td class="n" { (cell(row)) } } }
                     }
@@ -130,7 +141,8 @@ pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
             @if !realism.is_empty() { (realism_table(realism)) }
             @if let Some(reference) = reference {
                 p class="note" {
-                    "Values beyond the ends of an axis are counted in its first and last bins. The distance is Wasserstein-1 to “" (reference) "”: "
+                    "Values beyond the ends of an axis are counted in its first and last bins. The distance is \
+                     Wasserstein-1 to “" (reference) "”: "
                     "how far, on average, a value must be moved to turn one distribution into the other."
                 }
                 div class="grid" { @for distribution in distributions { (distribution_figure(distribution)) } }
@@ -159,17 +171,23 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
             @if all_series[..i].iter().all(|before| before.sweep != *sweep) {
                 tr class="reference" {
                     th scope="row" { (Group::Recorded) " (" (sweep) ")" } td class="n" { (ABSENT) }
-                    @for (quantity, _) in &quantities { td class="n" { "0" small { br; "mean " (optional(recorded(sweep, quantity))) } } }
+                    @for (quantity, _) in &quantities {
+                        td class="n" { "0" small { br; "mean " (optional(recorded(sweep, quantity))) } }
+                    }
                 }
             }
-            @let find = |quantity: &String| rows.iter().find(|row| row.series() == *series && row.quantity == *quantity);
+            @let find = |quantity: &String|
+                rows.iter().find(|row| row.series() == *series && row.quantity == *quantity);
             tr class=[(!series.group.is_generated()).then_some("reference")] {
                 (heading_of_series(series))
                 @for (quantity, _) in &quantities {
                     td class="n" {
                         @let row = find(quantity);
                         (optional(row.and_then(|row| row.wasserstein)))
-                        small { br; "JS " (optional(row.and_then(|row| row.jensen_shannon))) br; "mean " (optional(row.and_then(|row| row.mean))) }
+                        small {
+                            br; "JS " (optional(row.and_then(|row| row.jensen_shannon))) br; "mean "
+                            (optional(row.and_then(|row| row.mean)))
+                        }
                     }
                 }
             }
@@ -178,8 +196,10 @@ fn realism_table(rows: &[RealismRow]) -> Markup {
     html! {
         (table("Distance of motion from the recording, whole sweeps", &head, &body))
         p class="note" {
-            "Over all scenarios of a sweep and the recordings they continue: Wasserstein-1 distance in the quantity's unit, and (JS) Jensen-Shannon "
-            "divergence in bits, 0 for equal distributions and 1 for those that share nothing; beside them the means of the quantities. Lower distances are better; guided scenarios are expected to differ somewhat."
+            "Over all scenarios of a sweep and the recordings they continue: Wasserstein-1 distance in the quantity's \
+             unit, and (JS) Jensen-Shannon "
+            "divergence in bits, 0 for equal distributions and 1 for those that share nothing; beside them the means \
+             of the quantities. Lower distances are better; guided scenarios are expected to differ somewhat."
         }
     }
 }
@@ -192,13 +212,16 @@ fn distribution_figure(distribution: &Distribution) -> Markup {
     };
     let body = html! {
         @for series in &distribution.series {
-            tr { th scope="row" { (series.name) } td class="n" { (count(series.n)) } td class="n" { (optional(series.mean)) }
+            tr { th scope="row" { (series.name) } td class="n" { (count(series.n)) }
+                td class="n" { (optional(series.mean)) }
                 td class="n" { (optional(series.median)) } td class="n" { (optional(series.distance)) } }
         }
     };
     html! {
         figure {
-            figcaption { (distribution.title) @if !distribution.description.is_empty() { ": " (distribution.description) } }
+            figcaption {
+                (distribution.title) @if !distribution.description.is_empty() { ": " (distribution.description) }
+            }
             (histogram(distribution))
             (table(&format!("{}{unit} in numbers", distribution.title), &head, &body))
         }

@@ -24,7 +24,9 @@ pub(super) fn gallery(request: &str, cards: &[SceneCard]) -> Markup {
             }
             p class="note" {
                 "The first accepted scenario of each bucket"
-                @if firsts.len() > N_DRAWN { ", of " (count(N_DRAWN as u64)) " of " (count(firsts.len() as u64)) " buckets" }
+                @if firsts.len() > N_DRAWN {
+                    ", of " (count(N_DRAWN as u64)) " of " (count(firsts.len() as u64)) " buckets"
+                }
                 "; a drawing leads to the scene beside its recording."
             }
         }

@@ -1,4 +1,4 @@
-//! The grid of a request's buckets: one parameter across, the others down, and in each cell the accepted and wanted
+//! The grid of a request's buckets: one parameter across, the others down, and in each cell the accepted and requested
 //! scenarios.
 
 use crate::generate::BucketSummary;
@@ -23,14 +23,17 @@ pub(super) fn grid(buckets: &[BucketSummary]) -> Option<Markup> {
             tbody {
                 @for row in rows {
                     tr {
-                        @for part in row.iter().take(1).flat_map(fixed_parts) { th scope="row" { (range(&part.range)) } }
+                        @for part in row.iter().take(1).flat_map(fixed_parts) {
+                            th scope="row" { (range(&part.range)) }
+                        }
                         @for bucket in row { (cell(bucket)) }
                     }
                 }
             }
         }
         p class="note" {
-            "Accepted of wanted; across: " (across.parameter) ". " span class="key full" { "full" } " " span class="key short" { "short" } " "
+            "Accepted of wanted; across: " (across.parameter) ". " span class="key full" { "full" } " "
+            span class="key short" { "short" } " "
             span class="key infeasible" { "no pair can fall into it" } ". Point at a cell for its pairs and its cost."
         }
     })

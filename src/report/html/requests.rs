@@ -27,9 +27,12 @@ fn one(request: &RequestSummary, cards: &[SceneCard]) -> Markup {
     html! {
         h3 { (request.name) ": " (request.behavior.replace('_', " ")) }
         p {
-            (count(request.n_accepted)) " of " (count(request.n_wanted)) " scenarios were accepted, from " (count(request.n_samples))
-            " samples and " (count(request.n_evaluations)) " evaluations of the denoiser, over " (count(request.n_scenes as u64))
-            " scenes (" (count(request.n_cells as u64)) " pairs of agents; " (count(request.n_infeasible as u64)) " more can fall into no bucket). It ended after " (count(request.n_rounds as u64))
+            (count(request.n_accepted)) " of " (count(request.n_wanted)) " scenarios were accepted, from "
+            (count(request.n_samples))
+            " samples and " (count(request.n_evaluations)) " evaluations of the denoiser, over "
+            (count(request.n_scenes as u64))
+            " scenes (" (count(request.n_cells as u64)) " pairs of agents; " (count(request.n_infeasible as u64))
+            " more can fall into no bucket). It ended after " (count(request.n_rounds as u64))
             " rounds, when " (ended) "."
         }
         @if let Some(grid) = grid(&request.buckets) { (grid) }
@@ -46,9 +49,11 @@ fn buckets(request: &RequestSummary) -> Markup {
             @if let Some(first) = request.buckets.first() {
                 @for part in &first.parts { th scope="col" { (part.parameter) } }
             }
-            th scope="col" class="n" { "Pairs" } th scope="col" class="n" { "Wanted" } th scope="col" class="n" { "Accepted" }
+            th scope="col" class="n" { "Pairs" } th scope="col" class="n" { "Wanted" }
+            th scope="col" class="n" { "Accepted" }
             @for arm in &request.arms { th scope="col" class="n" { "by " (arm.name) } }
-            th scope="col" class="n" { "Surplus" } th scope="col" class="n" { "Repeated" } th scope="col" class="n" { "Near-duplicates" }
+            th scope="col" class="n" { "Surplus" } th scope="col" class="n" { "Repeated" }
+            th scope="col" class="n" { "Near-duplicates" }
             th scope="col" class="n" { "Samples while open" } th scope="col" class="n" { "Evaluations per accepted" }
             @for arm in &request.arms { th scope="col" class="n" { "Hits of " (arm.name) } }
         }
@@ -59,22 +64,34 @@ fn buckets(request: &RequestSummary) -> Markup {
                 @for part in &bucket.parts { td { (range(&part.range)) } }
                 td class="n" { (count(bucket.n_feasible as u64)) }
                 td class="n" { (count(bucket.n_wanted)) }
-                td class="n" { strong { (count(bucket.n_accepted)) } @if bucket.n_accepted < bucket.n_wanted { small { (if bucket.is_given_up { " given up" } else { " short" }) } } }
+                td class="n" {
+                    strong { (count(bucket.n_accepted)) }
+                    @if bucket.n_accepted < bucket.n_wanted {
+                        small { (if bucket.is_given_up { " given up" } else { " short" }) }
+                    }
+                }
                 @for n in &bucket.accepted_by_arm { td class="n" { (count(*n)) } }
                 td class="n" { (count(bucket.n_surplus)) }
                 td class="n" { (count(bucket.n_repeated)) } td class="n" { (count(bucket.n_near_duplicates)) }
                 td class="n" { (count(bucket.n_samples_while_open)) }
                 td class="n" { (optional(bucket.n_evaluations_per_accepted())) }
-                @for (arm, n) in request.arms.iter().zip(&bucket.hits_by_arm) { td class="n" { (rate(*n, arm.total.n_samples)) } }
+                @for (arm, n) in request.arms.iter().zip(&bucket.hits_by_arm) {
+                    td class="n" { (rate(*n, arm.total.n_samples)) }
+                }
             }
         }
     };
     html! {
         (table(&format!("Buckets of {}", request.name), &head, &body))
         p class="note" {
-            "A bucket contains its lower edge and not its upper one. Pairs can fall into it by their past and the limits of driving. Surplus scenarios meet the request, but came when their bucket was full; repeated ones, "
-            "when it had enough of the same scene and agents; in near-duplicates the requested agents move almost as in an accepted scenario. All three are among the samples and not in the corpus. All buckets are filled from the same "
-            "samples: the cost of a scenario is what was evaluated while its bucket was open, for other buckets too. Hits are scenarios in the bucket, "
+            "A bucket contains its lower edge and not its upper one. Pairs can fall into it by their past and the \
+             limits of driving. Surplus scenarios meet the request, but came when their bucket was full; repeated \
+             ones, "
+            "when it had enough of the same scene and agents; in near-duplicates the requested agents move almost as \
+             in an accepted scenario. All three are among the samples and not in the corpus. All buckets are filled \
+             from the same "
+            "samples: the cost of a scenario is what was evaluated while its bucket was open, for other buckets too. \
+             Hits are scenarios in the bucket, "
             "accepted or not, near-duplicates aside, of all samples of the arm."
         }
     }
@@ -84,9 +101,12 @@ fn buckets(request: &RequestSummary) -> Markup {
 fn arms(request: &RequestSummary) -> Markup {
     let head = html! {
         tr {
-            th scope="col" { "Arm" } th scope="col" class="n" { "Strength" } th scope="col" class="n" { "Evaluations a sample" }
-            th scope="col" { "Rounds" } th scope="col" class="n" { "Samples" } th scope="col" class="n" { "Behavior found" }
-            th scope="col" class="n" { "Outside" } th scope="col" class="n" { "Beyond limits" } th scope="col" class="n" { "In a bucket" }
+            th scope="col" { "Arm" } th scope="col" class="n" { "Strength" }
+            th scope="col" class="n" { "Evaluations a sample" }
+            th scope="col" { "Rounds" } th scope="col" class="n" { "Samples" }
+            th scope="col" class="n" { "Behavior found" }
+            th scope="col" class="n" { "Outside" } th scope="col" class="n" { "Beyond limits" }
+            th scope="col" class="n" { "In a bucket" }
             th scope="col" class="n" { "Buckets hit" } th scope="col" class="n" { "Accepted" }
         }
     };
@@ -104,17 +124,24 @@ fn arms(request: &RequestSummary) -> Markup {
     let body = html! {
         @for (i, arm) in request.arms.iter().enumerate() {
             tr {
-                th scope="row" { (arm.name) } td class="n" { (level(arm.level)) } td class="n" { (count(arm.n_evaluations_per_sample)) }
-                @if arm.first_round.n_samples > 0 { (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i))) }
+                th scope="row" { (arm.name) } td class="n" { (level(arm.level)) }
+                td class="n" { (count(arm.n_evaluations_per_sample)) }
+                @if arm.first_round.n_samples > 0 {
+                    (of("first", &arm.first_round, n_hit(|bucket| &bucket.first_round_hits_by_arm, i)))
+                }
                 @else { td { "first" } td colspan="7" { "not tried: known from an earlier run" } }
             }
-            tr { th scope="row" { (arm.name) } td {} td {} (of("all", &arm.total, n_hit(|bucket| &bucket.hits_by_arm, i))) }
+            tr {
+                th scope="row" { (arm.name) } td {} td {}
+                (of("all", &arm.total, n_hit(|bucket| &bucket.hits_by_arm, i)))
+            }
         }
     };
     html! {
         (table(&format!("Arms of {}", request.name), &head, &body))
         p class="note" {
-            "In the first round all arms continue the same scenes from the same noise, and can be compared. Later rounds favor the arms and scenes "
+            "In the first round all arms continue the same scenes from the same noise, and can be compared. Later \
+             rounds favor the arms and scenes "
             "that fill open buckets."
         }
     }

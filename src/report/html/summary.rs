@@ -15,7 +15,8 @@ pub(super) fn summary(model: &ReportModel) -> Markup {
                 (answer("Got", &got(model)))
                 (answer("Cost", &cost(model)))
             } @else if let Some(ingest) = &model.ingest {
-                (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) } " recorded scenes; nothing was generated." } }))
+                (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) }
+                    " recorded scenes; nothing was generated." } }))
             }
             (answer("Can you trust it?", &trust(model)))
         }
@@ -39,11 +40,17 @@ fn asked(model: &ReportModel) -> Markup {
     }
     html! {
         @for request in &model.requests {
-            p { strong { (count(request.n_wanted)) } " accepted scenarios of " (request.behavior.replace('_', " ")) ", by their parameters (" (request.name) ")" }
+            p {
+                strong { (count(request.n_wanted)) } " accepted scenarios of " (request.behavior.replace('_', " "))
+                ", by their parameters (" (request.name) ")"
+            }
         }
         @for behavior in behaviors {
             p { strong { (count(n_of(behavior))) } " futures "
-                @match behavior { Some(behavior) => { "with a " (behavior.replace('_', " ")) } None => "as traffic may go on" } }
+                @match behavior {
+                    Some(behavior) => { "with a " (behavior.replace('_', " ")) } None => "as traffic may go on"
+                }
+            }
         }
         @if let Some(ingest) = &model.ingest { p { "from " (count(ingest.n_scenes)) " recorded scenes" } }
     }
@@ -56,14 +63,20 @@ fn got(model: &ReportModel) -> Markup {
     let n_judged: u64 = model.evaluation.acceptance.iter().map(|row| row.n_scenarios).sum();
     html! {
         @if !model.evaluation.acceptance.is_empty() {
-            p { strong { (count(n_accepted)) } " accepted of " (count(n_judged)) ": verified, valid, no near-duplicate" }
+            p {
+                strong { (count(n_accepted)) } " accepted of " (count(n_judged)) ": verified, valid, no near-duplicate"
+            }
         }
         @if !asked.is_empty() {
-            p { strong { (count(sum(&asked, |row| row.n_verified))) } " verified: the miner finds the requested behavior; "
+            p { strong { (count(sum(&asked, |row| row.n_verified))) }
+                " verified: the miner finds the requested behavior; "
                 (count(sum(&asked, |row| row.n_new))) " of them are not in the recording" }
         }
         @for request in &model.requests {
-            p { strong { (count(request.n_accepted)) } " of " (count(request.n_wanted)) " for the request " (request.name) }
+            p {
+                strong { (count(request.n_accepted)) } " of " (count(request.n_wanted)) " for the request "
+                (request.name)
+            }
         }
     }
 }
@@ -74,7 +87,9 @@ fn cost(model: &ReportModel) -> Markup {
     let n_accepted: u64 = model.evaluation.acceptance.iter().map(|row| row.n_accepted).sum();
     html! {
         p { strong { (count(n_evaluations)) } " evaluations of the denoiser for " (count(n_samples)) " samples" }
-        @if n_accepted > 0 { p { strong { (value(n_evaluations as f64 / n_accepted as f64)) } " for each accepted scenario" } }
+        @if n_accepted > 0 {
+            p { strong { (value(n_evaluations as f64 / n_accepted as f64)) } " for each accepted scenario" }
+        }
     }
 }
 
@@ -92,14 +107,21 @@ fn trust(model: &ReportModel) -> Markup {
         p {
             @match model.warnings.len() {
                 0 => { strong class="fine" { "No warnings" } }
-                n => { strong class="warn" { (count(n as u64)) } " " a href="#warnings" { (if n == 1 { "warning" } else { "warnings" }) } ", to be read first" }
+                n => {
+                    strong class="warn" { (count(n as u64)) } " "
+                    a href="#warnings" { (if n == 1 { "warning" } else { "warnings" }) } ", to be read first"
+                }
             }
         }
         @if let Some(generated) = generated {
-            p { strong { (generated) } " of the samples are physically valid" @if let Some(recorded) = recorded { "; of the recordings " (recorded) } }
+            p {
+                strong { (generated) } " of the samples are physically valid"
+                @if let Some(recorded) = recorded { "; of the recordings " (recorded) }
+            }
         }
         @if let Some(most_told) = most_told {
-            p { "Of a recorded and a generated track, a classifier " a href="#distinguishability" { "picks the generated one" } " in up to "
+            p { "Of a recorded and a generated track, a classifier "
+                a href="#distinguishability" { "picks the generated one" } " in up to "
                 strong { (percent(most_told)) } " of pairs; 50 % is indistinguishable" }
         }
     }

@@ -29,10 +29,14 @@ pub(super) fn classifier(model: &ReportModel) -> Option<Section> {
     (!rows.is_empty()).then(|| {
         let body = html! {
             p class="note" {
-                "The classifier sees trajectories with noise of level σ added and guides sampling from high to low noise. "
-                "At high noise there is no signal; what counts is how early in sampling, at how large a σ, it becomes useful. "
-                "Decisions are taken at probability 1/2; AUC is the probability that a positive pair scores higher than a negative one. "
-                "The calibration error is the mean distance of probabilities from shares of positive pairs, which count as much as in training."
+                "The classifier sees trajectories with noise of level σ added and guides sampling from high to low \
+                 noise. "
+                "At high noise there is no signal; what counts is how early in sampling, at how large a σ, it becomes \
+                 useful. "
+                "Decisions are taken at probability 1/2; AUC is the probability that a positive pair scores higher \
+                 than a negative one. "
+                "The calibration error is the mean distance of probabilities from shares of positive pairs, which \
+                 count as much as in training."
             }
             (quality_table(rows))
             div class="grid" { (line_chart(&quality_chart(rows))) }
@@ -43,7 +47,13 @@ pub(super) fn classifier(model: &ReportModel) -> Option<Section> {
 
 fn quality_table(rows: &[NoiseLevelReport]) -> Markup {
     let head = html! {
-        tr { @for name in ["σ", "Positive", "Negative", "Precision", "Recall", "False alarms", "AUC", "Calibration error"] { th scope="col" class="n" { (name) } } }
+        tr {
+            @for name in
+                ["σ", "Positive", "Negative", "Precision", "Recall", "False alarms", "AUC", "Calibration error"]
+            {
+                th scope="col" class="n" { (name) }
+            }
+        }
     };
     let body = html! {
         @for row in rows {
@@ -51,7 +61,9 @@ fn quality_table(rows: &[NoiseLevelReport]) -> Markup {
                 th scope="row" class="n" { (value(row.sigma)) }
                 td class="n" { (count(row.n_positive)) }
                 td class="n" { (count(row.n_negative)) }
-                @for share in [row.precision, row.recall, row.false_positive_rate] { td class="n" { (percent(share.unwrap_or(f64::NAN))) } }
+                @for share in [row.precision, row.recall, row.false_positive_rate] {
+                    td class="n" { (percent(share.unwrap_or(f64::NAN))) }
+                }
                 td class="n" { (optional(row.auc)) }
                 td class="n" { (optional(row.calibration_error)) }
             }

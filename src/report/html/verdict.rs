@@ -24,8 +24,10 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
 fn acceptance(rows: &[AcceptanceRow]) -> Markup {
     let head = html! {
         tr {
-            th scope="col" { "Sweep" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "Scenarios" }
-            th scope="col" class="n" { "Verified" } th scope="col" class="n" { "Valid" } th scope="col" class="n" { "Both" }
+            th scope="col" { "Sweep" } th scope="col" class="n" { "Strength α" }
+            th scope="col" class="n" { "Scenarios" }
+            th scope="col" class="n" { "Verified" } th scope="col" class="n" { "Valid" }
+            th scope="col" class="n" { "Both" }
             th scope="col" class="n" { "Accepted" } th scope="col" class="n" { "In the corpus" }
         }
     };
@@ -44,7 +46,8 @@ fn acceptance(rows: &[AcceptanceRow]) -> Markup {
     html! {
         (table("From scenarios to the corpus", &head, &body))
         p class="note" {
-            "Verified: the miner finds the requested behavior. Valid: it passes every check below. Accepted: both, and no near-duplicate of an accepted scenario before it."
+            "Verified: the miner finds the requested behavior. Valid: it passes every check below. Accepted: both, and \
+             no near-duplicate of an accepted scenario before it."
         }
     }
 }
@@ -86,7 +89,8 @@ fn left_out(rows: &[LeftOutRow]) -> Markup {
     html! {
         (table("Why samples are not in the corpus", &head, &body))
         p class="note" {
-            "Each sample that is not in the corpus is counted once, for its first reason. “Of” so many samples have the reason, alone or with others; "
+            "Each sample that is not in the corpus is counted once, for its first reason. “Of” so many samples have \
+             the reason, alone or with others; "
             "where they stay in the corpus, the configuration keeps them."
         }
     }
@@ -97,7 +101,8 @@ fn maps(rows: &[MapFitRow]) -> Markup {
     let head = html! {
         tr {
             th scope="col" { "Place" } th scope="col" class="n" { "Recorded states off the lanes" }
-            th scope="col" class="n" { "Recorded scenes with a departure" } th scope="col" { "Departures from the road" }
+            th scope="col" class="n" { "Recorded scenes with a departure" }
+            th scope="col" { "Departures from the road" }
         }
     };
     let body = html! {
@@ -113,8 +118,10 @@ fn maps(rows: &[MapFitRow]) -> Markup {
     html! {
         (table("Maps, and whether they show the whole road", &head, &body))
         p class="note" {
-            "Where more of the recorded vehicles' states lie off the lanes, or more recorded scenes hold a departure, than "
-            code { "evaluate.validity.max_recorded_offroad" } " says, the map lacks road that people drive on: the check is not made there."
+            "Where more of the recorded vehicles' states lie off the lanes, or more recorded scenes hold a departure, \
+             than "
+            code { "evaluate.validity.max_recorded_offroad" }
+            " says, the map lacks road that people drive on: the check is not made there."
         }
     }
 }
@@ -134,9 +141,11 @@ fn not_checked(rows: &[&ValidityRow]) -> Markup {
             p class="note" {
                 "Not checked: "
                 @for (i, (check, n)) in left_out.iter().enumerate() {
-                    @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(n_scenes)) " scenes"
+                    @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(n_scenes))
+                    " scenes"
                 }
-                ". Motion is not checked where a dataset's positions are too noisy, departures from the road where there is no map or one that does not allow it. "
+                ". Motion is not checked where a dataset's positions are too noisy, departures from the road where \
+                 there is no map or one that does not allow it. "
                 "Shares are of the scenes that were checked."
             }
         }
@@ -164,7 +173,12 @@ fn validity(rows: &[ValidityRow]) -> Markup {
                 @for check in &checks {
                     td class="n" {
                         @if n_not_checked(row, *check) == row.n { "not checked" }
-                        @else { (share(row.violations.get(check.id()).copied().unwrap_or(0), row.n - n_not_checked(row, *check))) }
+                        @else {
+                            (share(
+                                row.violations.get(check.id()).copied().unwrap_or(0),
+                                row.n - n_not_checked(row, *check)
+                            ))
+                        }
                     }
                 }
             }
@@ -173,14 +187,17 @@ fn validity(rows: &[ValidityRow]) -> Markup {
     html! {
         (table("Validity, and the share that fails each check", &head, &body))
         p class="note" {
-            "The recordings are judged as if they were generated: what they fail shows how strict a limit is, or how noisy they are. "
+            "The recordings are judged as if they were generated: what they fail shows how strict a limit is, or how \
+             noisy they are. "
             "Plausibility is the share of motion between the 0.1 % and 99.9 % quantiles of recorded motion."
         }
         (not_checked(&rows))
         details {
             summary { "What is checked" }
             dl class="definitions" {
-                @for check in Check::ALL { dt { (check.id()) small { " (" (check.unit()) ")" } } dd { (check.description()) "." } }
+                @for check in Check::ALL {
+                    dt { (check.id()) small { " (" (check.unit()) ")" } } dd { (check.description()) "." }
+                }
             }
         }
     }

@@ -116,7 +116,8 @@ impl Plot {
                 line class="axis" x1=(LEFT) x2=(right) y1=(bottom) y2=(bottom) {}
                 (inner)
                 text class="label" x=((LEFT + right) / 2.0) y=(HEIGHT - 8.0) text-anchor="middle" { (x_label) }
-                text class="label" transform=(format!("translate(13 {}) rotate(-90)", (TOP + bottom) / 2.0)) text-anchor="middle" { (y_label) }
+                text class="label" transform=(format!("translate(13 {}) rotate(-90)", (TOP + bottom) / 2.0))
+                    text-anchor="middle" { (y_label) }
             }
         }
     }

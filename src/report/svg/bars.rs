@@ -41,7 +41,8 @@ pub(in crate::report) fn bar_chart(name: &str, bars: &[Bar]) -> Markup {
                 rect x=(labels) y=(top + 4.0) width=(coordinate(BARS * bar.rate / highest)) height=(ROW - 8.0)
                     fill=(color(bar.group)) fill-opacity="0.75" {}
                 @if let Some(interval) = bar.interval {
-                    path class="whisker" d=(format!("M{low} {middle}L{high} {middle}M{low} {a}L{low} {b}M{high} {a}L{high} {b}",
+                    path class="whisker" d=(format!(
+                        "M{low} {middle}L{high} {middle}M{low} {a}L{low} {b}M{high} {a}L{high} {b}",
                         low = x(interval.low), high = x(interval.high), a = middle - 4.0, b = middle + 4.0)) {}
                 }
                 text class="tick" x=(width - VALUES + 8.0) y=(middle) dy="0.32em" { (percent(bar.rate)) }

@@ -35,7 +35,8 @@ pub(in crate::report) fn histogram_plot(distribution: &Distribution) -> Markup {
     let inner = html! {
         @for (i, series) in &drawn {
             @let fill = if *i == 0 { color(0) } else { "none" };
-            path class="curve" d=(outline(series)) stroke=(color(*i)) stroke-dasharray=(dash(*i)) fill=(fill) fill-opacity="0.18" {}
+            path class="curve" d=(outline(series)) stroke=(color(*i)) stroke-dasharray=(dash(*i)) fill=(fill)
+                fill-opacity="0.18" {}
         }
     };
     let unit = if distribution.unit.is_empty() { String::new() } else { format!(" ({})", distribution.unit) };

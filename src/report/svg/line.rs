@@ -34,14 +34,16 @@ pub(in crate::report) fn line_plot(chart: &Chart) -> Markup {
             @for (i, curve) in chart.curves.iter().enumerate() {
                 @let drawn: Vec<(usize, [f64; 2])> = curve.points.iter().enumerate().filter(|(_, p)| is_drawn(**p))
                     .map(|(at, p)| (at, plot.point(p[0], p[1]))).collect();
-                path class="curve" d=(path(drawn.iter().map(|(_, point)| *point))) stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}
+                path class="curve" d=(path(drawn.iter().map(|(_, point)| *point))) stroke=(color(i))
+                    stroke-dasharray=(dash(i)) fill="none" {}
                 @if drawn.len() <= MAX_MARKED {
                     @for (at, point) in &drawn {
                         (whisker(&plot, curve, *at, color(i)))
                         path d=(marker(i, *point)) fill=(color(i)) {}
                         @if let Some(label) = curve.labels.get(*at) {
     @let (anchor, shift) = if point[0] > 0.5 * WIDTH { ("end", -6.0) } else { ("start", 6.0) };
-                            text class="tick" x=(coordinate(point[0] + shift)) y=(coordinate(point[1] - 6.0)) text-anchor=(anchor) { (label) }
+                            text class="tick" x=(coordinate(point[0] + shift)) y=(coordinate(point[1] - 6.0))
+                                text-anchor=(anchor) { (label) }
                         }
                     }
                 }

@@ -29,7 +29,8 @@ pub(in crate::report) fn scene_panel(card: &SceneCard, panel: &ScenePanel, roles
     let pen = Pen { panel, roles, present, fades: if panel.samples.len() > 1 { 0.6 } else { 1.0 } };
     let first = panel.samples.first().map_or(&[][..], |sample| &sample.agents);
     html! {
-        svg class="scene" viewBox=(format!("{} {} {} {}", card.view.min[0], -card.view.max[1], width, height)) role="img" aria-label=(name) {
+        svg class="scene" viewBox=(format!("{} {} {} {}", card.view.min[0], -card.view.max[1], width, height))
+            role="img" aria-label=(name) {
             rect class="ground" x=(card.view.min[0]) y=(-card.view.max[1]) width=(width) height=(height) {}
             (lanes(&card.lanes))
             @for sample in &panel.samples { (pen.traces(sample)) }
@@ -42,8 +43,11 @@ pub(in crate::report) fn scene_panel(card: &SceneCard, panel: &ScenePanel, roles
             }
             @for agent in first.iter().filter(|agent| agent.role.is_some()) {
                 @if let Some([x, y, _]) = agent.states.iter().take(present + 1).rev().flatten().next() {
-                    text class="role" x=(coordinate(*x)) y=(coordinate(-*y - 0.6 * agent.width_m - 6.0 * unit)) font-size=(coordinate(15.0 * unit))
-                        stroke-width=(coordinate(4.0 * unit)) text-anchor="middle" { (agent.role.as_deref().unwrap_or_default()) }
+                    text class="role" x=(coordinate(*x)) y=(coordinate(-*y - 0.6 * agent.width_m - 6.0 * unit))
+                        font-size=(coordinate(15.0 * unit))
+                        stroke-width=(coordinate(4.0 * unit)) text-anchor="middle" {
+                        (agent.role.as_deref().unwrap_or_default())
+                    }
                 }
             }
             (scale_bar(card, unit))
@@ -75,18 +79,24 @@ impl Pen<'_> {
                 @let strong = agent.role.is_some();
                 @for (observed, start, end) in agent.stretches() {
                     // Generated stretches are drawn from the previous state to the next one.
-                    @let (from, to) = if observed { (start, end) } else { (start.saturating_sub(1), (end + 1).min(agent.states.len())) };
-                    @let points: Vec<[f64; 2]> = agent.states[from..to].iter().flatten().map(|[x, y, _]| [*x, *y]).collect();
+                    @let (from, to) = if observed { (start, end) } else {
+                        (start.saturating_sub(1), (end + 1).min(agent.states.len()))
+                    };
+                    @let points: Vec<[f64; 2]> = agent.states[from..to].iter().flatten()
+                        .map(|[x, y, _]| [*x, *y]).collect();
                     @if observed {
                         path class=(if strong { "past strong" } else { "past" }) d=(line(&points)) {}
                         path class=(if strong { "dots strong" } else { "dots" }) d=(dots(&points)) {}
                     } @else {
-                        path class=(if strong { "future strong" } else { "future" }) d=(line(&points)) stroke=(self.color(agent)) opacity=(self.fades) {}
+                        path class=(if strong { "future strong" } else { "future" }) d=(line(&points))
+                            stroke=(self.color(agent)) opacity=(self.fades) {}
                     }
                 }
                 @if strong && self.panel.samples.len() == 1 {
                     @for timestep in (self.present + steps..agent.states.len().saturating_sub(1)).step_by(steps) {
-                        @if let Some(Some(state)) = agent.states.get(timestep) { (footprint(agent, *state, "ghost", self.color(agent))) }
+                        @if let Some(Some(state)) = agent.states.get(timestep) {
+                            (footprint(agent, *state, "ghost", self.color(agent)))
+                        }
                     }
                 }
             }
@@ -97,7 +107,8 @@ impl Pen<'_> {
     fn ends(&self, sample: &DrawnSample, is_first: bool) -> Markup {
         html! {
             @for agent in in_drawing_order(&sample.agents) {
-                @let last = agent.states.iter().enumerate().skip(self.present + 1).rev().find_map(|(t, state)| state.map(|state| (t, state)));
+                @let last = agent.states.iter().enumerate().skip(self.present + 1).rev()
+                    .find_map(|(t, state)| state.map(|state| (t, state)));
                 @if let Some((timestep, state)) = last {
                     @let given = agent.observed.get(timestep).copied().unwrap_or(false);
                     @if is_first || !given {
@@ -155,11 +166,19 @@ fn footprint(agent: &DrawnAgent, [x, y, heading]: [f64; 3], class: &str, color: 
     let is_now = class.starts_with("now");
     html! {
         g class=(class) transform=(place) {
-            rect x=(coordinate(-half_length)) y=(coordinate(-half_width)) width=(coordinate(agent.length_m)) height=(coordinate(agent.width_m))
+            rect x=(coordinate(-half_length)) y=(coordinate(-half_width)) width=(coordinate(agent.length_m))
+                height=(coordinate(agent.width_m))
                 rx="0.3" fill=(color) stroke=(color) {
-                @if is_now { title { (agent.role.as_deref().map_or(String::new(), |role| format!("{role}: "))) "track " (agent.id) } }
+                @if is_now {
+                    title {
+                        (agent.role.as_deref().map_or(String::new(), |role| format!("{role}: "))) "track " (agent.id)
+                    }
+                }
             }
-            @if is_now { path class="front" d=(path([[front, -half_width * 0.7], [half_length * 0.9, 0.0], [front, half_width * 0.7]])) {} }
+            @if is_now {
+                path class="front"
+                    d=(path([[front, -half_width * 0.7], [half_length * 0.9, 0.0], [front, half_width * 0.7]])) {}
+            }
         }
     }
 }
@@ -173,7 +192,8 @@ fn scale_bar(card: &SceneCard, unit: f64) -> Markup {
     let tick = coordinate(bottom - 6.0 * unit);
     html! {
         path class="scale" d=(format!("M{x1} {tick}L{x1} {y}L{x2} {y}L{x2} {tick}")) {}
-        text class="role" x=(coordinate(left + length / 2.0)) y=(coordinate(bottom - 6.0 * unit)) font-size=(coordinate(14.0 * unit))
+        text class="role" x=(coordinate(left + length / 2.0)) y=(coordinate(bottom - 6.0 * unit))
+            font-size=(coordinate(14.0 * unit))
             stroke-width=(coordinate(4.0 * unit)) text-anchor="middle" { (length) " m" }
     }
 }

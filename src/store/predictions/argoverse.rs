@@ -21,7 +21,7 @@ impl ArgoversePredictions {
     /// Begins the file.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         Ok(Self { file: ParquetFile::create(path, &schema(), schema().arrow())? })
     }
@@ -30,7 +30,7 @@ impl ArgoversePredictions {
     /// state.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
         let has_worlds = recorded.source.dataset.facts().benchmark == Benchmark::ArgoverseWorlds;
         let is_target = |role: TrackRole| role == TrackRole::Focal || (role == TrackRole::Scored && has_worlds);
@@ -59,7 +59,7 @@ impl ArgoversePredictions {
     /// Gives the file its name.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn finish(self) -> Result<()> {
         self.file.finish().map(drop)
     }

@@ -12,8 +12,9 @@ use std::path::{Path, PathBuf};
 /// Modes of a submission.
 const N_MODES: usize = 6;
 
-/// Writes `<place>_sub.csv` for each place, encoded as in folder names of a corpus, into a folder: `case_id,track_id,frame_id,timestamp_ms,track_to_predict,
-/// interesting_agent,x1,y1,psi_rad1,…,x6,y6,psi_rad6`, in the recording's frame, meters and radians, the likeliest mode first.
+/// Writes `<place>_sub.csv` for each place, encoded as in folder names of a corpus, into a folder:
+/// `case_id,track_id,frame_id,timestamp_ms,track_to_predict, interesting_agent,x1,y1,psi_rad1,…,x6,y6,psi_rad6`, in the
+/// recording's frame, meters and radians, the likeliest mode first.
 ///
 /// The predicted tracks are those that the recording marks. If it marks none (train and val), they are the ego and the
 /// vehicles that are recorded throughout, with the ego as the interesting agent. With fewer than six modes, the last
@@ -34,7 +35,7 @@ impl InteractionPredictions {
     /// state; all of them if the scene is not a case of v1.2.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
         let targets = targets(recorded);
         let source = &recorded.source;
@@ -73,7 +74,7 @@ impl InteractionPredictions {
     /// Gives the files their names and returns their number.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// On I/O errors.
     pub fn finish(self) -> Result<usize> {
         let n_files = self.files.len();
         for file in self.files.into_values() {
@@ -123,8 +124,8 @@ mod tests {
 
     #[test]
     fn rows_are_those_of_the_recordings_frame() {
-        // Four observed of twelve frames, from frame 1 on: the future is frames 5 to 12. The scene's x axis points north in the
-        // recording, and its origin is at (1000, 2000).
+        // Four observed of twelve frames, from frame 1 on: the future is frames 5 to 12. The scene's x axis points
+        // north in the recording, and its origin is at (1000, 2000).
         let drives = [Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(-20.0, 3.0, 0.0, 10.0)];
         let mut recorded = testing::scene(&drives);
         recorded.world_from_scene = Transform2::from_pose(Vec2::new(1000.0, 2000.0), std::f64::consts::FRAC_PI_2);
@@ -138,7 +139,8 @@ mod tests {
         assert!(lines[0].ends_with(",x6,y6,psi_rad6"));
         // After 0.4 s the ego is 4 m north of the origin, in all modes.
         assert_eq!(lines[1], format!("1,1,5,500,1,1{}", ",1000.0000,2004.0000,1.5708".repeat(6)));
-        // The other one is 16 m behind and 3 m to the left, which is west; in the second mode 4 m, and the second is repeated.
+        // The other one is 16 m behind and 3 m to the left, which is west; in the second mode 4 m, and the second is
+        // repeated.
         let second = ",996.0000,1984.0000,1.5708".repeat(5);
         assert_eq!(lines[9], format!("1,2,5,500,1,0,997.0000,1984.0000,1.5708{second}"));
         assert!(lines[16].starts_with("1,2,12,1200,1,0,"));

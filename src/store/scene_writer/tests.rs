@@ -98,7 +98,8 @@ fn a_kill_between_any_two_renames_is_survived() {
     let whole = tempfile::tempdir().unwrap();
     uninterrupted(whole.path());
     let expected = folder_bytes(whole.path());
-    // Files get their names in this order; a kill leaves a prefix of it. (Half-written files have other names; whoever keeps the list of the folder removes them.)
+    // Files get their names in this order; a kill leaves a prefix of it. (Half-written files have other names; whoever
+    // keeps the list of the folder removes them.)
     let mut order: Vec<String> = Vec::new();
     for shard_idx in 0..3 {
         order.push(shard_name("maps", shard_idx, "arrow"));

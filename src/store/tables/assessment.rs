@@ -25,17 +25,20 @@ pub(crate) fn fields() -> Vec<Field> {
         number(
             "plausibility",
             "1",
-            "Share of its motion, quantity by quantity, within the range that holds all recorded motion but a thousandth at either end.",
+            "Share of its motion, quantity by quantity, within the range that holds all recorded motion but a \
+             thousandth at either end.",
         ),
         number(
             "recorded_likeness",
             "1",
-            "Probability that its tracks were recorded, from the mean of their log odds for a classifier that has not seen its scene; missing if the sweep has too few tracks to learn from.",
+            "Probability that its tracks were recorded, from the mean of their log odds for a classifier that has not \
+             seen its scene; missing if the sweep has too few tracks to learn from.",
         ),
         number(
             "pair_min_ttc_s",
             "s",
-            "Least time to collision of the requested agents, in the future; missing if they would not collide within 10 s.",
+            "Least time to collision of the requested agents, in the future; missing if they would not collide within \
+             10 s.",
         ),
         number("pair_tet_s", "s", "Time during which their time to collision is below 1.5 s."),
         number("pair_tit_s2", "s^2", "That time, weighted by how far it is below."),
@@ -68,7 +71,8 @@ pub(crate) fn fields() -> Vec<Field> {
         ),
         flag(
             "preventable",
-            "For a cut-in: whether the careful driver of UN Regulation No. 157, in place of the ego, avoids a collision; missing for other behaviors, and if the other never enters the ego's lane.",
+            "For a cut-in: whether the careful driver of UN Regulation No. 157, in place of the ego, avoids a \
+             collision; missing for other behaviors, and if the other never enters the ego's lane.",
         ),
         number(
             "careful_braking_from_s",
@@ -78,11 +82,13 @@ pub(crate) fn fields() -> Vec<Field> {
         number(
             "intrusion_ttc_s",
             "s",
-            "Time to collision when the other is 0.3 m beyond the lane marking; missing if the gap does not close then.",
+            "Time to collision when the other is 0.3 m beyond the lane marking; missing if the gap does not close \
+             then.",
         ),
         flag(
             "avoidance_required",
-            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation requires that a collision be avoided; missing if the other is alongside.",
+            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation requires that a collision \
+             be avoided; missing if the other is alongside.",
         ),
         flag(
             "subject_reacts",
@@ -91,27 +97,32 @@ pub(crate) fn fields() -> Vec<Field> {
         number(
             "end_contact_s",
             "s",
-            "When the subject touches somebody ahead of it if all keep the velocities of its last state, since then; missing if it does not within a second.",
+            "When the subject touches somebody ahead of it if all keep the velocities of its last state, since then; \
+             missing if it does not within a second.",
         ),
         number(
             "end_required_deceleration_mps2",
             "m/s^2",
-            "The least steady deceleration from its last state on with which the subject does not, at most 20; 0 if none is needed.",
+            "The least steady deceleration from its last state on with which the subject does not, at most 20; 0 if \
+             none is needed.",
         ),
         number(
             "end_remaining_mps",
             "m/s",
-            "The relative speed with which they touch although the careful driver takes over at the last state, and brakes 0.75 s later, or at once if the subject brakes already; missing if they do not.",
+            "The relative speed with which they touch although the careful driver takes over at the last state, and \
+             brakes 0.75 s later, or at once if the subject brakes already; missing if they do not.",
         ),
         number(
             "nearest_recorded_event",
             "1",
-            "Distance of its event from the nearest recorded one of the behavior: root mean square over parameters, each in its typical spread.",
+            "Distance of its event from the nearest recorded one of the behavior: root mean square over parameters, \
+             each in its typical spread.",
         ),
         number(
             "nearest_scenario_m",
             "m",
-            "Mean distance between the paths of the requested agents and those of the nearest earlier accepted scenario, in the frame of the first of the agents.",
+            "Mean distance between the paths of the requested agents and those of the nearest earlier accepted \
+             scenario, in the frame of the first of the agents.",
         ),
         column("near_duplicate_of", DataType::Utf8, "That scenario, if the two are near-duplicates.").optional(),
     ]

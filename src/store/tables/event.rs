@@ -65,7 +65,8 @@ impl EventNames<'_> {
 /// The rows of these events. Events of one scene are numbered within the batch, so they must be in one batch.
 ///
 /// # Errors
-/// [`Error::Invalid`] when a parameter has the name of another column, or an event has a role or parameter that is not among `names`.
+/// [`Error::Invalid`] when a parameter has the name of another column, or an event has a role or parameter that is not
+/// among `names`.
 pub(crate) fn encode(events: &[BehaviorEvent], names: &EventNames<'_>) -> Result<RecordBatch> {
     let schema = schema();
     parameters::check_names(&schema, &names.parameters)?;

@@ -36,8 +36,8 @@ fn weight_column() -> Field {
     column(
         "weight",
         DataType::Float64,
-        "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the weight where \
-         that varied.",
+        "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the \
+         weight where that varied.",
     )
     .unit("1")
     .optional()

@@ -12,12 +12,13 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Parameters as events hold them.
 pub(crate) type Parameters = BTreeMap<String, f64>;
 
-/// What the schema says of the columns of [`flatten`].
+/// The schema of the columns of [`flatten`].
 pub(crate) fn open_columns() -> OpenColumns {
     OpenColumns {
         pattern: "<parameter>",
         data_type: DataType::Float64,
-        description: "A parameter of the event, such as gap_m; its name ends in its unit; missing where the event has none of this name.",
+        description: "A parameter of the event, such as gap_m; its name ends in its unit; missing where the event has \
+                      none of this name.",
         known: DESCRIPTIONS.iter().map(|(name, _)| field(name)).collect(),
     }
 }

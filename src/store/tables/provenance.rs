@@ -1,5 +1,5 @@
-//! The columns that say what a scenario is, what it came from and what was found in it; sample shards and scenario tables
-//! share them.
+//! The columns that say what a scenario is, what it came from and what was found in it; sample shards and scenario
+//! tables share them.
 
 use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
 use super::{event_list, request, roles};
@@ -42,15 +42,20 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "guidance_kind",
             DataType::Utf8,
-            "The guidance it was sampled with, such as none, classifier:cut_in or classifier_free; scene_transformer for the baseline.",
+            "The guidance it was sampled with, such as none, classifier:cut_in or classifier_free; scene_transformer \
+             for the baseline.",
         ),
-        column("guidance_strength", DataType::Float64, "Strength α of the guidance by classifier and objectives; 0 without.")
-            .unit("1"),
+        column(
+            "guidance_strength",
+            DataType::Float64,
+            "Strength α of the guidance by classifier and objectives; 0 without.",
+        )
+        .unit("1"),
         column(
             "guidance_weight",
             DataType::Float64,
-            "Weight λ of classifier-free guidance; 0 without. Missing in files before version 5, whose guidance_strength holds the \
-             weight where guidance_kind ends in classifier_free.",
+            "Weight λ of classifier-free guidance; 0 without. Missing in files before version 5, whose \
+             guidance_strength holds the weight where guidance_kind ends in classifier_free.",
         )
         .unit("1")
         .optional(),
@@ -60,7 +65,8 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "probability",
             DataType::Float64,
-            "How likely the model holds it to be among the futures of its scene; missing if samples are equally likely.",
+            "How likely the model holds it to be among the futures of its scene; missing if samples are equally \
+             likely.",
         )
         .unit("1")
         .optional(),
@@ -71,7 +77,8 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "settings",
             DataType::Utf8,
-            "Every setting it was sampled with, as JSON: sampler, observed states, edits, guidance, objectives with their options.",
+            "Every setting it was sampled with, as JSON: sampler, observed states, edits, guidance, objectives with \
+             their options.",
         )
         .optional(),
     ];

@@ -18,7 +18,9 @@ pub(crate) fn schema() -> TableSchema {
     TableSchema {
         name: "recording",
         version: 2,
-        description: "One row a state of a road user in a recorded scene, each scene once; by scene as first used, then by track, then by time. Timing, frame and map of the scene are in the rows of its scenarios.",
+        description: "One row a state of a road user in a recorded scene, each scene once; by scene as first used, \
+                      then by track, then by time. Timing, frame and map of the scene are in the rows of its \
+                      scenarios.",
         fields,
         open: Vec::new(),
     }

@@ -11,12 +11,18 @@ use arrow::datatypes::{DataType, Field, UInt32Type};
 pub(crate) fn fields() -> Vec<Field> {
     vec![
         column("shard", DataType::UInt32, "The shard of the run's samples in which it was generated.").optional(),
-        column("request", DataType::Utf8, "The request that it was generated for; missing for scenarios of plain sweeps.")
-            .optional(),
+        column(
+            "request",
+            DataType::Utf8,
+            "The request that it was generated for; missing for scenarios of plain sweeps.",
+        )
+        .optional(),
         column(
             "request_outcome",
             DataType::Utf8,
-            "Its outcome: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene and agents), near_duplicate (of an accepted scenario), outside (of all buckets or conditions), beyond_limits, not_found.",
+            "Its outcome: accepted; surplus (its bucket was full), repeated (its bucket had enough of the same scene \
+             and agents), near_duplicate (of an accepted scenario), outside (of all buckets or conditions), \
+             beyond_limits, not_found.",
         )
         .optional(),
         column("bucket", DataType::UInt32, "Index of its bucket among those of the request; missing if it is in none.")

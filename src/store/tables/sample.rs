@@ -25,7 +25,8 @@ pub(crate) fn schema() -> TableSchema {
     TableSchema {
         name: "sample",
         version: 6,
-        description: "One row a generated scenario, with its tracks nested; the form between generation and the corpus.",
+        description: "One row a generated scenario, with its tracks nested; the form between generation and the \
+                      corpus.",
         fields,
         open: Vec::new(),
     }
@@ -97,7 +98,7 @@ struct LaneCache {
     last: Option<(LaneKey, Arc<LaneGraph>)>,
 }
 
-/// What determines the lanes of a scene.
+/// Key that determines the lanes of a scene.
 type LaneKey = (Option<MapId>, Vec<LaneId>, Transform2);
 
 impl LaneCache {

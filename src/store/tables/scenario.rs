@@ -31,7 +31,8 @@ pub(crate) fn schema() -> TableSchema {
         column(
             "subject_track_id",
             DataType::Utf8,
-            "The vehicle to which the first requested event happens, such as the one that is cut off; missing without an event, or if it happens to nobody.",
+            "The vehicle to which the first requested event happens, such as the one that is cut off; missing without \
+             an event, or if it happens to nobody.",
         )
         .optional(),
     ]);

@@ -20,7 +20,8 @@ pub(crate) fn field() -> Field {
         column(
             "heading_held",
             list_of(DataType::Boolean),
-            "Whether the heading is held because the agent moves too slowly, one entry a timestep; otherwise it follows from the motion.",
+            "Whether the heading is held because the agent moves too slowly, one entry a timestep; otherwise it \
+             follows from the motion.",
         ),
         recorded(
             "recorded_t_s",

@@ -76,7 +76,7 @@ pub(crate) fn when(rows: &[StateRow<'_>]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
-/// What velocities of observed and of generated states are.
+/// The definition of velocities, for the description of their columns.
 const VELOCITY: &str = "It is that at the timestep: of observed states as ingested, of all others the slope of the \
     parabola through the positions before, at and after it (the central difference), or through the last three.";
 

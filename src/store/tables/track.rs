@@ -28,7 +28,8 @@ pub(crate) fn schema() -> TableSchema {
     TableSchema {
         name: "track",
         version: 3,
-        description: "One row a state of a road user in a scenario; in the order of the scenario table, then by track, then by time.",
+        description: "One row a state of a road user in a scenario; in the order of the scenario table, then by track, \
+                      then by time.",
         fields,
         open: Vec::new(),
     }

@@ -22,14 +22,15 @@ pub(crate) fn schema() -> TableSchema {
         column(
             "reasons",
             list_of(DataType::Utf8),
-            "Why it is not accepted, the first reason first: nothing_asked or not_verified, what a request found, failed checks of \
-             validity, near_duplicate; empty where it is.",
+            "Why it is not accepted, the first reason first: nothing_asked or not_verified, what a request found, \
+             failed checks of validity, near_duplicate; empty where it is.",
         ),
         column(
             "not_checked",
             list_of(DataType::Utf8),
-            "The checks of validity that were not made: left out by the configuration, of motion where the dataset does not allow them, offroad where \
-             there is no map or one that does not say where the road is. Missing in files of version 1 and 2.",
+            "The checks of validity that were not made: left out by the configuration, of motion where the dataset \
+             does not allow them, offroad where there is no map or one that does not say where the road is. Missing in \
+             files of version 1 and 2.",
         )
         .optional(),
     ];

@@ -1,11 +1,12 @@
 //! Do readers of files that others wrote, or that are damaged, always end in a result or an error?
 //!
-//! Each target is a reader with files to start from. They are damaged at random (`mutate`) and read, thousands of times, in a process of
-//! its own: it must not panic, must not take longer than [`MAX_SECONDS`] for an input, nor hold more than [`MAX_BYTES`] at any time. What
-//! breaks a target is kept in a file that the failure names.
+//! Each target is a reader with files to start from. They are damaged at random (`mutate`) and read, thousands of
+//! times, in a process of its own: it must not panic, must not take longer than [`MAX_SECONDS`] for an input, nor hold
+//! more than [`MAX_BYTES`] at any time. What breaks a target is kept in a file that the failure names.
 //!
-//! The ordinary tests give each target a moment. `DJINN_FUZZ_SECONDS=300 cargo test --test it fuzz::` gives it five minutes, and
-//! `DJINN_FUZZ_SEED` another course. The harness is our own because those that guide their inputs by coverage want compilers of their own.
+//! The ordinary tests give each target a moment. `DJINN_FUZZ_SECONDS=300 cargo test --test it fuzz::` gives it five
+//! minutes, and `DJINN_FUZZ_SEED` another course. The harness is our own because those that guide their inputs by
+//! coverage want compilers of their own.
 
 mod mutate;
 mod targets;
@@ -79,7 +80,8 @@ fn run_in_process(target: &Target, seconds: f64) {
     }
 }
 
-/// In a process of its own, which the test above starts: runs the target that the environment names. Elsewhere there is none.
+/// In a process of its own, which the test above starts: runs the target that the environment names. Elsewhere there is
+/// none.
 #[test]
 fn one_target() {
     let Ok(name) = std::env::var(TARGET) else { return };

@@ -1,27 +1,28 @@
-//! How are files damaged: by flipped bits, cut and doubled parts, parts of other files, and numbers at the ends of their ranges.
+//! How are files damaged: by flipped bits, cut and doubled parts, parts of other files, and numbers at the ends of
+//! their ranges.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 
-/// What stands in the place of a number or a word in a text, between bars.
+/// Replacements for a number or a word in a text, between bars.
 const EXTREMES: &str = "0|-0|-1|1|255|65536|2147483647|-2147483648|4294967296|9223372036854775807|-9223372036854775808|\
     18446744073709551615|1e308|-1e308|1e-320|1e999|NaN|-inf|Infinity|0.1|3.0|.|-|+|e|| |\"|''|{}|[]|null|true|\u{feff}|\
     \u{1f}|\\|<|>|&|00000000000000000000000000000000000000000001|ä|\r\n|,,,,,,,,|;|\t|#|=";
 
-/// What stands in the place of bytes of a binary file: little-endian counts and lengths.
+/// Replacements for bytes of a binary file: little-endian counts and lengths.
 const WORDS: [u64; 12] =
     [0, 1, 0x7f, 0x80, 0xff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 40, i64::MAX as u64, u64::MAX];
 
 /// Most bytes of an input.
 const MAX_LEN: usize = 1 << 20;
 
-/// What happens to a part of a file.
+/// A kind of damage to a part of a file.
 #[derive(Debug, Clone)]
 enum Damage {
     Flip(u8),
     Set(u8),
-    /// Of the last kilobyte, where Parquet, Arrow and zip say what is where.
+    /// Sets a byte of the last kilobyte, where Parquet, Arrow and zip say what is where.
     SetNearEnd(u8),
     CutOff,
     Remove,

@@ -312,8 +312,8 @@ fn keep_whole(folder: &Path, root: &Path, name: &str) -> Vec<Vec<u8>> {
     vec![bytes]
 }
 
-/// Puts other bytes in the place of the file, and their checksum into the manifest: else it would tell of any damage before a reader
-/// meets it.
+/// Puts other bytes in the place of the file, and their checksum into the manifest: else it would report any damage
+/// before a reader meets it.
 fn put_stamped(folder: &Path, root: &Path, name: &str, bytes: &[u8]) {
     fn restamp(value: &mut Value, old: &FileStamp, new: &FileStamp) {
         match value {

@@ -13,7 +13,8 @@ const SHOWN: &str = "[...document.querySelectorAll('article.card')].filter((card
 /// How the car of track `id` is drawn in a panel of a scene.
 fn drawn(scene: usize, panel: usize, id: &str, attribute: &str) -> String {
     format!(
-        "[...document.querySelectorAll('#scene-{scene} figure')][{panel}].querySelector('[data-sample=\"0\"]').querySelectorAll('.now').values() \
+        "[...document.querySelectorAll('#scene-{scene} figure')][{panel}].querySelector('[data-sample=\"0\"]')\
+         .querySelectorAll('.now').values() \
          .find((car) => car.textContent.endsWith('track {id}')).getAttribute('{attribute}')"
     )
 }
@@ -63,7 +64,8 @@ fn scenes_play_and_filters_filter_without_an_error() {
     assert_eq!(page.value(SHOWN), json!(3));
     let set = |name: &str, value: &str| {
         format!(
-            "(field => {{ field.value = '{value}'; field.dispatchEvent(new Event('input', {{ bubbles: true }})); }})(document.querySelector('#filters [name=\"{name}\"]'))"
+            "(field => {{ field.value = '{value}'; field.dispatchEvent(new Event('input', {{ bubbles: true }})); }})\
+             (document.querySelector('#filters [name=\"{name}\"]'))"
         )
     };
     page.value(&set("sweep", "masks"));
@@ -114,7 +116,7 @@ fn thousands_of_scenes_are_light() {
     page.come_to("scene-0");
     let n_elements = page.value("document.querySelectorAll('*').length").as_u64().unwrap();
     assert!(n_elements < 30_000, "{n_elements} elements");
-    // What comes into view is drawn, and what is far away is taken down again.
+    // A card that comes into view is drawn, and one that is far away is taken down again.
     page.come_to("scene-1500");
     page.wait_until("document.querySelector('#scene-0 .player') === null");
     assert!(page.value("document.querySelectorAll('.player').length").as_u64().unwrap() < 30);
@@ -138,7 +140,7 @@ fn tables_hide_nothing_on_a_narrow_page() {
         let hiding = "[...document.querySelectorAll('.scroll')].filter((e) => e.scrollWidth > e.clientWidth).length";
         assert_eq!(page.value(hiding), json!(0), "at a width of {width}");
     }
-    // What a cell says stands beside it.
+    // The label of a cell stands beside it.
     assert!(page.value("document.querySelectorAll('.cards').length").as_u64().unwrap() > 0);
     assert_eq!(page.value("document.querySelectorAll('.cards td:not([data-label])').length"), json!(0));
     assert_eq!(page.errors(), [""; 0]);

@@ -1,4 +1,4 @@
-//! A page in a headless browser, asked and watched over the DevTools protocol, through two named pipes.
+//! A page in a headless browser, controlled and watched over the DevTools protocol, through two named pipes.
 
 use crate::skipped::skipped;
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "chromium-headless-shell", "google-chrome"];
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// An open page. Whatever it tells of errors is collected.
+/// An open page. The errors that it reports are collected.
 pub(crate) struct Page {
     browser: Child,
     requests: fs_err::File,
@@ -23,7 +23,7 @@ pub(crate) struct Page {
 }
 
 impl Page {
-    /// Opens a page and waits until it is loaded. `None` where there is no browser, which is told.
+    /// Opens a page and waits until it is loaded. `None` where there is no browser, which is reported.
     pub(crate) fn open(html: &str) -> Option<Self> {
         let Some(name) = NAMES.into_iter().find(|name| is_there(name)) else {
             skipped("browser", &format!("none of {NAMES:?} is there"));
@@ -35,9 +35,9 @@ impl Page {
         assert!(Command::new("mkfifo").args([path("in"), path("out")]).status().unwrap().success());
         // The browser reads requests from its third and writes messages to its fourth file descriptor.
         let script = format!(
-            "exec {name} --headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking \
-             --disable-component-update --disable-sync --disable-dev-shm-usage --window-size=1400,1000 \
-             --user-data-dir='{}' --remote-debugging-pipe 3<'{}' 4>'{}'",
+            "exec {name} --headless --no-sandbox --disable-gpu --disable-quic --no-first-run \
+             --disable-background-networking --disable-component-update --disable-sync --disable-dev-shm-usage \
+             --window-size=1400,1000 --user-data-dir='{}' --remote-debugging-pipe 3<'{}' 4>'{}'",
             path("profile"),
             path("in"),
             path("out"),
@@ -102,9 +102,9 @@ impl Page {
         }
     }
 
-    /// What the page told of errors, exceptions and warnings so far.
+    /// Errors, exceptions and warnings of the page so far.
     pub(crate) fn errors(&mut self) -> &[String] {
-        // An answer comes after everything that was told before it.
+        // An answer comes after all events before it.
         self.value("0");
         &self.errors
     }

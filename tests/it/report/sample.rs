@@ -19,7 +19,7 @@ pub(crate) fn model() -> ReportModel {
     model_named("v17")
 }
 
-/// The same with `name` wherever a name comes from the recordings or the configuration.
+/// [`model`] with `name` wherever a name comes from the recordings or the configuration.
 pub(crate) fn model_named(name: &str) -> ReportModel {
     ReportModel {
         title: format!("Cut-ins at the merging highway ({name})"),
@@ -32,10 +32,15 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
             Fact::new("Recordings", "INTERACTION v1.2, 3 places"),
         ],
         warnings: vec![
-            Warning { stage: "ingest".into(), message: format!("1 case of {name} was rejected as non_finite; see Recordings.") },
+            Warning {
+                stage: "ingest".into(),
+                message: format!("1 case of {name} was rejected as non_finite; see Recordings."),
+            },
             Warning {
                 stage: "evaluate".into(),
-                message: "Collision rate of guided samples is more than twice that of unguided ones; lower the guidance strength.".into(),
+                message: "Collision rate of guided samples is more than twice that of unguided ones; lower the \
+                          guidance strength."
+                    .into(),
             },
         ],
         ingest: Some(ingest(name)),
@@ -45,11 +50,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         requests: vec![outcome::request(name)],
         evaluation: outcome::evaluation(name),
         distributions: distributions(),
-        scenes: vec![
-            card(0, name, 1.0, 0.0),
-            card(1, name, 0.6, std::f64::consts::FRAC_PI_3),
-            scenes::gallery(name),
-        ],
+        scenes: vec![card(0, name, 1.0, 0.0), card(1, name, 0.6, std::f64::consts::FRAC_PI_3), scenes::gallery(name)],
         drawn: vec![Drawn {
             sweep: name.into(),
             what: "verified scenarios".into(),
@@ -59,7 +60,10 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
             limit: 12,
         }],
         more: vec![more(name)],
-        config: format!("[run]\nname = \"{name}\"\nseed = 20\n\n[generate]\nsplit = \"val\"\nsampler = {{ kind = \"heun\", n_steps = 20 }}\n"),
+        config: format!(
+            "[run]\nname = \"{name}\"\nseed = 20\n\n[generate]\nsplit = \"val\"\n\
+             sampler = {{ kind = \"heun\", n_steps = 20 }}\n"
+        ),
     }
 }
 
@@ -92,9 +96,10 @@ fn mining(name: &str) -> MiningSummary {
     MiningSummary {
         definitions: vec![BehaviorDoc {
             behavior: "cut_in".into(),
-            definition: "A future state of the other overlaps a future state that the ego reaches less than 3 s later, and the other's \
-                         present does not overlap any state of the ego."
-                .into(),
+            definition:
+                "A future state of the other overlaps a future state that the ego reaches less than 3 s later, and the \
+                 other's present does not overlap any state of the ego."
+                    .into(),
         }],
         counts: vec![count("train", 120, 64, 105, 2_310), count("val", 30, 15, 20, 601)],
     }

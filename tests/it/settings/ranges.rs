@@ -12,9 +12,9 @@ pub(super) struct Case {
     pub(super) beyond: Vec<String>,
     /// Values at the ends of the range, which are not: `key is VALUE` must not be said of them.
     pub(super) ends: Vec<(String, String)>,
-    /// What every refusal says, that of NaN included.
+    /// The words common to every refusal, that of NaN included.
     pub(super) said: String,
-    /// What refusals say was expected: the bounds, or the names.
+    /// The expectation that refusals name: the bounds, or the names.
     pub(super) words: Vec<String>,
 }
 

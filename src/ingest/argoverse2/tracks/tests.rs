@@ -221,7 +221,7 @@ fn what_packs_well_is_bounded_unpacked() {
         let reject = parse_bytes(bytes, Split::Train).expect_err("too large");
         assert!(reject.detail.contains(why), "{}", reject.detail);
     }
-    // What is not read may be as large as it likes.
+    // Columns that are not read may be as large as they like.
     let mut columns = columns(110);
     let long = "x".repeat(1 << 20);
     columns.push(("remarks", Arc::new(StringArray::from_iter_values((0..220).map(|_| &long)))));

@@ -1,4 +1,4 @@
-//! The same for the operations of the geometric network: modes of motion, pools over lanes, features in frames.
+//! Tests of the operations of the geometric network: modes of motion, pools over lanes, features in frames.
 
 use super::*;
 

@@ -35,7 +35,8 @@ pub struct Generate<'a> {
     pub mine: MineConfig,
     /// The settings of metrics in selections and limits, as in the evaluation.
     pub metric_settings: MetricSettings,
-    /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the evaluation, meters.
+    /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the
+    /// evaluation, meters.
     pub duplicate_distance_m: f64,
     /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
     pub classified_behavior: Option<&'a str>,
@@ -57,8 +58,8 @@ impl Stage for Generate<'_> {
     fn check(&self) -> Result<()> {
         let resolved = self.resolve()?;
         self.metric_settings.validate().map_err(|why| Failure::input_message(format_args!("evaluate.{why}")))?;
-        // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are checked again when
-        // both models are there.
+        // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are
+        // checked again when both models are there.
         let edm = Edm::default();
         let distillation = self.distill.filter(|config| config.checkpoint.is_none());
         let distillation = distillation.map(|config| config.method.distillation(&edm));
@@ -106,8 +107,8 @@ impl Stage for Generate<'_> {
 }
 
 impl Generate<'_> {
-    /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a metric
-    /// that depends on them, else the places without a road, for the rules of traffic.
+    /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a
+    /// metric that depends on them, else the places without a road, for the rules of traffic.
     fn judging_settings(&self) -> MetricSettings {
         if self.config.selects_by(|id| self.metric_settings.decide(id)) {
             return self.metric_settings.clone();
@@ -117,7 +118,7 @@ impl Generate<'_> {
         MetricSettings { validity, ..MetricSettings::default() }
     }
 
-    /// The same, as the evaluation uses them: departures are judged only where maps allow it.
+    /// [`Self::judging_settings`] as the evaluation uses them: departures are judged only where maps allow it.
     fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
         let settings = self.judging_settings();
         let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);

@@ -25,8 +25,8 @@ pub(super) struct Ready<'a> {
 }
 
 impl Generate<'_> {
-    /// Reads and checks everything that sampling needs, and calls `work` with it. The settings of metrics depend on how well all
-    /// maps fit, unless that is known already.
+    /// Reads and checks everything that sampling needs, and calls `work` with it. The settings of metrics depend on how
+    /// well all maps fit, unless that is known already.
     pub(super) fn with_ready<R>(
         &self,
         compute: &Compute,
@@ -60,7 +60,7 @@ impl Ready<'_> {
         self.resolved.requests.iter().map(pool).collect()
     }
 
-    /// What the shards of the plan are sampled with.
+    /// The models and settings that the shards of the plan are sampled with.
     pub(super) fn sampled_with(&self, plan: &Plan) -> SampledWith {
         let models = self.models;
         SampledWith {

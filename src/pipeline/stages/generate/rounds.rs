@@ -51,7 +51,7 @@ trait RoundShards {
 
 /// The rounds of requests; rounds without a file are decided.
 struct Rounds<'a> {
-    /// What is sampled.
+    /// The configuration that is sampled.
     resolved: &'a ResolvedGeneration,
     /// Where what was decided is kept.
     dir: &'a Path,
@@ -73,7 +73,8 @@ impl Rounds<'_> {
         while let Some(round) = self.round(request, (pool, &ledger), n_rounds, *next_idx)? {
             shards.begin((request, pool), &round)?;
             for shard in &round.shards {
-                // Whether the rest of a round is wanted depends on its earlier shards, which are the same in every attempt.
+                // Whether the rest of a round is needed depends on its earlier shards, which are the same in every
+                // attempt.
                 if ledger.is_closed() {
                     break;
                 }
@@ -122,7 +123,8 @@ struct Sampling<'a> {
 }
 
 impl RoundShards for Sampling<'_> {
-    /// Several workers sample a round side by side; a single one only what is wanted after what came before.
+    /// Several workers sample a round side by side; a single one samples only what is still needed after earlier
+    /// shards.
     fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()> {
         if self.shards.has_others() { self.complete(of, &round.shards).map(drop) } else { Ok(()) }
     }
@@ -166,12 +168,12 @@ pub(super) struct DecidedShard {
     pub(super) idx: usize,
     /// Its record, with its tally, before the table has the decisions.
     pub(super) sidecar: SampleSidecar,
-    /// What was decided of each scenario.
+    /// The decision on each scenario.
     pub(super) tags: Vec<RequestTag>,
 }
 
-/// Decides the rounds of all requests, as far as their shards are there. Returns the shards that count, and what became of each
-/// request.
+/// Decides the rounds of all requests, as far as their shards are there. Returns the shards that count, and what became
+/// of each request.
 pub(super) fn gather(
     plan: &GenerationPlan,
     resolved: &ResolvedGeneration,
@@ -244,8 +246,8 @@ pub(super) fn warn_of_short(summary: &RequestSummary, progress: &dyn Progress) {
     let given_up = counted(summary.given_up().count(), "nothing came of 200 samples in a row that aimed at");
     let infeasible = counted(summary.infeasible().count(), "no pair can reach");
     progress.warn(&format!(
-        "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}{given_up}; the report says which. Raise its \
-         budget, add arms that reach them, or add scenes",
+        "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}{given_up}; the report says \
+         which. Raise its budget, add arms that reach them, or add scenes",
         summary.name,
         summary.buckets.len(),
         summary.n_accepted,

@@ -164,8 +164,8 @@ impl SampleFolder {
     }
 }
 
-/// Writes the table of shard `idx` into the folder `dir` and returns its record. The shard is of the sweep of this name with this
-/// many evaluations of the denoiser a sample.
+/// Writes the table of shard `idx` into the folder `dir` and returns its record. The shard is of the sweep of this name
+/// with this many evaluations of the denoiser a sample.
 pub(super) fn write_table(
     dir: &Path,
     idx: usize,
@@ -231,7 +231,7 @@ pub struct SampleSettings {
     pub mine: MineConfig,
     /// The section of the stage.
     pub generate: GenerateConfig,
-    /// What metrics judged by, where they decided what was kept and were not the defaults.
+    /// The settings that metrics judged by, where they decided what was kept and were not the defaults.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metric_settings: Option<MetricSettings>,
 }

@@ -24,16 +24,16 @@ pub(super) struct GenerationPlan {
     pub(super) sweeps: Plan,
     /// The cells of each request.
     pub(super) pools: Vec<Pool>,
-    /// What the shards are sampled with.
+    /// The models and settings that the shards are sampled with.
     sampled_with: SampledWith,
     /// The settings by which scenarios are judged.
     metric_settings: MetricSettings,
 }
 
-/// What is known of a sampled shard.
+/// Facts about a sampled shard.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct SampledShard {
-    /// Of a request, it lacks the tally until the shards are gathered.
+    /// Its sidecar; for a request, without the tally until the shards are gathered.
     pub(super) sidecar: SampleSidecar,
     /// The buckets of the scenarios of a request.
     pub(super) placed: Vec<PlacedScenario>,
@@ -97,8 +97,8 @@ impl Sharded for Generate<'_> {
     }
 }
 
-/// Samples the shards of the plan that may be needed: not those of a sweep whose finished shards before already have enough
-/// verified scenarios.
+/// Samples the shards of the plan that may be needed: not those of a sweep whose finished shards before already have
+/// enough verified scenarios.
 pub(super) fn make_sweeps(
     shards: &Shards<'_>,
     plan: &Plan,

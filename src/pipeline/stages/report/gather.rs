@@ -181,7 +181,7 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
     Ok(())
 }
 
-/// What a reader must know of buckets that did not fill.
+/// A caution about buckets that did not fill.
 fn short_buckets(request: &RequestSummary) -> Option<String> {
     let n_short = request.short().count();
     (n_short > 0).then(|| {

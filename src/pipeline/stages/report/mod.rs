@@ -1,4 +1,4 @@
-//! What the stages left to the page that people read.
+//! The page that people read, from the outputs of the stages.
 
 mod drawings;
 mod gather;
@@ -24,14 +24,14 @@ pub struct Report<'a> {
     pub layout: &'a Layout,
 }
 
-/// What the report says of the pipeline as a whole.
+/// The report's facts about the pipeline as a whole.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct About {
     /// Name of the pipeline.
     pub pipeline: String,
     /// Seed of the run.
     pub seed: u64,
-    /// What networks computed on.
+    /// The device that networks computed on.
     pub device: String,
     /// The resolved configuration, as TOML.
     pub config: String,

@@ -7,12 +7,14 @@ use crate::report::svg::{role_color, scene_panel};
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
-/// The card; `lanes_idx` is that of its lanes among those of all cards. Cards that are not `is_still` are drawn by script alone.
+/// The card; `lanes_idx` is that of its lanes among those of all cards. Cards that are not `is_still` are drawn by
+/// script alone.
 pub(super) fn card(card_idx: usize, card: &SceneCard, lanes_idx: usize, is_still: bool) -> Markup {
     let title_id = format!("scene-{card_idx}-title");
     let layout = if card.view.is_long() { "stack" } else { "beside" };
     html! {
-        article class=(if is_still { "card still" } else { "card" }) id=(format!("scene-{card_idx}")) aria-labelledby=(title_id) {
+        article class=(if is_still { "card still" } else { "card" }) id=(format!("scene-{card_idx}"))
+            aria-labelledby=(title_id) {
             h3 id=(title_id) { (card.title) }
             div class=(format!("panels {layout}")) style=(format!("aspect-ratio:{}", aspect_ratio(card))) {
                 @if is_still { (still(card)) }
@@ -31,7 +33,9 @@ fn still(card: &SceneCard) -> Markup {
             figure {
                 figcaption {
                     (panel.title)
-                    @for (i, role) in roles.iter().enumerate() { " " span class="swatch" style=(format!("background:{}", role_color(i))) {} (role) }
+                    @for (i, role) in roles.iter().enumerate() {
+                        " " span class="swatch" style=(format!("background:{}", role_color(i))) {} (role)
+                    }
                 }
                 (scene_panel(card, panel, &roles))
             }

@@ -28,7 +28,9 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
             (reading_help(model.scenes.len()))
             (filters::form(&model.scenes))
             div id="cards" {
-                @for (i, card) in model.scenes.iter().enumerate() { (card::card(i, card, lanes.of_card[i], i < N_STILL)) }
+                @for (i, card) in model.scenes.iter().enumerate() {
+                    (card::card(i, card, lanes.of_card[i], i < N_STILL))
+                }
             }
             script type="application/json" id="lanes" { (json(&Value::from(lanes.packed))) }
             script type="application/json" id="index" { (json(&filters::index(&model.scenes))) }
@@ -40,7 +42,8 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
 /// How much of each sweep is drawn, and the setting to change for more.
 fn drawn(rows: &[Drawn]) -> Markup {
     let head = html! {
-        tr { th scope="col" { "Sweep" } th scope="col" { "What" } th scope="col" class="n" { "Drawn" } th scope="col" class="n" { "There are" }
+        tr { th scope="col" { "Sweep" } th scope="col" { "What" } th scope="col" class="n" { "Drawn" }
+            th scope="col" class="n" { "There are" }
             th scope="col" { "At most" } }
     };
     let body = html! {
@@ -55,8 +58,10 @@ fn drawn(rows: &[Drawn]) -> Markup {
 fn reading_help(n_scenes: usize) -> Markup {
     html! {
         p class="note" {
-            "Seen from above and drawn to scale. Dotted dark lines are states that were given: the history of a recording, or what a sample was conditioned on. "
-            "Plain colored lines were generated or, in a recording, are its future. Filled boxes are given or recorded states, light ones with an outline generated ones; the notch points forward. "
+            "Seen from above and drawn to scale. Dotted dark lines are states that were given: the history of a \
+             recording, or what a sample was conditioned on. "
+            "Plain colored lines were generated or, in a recording, are its future. Filled boxes are given or recorded \
+             states, light ones with an outline generated ones; the notch points forward. "
             "Outlines without filling are the end of the scene, faint ones a second apart on the way there."
         }
         ul class="legend" {
@@ -65,11 +70,15 @@ fn reading_help(n_scenes: usize) -> Markup {
         }
         noscript {
             p class="note" {
-                "Without script, drawings stand still" @if n_scenes > N_STILL { " and only the first " (N_STILL) " scenes are drawn" } "."
+                "Without script, drawings stand still"
+                @if n_scenes > N_STILL { " and only the first " (N_STILL) " scenes are drawn" } "."
             }
         }
-        p class="note print-only" { "In print, the first " (n_scenes.min(N_STILL)) " of " (n_scenes) " scenes are drawn." }
-        p class="note script-only" hidden { "With the focus on a scene, the space bar plays and pauses, the arrow keys go a step back and forth, Home and End to its ends." }
+        p class="note print-only" {
+            "In print, the first " (n_scenes.min(N_STILL)) " of " (n_scenes) " scenes are drawn."
+        }
+        p class="note script-only" hidden { "With the focus on a scene, the space bar plays and pauses, the arrow keys \
+                                             go a step back and forth, Home and End to its ends." }
     }
 }
 

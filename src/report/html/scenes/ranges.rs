@@ -71,7 +71,10 @@ pub(super) fn groups(ranges: &[Range<'_>]) -> Markup {
             @let own: Vec<&Range<'_>> = ranges.iter().filter(|range| Group::of(range.name) == group).collect();
             @if !own.is_empty() {
                 details {
-                    summary { (group.title()) " " small { (own.len()) @if own.len() == 1 { " figure" } @else { " figures" } } " " strong class="set" {} }
+                    summary {
+                        (group.title()) " " small { (own.len()) @if own.len() == 1 { " figure" } @else { " figures" } }
+                        " " strong class="set" {}
+                    }
                     div class="ranges" { @for range in own { (inputs(range)) } }
                 }
             }
@@ -83,7 +86,8 @@ fn inputs(range: &Range<'_>) -> Markup {
     let (title, unit) = title_and_unit(range.name);
     let input = |end: &str, words: &str, least: f64| {
         html! {
-            input type="number" step="any" name=(format!("{}.{end}", range.name)) placeholder=(value(least)) aria-label=(format!("{title}, {words}")) ;
+            input type="number" step="any" name=(format!("{}.{end}", range.name)) placeholder=(value(least))
+                aria-label=(format!("{title}, {words}")) ;
         }
     };
     html! {

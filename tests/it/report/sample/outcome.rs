@@ -1,4 +1,4 @@
-//! What came out: scenarios that were asked for, found, accepted and measured.
+//! The outcome: scenarios that were requested, found, accepted and measured.
 
 use djinn::evaluate::{
     AcceptanceRow, DistinguishabilityRow, EvaluationSummary, LeftOutRow, MapFitRow, MetricDoc, RealismRow, SamplingRow,
