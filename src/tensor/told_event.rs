@@ -29,7 +29,7 @@ impl SceneBatch {
     pub fn telling(&self, vocabulary: &EventVocabulary, told: &[Option<ToldEvent>]) -> Result<Self> {
         let (n_rows, n_agents, n_inputs) = (self.n_rows(), self.x0.dim(1)?, vocabulary.n_inputs());
         if told.len() != n_rows {
-            bail!("{} events are told to a batch of {n_rows} rows", told.len());
+            bail!("{} events for {n_rows} rows, expected one per row", told.len());
         }
         let mut inputs = vec![0f32; n_rows * n_agents * n_inputs];
         for (row, event) in told.iter().enumerate() {

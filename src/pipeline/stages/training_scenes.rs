@@ -265,7 +265,7 @@ pub(super) fn check_folders(
         }
         if reads_events && !events_beside(scenes).is_file() {
             let why = format!("and {} is missing, from which events are read", events_beside(scenes).display());
-            return refuse(&why, "mine that run, too: give its pipeline a section [mine]".to_owned());
+            return refuse(&why, "add [mine] to that run's pipeline and run it again".to_owned());
         }
         if data[..i].iter().any(|earlier| is_same(scenes, &earlier.scenes)) {
             return refuse("as in an earlier entry", "list it once, with the sum of the weights".to_owned());
