@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 pub struct ToldEvent {
     /// The behavior.
     pub behavior: String,
-    /// Who takes part: the scene's tracks, in the order of the roles.
+    /// The agents that take part: the scene's tracks, in the order of the roles.
     pub agents: Vec<usize>,
     /// The known values, by name; the others are unknown.
     pub values: BTreeMap<String, f64>,

@@ -30,7 +30,7 @@ impl SceneDataset for SceneStore {
 /// Scenes by index, in the store's order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct TrainingScenes {
-    /// To train on.
+    /// Scenes to train on.
     pub(super) train: Vec<usize>,
     /// Held out.
     pub(super) held_out: Vec<usize>,
@@ -279,7 +279,7 @@ pub(super) fn events_beside(scenes: &Path) -> PathBuf {
     scenes.parent().unwrap_or(Path::new(".")).join(EVENTS)
 }
 
-/// As training takes them.
+/// The events in the form that training takes.
 pub(super) fn mined(events: &[(usize, BehaviorEvent)]) -> Vec<MinedEvent<'_>> {
     events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect()
 }
