@@ -32,10 +32,8 @@ pub struct EvaluationSummary {
     /// How many of the verified ones the recording does not already show.
     pub n_new: u64,
     /// How many pass every check of validity.
-    #[serde(default)]
     pub n_valid: u64,
     /// How many are accepted: verified, valid and no near-duplicates.
-    #[serde(default)]
     pub n_accepted: u64,
     /// How many scenarios the corpus has.
     pub n_kept: u64,
@@ -50,20 +48,16 @@ pub struct EvaluationSummary {
     /// How far the motion of whole sweeps is from the recordings.
     pub realism: Vec<RealismRow>,
     /// The verdicts on the scenarios of each sweep at each strength.
-    #[serde(default)]
     pub acceptance: Vec<AcceptanceRow>,
     /// Why samples are not accepted, or not even scenarios.
-    #[serde(default)]
     pub left_out: Vec<LeftOutRow>,
     /// How many scenarios, and how many of the recordings that they continue, fail each check.
-    #[serde(default)]
     pub validity: Vec<ValidityRow>,
     /// The performance of a classifier that tells the tracks of each series from recorded ones.
     pub distinguishability: Vec<DistinguishabilityRow>,
     /// The features that give them away.
     pub telling_features: Vec<TellingFeatureRow>,
     /// The places where the map is good enough to judge departures from the road.
-    #[serde(default)]
     pub maps: Vec<MapFitRow>,
 }
 

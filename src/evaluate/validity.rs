@@ -27,7 +27,6 @@ pub struct ValidityRow {
     /// Check → how many fail it; checks without failures are missing.
     pub violations: BTreeMap<String, u64>,
     /// Check → how many it was not made for; checks that were made for all are missing.
-    #[serde(default)]
     pub not_checked: BTreeMap<String, u64>,
     /// Mean share of motion within the recorded ranges.
     pub plausibility: Option<f64>,

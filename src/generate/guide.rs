@@ -39,16 +39,14 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
             agents: agents.clone(),
             except: may_collide.map(|roles| roles.map(AgentSelector::new)),
             margin_m: 0.3,
-            tolerance_m: 0.5,
         }),
         ObjectiveConfig::StayOnRoad(StayOnRoad {
             weight: 3.0,
             agents: agents.clone(),
             points: RoadPoints::Center,
             margin_m: 0.0,
-            tolerance_m: 0.5,
         }),
-        ObjectiveConfig::SlipLimit(SlipLimit { weight: 1.0, agents, limit_rad: 0.2, tolerance_mps: 0.5 }),
+        ObjectiveConfig::SlipLimit(SlipLimit { weight: 1.0, agents, limit_rad: 0.2 }),
     ]
 }
 

@@ -29,7 +29,6 @@ pub struct ShardPlan {
     /// of a scene are in one shard, so that they can be compared even if the sweep stops early.
     pub cells: Vec<Cell>,
     /// The number of the first sample of each cell: 0 except for requests, which return to their cells.
-    #[serde(default)]
     pub first_sample: usize,
 }
 

@@ -10,11 +10,10 @@ use super::config::ReportConfig;
 use crate::scenario::{BucketTag, RequestOutcome, ScenarioRecord};
 use crate::scene::SceneId;
 use crate::store::SceneSet;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// How much of a sweep is drawn, and the setting that limits it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drawn {
     /// The sweep.
     pub sweep: String,

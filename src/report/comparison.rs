@@ -8,11 +8,10 @@ use super::tradeoffs::tradeoffs;
 use super::wilson::wilson_interval;
 use crate::evaluate::{BehaviorCount, EvaluationSummary, MiningSummary, RealismRow, SamplingRow};
 use crate::metrics::{MetricRow, SeriesKey};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Two runs.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Comparison {
     /// The run that the other one is compared with.
     pub a: ComparedRun,
@@ -21,7 +20,7 @@ pub struct Comparison {
 }
 
 /// The compared parts of a run.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct ComparedRun {
     /// Its folder.
     pub name: String,

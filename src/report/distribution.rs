@@ -1,10 +1,9 @@
 //! Distributions of a quantity, and distances between recorded and generated ones.
 
 use crate::quantile::quantile;
-use serde::{Deserialize, Serialize};
 
 /// Histograms of one quantity over common bins.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Distribution {
     /// The quantity, such as `speed`.
     pub title: String,
@@ -19,7 +18,7 @@ pub struct Distribution {
 }
 
 /// The histogram of one group.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DistributionSeries {
     /// The group, such as `recorded`.
     pub name: String,

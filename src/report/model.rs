@@ -1,4 +1,4 @@
-//! The content of a report as plain data: the page is one rendering of it, JSON another.
+//! The content of a report as plain data, which the page renders.
 
 use super::card::SceneCard;
 use super::choice::Drawn;
@@ -8,12 +8,11 @@ use crate::evaluate::{EvaluationSummary, MiningSummary};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
 use crate::train::NoiseLevelReport;
-use serde::{Deserialize, Serialize};
 
 /// The content of a report. Parts that a run did not produce are empty, and their sections are left out.
 ///
 /// Nothing in it may depend on the clock: a resumed run must give the same page as an uninterrupted one.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct ReportModel {
     /// The page's title, such as the pipeline's name.
     pub title: String,
@@ -38,17 +37,15 @@ pub struct ReportModel {
     /// Generated scenes beside their source recording.
     pub scenes: Vec<SceneCard>,
     /// How much of each sweep is drawn.
-    #[serde(default)]
     pub drawn: Vec<Drawn>,
     /// Further parts, which come after the scenes, as plain tables and charts.
-    #[serde(default)]
     pub more: Vec<PlainSection>,
     /// The resolved configuration, as TOML.
     pub config: String,
 }
 
 /// A name and its value.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fact {
     /// The name.
     pub name: String,
@@ -64,7 +61,7 @@ impl Fact {
 }
 
 /// A caution that a reader must see before trusting a figure.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
     /// The stage, such as `ingest`.
     pub stage: String,
@@ -73,7 +70,7 @@ pub struct Warning {
 }
 
 /// The training of a network.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct TrainingSummary {
     /// The network, such as `denoiser`.
     pub name: String,
@@ -82,12 +79,11 @@ pub struct TrainingSummary {
     /// Curves over training.
     pub charts: Vec<Chart>,
     /// Its final evaluation.
-    #[serde(default)]
     pub tables: Vec<PlainTable>,
 }
 
 /// Curves over a common axis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
     /// The title.
     pub title: String,
@@ -102,17 +98,15 @@ pub struct Chart {
 }
 
 /// One curve.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
     /// Its name in the legend.
     pub name: String,
     /// (x, y) in drawing order; points that are not finite are left out.
     pub points: Vec<[f64; 2]>,
     /// The interval of each point: least and greatest y, drawn as whiskers; empty if unknown.
-    #[serde(default)]
     pub intervals: Vec<[f64; 2]>,
     /// The label of each point; empty for none.
-    #[serde(default)]
     pub labels: Vec<String>,
 }
 

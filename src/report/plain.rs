@@ -3,10 +3,9 @@
 //! A new part of the report needs no HTML of its own: it is pushed to [`ReportModel::more`](super::ReportModel::more).
 
 use super::model::Chart;
-use serde::{Deserialize, Serialize};
 
 /// A part of the page with an entry in the table of contents.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct PlainSection {
     /// Its name in addresses, unique on the page: lower-case letters, digits and hyphens.
     pub id: String,
@@ -21,7 +20,7 @@ pub struct PlainSection {
 }
 
 /// A table of text.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct PlainTable {
     /// Its title.
     pub caption: String,
@@ -32,7 +31,7 @@ pub struct PlainTable {
 }
 
 /// A row of text.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct PlainRow {
     /// The cell of each column. Cells that begin with a digit or a sign are set as numbers.
     pub cells: Vec<String>,

@@ -9,7 +9,6 @@ pub struct GuidanceLevel {
     /// Strength α of the guidance by classifier and objectives; 0 is none.
     pub strength: f64,
     /// Weight λ of classifier-free guidance; 0 is none.
-    #[serde(default)]
     pub weight: f64,
 }
 
@@ -80,11 +79,5 @@ mod tests {
         assert_eq!(LevelAxis::of([level(0.0, 0.5), level(2.0, 0.5)]), LevelAxis::Strength);
         assert_eq!(LevelAxis::of([level(2.0, 0.0), level(2.0, 0.5)]), LevelAxis::Weight);
         assert_eq!(LevelAxis::of([level(2.0, 0.5)]), LevelAxis::Strength);
-    }
-
-    #[test]
-    fn figures_of_before_weights_are_read() {
-        let level: GuidanceLevel = serde_json::from_str(r#"{ "strength": 2.0 }"#).unwrap();
-        assert_eq!(level, GuidanceLevel::of_strength(2.0));
     }
 }

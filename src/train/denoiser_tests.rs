@@ -74,7 +74,6 @@ fn objectives_shape_clean_estimates() {
             weight,
             agents: AgentSelector::default(),
             limit_mps2: 8.0,
-            tolerance_mps2: 1.0,
         })];
         let dir = tempfile::tempdir().unwrap();
         let outcome = train(&arcs(24), &training, dir.path()).unwrap();

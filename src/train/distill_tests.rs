@@ -149,12 +149,7 @@ fn one_large_step_leads_where_many_small_ones_lead() {
 }
 
 fn speed_limit(weight: f64) -> ObjectiveConfig {
-    ObjectiveConfig::SpeedLimit(SpeedLimit {
-        weight,
-        agents: AgentSelector::default(),
-        limit_mps: 12.0,
-        tolerance_mps: 1.0,
-    })
+    ObjectiveConfig::SpeedLimit(SpeedLimit { weight, agents: AgentSelector::default(), limit_mps: 12.0 })
 }
 
 #[test]

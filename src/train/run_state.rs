@@ -22,11 +22,10 @@ pub(super) struct Position {
     pub(super) loss_sum: f64,
     /// Sum of the gradients' norms since then.
     pub(super) norm_sum: f64,
-    /// All lines of statistics up to here. Empty in states of older versions.
-    #[serde(default)]
+    /// All lines of statistics up to here.
     pub(super) statistics: Vec<FitStatistics>,
-    /// Hash of the rest of the state, with its tensors. `None` in states of older versions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Hash of the rest of the state, with its tensors; `None` before they are saved.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
 }
 
@@ -61,7 +60,7 @@ impl Run {
         if path.exists() {
             let checkpoint = read_checkpoint::<Position>(&path, params.device())?;
             let position = checkpoint.metadata;
-            if position.checksum.is_some() && position != position.sealed(&checkpoint.tensors)? {
+            if position != position.sealed(&checkpoint.tensors)? {
                 return Err(Error::DamagedState { path });
             }
             let part = |prefix: &str| -> BTreeMap<String, Tensor> {

@@ -13,6 +13,11 @@ use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory, velocity_at};
 /// The difference between the recorded motion at present and the template, such as a lateral drift, fades within this
 /// time, seconds.
 const FADE_S: f64 = 1.0;
+/// The difference in acceleration fades within this time, seconds: as long as a foot takes from one pedal to the other.
+const PEDAL_S: f64 = 0.5;
+/// The observed acceleration is taken over at most, and at least, so many timesteps.
+const N_OBSERVED: usize = 6;
+const LEAST_OBSERVED: usize = 4;
 /// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
 /// Passes of the filter that rounds off the corners of center lines.
@@ -40,16 +45,26 @@ impl Template {
     }
 
     /// Adds an agent that follows `place`, its position by the seconds after the present. The motion starts at the
-    /// agent's present position and velocity and joins `place` within a second. `None` if the agent is not tracked at
-    /// present, or `place` is undefined at some time.
+    /// agent's present position, velocity and acceleration and joins `place` within a second. `None` if the agent is not
+    /// tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
         let missing = state.position - start;
         let velocity = (soon - start) * (2.0 / scene.dt_s);
         let drift = state.velocity - velocity;
-        let fading =
+        let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
+        let past: Vec<Vec2> = past.map(|state| state.position).collect();
+        let observed = acceleration(&past, scene.dt_s).filter(|_| state.speed_mps() > STANDING_MPS);
+        let surplus = observed.map_or(Vec2::ZERO, |observed| {
+            let planned = place(scene.dt_s).zip(place(2.0 * scene.dt_s)).map(|(next, then)| start + then - next * 2.0);
+            // The fading of position and velocity accelerates, too.
+            let fades = (drift * 2.0 + missing * (1.0 / FADE_S)) * (1.0 / FADE_S);
+            observed - planned.unwrap_or(Vec2::ZERO) * (1.0 / (scene.dt_s * scene.dt_s)) + fades
+        });
+        let joins =
             |elapsed_s: f64| (missing + (drift + missing * (1.0 / FADE_S)) * elapsed_s) * (-elapsed_s / FADE_S).exp();
+        let eases = |elapsed_s: f64| surplus * (elapsed_s * elapsed_s / 2.0 * (-elapsed_s / PEDAL_S).exp());
         let speed_mps = velocity.norm();
         let (mut before, mut driven_m) = (start, 0.0);
         let position = |step: usize| {
@@ -58,12 +73,13 @@ impl Template {
             before = at;
             // The difference fades over the way, so that an agent that stops does not slide aside.
             let moved_s = if speed_mps > STANDING_MPS { elapsed_s.min(driven_m / speed_mps) } else { elapsed_s };
-            Some(at + fading(moved_s))
+            Some((at + joins(moved_s), eases(moved_s)))
         };
-        let positions: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(position).collect();
-        let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
-        let past: Vec<Vec2> = past.map(|state| state.position).collect();
-        let states = states(state, scene.dt_s, &past, &rounded(&past, positions?));
+        let future: Option<Vec<(Vec2, Vec2)>> =
+            (1..scene.n_timesteps - scene.current_timestep()).map(position).collect();
+        let (future, eased): (Vec<Vec2>, Vec<Vec2>) = future?.into_iter().unzip();
+        let positions: Vec<Vec2> = rounded(&past, future).into_iter().zip(eased).map(|(at, by)| at + by).collect();
+        let states = states(state, scene.dt_s, &past, &positions);
         self.motions.push(Motion { agent_idx, states });
         Some(self)
     }
@@ -82,6 +98,20 @@ impl Template {
             *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
         }
     }
+}
+
+/// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if they are too few.
+fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
+    let last = &past[past.len().saturating_sub(N_OBSERVED)..];
+    let n = last.len() as f64;
+    // Least squares: the squares of the offsets from the middle, which are these less their mean.
+    let weight = |i: usize| (i as f64 - (n - 1.0) / 2.0).powi(2) - (n * n - 1.0) / 12.0;
+    let (mut bend, mut norm) = (Vec2::ZERO, 0.0);
+    for (i, position) in last.iter().enumerate() {
+        bend = bend + (*position - last[0]) * weight(i);
+        norm += weight(i).powi(2);
+    }
+    (last.len() >= LEAST_OBSERVED).then(|| bend * (2.0 / (norm * dt_s * dt_s)))
 }
 
 /// The states of an agent that was at the positions of its `past`, is `now` somewhere and then at `positions`.
@@ -190,6 +220,25 @@ mod tests {
             let steps = state(timestep + 1).position - state(timestep - 1).position;
             assert!((steps * (0.5 / scene.dt_s) - state(timestep).velocity).norm() < 1e-9);
         }
+        // Who brakes goes on braking for a moment.
+        let mut braking = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+        let entries = braking.tracks[0].trajectory.entries().iter().enumerate().map(|(i, state)| {
+            let t = (i as f64 - braking.current_timestep() as f64) * braking.dt_s;
+            state.map(|state| State {
+                position: Vec2::new(10.0 * t - 1.5 * t * t, 0.0),
+                velocity: Vec2::new(10.0 - 3.0 * t, 0.0),
+                ..state
+            })
+        });
+        braking.tracks[0].trajectory = Trajectory::new(entries.collect());
+        let along = |t: f64| Some(Vec2::new(10.0 * t, 0.0));
+        Template::empty().with(&braking, 0, along).unwrap().apply(&mut braking);
+        let x = |timestep: usize| braking.state(0, timestep).unwrap().position.x;
+        let step = |timestep: usize| (x(timestep + 1) - 2.0 * x(timestep) + x(timestep - 1)) / braking.dt_s.powi(2);
+        let n = braking.n_history;
+        assert!((step(n - 1) + 3.0).abs() < 1.0 && (step(n) + 3.0).abs() < 2.0, "{} {}", step(n - 1), step(n));
+        let last = braking.n_timesteps - 1;
+        assert!((x(last) - 10.0 * (last - n + 1) as f64 * braking.dt_s).abs() < 0.3, "it soon follows the plan");
         // Who comes over to where another drives is in its way, unless that one takes part and makes room.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 2.5, 0.0, 10.0)]);
         let over = |t: f64| Some(now.position + Vec2::new(10.0 * t, 2.5 * quintic(t / 0.6)));

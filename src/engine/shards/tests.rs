@@ -214,6 +214,7 @@ fn a_plan_of_others_is_refused_by_what_differs() {
     other[0].program = "1 (b)".to_owned();
     other[1].compute = "cuda NVIDIA H200, f32".to_owned();
     other[2].stage.fingerprint = "e".repeat(32);
+    other[2].stage.settings = "e".repeat(32);
     other[2].stage.config = serde_json::json!({ "seed": 2 });
     let expected = ["program: the plan's is 1 (a), this one is 1 (b)", "device: ", "changed: generate.seed 1 -> 2"];
     for (other, expected) in other.iter().zip(expected) {

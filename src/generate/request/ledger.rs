@@ -59,7 +59,6 @@ pub struct Hits {
     /// Not accepted, because the bucket had enough from the same scene and agents.
     pub n_repeated: u64,
     /// Not accepted, because they move almost as an accepted one.
-    #[serde(default)]
     pub n_near_duplicates: u64,
 }
 

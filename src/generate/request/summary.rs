@@ -42,7 +42,6 @@ pub struct RequestSummary {
     /// Pairs of agents (or single agents) in them that can reach a bucket.
     pub n_cells: usize,
     /// Pairs that cannot and were not tried.
-    #[serde(default)]
     pub n_infeasible: usize,
     /// Scenarios requested in all.
     pub n_wanted: u64,
@@ -65,10 +64,8 @@ pub struct ArmSummary {
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
     /// Samples that aimed at a bucket, over all rounds.
-    #[serde(default)]
     pub n_aimed: u64,
     /// Samples among them that fell into it.
-    #[serde(default)]
     pub n_aimed_hits: u64,
     /// Over all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
@@ -101,10 +98,8 @@ pub struct BucketSummary {
     /// The range of each parameter.
     pub parts: Vec<BucketPart>,
     /// Pairs of agents that can reach it; 0: nothing was spent on it.
-    #[serde(default)]
     pub n_feasible: usize,
     /// Whether it was given up: many samples aimed at it in a row, and none was accepted.
-    #[serde(default)]
     pub is_given_up: bool,
     /// Scenarios requested.
     pub n_wanted: u64,
@@ -115,7 +110,6 @@ pub struct BucketSummary {
     /// Not accepted, because it had enough of the same scene and agents.
     pub n_repeated: u64,
     /// Not accepted, because it moves almost as an accepted one.
-    #[serde(default)]
     pub n_near_duplicates: u64,
     /// Accepted scenarios by arm.
     pub accepted_by_arm: Vec<u64>,

@@ -1,7 +1,7 @@
 //! Accelerate, brake and turn no harder than a given limit.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,11 +24,10 @@ pub struct AccelerationLimit {
     #[serde(default = "default_limit_mps2")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_mps2: f64,
-    /// The excess τ that costs ½ a second, m/s².
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps2: f64,
 }
+
+/// The excess τ that costs ½ a second, m/s².
+const TOLERANCE_MPS2: f64 = 1.0;
 
 const fn default_limit_mps2() -> f64 {
     4.0
@@ -42,7 +41,7 @@ impl SceneObjective for AccelerationLimit {
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let velocity_mps = rate(&positions(states)?, context.dt_s)?;
         let acceleration_mps2 = norm(&rate(&velocity_mps, context.dt_s)?)?;
-        let values = penalty(&(acceleration_mps2 - self.limit_mps2)?.relu()?, self.tolerance_mps2)?;
+        let values = penalty(&(acceleration_mps2 - self.limit_mps2)?.relu()?, TOLERANCE_MPS2)?;
         integral(&values, &context.terms(2)?, &context.selected(&self.agents)?, context.dt_s)
     }
 }

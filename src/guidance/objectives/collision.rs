@@ -2,9 +2,7 @@
 
 use super::approach::Approach;
 use super::motion::{best_potential, nothing, penalty};
-use super::{
-    AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, half, interval, one, one_agent, second,
-};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, first, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -31,15 +29,13 @@ pub struct Collision {
     /// The range of the relative speed, m/s. Left out: that of the target (`relative_speed_mps`), else 2 to 30.
     #[serde(default)]
     pub relative_speed_mps: Option<[f64; 2]>,
-    /// The remaining gap τ_m that costs ½, meters.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
-    /// The error τ_u of the relative speed that costs ½, m/s.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps: f64,
 }
+
+/// The error τ_u of the relative speed that costs ½, m/s.
+const TOLERANCE_MPS: f64 = 1.0;
+
+/// The remaining gap τ_m that costs ½, meters.
+const TOLERANCE_M: f64 = 0.5;
 
 /// The parameter at which it aims, as the events report it.
 const RELATIVE_SPEED: &str = "relative_speed_mps";
@@ -71,7 +67,7 @@ impl SceneObjective for Collision {
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         let wrong_mps = beyond(&approach.relative_mps, &pairs.of_rows(&wanted)?)?;
         let apart_m = (separation_m.narrow(1, 1, separation_m.dim(1)? - 1)? + OVERLAP_M)?.relu()?;
-        let parts = [penalty(&apart_m, self.tolerance_m)?, penalty(&wrong_mps, self.tolerance_mps)?];
+        let parts = [penalty(&apart_m, TOLERANCE_M)?, penalty(&wrong_mps, TOLERANCE_MPS)?];
         pairs.sum_over_rows(&best_potential(&parts, &approach.counts)?)
     }
 }

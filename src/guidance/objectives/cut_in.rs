@@ -2,7 +2,7 @@
 
 use super::driven_paths::PathFrame;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, ego, interval, one, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, ego, interval, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -48,26 +48,16 @@ pub struct CutIn {
     #[serde(default = "default_max_delay_s")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// The smallest lateral overlap of the boxes at the end, meters.
-    #[serde(default = "default_overlap_m")]
-    #[schemars(range(min = 0.0, max = 2.0))]
-    pub overlap_m: f64,
-    /// The error τ of the gap that costs ½, meters.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
-    /// The error τ_u of the relative speed that costs ½, m/s.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps: f64,
 }
+
+/// The error τ_u of the relative speed that costs ½, m/s.
+const TOLERANCE_MPS: f64 = 1.0;
+
+/// The error τ of the gap that costs ½, meters.
+const TOLERANCE_M: f64 = 1.0;
 
 const fn default_max_delay_s() -> f64 {
     3.0
-}
-
-const fn default_overlap_m() -> f64 {
-    0.8
 }
 
 fn other() -> AgentSelector {
@@ -85,6 +75,8 @@ const ANY_GAP_M: [f64; 2] = [1.0, 30.0];
 const ANY_SPEED_MPS: [f64; 2] = [-1e3, 1e3];
 /// How long before the end the agent must stay in its new place, seconds.
 const SETTLED_S: f64 = 1.0;
+/// The smallest lateral overlap of the boxes at the end, meters.
+const OVERLAP_M: f64 = 0.8;
 /// The least gap at the end, meters.
 const LEAST_GAP_M: f64 = 1.0;
 /// The share of the longest delay that is used.
@@ -121,9 +113,9 @@ impl SceneObjective for CutIn {
         let wanted_mps = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
         let parts = [
             penalty(&excess_m, LATERAL_TOLERANCE_M)?,
-            penalty(&beyond(gap_m, &wanted_m)?, self.tolerance_m)?,
-            penalty(&(gap_m - reach_m)?.relu()?, self.tolerance_m)?,
-            penalty(&beyond(&closing_mps, &wanted_mps)?, self.tolerance_mps)?,
+            penalty(&beyond(gap_m, &wanted_m)?, TOLERANCE_M)?,
+            penalty(&(gap_m - reach_m)?.relu()?, TOLERANCE_M)?,
+            penalty(&beyond(&closing_mps, &wanted_mps)?, TOLERANCE_MPS)?,
         ];
         let best = best_potential(&parts, &frame.counts)?;
 
@@ -133,9 +125,9 @@ impl SceneObjective for CutIn {
             return nothing(states);
         }
         let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
-        let outside_m = (last(&excess_m)? + self.overlap_m)?.relu()?;
+        let outside_m = (last(&excess_m)? + OVERLAP_M)?.relu()?;
         let short_m = (LEAST_GAP_M - last(gap_m)?)?.relu()?;
-        let unsettled = (penalty(&outside_m, LATERAL_TOLERANCE_M)? + penalty(&short_m, self.tolerance_m)?)?;
+        let unsettled = (penalty(&outside_m, LATERAL_TOLERANCE_M)? + penalty(&short_m, TOLERANCE_M)?)?;
         let counted = last(&frame.counts)?;
         let n_counted = (counted.sum(1)? + 1e-6)?;
         let unsettled = (unsettled * &counted)?.sum(1)?.div(&n_counted)?;

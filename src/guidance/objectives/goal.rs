@@ -1,7 +1,7 @@
 //! Be at a given place at a given time.
 
 use super::motion::{headings, penalty, positions};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego, one};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -32,11 +32,10 @@ pub struct Goal {
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub time_s: Option<f64>,
-    /// The distance τ from the place that costs ½, meters.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
+
+/// The distance τ from the place that costs ½, meters.
+const TOLERANCE_M: f64 = 1.0;
 
 /// Frame of a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -76,6 +75,6 @@ impl SceneObjective for Goal {
             }
         };
         let miss_m = (at(&positions(states)?, timestep)? - goal)?;
-        (penalty(&miss_m, self.tolerance_m)?.sum(2)? * counts)?.sum(1)
+        (penalty(&miss_m, TOLERANCE_M)?.sum(2)? * counts)?.sum(1)
     }
 }

@@ -1,7 +1,7 @@
 //! Brake hard.
 
 use super::motion::{best_potential, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, default_weight, interval, one};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, default_weight, interval};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -25,19 +25,13 @@ pub struct HardBrake {
     /// The range of the deceleration, m/s². Left out: that of the target (`max_deceleration_mps2`), else 5 to 8.
     #[serde(default)]
     pub deceleration_mps2: Option<[f64; 2]>,
-    /// The smallest initial speed v_least, m/s.
-    #[serde(default = "default_least_speed_mps")]
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub least_speed_mps: f64,
-    /// The error τ of the deceleration that costs ½, m/s².
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps2: f64,
 }
 
-const fn default_least_speed_mps() -> f64 {
-    4.0
-}
+/// The error τ of the deceleration that costs ½, m/s².
+const TOLERANCE_MPS2: f64 = 1.0;
+
+/// The smallest initial speed v_least, m/s.
+const LEAST_SPEED_MPS: f64 = 4.0;
 
 /// The parameter at which it aims, as the events report it.
 const MAX_DECELERATION: &str = "max_deceleration_mps2";
@@ -73,8 +67,8 @@ impl SceneObjective for HardBrake {
         let braking = (lost * (1.0 / (n_window as f64 * context.dt_s)))?.reshape((n_rows, n_agents * n_moments))?;
         let wanted = context.wanted(MAX_DECELERATION, self.deceleration_mps2, ANY_MPS2, states)?;
         let missed = beyond(&braking, &wanted)?.reshape((n_rows, n_agents, n_moments))?;
-        let slow = (self.least_speed_mps - before)?.relu()?;
-        let parts = [penalty(&missed, self.tolerance_mps2)?, penalty(&slow, 1.0)?];
+        let slow = (LEAST_SPEED_MPS - before)?.relu()?;
+        let parts = [penalty(&missed, TOLERANCE_MPS2)?, penalty(&slow, 1.0)?];
         (best_potential(&parts, &context.terms(n_window + 1)?)? * context.selected(&self.agents)?)?.sum(1)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::motion::{norm, nothing, penalty, positions};
 use super::pairs::{PairQuery, Pairs, Reach};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -32,11 +32,10 @@ pub struct KeepDistance {
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub max_m: Option<f64>,
-    /// The deviation τ that costs ½ a second, meters.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
+
+/// The deviation τ that costs ½ a second, meters.
+const TOLERANCE_M: f64 = 1.0;
 
 impl SceneObjective for KeepDistance {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -53,9 +52,9 @@ impl SceneObjective for KeepDistance {
         let query = PairQuery { reach, ..PairQuery::of(&self.agents, &self.to) };
         let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
         let distance_m = norm(&(positions(&pairs.second.states)? - positions(&pairs.first.states)?)?)?;
-        let mut values = penalty(&(self.min_m - &distance_m)?.relu()?, self.tolerance_m)?;
+        let mut values = penalty(&(self.min_m - &distance_m)?.relu()?, TOLERANCE_M)?;
         if let Some(max_m) = self.max_m {
-            values = (values + penalty(&(distance_m - max_m)?.relu()?, self.tolerance_m)?)?;
+            values = (values + penalty(&(distance_m - max_m)?.relu()?, TOLERANCE_M)?)?;
         }
         pairs.sum_over_rows(&((values * &pairs.counts)?.sum(1)? * context.dt_s)?)
     }
@@ -68,7 +67,7 @@ mod tests {
 
     fn objective() -> KeepDistance {
         let (agents, to) = (AgentSelector::new("other"), AgentSelector::new("ego"));
-        KeepDistance { weight: 1.0, agents, to, min_m: 8.0, max_m: Some(12.0), tolerance_m: 1.0 }
+        KeepDistance { weight: 1.0, agents, to, min_m: 8.0, max_m: Some(12.0) }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::motion::{nothing, penalty};
 use super::one_agent::{OneAgent, SIDE};
-use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, half, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, one_agent};
 use crate::geometry::Polyline;
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Be in the lane beside one's own by the end, and stay there.
 ///
 /// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on
-/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last seconds (`settled_s`). If
+/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last 1.2 s. If
 /// there are several lanes, the one that costs least counts. 0 if the map has no lane on the target side: see
 /// `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -28,27 +28,16 @@ pub struct LaneChange {
     /// The side to which it changes. Left out: that of the target, else the side that costs less.
     #[serde(default)]
     pub side: Option<Side>,
-    /// How long the agent must be in the new lane at the end, seconds.
-    #[serde(default = "default_settled_s")]
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub settled_s: f64,
-    /// How far from the center line of the new lane it may be then, meters.
-    #[serde(default = "default_within_m")]
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub within_m: f64,
-    /// The error τ of the offset that costs ½, meters.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
 
-const fn default_settled_s() -> f64 {
-    1.2
-}
+/// How long the agent must be in the new lane at the end, seconds.
+const SETTLED_S: f64 = 1.2;
 
-const fn default_within_m() -> f64 {
-    0.7
-}
+/// How far from the center line of the new lane it may be then, meters.
+const WITHIN_M: f64 = 0.7;
+
+/// The error τ of the offset that costs ½, meters.
+const TOLERANCE_M: f64 = 0.5;
 
 impl SceneObjective for LaneChange {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -66,7 +55,7 @@ impl SceneObjective for LaneChange {
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let asked = OneAgent::gather(states, context, &self.agents)?;
         let line = |row: usize| asked.line_beside(context, row, self.side);
-        settled(states, context, &asked, line, [self.settled_s, self.within_m, self.tolerance_m])
+        settled(states, context, &asked, line, [SETTLED_S, WITHIN_M, TOLERANCE_M])
     }
 }
 

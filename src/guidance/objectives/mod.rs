@@ -249,16 +249,7 @@ impl Side {
     }
 }
 
-// Defaults for serde, which takes functions.
-
+/// How much an objective counts. It is what scales a cost: the errors that cost ½ are constants of each objective.
 const fn default_weight() -> f64 {
     1.0
-}
-
-const fn one() -> f64 {
-    1.0
-}
-
-const fn half() -> f64 {
-    0.5
 }

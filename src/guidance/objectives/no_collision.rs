@@ -3,7 +3,7 @@
 use super::box_separation::separation_m;
 use super::motion::{nothing, penalty};
 use super::pairs::{PairQuery, Pairs, Reach};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, half};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,11 +29,10 @@ pub struct NoCollision {
     #[serde(default = "default_margin_m")]
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,
-    /// The lack of separation τ that costs ½ a second, meters.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
+
+/// The lack of separation τ that costs ½ a second, meters.
+const TOLERANCE_M: f64 = 0.5;
 
 const fn default_margin_m() -> f64 {
     0.5
@@ -61,7 +60,7 @@ impl SceneObjective for NoCollision {
         let overlaps = at_present(&separation_m)?.lt(-SMOOTHING_M)?.to_dtype(states.dtype())?;
         let overlaps = (overlaps * at_present(&pairs.both_valid)?)?;
         let counts = pairs.counts.broadcast_mul(&(1.0 - overlaps)?)?;
-        let values = penalty(&(self.margin_m - separation_m)?.relu()?, self.tolerance_m)?;
+        let values = penalty(&(self.margin_m - separation_m)?.relu()?, TOLERANCE_M)?;
         pairs.sum_over_rows(&((values * counts)?.sum(1)? * context.dt_s)?)
     }
 }
@@ -75,7 +74,7 @@ mod tests {
     use super::*;
 
     fn objective() -> NoCollision {
-        NoCollision { weight: 1.0, agents: AgentSelector::default(), except: None, margin_m: 0.5, tolerance_m: 0.5 }
+        NoCollision { weight: 1.0, agents: AgentSelector::default(), except: None, margin_m: 0.5 }
     }
 
     /// A fast car behind a slow one, and another that crosses.
@@ -119,7 +118,7 @@ mod tests {
             );
             let pairs = pairs.unwrap().unwrap();
             let lack_m = (objective.margin_m - separation_m(&pairs).unwrap()).unwrap().relu().unwrap();
-            let cost = (penalty(&lack_m, objective.tolerance_m).unwrap() * &pairs.counts).unwrap();
+            let cost = (penalty(&lack_m, TOLERANCE_M).unwrap() * &pairs.counts).unwrap();
             let all = cost.sum_all().unwrap().to_scalar::<f64>().unwrap() * traffic.context.dt_s;
             assert!((traffic.potential(&objective)[0] - all).abs() < 1e-12);
         }

@@ -1,7 +1,7 @@
 //! Keep the heading along the motion.
 
 use super::motion::{headings, integral, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, half};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,11 +25,10 @@ pub struct SlipLimit {
     #[serde(default = "default_limit_rad")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub limit_rad: f64,
-    /// The excess of sideways speed τ that costs ½ a second, m/s.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps: f64,
 }
+
+/// The excess of sideways speed τ that costs ½ a second, m/s.
+const TOLERANCE_MPS: f64 = 0.5;
 
 const fn default_limit_rad() -> f64 {
     0.2
@@ -53,7 +52,7 @@ impl SceneObjective for SlipLimit {
         let velocity = |dim: usize| velocity_mps.narrow(D::Minus1, dim, 1);
         let across = ((velocity(1)? * cos)? - (velocity(0)? * sin)?)?.div(&length)?;
         let allowed_mps = (norm(&velocity_mps)? * self.limit_rad.sin())?;
-        let values = penalty(&(across.squeeze(D::Minus1)?.abs()? - allowed_mps)?.relu()?, self.tolerance_mps)?;
+        let values = penalty(&(across.squeeze(D::Minus1)?.abs()? - allowed_mps)?.relu()?, TOLERANCE_MPS)?;
         let agents = (context.selected(&self.agents)? * &context.motorized)?;
         integral(&values, &context.terms(1)?, &agents, context.dt_s)
     }
@@ -66,7 +65,7 @@ mod tests {
     use candle_core::Var;
 
     fn objective() -> SlipLimit {
-        SlipLimit { weight: 1.0, agents: AgentSelector::default(), limit_rad: 0.1, tolerance_mps: 0.5 }
+        SlipLimit { weight: 1.0, agents: AgentSelector::default(), limit_rad: 0.1 }
     }
 
     /// One car at 10 m/s along x whose heading is `heading_rad` throughout.

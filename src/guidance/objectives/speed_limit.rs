@@ -1,7 +1,7 @@
 //! Drive no faster than a given speed.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,11 +22,10 @@ pub struct SpeedLimit {
     /// The limit v_max, m/s.
     #[schemars(range(min = 0.0))]
     pub limit_mps: f64,
-    /// The excess τ that costs ½ a second, m/s.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps: f64,
 }
+
+/// The excess τ that costs ½ a second, m/s.
+const TOLERANCE_MPS: f64 = 1.0;
 
 impl SceneObjective for SpeedLimit {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -35,7 +34,7 @@ impl SceneObjective for SpeedLimit {
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let speed_mps = norm(&rate(&positions(states)?, context.dt_s)?)?;
-        let values = penalty(&(speed_mps - self.limit_mps)?.relu()?, self.tolerance_mps)?;
+        let values = penalty(&(speed_mps - self.limit_mps)?.relu()?, TOLERANCE_MPS)?;
         integral(&values, &context.terms(1)?, &context.selected(&self.agents)?, context.dt_s)
     }
 }

@@ -1,7 +1,7 @@
 //! Stay on the road.
 
 use super::motion::{headings, integral, norm, penalty, positions};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, half};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use crate::geometry::Vec2;
 use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
@@ -36,11 +36,10 @@ pub struct StayOnRoad {
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub margin_m: f64,
-    /// The distance τ off the road that costs ½ a second, meters.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
+
+/// The distance τ off the road that costs ½ a second, meters.
+const TOLERANCE_M: f64 = 0.5;
 
 /// Points of an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -70,7 +69,7 @@ impl SceneObjective for StayOnRoad {
             let excess_m = |at: &Tensor| (outside_m(&points, at, context)? + self.margin_m)?.relu();
             let observed_m = excess_m(&last_observed)?.max_keepdim(2)?;
             let added_m = excess_m(&counts)?.broadcast_sub(&observed_m)?.relu()?;
-            let values = (penalty(&added_m, self.tolerance_m)? * share)?;
+            let values = (penalty(&added_m, TOLERANCE_M)? * share)?;
             let own = integral(&values, &terms, &agents, context.dt_s)?;
             total = Some(total.map_or(Ok(own.clone()), |total| total + own)?);
         }
@@ -144,7 +143,7 @@ mod tests {
     use std::sync::Arc;
 
     fn on_road(points: RoadPoints) -> StayOnRoad {
-        StayOnRoad { weight: 1.0, agents: AgentSelector::default(), points, margin_m: 0.0, tolerance_m: 0.5 }
+        StayOnRoad { weight: 1.0, agents: AgentSelector::default(), points, margin_m: 0.0 }
     }
 
     /// Cars that drift off a lane along y = 0 whose edges are at ±1.75 m.

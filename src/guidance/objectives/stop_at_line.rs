@@ -1,7 +1,7 @@
 //! Come to a halt before a line.
 
 use super::motion::{headings, integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego, half, one};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -27,15 +27,13 @@ pub struct StopAtLine {
     /// How far ahead of the agent's front the line lies at present, meters.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub distance_m: f64,
-    /// The way τ_s beyond or before the line that costs ½, meters.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
-    /// The final speed τ_v that costs ½, m/s.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps: f64,
 }
+
+/// The final speed τ_v that costs ½, m/s.
+const TOLERANCE_MPS: f64 = 0.5;
+
+/// The way τ_s beyond or before the line that costs ½, meters.
+const TOLERANCE_M: f64 = 1.0;
 
 impl SceneObjective for StopAtLine {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -56,9 +54,9 @@ impl SceneObjective for StopAtLine {
         };
         let speed_mps = norm(&rate(&positions(states)?, dt_s)?)?;
         let (terms, steps) = (context.terms(0)?, context.terms(1)?);
-        let crossing = integral(&penalty(&beyond_m.relu()?, self.tolerance_m)?, &terms, &agents, dt_s)?;
-        let place = last(&penalty(&beyond_m, self.tolerance_m)?, &terms)?;
-        let halt = last(&penalty(&speed_mps, self.tolerance_mps)?, &steps)?;
+        let crossing = integral(&penalty(&beyond_m.relu()?, TOLERANCE_M)?, &terms, &agents, dt_s)?;
+        let place = last(&penalty(&beyond_m, TOLERANCE_M)?, &terms)?;
+        let halt = last(&penalty(&speed_mps, TOLERANCE_MPS)?, &steps)?;
         (crossing + place)? + halt
     }
 }

@@ -1,7 +1,7 @@
 //! Drive at a given speed.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, one};
+use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,15 +22,14 @@ pub struct TargetSpeed {
     /// The speed v*, m/s.
     #[schemars(range(min = 0.0))]
     pub speed_mps: f64,
-    /// The deviation τ that costs ½ a second, m/s.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_mps: f64,
     /// From when on the speed counts, seconds after the present: speed cannot change at once.
     #[serde(default)]
     #[schemars(range(min = 0.0))]
     pub from_s: f64,
 }
+
+/// The deviation τ that costs ½ a second, m/s.
+const TOLERANCE_MPS: f64 = 1.0;
 
 impl SceneObjective for TargetSpeed {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -39,7 +38,7 @@ impl SceneObjective for TargetSpeed {
 
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let speed_mps = norm(&rate(&positions(states)?, context.dt_s)?)?;
-        let values = penalty(&(speed_mps - self.speed_mps)?, self.tolerance_mps)?;
+        let values = penalty(&(speed_mps - self.speed_mps)?, TOLERANCE_MPS)?;
         // The difference from t to t + 1 is the speed halfway between.
         let first = context.n_history as f64 - 1.5 + self.from_s / context.dt_s;
         let terms = context.terms(1)?;

@@ -16,7 +16,7 @@ fn all() -> Vec<ObjectiveConfig> {
             { kind = 'speed_limit', limit_mps = 4.0 },
             { kind = 'goal', agents = 'all', x_m = 30.0, y_m = 2.0, time_s = 1.0 },
             { kind = 'acceleration_limit', limit_mps2 = 0.5 },
-            { kind = 'slip_limit', limit_rad = 0.01, tolerance_mps = 0.1 },
+            { kind = 'slip_limit', limit_rad = 0.01 },
             { kind = 'stay_on_road' },
             { kind = 'no_collision', margin_m = 1.0 },
             { kind = 'keep_distance', min_m = 9.0 },
@@ -116,7 +116,7 @@ fn rows_are_independent() {
 fn target_speed_is_reached_by_the_chosen_agent() {
     let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 8.0)]);
     let agents = AgentSelector::new("other");
-    let objective = TargetSpeed { weight: 1.0, agents, speed_mps: 5.0, tolerance_mps: 1.0, from_s: 1.0 };
+    let objective = TargetSpeed { weight: 1.0, agents, speed_mps: 5.0, from_s: 1.0 };
     // 3 m/s too fast from 1 s after the present on: steps 7, 8, 9 and 10 of 0.2 s each.
     let expected = -0.5 * 9.0 * 4.0 * 0.2;
     assert!((traffic.potential(&objective)[0] / expected - 1.0).abs() < 0.05, "{}", traffic.potential(&objective)[0]);
@@ -132,7 +132,7 @@ fn target_speed_is_reached_by_the_chosen_agent() {
 #[test]
 fn limits_bind_those_beyond_them_only() {
     let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 5.0)]);
-    let limit = SpeedLimit { weight: 1.0, agents: AgentSelector::default(), limit_mps: 6.0, tolerance_mps: 1.0 };
+    let limit = SpeedLimit { weight: 1.0, agents: AgentSelector::default(), limit_mps: 6.0 };
     assert_gradients_match(&limit, &traffic);
     let states = after_ascent(&limit, &traffic, 200);
     assert!(speeds(&states[0][0], 0.2)[2..].iter().all(|speed| *speed < 6.2));
@@ -145,7 +145,7 @@ fn limits_bind_those_beyond_them_only() {
     let states = Tensor::from_vec(flat, traffic.states.shape(), &Device::Cpu).unwrap();
     let jolted = Traffic { states: Var::from_tensor(&states).unwrap(), context: traffic.context };
     let agents = AgentSelector::default();
-    let limit = AccelerationLimit { weight: 1.0, agents, limit_mps2: 4.0, tolerance_mps2: 1.0 };
+    let limit = AccelerationLimit { weight: 1.0, agents, limit_mps2: 4.0 };
     let expected = -0.5 * 0.2 * (21f64.powi(2) * 2.0 + 46f64.powi(2));
     assert!((jolted.potential(&limit)[0] / expected - 1.0).abs() < 0.01, "{}", jolted.potential(&limit)[0]);
     assert_gradients_match(&limit, &jolted);
@@ -166,7 +166,6 @@ fn goals_are_reached_in_their_frame_and_time() {
         x_m: 12.0,
         y_m: 1.0,
         time_s,
-        tolerance_m: 1.0,
     };
     // The other drives along y and is at (20, 7) at present, timestep 2: 12 m ahead and 1 m to the left is (19, 19).
     for (objective, timestep, expected) in [
@@ -187,13 +186,7 @@ fn goals_are_reached_in_their_frame_and_time() {
 fn the_front_stops_at_the_line() {
     // At present, timestep 2, the car is 2 m along its way; the line lies 6 m ahead of that.
     let traffic = Traffic::straight(&[(0.0, 0.0, std::f64::consts::FRAC_PI_2, 5.0)]);
-    let objective = StopAtLine {
-        weight: 1.0,
-        agents: AgentSelector::new("ego"),
-        distance_m: 6.0,
-        tolerance_m: 0.5,
-        tolerance_mps: 0.5,
-    };
+    let objective = StopAtLine { weight: 1.0, agents: AgentSelector::new("ego"), distance_m: 6.0 };
     assert_gradients_match(&objective, &traffic);
     let states = &after_ascent(&objective, &traffic, 500)[0][0];
     assert!(states.iter().all(|state| state[1] < 8.0 + 0.1));

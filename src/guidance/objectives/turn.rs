@@ -2,7 +2,7 @@
 
 use super::motion::{norm, penalty};
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, interval, one, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, interval, one_agent};
 use crate::geometry::Vec2;
 use crate::guidance::turning_way::{TurningWay, WantedTurn};
 use crate::settings;
@@ -41,15 +41,13 @@ pub struct Turn {
     /// The range of the mean speed in the bend, m/s. Left out: that of the target (`mean_speed_mps`), else any.
     #[serde(default)]
     pub mean_speed_mps: Option<[f64; 2]>,
-    /// How far from its place on the way the agent may be, meters.
-    #[serde(default = "one")]
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub within_m: f64,
-    /// The error τ of the distance that costs ½, meters.
-    #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
+
+/// How far from its place on the way the agent may be, meters.
+const WITHIN_M: f64 = 1.0;
+
+/// The error τ of the distance that costs ½, meters.
+const TOLERANCE_M: f64 = 1.0;
 
 /// The parameters at which it aims, as the events report them.
 const HEADING_CHANGE: &str = "heading_change_rad";
@@ -91,7 +89,7 @@ impl SceneObjective for Turn {
         let constant = |values: Vec<f64>| Tensor::new(values, states.device())?.to_dtype(states.dtype());
         let (places, own_headings, counts) = asked.futures()?;
         let aside_m = norm(&(places - constant(points)?.reshape((n_rows, n_ahead, 2))?)?)?;
-        let mut costs = penalty(&(aside_m - self.within_m)?.relu()?, self.tolerance_m)?;
+        let mut costs = penalty(&(aside_m - WITHIN_M)?.relu()?, TOLERANCE_M)?;
         if context.generates_headings {
             let off = (own_headings - constant(headings)?.reshape((n_rows, n_ahead))?)?;
             costs = (costs + ((off.cos()? - 1.0)? * HEADING_TOLERANCE_RAD.powi(-2))?)?;

@@ -2,7 +2,7 @@
 
 use super::lane_change::settled;
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, agent, default_weight, half, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, default_weight, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// The cost is that of `lane_change`: with d(t) the offset from the center line of the lane that comes toward the agent
 /// beside its place at present, carried on to where that lane comes from, J = -mean of ½ (max(|d| - within, 0) / τ)²
-/// over the last seconds (`against_s`). If there are several such lanes, the nearest one counts; 0 if there is none.
+/// over the last 1.7 s. If there are several such lanes, the nearest one counts; 0 if there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WrongWay {
@@ -23,27 +23,16 @@ pub struct WrongWay {
     /// The agent that drives the wrong way: `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,
-    /// How long the agent must be in the oncoming lane at the end, seconds.
-    #[serde(default = "default_against_s")]
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub against_s: f64,
-    /// How far from the center line of that lane it may be then, meters.
-    #[serde(default = "default_within_m")]
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub within_m: f64,
-    /// The error τ of the offset that costs ½, meters.
-    #[serde(default = "half")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub tolerance_m: f64,
 }
 
-const fn default_against_s() -> f64 {
-    1.7
-}
+/// How long the agent must be in the oncoming lane at the end, seconds.
+const AGAINST_S: f64 = 1.7;
 
-const fn default_within_m() -> f64 {
-    1.2
-}
+/// How far from the center line of that lane it may be then, meters.
+const WITHIN_M: f64 = 1.2;
+
+/// The error τ of the offset that costs ½, meters.
+const TOLERANCE_M: f64 = 0.5;
 
 impl SceneObjective for WrongWay {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -57,7 +46,7 @@ impl SceneObjective for WrongWay {
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let asked = OneAgent::gather(states, context, &self.agents)?;
         let line = |row: usize| asked.oncoming_line(context, row);
-        settled(states, context, &asked, line, [self.against_s, self.within_m, self.tolerance_m])
+        settled(states, context, &asked, line, [AGAINST_S, WITHIN_M, TOLERANCE_M])
     }
 }
 
@@ -67,7 +56,7 @@ mod tests {
     use super::*;
 
     fn objective() -> WrongWay {
-        toml::from_str("agents = 'ego'\nagainst_s = 0.8").expect("everything else has a default")
+        toml::from_str("agents = 'ego'").expect("everything else has a default")
     }
 
     fn traffic() -> Traffic {

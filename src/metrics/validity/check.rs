@@ -26,6 +26,8 @@ pub enum Check {
     StartPosition,
     /// A road user turns at once where given and generated states meet.
     StartHeading,
+    /// A vehicle's acceleration changes at once where given and generated states meet.
+    StartAcceleration,
     /// Two road users drive into each other.
     Collision,
     /// A vehicle leaves the road.
@@ -36,7 +38,7 @@ pub enum Check {
 
 impl Check {
     /// Every check, in the order of tables.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Acceleration,
         Self::Deceleration,
         Self::LateralAcceleration,
@@ -46,6 +48,7 @@ impl Check {
         Self::Heading,
         Self::StartPosition,
         Self::StartHeading,
+        Self::StartAcceleration,
         Self::Collision,
         Self::Offroad,
         Self::ContactAfterEnd,
@@ -63,6 +66,7 @@ impl Check {
             Self::Heading => "heading",
             Self::StartPosition => "start_position",
             Self::StartHeading => "start_heading",
+            Self::StartAcceleration => "start_acceleration",
             Self::Collision => "collision",
             Self::Offroad => "offroad",
             Self::ContactAfterEnd => "contact_after_end",
@@ -77,7 +81,7 @@ impl Check {
     /// The unit of its values and limits.
     pub const fn unit(self) -> &'static str {
         match self {
-            Self::Acceleration | Self::Deceleration | Self::LateralAcceleration => "m/s^2",
+            Self::Acceleration | Self::Deceleration | Self::LateralAcceleration | Self::StartAcceleration => "m/s^2",
             Self::Jerk => "m/s^3",
             Self::YawRate | Self::Curvature => "rad/s",
             Self::Heading | Self::StartHeading => "rad",
@@ -102,6 +106,10 @@ impl Check {
             }
             Self::StartHeading => {
                 "a road user turns by more than the limit in one timestep, where given and generated states meet"
+            }
+            Self::StartAcceleration => {
+                "a vehicle's acceleration changes within two timesteps, where given and generated states meet, by more than the limit \
+                 beyond the largest such change among its given states"
             }
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",

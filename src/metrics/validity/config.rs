@@ -17,7 +17,7 @@ pub struct ValidityConfig {
     /// Checks to skip.
     pub skip: Vec<Check>,
     /// The datasets whose positions are good enough for checks of motion: acceleration, deceleration, lateral
-    /// acceleration, jerk, yaw rate, curvature, heading and both of the start. Default `interaction` and `argoverse2`:
+    /// acceleration, jerk, yaw rate, curvature, heading and those of the start. Default `interaction` and `argoverse2`:
     /// Argoverse 1 has positions of a tracker, unfiltered and at uneven times, so that no recorded scene would pass.
     pub motion_of: Vec<Dataset>,
     /// Positions and headings are fitted over this time, seconds. Default 0.7.
@@ -54,6 +54,10 @@ pub struct ValidityConfig {
     /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub max_start_turn_rad: f64,
+    /// Where given and generated states meet: largest change of acceleration within two timesteps, m/s², beyond the largest
+    /// one among the given states of the vehicle, which shows how smooth its recording is. Default 2.
+    #[schemars(range(min = 0.0))]
+    pub max_start_acceleration_mps2: f64,
     /// How far the center of a vehicle may be outside the lanes (for lanes without boundaries: 1.9 m on either side of
     /// their center line), meters. Default 0.3.
     #[schemars(range(min = 0.0))]
@@ -87,6 +91,7 @@ impl Default for ValidityConfig {
             max_slip_rad: 0.35,
             max_start_offset_m: 0.3,
             max_start_turn_rad: 0.2,
+            max_start_acceleration_mps2: 2.0,
             offroad_slack_m: 0.3,
             max_recorded_offroad: 0.03,
             places_without_road: BTreeSet::new(),

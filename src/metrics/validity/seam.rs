@@ -8,10 +8,10 @@ use crate::scene::State;
 /// Motion is extrapolated from the mean velocity over at most so many timesteps.
 const N_BEFORE: usize = 3;
 
-/// Jumps in position and heading between a given state and a generated one, in either order.
+/// Jumps in position, heading and acceleration between a given state and a generated one, in either order.
 pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Violation> {
     let scene = judged.scene;
-    let (mut position, mut heading) = (None, None);
+    let mut worst: [Option<Violation>; 3] = [const { None }; 3];
     for agent_idx in judged.generated_agents() {
         for timestep in 1..scene.n_timesteps {
             let is_seam = judged.is_generated(agent_idx, timestep) != judged.is_generated(agent_idx, timestep - 1);
@@ -26,8 +26,8 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
             };
             let mut check = |check: Check, value: f64, limit: f64| {
                 if exceeds(value, limit) {
-                    let worst = if check == Check::StartPosition { &mut position } else { &mut heading };
-                    keep_worse(worst, Violation::new(check, scene, agent_idx, timestep, (value, limit)));
+                    let place = &mut worst[check as usize - Check::StartPosition as usize];
+                    keep_worse(place, Violation::new(check, scene, agent_idx, timestep, (value, limit)));
                 }
             };
             let expected: Vec2 = before.position + step;
@@ -35,8 +35,31 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
             if judged.is_vehicle(agent_idx) {
                 let turn_rad = angle_difference(now.heading_rad, before.heading_rad).abs();
                 check(Check::StartHeading, turn_rad, config.max_start_turn_rad);
+                if let Some(beyond_mps2) = acceleration_step(judged, agent_idx, timestep) {
+                    check(Check::StartAcceleration, beyond_mps2, config.max_start_acceleration_mps2);
+                }
             }
         }
     }
-    position.into_iter().chain(heading).collect()
+    worst.into_iter().flatten().collect()
+}
+
+/// How much more the acceleration changes from before `timestep`, the first generated one, to the two timesteps after than it
+/// ever does among the given states before, m/s². `None` if there are too few states.
+fn acceleration_step(judged: &Judged<'_>, agent_idx: usize, timestep: usize) -> Option<f64> {
+    let (scene, first) = (judged.scene, timestep.checked_sub(N_BEFORE)?);
+    let acceleration = |from: usize| -> Option<Vec2> {
+        let position = |timestep: usize| scene.state(agent_idx, timestep).map(|state| state.position);
+        let bend = position(from)? - position(from + 1)? * 2.0 + position(from + 2)?;
+        Some(bend * (1.0 / (scene.dt_s * scene.dt_s)))
+    };
+    // Changes from the acceleration over three states to those one and two timesteps later.
+    let change = |from: usize| -> Option<f64> {
+        let now = acceleration(from)?;
+        Some(now.distance(acceleration(from + 1)?).max(now.distance(acceleration(from + 2)?)))
+    };
+    let is_given = |timestep: usize| !judged.is_generated(agent_idx, timestep);
+    let of_given = (0..first.saturating_sub(1)).filter(|from| (*from..=from + 4).all(is_given)).filter_map(change);
+    let is_start = judged.is_generated(agent_idx, timestep) && (first..timestep).all(is_given);
+    Some(change(first).filter(|_| is_start)? - of_given.fold(0.0, f64::max))
 }

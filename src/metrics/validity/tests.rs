@@ -97,7 +97,7 @@ fn bends_are_limited_by_grip_yaw_rate_and_steering() {
     let turning = |speed: f64, degrees: f64| {
         scene(speed, &format!("{{ duration_s = 1 }}, {{ duration_s = 2, turn_deg = {degrees:?} }}"))
     };
-    let loose = ValidityConfig { skip: vec![Check::Jerk, Check::Offroad], ..defaults() };
+    let loose = ValidityConfig { skip: vec![Check::Jerk, Check::Offroad, Check::StartAcceleration], ..defaults() };
     // 90 degrees in 2 s are 0.785 rad/s: 10 m/s² across at 12.7 m/s.
     let (check, value, _) = only(&turning(12.7324, 90.0), &loose);
     assert!(check == Check::LateralAcceleration && (value - 10.0).abs() < 0.3, "{value}");
@@ -131,8 +131,8 @@ fn the_future_begins_where_the_past_ends() {
             false => State { position: state.position + Vec2::new(0.0, by_m), ..state },
         })
     };
-    let violation =
-        &found(&shifted(0.5), &ValidityConfig { skip: vec![Check::Jerk, Check::LateralAcceleration], ..defaults() });
+    let others = vec![Check::Jerk, Check::LateralAcceleration, Check::StartAcceleration];
+    let violation = &found(&shifted(0.5), &ValidityConfig { skip: others, ..defaults() });
     let seams: Vec<_> = violation.iter().map(|v| (v.check, v.timestep)).collect();
     assert_eq!(seams, [(Check::StartPosition, 10)], "{violation:?}");
     assert!((violation[0].value - 0.5).abs() < 1e-9);
@@ -152,6 +152,24 @@ fn the_future_begins_where_the_past_ends() {
     });
     let judged = Judged::new(&leap, Roles::none(), |_, timestep| (12..20).contains(&timestep));
     assert!(judged.violations(&defaults()).iter().any(|v| v.check == Check::StartPosition && v.timestep == 12));
+}
+
+#[test]
+fn acceleration_does_not_change_at_once_where_motion_begins_to_be_generated() {
+    // Braking begins with the first generated state, after a past that drives on steadily or shakes.
+    let start = |braking_mps2: f64, shake_m: f64| {
+        let braking = changed(scene(10.0, ""), |timestep, state| {
+            let since_s = 0.1 * (timestep as f64 - 9.0).max(0.0);
+            let shake = if timestep % 2 == 0 { shake_m } else { 0.0 };
+            State { position: state.position - Vec2::new(braking_mps2 * since_s * since_s / 2.0 + shake, 0.0), ..state }
+        });
+        let found = found(&braking, &defaults());
+        found.into_iter().find(|violation| violation.check == Check::StartAcceleration)
+    };
+    let violation = start(3.0, 0.0).expect("3 m/s² at once");
+    assert!((violation.value - 3.0).abs() < 1e-6 && violation.timestep == 10, "{violation:?}");
+    assert_eq!(start(1.5, 0.0), None);
+    assert_eq!(start(3.0, 0.02), None, "steps of 8 m/s² are ordinary in this recording");
 }
 
 #[test]

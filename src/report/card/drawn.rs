@@ -2,13 +2,12 @@
 
 use super::ViewRect;
 use crate::scene::{Lane, ObservationMask, Roles, Scene};
-use serde::{Deserialize, Serialize};
 
 /// How far a drawn lane may lie from the mapped one, meters.
 const LANE_TOLERANCE_M: f64 = 0.05;
 
 /// A lane's lines in the scene frame, meters; empty if the map has none.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DrawnLane {
     /// Points in driving direction.
     pub centerline: Vec<[f64; 2]>,
@@ -19,7 +18,7 @@ pub struct DrawnLane {
 }
 
 /// One drawing: a recording, or overlaid samples of its future.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ScenePanel {
     /// Its title, such as `recorded`.
     pub title: String,
@@ -34,7 +33,7 @@ pub struct ScenePanel {
 }
 
 /// One recording or sample.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DrawnSample {
     /// Its name, such as `sample 4`.
     pub name: String,
@@ -43,7 +42,7 @@ pub struct DrawnSample {
 }
 
 /// One road user over time.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DrawnAgent {
     /// Its track id.
     pub id: String,

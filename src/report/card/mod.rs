@@ -11,10 +11,9 @@ pub use view::ViewRect;
 
 use super::model::Fact;
 use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene};
-use serde::{Deserialize, Serialize};
 
 /// Drawings of one scene side by side, at one scale: the recording and what was generated from it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SceneCard {
     /// Unique within the report, such as the scenario's id.
     pub id: String,
@@ -33,7 +32,7 @@ pub struct SceneCard {
 }
 
 /// The keys of a scene for filters.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CardKey {
     /// The sweep's name.
     pub sweep: String,
@@ -48,14 +47,13 @@ pub struct CardKey {
     /// Whether it was accepted, and why not; `None` if that was not decided, and for several samples.
     pub acceptance: Option<Acceptance>,
     /// How strongly it was guided.
-    #[serde(flatten)]
     pub level: GuidanceLevel,
     /// Parameters of the event and metrics of the scenario; means for several samples.
     pub values: Vec<CardValue>,
 }
 
 /// A bucket of a request.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CardBucket {
     /// Name of the request.
     pub request: String,
@@ -73,7 +71,7 @@ impl CardBucket {
 }
 
 /// A figure of a scene.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CardValue {
     /// Its name in the tables, such as `gap_m`.
     pub name: String,
@@ -82,7 +80,7 @@ pub struct CardValue {
 }
 
 /// Whether a scenario was accepted: verified, valid and no near-duplicate.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Acceptance {
     /// Why it was not, such as `near_duplicate`; empty if it was.
     pub reasons: Vec<String>,
@@ -104,8 +102,7 @@ impl Acceptance {
 }
 
 /// The verdict on the requested behavior.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
     /// Verified, and not in the recording.
     New,

@@ -2,7 +2,6 @@
 
 use crate::geometry::Vec2;
 use crate::scene::{Roles, Scene};
-use serde::{Deserialize, Serialize};
 
 /// Around the tracks of interest, meters.
 const MARGIN_M: f64 = 9.0;
@@ -10,7 +9,7 @@ const MARGIN_M: f64 = 9.0;
 const MIN_VIEW_M: Vec2 = Vec2 { x: 60.0, y: 20.0 };
 
 /// An axis-parallel part of the scene frame, meters.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ViewRect {
     /// Least coordinates.
     pub min: [f64; 2],
