@@ -45,8 +45,8 @@ impl Template {
     }
 
     /// Adds an agent that follows `place`, its position by the seconds after the present. The motion starts at the
-    /// agent's present position, velocity and acceleration and joins `place` within a second. `None` if the agent is not
-    /// tracked at present, or `place` is undefined at some time.
+    /// agent's present position, velocity and acceleration and joins `place` within a second. `None` if the agent is
+    /// not tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
@@ -100,7 +100,8 @@ impl Template {
     }
 }
 
-/// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if they are too few.
+/// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if they are
+/// too few.
 fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
     let last = &past[past.len().saturating_sub(N_OBSERVED)..];
     let n = last.len() as f64;

@@ -108,8 +108,8 @@ impl Check {
                 "a road user turns by more than the limit in one timestep, where given and generated states meet"
             }
             Self::StartAcceleration => {
-                "a vehicle's acceleration changes within two timesteps, where given and generated states meet, by more than the limit \
-                 beyond the largest such change among its given states"
+                "a vehicle's acceleration changes within two timesteps, where given and generated states meet, by more \
+                 than the limit beyond the largest such change among its given states"
             }
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",

@@ -54,8 +54,8 @@ pub struct ValidityConfig {
     /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub max_start_turn_rad: f64,
-    /// Where given and generated states meet: largest change of acceleration within two timesteps, m/s², beyond the largest
-    /// one among the given states of the vehicle, which shows how smooth its recording is. Default 2.
+    /// Where given and generated states meet: largest change of acceleration within two timesteps, m/s², beyond the
+    /// largest one among the given states of the vehicle, which shows how smooth its recording is. Default 2.
     #[schemars(range(min = 0.0))]
     pub max_start_acceleration_mps2: f64,
     /// How far the center of a vehicle may be outside the lanes (for lanes without boundaries: 1.9 m on either side of

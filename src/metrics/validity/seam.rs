@@ -44,8 +44,8 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
     worst.into_iter().flatten().collect()
 }
 
-/// How much more the acceleration changes from before `timestep`, the first generated one, to the two timesteps after than it
-/// ever does among the given states before, m/s². `None` if there are too few states.
+/// How much more the acceleration changes from before `timestep`, the first generated one, to the two timesteps after
+/// than it ever does among the given states before, m/s². `None` if there are too few states.
 fn acceleration_step(judged: &Judged<'_>, agent_idx: usize, timestep: usize) -> Option<f64> {
     let (scene, first) = (judged.scene, timestep.checked_sub(N_BEFORE)?);
     let acceleration = |from: usize| -> Option<Vec2> {
