@@ -34,7 +34,7 @@ pub struct BehaviorEvent {
     pub scene_id: SceneId,
     /// Example or hard negative.
     pub label: EventLabel,
-    /// Who took part: (role, track), in the behavior's order of roles.
+    /// The agents that took part: (role, track), in the behavior's order of roles.
     pub roles: Roles,
     /// First timestep of the event.
     pub start_timestep: usize,

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "pedestrian_steps_out";
-/// Who drives, and who steps out.
+/// The roles: the driver, and the pedestrian who steps out.
 pub(super) const ROLES: &[&str] = &["ego", "pedestrian"];
 /// Names of the parameters of its events, defined at [`PedestrianStepsOut`].
 pub(super) const PARAMETERS: &[&str] = &["time_to_arrival_s", "gap_m", "ego_speed_mps", "pedestrian_speed_mps", "side"];

@@ -11,9 +11,9 @@ use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_2;
 
-/// Who is farther than this from the place, at its speed, has nothing to do with the event, seconds.
+/// Agents farther than this from the place, at their speed, have nothing to do with the event, seconds.
 const REACH_S: f64 = 5.0;
-/// Who is slower than this comes upon nobody, m/s.
+/// Agents slower than this come upon nobody, m/s.
 const STANDING_MPS: f64 = 0.5;
 
 /// Which vehicle is the subject of a behavior's events.

@@ -20,8 +20,8 @@ impl Printer {
         Self { quiet: output.quiet, color: !no_color && !dumb && io::stderr().is_terminal() }
     }
 
-    /// Prints the command's results to stdout, with control characters escaped as JSON does. A reader that has seen
-    /// enough (`| head`) is no error.
+    /// Prints the command's results to stdout, with control characters escaped as JSON does. A closed pipe (`| head`)
+    /// is not an error.
     pub(super) fn data(&self, text: &str) -> Result<()> {
         let mut stdout = io::stdout().lock();
         let text = shown(text, |c| format!("\\u{:04x}", u32::from(c)));

@@ -76,7 +76,7 @@ pub enum Error {
     Busy {
         /// The place.
         url: ObjectUrl,
-        /// Who holds it.
+        /// The process that holds it.
         holder: String,
     },
     /// No folder for what is downloaded.

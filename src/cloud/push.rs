@@ -74,7 +74,7 @@ impl View {
     /// Pushes what a stage at work has committed, if it is time; `name` is its newest file.
     ///
     /// # Errors
-    /// As [`View::push`].
+    /// See [`View::push`].
     pub(super) fn push_work(&self, name: &str, state: &mut State) -> Result<()> {
         state.waiting.retain(|waiting| waiting != name);
         state.waiting.push(name.to_owned());

@@ -18,7 +18,7 @@ pub struct Recordings {
 }
 
 impl Recordings {
-    /// Those at a URL; `None` for a path on disk. Nothing is downloaded.
+    /// The recordings at a URL; `None` for a path on disk. Nothing is downloaded.
     ///
     /// # Errors
     /// [`Error::Missing`]; those of the store.

@@ -27,7 +27,7 @@ impl Shown {
 pub enum Recordings {}
 
 impl Recordings {
-    /// Those at a URL; `None` for a path on disk.
+    /// The recordings at a URL; `None` for a path on disk.
     ///
     /// # Errors
     /// Whenever it is a URL.

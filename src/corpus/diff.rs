@@ -57,7 +57,7 @@ pub struct PartitionDiff {
 pub struct DistributionShift {
     /// A column of scenarios, or `speed_mps` of generated states.
     pub name: String,
-    /// In A and B.
+    /// Summaries of A and B.
     pub summaries: [Summary; 2],
     /// Difference of the means, B less A, in standard deviations of A; `None` where there are none.
     pub mean_shift_std: Option<f64>,

@@ -4,7 +4,7 @@ use super::kind::StageKind;
 use crate::cloud;
 use std::{fmt, io};
 
-/// Who can do something about a failure. The command line turns this into the exit code.
+/// The party that can do something about a failure. The command line turns this into the exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Blame {
     /// The user's input: arguments, configuration, recordings, files given.
@@ -19,7 +19,7 @@ pub enum Blame {
 
 /// An error with the blame for it and, where it is known, what to do about it.
 pub struct Failure {
-    /// Who can act.
+    /// The party that can act.
     pub blame: Blame,
     /// The error, with its causes.
     pub error: anyhow::Error,

@@ -269,7 +269,7 @@ impl StageRecord {
     /// the stage.
     ///
     /// # Errors
-    /// That it cannot be read.
+    /// If it cannot be read.
     pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
         let Some(written) = self.outputs.get(name) else { return Ok(true) };
         Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))

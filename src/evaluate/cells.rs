@@ -41,9 +41,9 @@ pub(super) struct CellFigures {
 /// The motion of all agents in the futures of a cell.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellMotion {
-    /// In the recording and the baseline, if they are measured.
+    /// Histograms of the recording and the baseline, if they are measured.
     pub(super) references: Option<[MotionHistograms; 2]>,
-    /// In all samples together.
+    /// Histogram of all samples together.
     pub(super) together: MotionHistograms,
 }
 

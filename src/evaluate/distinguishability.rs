@@ -84,7 +84,7 @@ pub struct TellingFeatureRow {
 /// The features of the tracks of a cell.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellTracks {
-    /// Those that are judged in the recording.
+    /// The tracks that are judged in the recording.
     recorded: Vec<(AgentClass, TrackFeatures)>,
     /// These tracks in each sample; `None` where one is not tracked to the end.
     samples: Vec<Vec<Option<TrackFeatures>>>,

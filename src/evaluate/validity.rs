@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 /// How many scenes of a group are valid, and how many fail each check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ValidityRow {
-    /// Whose scenes they are.
+    /// The group that the scenes belong to.
     pub group: Group,
     /// The sweep that is judged, or that continues these recordings.
     pub sweep: String,
@@ -22,7 +22,7 @@ pub struct ValidityRow {
     pub place: String,
     /// Scenes judged.
     pub n: u64,
-    /// That pass every check.
+    /// Scenes that pass every check.
     pub n_valid: u64,
     /// Check → how many fail it; checks without failures are missing.
     pub violations: BTreeMap<String, u64>,

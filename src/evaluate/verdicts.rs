@@ -28,15 +28,15 @@ pub struct AcceptanceRow {
     pub level: GuidanceLevel,
     /// Scenarios sampled.
     pub n_scenarios: u64,
-    /// Those in which the miner finds the requested behavior in the requested roles.
+    /// Scenarios in which the miner finds the requested behavior in the requested roles.
     pub n_verified: u64,
-    /// That pass every check of validity.
+    /// Scenarios that pass every check of validity.
     pub n_valid: u64,
-    /// That are both.
+    /// Scenarios that are both.
     pub n_verified_valid: u64,
-    /// That are both, and no near-duplicates of accepted ones before.
+    /// Scenarios that are both, and no near-duplicates of accepted ones before.
     pub n_accepted: u64,
-    /// That are in the corpus.
+    /// Scenarios in the corpus.
     pub n_kept: u64,
 }
 
@@ -76,7 +76,7 @@ pub(super) struct Verdicts<'a> {
 }
 
 impl<'a> Verdicts<'a> {
-    /// Nothing decided yet.
+    /// A tally without decisions.
     pub(super) fn new(config: &'a EvaluateConfig) -> Self {
         Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new() }
     }

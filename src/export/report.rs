@@ -24,7 +24,7 @@ pub struct ExportReport {
     pub selection: Selection,
     /// Which track is the ego.
     pub ego: EgoChoice,
-    /// Who moves it.
+    /// How the ego moves.
     pub ego_motion: EgoMotion,
     /// Number of scenarios written.
     pub n_scenarios: u64,

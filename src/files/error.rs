@@ -67,7 +67,7 @@ pub enum Error {
     Busy {
         /// The file or folder.
         path: PathBuf,
-        /// Who holds it.
+        /// The process that holds it.
         holder: String,
     },
     /// A folder that must be new.

@@ -146,7 +146,7 @@ pub(super) struct Conditioned {
     pub(super) mask: ObservationMask,
     /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
-    /// Who follows a template.
+    /// The agents that follow a template.
     performers: Vec<usize>,
 }
 

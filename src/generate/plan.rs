@@ -104,7 +104,7 @@ impl Generator<'_> {
     /// The plan for the first `n_sweeps` sweeps: the later ones belong to requests, which plan round by round.
     ///
     /// # Errors
-    /// As [`Generator::plan`].
+    /// See [`Generator::plan`].
     pub fn plan_first(&self, n_sweeps: usize, index: &SceneIndex) -> Result<Plan, Error> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
         let order = self.scenes_in_order(index, &|_| true);

@@ -37,7 +37,7 @@ impl Generator<'_> {
     /// `None` if the shard has no such sample, or the sample did not become a scenario.
     ///
     /// # Errors
-    /// As [`Generator::generate`].
+    /// See [`Generator::generate`].
     pub fn regenerate(&self, shard: &ShardPlan, wanted: SampleKey) -> Result<Option<ScenarioRecord>, Error> {
         let Some(cell) = shard.cells.get(wanted.cell) else { return Ok(None) };
         let output = self.generate_part(

@@ -92,7 +92,7 @@ pub struct RawScene {
     pub heading_gaps: Vec<HeadingGap>,
     /// The map the scene lies on.
     pub map_id: MapId,
-    /// That map, if the scene brings its own; otherwise it is looked up among those read beforehand.
+    /// The map, if the scene brings its own; otherwise it is looked up among those read beforehand.
     pub own_map: Option<Arc<LaneGraph>>,
 }
 

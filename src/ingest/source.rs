@@ -92,7 +92,7 @@ pub trait UnitReader {
     /// Emits what is held back, after the last entry of the last pass.
     ///
     /// # Errors
-    /// As [`UnitReader::read`].
+    /// See [`UnitReader::read`].
     fn finish(&mut self, _emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {
         Ok(ControlFlow::Continue(()))
     }

@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 /// defined for scenes without lanes, and at places whose map lacks parts of the road.
 #[derive(Debug, Clone)]
 pub struct DrivableAreaCompliance {
-    /// Those places.
+    /// The places whose maps lack parts of the road.
     pub places_without_road: BTreeSet<String>,
 }
 

@@ -101,8 +101,8 @@ pub trait Metric: Send + Sync {
     fn spec(&self) -> MetricSpec;
     /// Its value; `None` if it is not defined, such as a distance to a recording without a future.
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64>;
-    /// Whose modes may replace the samples, for figures that a benchmark takes over a few guesses. `None` for metrics
-    /// of the samples themselves, such as their variety, or how often they collide.
+    /// The agents whose modes may replace the samples, for figures that a benchmark takes over a few guesses. `None`
+    /// for metrics of the samples themselves, such as their variety, or how often they collide.
     fn modes(&self) -> Option<ModesOf> {
         None
     }

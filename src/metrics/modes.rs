@@ -57,7 +57,7 @@ impl Representative {
     }
 }
 
-/// Whose modes a metric is about.
+/// The agents whose modes a metric is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ModesOf {
     /// The ego's alone, for single-agent benchmarks.

@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 /// lacks parts of the road.
 #[derive(Debug, Clone)]
 pub struct OffroadRate {
-    /// Those places.
+    /// The places whose maps lack parts of the road.
     pub places_without_road: BTreeSet<String>,
 }
 

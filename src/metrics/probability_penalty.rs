@@ -11,7 +11,7 @@ const LEAST_PROBABILITY: f64 = 0.05;
 pub enum Displacement {
     /// The mean over the future.
     Ade,
-    /// That at the last timestep.
+    /// The distance at the last timestep.
     Fde,
 }
 

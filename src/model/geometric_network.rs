@@ -129,10 +129,10 @@ impl GeometricNetwork {
     /// Encodes what does not change between calls.
     ///
     /// # Errors
-    /// Fails when the batch was collated without what surrounds its agents, or does not fit the network.
+    /// If the batch was collated without `Sight`, or does not fit the network.
     pub(super) fn encode_known(&self, batch: &SceneBatch) -> Result<KnownTokens> {
         let Some(surroundings) = &batch.surroundings else {
-            candle_core::bail!("the batch was collated without what surrounds its agents");
+            candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");
         };
         let (b, a, _) = batch.valid.dims3()?;
         let any = |mask: &Tensor| self.tokens(&mask.unsqueeze(3)?)?.max(D::Minus1);
@@ -245,7 +245,7 @@ fn pool(perceptron: &Mlp, entries: &Tensor, valid: &Tensor) -> Result<Tensor> {
 /// The features of what is known of each state, in the agent's own frame: (B, A, T, `KNOWN`).
 fn known_features(batch: &SceneBatch) -> Result<Tensor> {
     let Some(surroundings) = &batch.surroundings else {
-        candle_core::bail!("the batch was collated without what surrounds its agents");
+        candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");
     };
     let cos = batch.rotation.narrow(2, 0, 1)?.unsqueeze(2)?;
     let sin = batch.rotation.narrow(2, 1, 1)?.unsqueeze(2)?;

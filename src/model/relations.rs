@@ -84,7 +84,7 @@ impl Relations {
     /// of each row.
     pub(super) fn new(batch: &SceneBatch, poses: &Tensor, counts: Counts) -> Result<Self> {
         let Some(surroundings) = &batch.surroundings else {
-            candle_core::bail!("the batch was collated without what surrounds its agents");
+            candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");
         };
         let (b, a, t, _) = poses.dims4()?;
         let n = t.div_ceil(counts.patch);

@@ -50,7 +50,7 @@ impl SceneDenoiser {
         seed: Seed,
     ) -> Result<Self> {
         if n_event_inputs > 0 && config.geometry.is_none() {
-            candle_core::bail!("only the geometric network can be told of events");
+            candle_core::bail!("only the geometric network supports event conditioning");
         }
         let mut scope = Scope::root(params, seed);
         let network = match &config.geometry {
@@ -206,7 +206,7 @@ impl<'a> ModeFactors<'a> {
     /// At noise of `variance` σ² (B, 1, 1, 1).
     fn new(batch: &'a SceneBatch, variance: &Tensor) -> Result<Self> {
         let Some(surroundings) = &batch.surroundings else {
-            candle_core::bail!("the batch was collated without what surrounds its agents");
+            candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");
         };
         let of_modes = &surroundings.variances;
         let trusted = of_modes.minimum(SIGMA_DATA * SIGMA_DATA)?;

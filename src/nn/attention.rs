@@ -39,7 +39,6 @@ impl SelfAttention {
 
     /// Attention among all agents of a timestep, of which each state has a frame of its own, `frames` (B, A, T, 4) as
     /// in [`ops::map_frames`]: states read each other as they lie in the reader's frame.
-    /// [`ops::map_frames`]: states read each other as they lie in the reader's frame.
     ///
     /// # Errors
     /// When shapes do not fit.

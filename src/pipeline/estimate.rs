@@ -29,7 +29,7 @@ const N_LANES: usize = 64;
 /// The plan of generation as lines for people, with its maximal cost; empty if nothing is generated.
 ///
 /// # Errors
-/// When the section makes no sense, or a tensor operation fails.
+/// If the section is invalid, or a tensor operation fails.
 pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>> {
     let Some(generate) = &config.generate else { return Ok(Vec::new()) };
     let resolved = generate.resolve(&config.mine.clone().unwrap_or_default().build()?)?;

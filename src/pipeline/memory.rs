@@ -91,14 +91,14 @@ impl StageMemory {
 #[derive(Clone, Copy)]
 struct Limit {
     bytes: f64,
-    /// Who says so, before the number.
+    /// The source of the limit, in words before the number.
     whose: &'static str,
 }
 
 /// The estimates of the stages that train or sample on the processor, in order.
 ///
 /// # Errors
-/// When the section of one of them makes no sense.
+/// If the section of a stage is invalid.
 pub fn estimate_memory(config: &PipelineConfig, layout: &Layout, stages: &[StageId]) -> Result<Vec<StageMemory>> {
     if config.run.device != DeviceChoice::Cpu {
         return Ok(Vec::new());

@@ -16,9 +16,9 @@ use std::path::Path;
 /// A scenario as it was stored, and as it was generated again.
 #[derive(Debug)]
 pub struct Regenerated {
-    /// As it was stored.
+    /// The stored scenario.
     pub stored: ScenarioRecord,
-    /// As it came out.
+    /// The regenerated scenario.
     pub again: ScenarioRecord,
     /// The columns in which they differ.
     pub differences: Vec<Difference>,

@@ -89,7 +89,7 @@ fn steps(root: &Path, stage: StageId) -> Option<u64> {
 }
 
 impl Status {
-    /// As lines for people.
+    /// The status as lines for people.
     pub fn text(&self) -> String {
         let mut text = String::new();
         for StageProgress { stage, state, steps, of_steps } in &self.stages {

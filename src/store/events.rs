@@ -58,7 +58,7 @@ impl<'n> EventWriter<'n> {
 /// Reads the events that `keep` accepts, in the order they were written. The others take no memory.
 ///
 /// # Errors
-/// As [`stream_events`].
+/// See [`stream_events`].
 pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result<Vec<BehaviorEvent>> {
     stream_events(path)?.filter(|event| event.as_ref().map_or(true, &keep)).collect()
 }

@@ -35,7 +35,7 @@ impl StateParametrization {
 /// parametrizations that a checkpoint has, too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Normalizer {
-    /// What is diffused.
+    /// The quantity that is diffused.
     pub parametrization: StateParametrization,
     /// Dimensions of a diffused state: 3 (x, y, heading), or 2 where headings are not recorded.
     pub state_dim: usize,

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 pub struct ToldEvent {
     /// The behavior.
     pub behavior: String,
-    /// Who takes part: the scene's tracks, in the order of the roles.
+    /// The agents that take part: the scene's tracks, in the order of the roles.
     pub agents: Vec<usize>,
     /// The known values, by name; the others are unknown.
     pub values: BTreeMap<String, f64>,
@@ -29,7 +29,7 @@ impl SceneBatch {
     pub fn telling(&self, vocabulary: &EventVocabulary, told: &[Option<ToldEvent>]) -> Result<Self> {
         let (n_rows, n_agents, n_inputs) = (self.n_rows(), self.x0.dim(1)?, vocabulary.n_inputs());
         if told.len() != n_rows {
-            bail!("{} events are told to a batch of {n_rows} rows", told.len());
+            bail!("{} events for {n_rows} rows, expected one per row", told.len());
         }
         let mut inputs = vec![0f32; n_rows * n_agents * n_inputs];
         for (row, event) in told.iter().enumerate() {

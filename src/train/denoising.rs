@@ -17,7 +17,7 @@ const EVALUATION_SIGMAS: [f64; 4] = [0.05, 0.2, 0.8, 3.0];
 /// The one of them at which losses on changed scenes are also taken; all of them would cost too much.
 const CHANGED_SIGMA: f64 = 0.8;
 
-/// Those at which losses on events are given: an event is decided at high noise.
+/// Noise levels at which losses on events are given: an event is decided at high noise.
 const EVENT_SIGMAS: [f64; 2] = [0.8, 3.0];
 
 /// Training of a `SceneDenoiser` on the scenes of a dataset.

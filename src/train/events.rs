@@ -18,7 +18,7 @@ pub struct LearnedEvent {
     pub scene_idx: usize,
     /// The behavior.
     pub behavior: String,
-    /// Who takes part, in the order of the roles.
+    /// The agents that take part, in the order of the roles.
     pub tracks: Vec<TrackId>,
     /// Its values: the onset, and its parameters.
     pub values: BTreeMap<String, f64>,

@@ -91,7 +91,7 @@ scene_training_section! {
 pub struct DenoiserTraining {
     /// The network.
     pub network: NetworkConfig,
-    /// What is diffused.
+    /// The quantity that is diffused.
     pub parametrization: StateParametrization,
     /// Constants of the diffusion.
     pub edm: Edm,

@@ -267,7 +267,7 @@ impl SceneDraws<'_> {
         Some(self.member_of(&last.groups, first_group, place))
     }
 
-    /// Whose turn it is of some groups, of which the first has the number `first_group`.
+    /// The member whose turn it is in some groups, of which the first has the number `first_group`.
     fn member_of(&self, groups: &[Vec<usize>], first_group: usize, turn: u64) -> usize {
         let (group, turn) = ((turn % groups.len() as u64) as usize, turn / groups.len() as u64);
         let n = groups[group].len() as u64;

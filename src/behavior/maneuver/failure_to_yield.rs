@@ -6,7 +6,7 @@ use crate::behavior::failure_to_yield::FailureToYield;
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene};
 
-/// Who is farther than this from the end of every lane at which the rule applies does not get there, meters.
+/// Vehicles farther than this from the end of every lane at which the rule applies do not get there, meters.
 const NEAR_M: f64 = 60.0;
 
 impl FailureToYield {

@@ -23,7 +23,7 @@ const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
 
 /// One way to move over.
 pub(super) struct MovingOver {
-    /// To which side: 1 for the left, -1 for the right.
+    /// The side: 1 for the left, -1 for the right.
     pub(super) side: f64,
     /// When the center is midway between the lanes, seconds after the present.
     pub(super) midway_s: f64,

@@ -17,7 +17,7 @@ const BRAKES_MPS2: [f64; 3] = [0.0, 3.0, 5.0];
 const REACTION_S: f64 = 0.4;
 /// How far apart the boxes stay, meters.
 const APART_M: f64 = 0.4;
-/// Who heads along the way of the other within this does not cross it, radians.
+/// Agents that head along the way of the other within this do not cross it, radians.
 const FOLLOWING_RAD: f64 = FRAC_PI_6;
 /// The longest time from one to the other being in a place, seconds, and the spacing by which maneuvers are told apart.
 const MOST_DELAY_S: f64 = 2.5;

@@ -7,7 +7,7 @@ use crate::geometry::angle_difference;
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_3;
 
-/// Who comes toward a vehicle, even if that has begun to turn, points in a direction that differs by more than this,
+/// The heading of oncoming agents differs from that of a vehicle, even if that has begun to turn, by more than this,
 /// radians.
 const ONCOMING_RAD: f64 = FRAC_PI_3;
 

@@ -84,7 +84,7 @@ impl Template {
         Some(self)
     }
 
-    /// Who takes part.
+    /// The agents that take part.
     pub fn agents(&self) -> impl Iterator<Item = usize> {
         self.motions.iter().map(|motion| motion.agent_idx)
     }

@@ -209,7 +209,7 @@ impl<'a> Shards<'a> {
     /// have begun are left to them for a while.
     ///
     /// # Errors
-    /// As [`Shards::go_about`].
+    /// See [`Shards::go_about`].
     pub fn complete<S: Serialize>(
         &self,
         range: Range<usize>,

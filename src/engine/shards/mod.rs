@@ -69,7 +69,7 @@ impl Division {
     }
 }
 
-/// Whose shards a stage is finished from.
+/// The makers of the shards that a stage is finished from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Makers {
     /// This process makes what is missing.

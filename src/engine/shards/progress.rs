@@ -78,7 +78,7 @@ fn status_of(stage: &'static StageKind, folder: &ShardFolder) -> Result<ShardSta
 }
 
 impl ShardStatus {
-    /// As lines for people.
+    /// The progress as lines for people.
     pub fn text(&self) -> String {
         let Self { n_shards, n_done, n_running, n_missing, given_up, seconds_a_shard, seconds_left, .. } = self;
         let mut text = format!(

@@ -38,7 +38,7 @@ pub struct ResolvedGeneration {
 pub struct ResolvedRequest {
     /// Its place among the requests.
     pub idx: usize,
-    /// As it was written.
+    /// The configuration as it was written.
     pub config: RequestConfig,
     /// The buckets to fill.
     pub buckets: Buckets,

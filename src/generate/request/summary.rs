@@ -69,7 +69,7 @@ pub struct ArmSummary {
     pub n_aimed_hits: u64,
     /// Over all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
-    /// In the first round, in which every arm without a prior continues the same scenes from the same noise.
+    /// Yield of the first round, in which every arm without a prior continues the same scenes from the same noise.
     pub first_round: Yield,
 }
 
@@ -78,7 +78,7 @@ pub struct ArmSummary {
 pub struct Yield {
     /// Samples.
     pub n_samples: u64,
-    /// Those that show the behavior with the requested agents.
+    /// Samples that show the behavior with the requested agents.
     pub n_found: u64,
     /// Found, but outside of all buckets and conditions.
     pub n_outside: u64,

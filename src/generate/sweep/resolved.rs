@@ -56,7 +56,7 @@ pub struct SweepGuidance {
     pub classifier_scope: ClassifierScope,
     /// The states that the classifier sees.
     pub classifier_input: ClassifierInput,
-    /// What of the classifier is made large.
+    /// The classifier output to maximize.
     pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
     pub objectives: Vec<ObjectiveConfig>,

@@ -63,7 +63,7 @@ use serde::{Deserialize, Serialize};
 
 /// An objective for the trajectories of a scene.
 pub trait SceneObjective {
-    /// Whose motion it judges.
+    /// The agents whose motion it judges.
     fn agents(&self) -> Vec<&AgentSelector>;
     /// The parameters of an event at which it can aim, row by row ([`super::Target`]).
     fn aims_at(&self) -> &'static [&'static str] {

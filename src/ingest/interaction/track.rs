@@ -265,7 +265,7 @@ mod tests {
         read_tracks(&[Table { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2, lines: &[] }])
     }
 
-    /// In degrees.
+    /// The headings of a track in degrees.
     fn headings(track: &RecordedTrack) -> Vec<f64> {
         track.states.iter().map(|(_, state, _)| (state.heading_rad.to_degrees() * 1e3).round() / 1e3).collect()
     }

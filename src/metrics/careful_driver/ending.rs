@@ -84,7 +84,7 @@ impl Ending {
     }
 }
 
-/// Those ahead of the subject that it touches within a second after `last` if nobody brakes: when, and their state
+/// The agents ahead of the subject that it touches within a second after `last` if nobody brakes: when, and their state
 /// then.
 fn met(scene: &Scene, subject_idx: usize, last: usize) -> Vec<(f64, &Track, &State)> {
     let at = |agent_idx: usize| {

@@ -19,7 +19,7 @@ use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{AgentClass, Scene, State, Track};
 use serde::{Deserialize, Serialize};
 
-/// Nobody is seen farther away, meters.
+/// Largest distance at which others are seen, meters.
 const MAX_GAP_M: f64 = 30.0;
 
 /// A feature.

@@ -15,7 +15,7 @@ pub const MIN_TRACKS: usize = 50;
 const N_TRIED: usize = 22;
 /// Features that are named.
 const N_NAMED: usize = 5;
-/// Who is slower at present counts as standing, m/s.
+/// Agents slower than this at present count as standing, m/s.
 const MOVING_MPS: f64 = 1.0;
 
 /// The features of one track in its recorded future and in a generated one.
@@ -23,9 +23,9 @@ const MOVING_MPS: f64 = 1.0;
 pub struct TrackPair {
     /// Its scene: pairs of a scene have the same number.
     pub scene: usize,
-    /// As recorded.
+    /// Features of the recorded future.
     pub recorded: TrackFeatures,
-    /// As generated.
+    /// Features of the generated future.
     pub generated: TrackFeatures,
 }
 

@@ -78,7 +78,8 @@ pub struct Dependency {
 pub enum Completion {
     /// With exit code 0.
     Succeeded,
-    /// In any way: the next job checks for itself that its inputs exist, and losing one of many workers does no harm.
+    /// Ended in any way: the next job checks for itself that its inputs exist, and losing one of many workers does no
+    /// harm.
     Ended,
 }
 

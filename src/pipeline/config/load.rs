@@ -29,14 +29,14 @@ pub struct ConfigError {
 /// Where a mistake in a configuration is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ConfigPlace {
-    /// In the file, with the line and column (both from 1) and the line's text.
+    /// A place in the file, with the line and column (both from 1) and the line's text.
     File {
         /// The file.
         path: PathBuf,
         /// Line, column and text of the line, where known.
         at: Option<(usize, usize, String)>,
     },
-    /// In an override, as written.
+    /// An override, as written.
     Override(String),
     /// Not in one place.
     Nowhere,

@@ -70,13 +70,13 @@ impl Description {
         Ok(self.with(name, serde_json::to_value(value).map_err(anyhow::Error::from)?))
     }
 
-    /// As one JSON object.
+    /// The description as one JSON object.
     pub fn json(&self) -> Value {
         let kind = ("kind".to_owned(), Value::from(self.kind));
         Value::Object(std::iter::once(kind).chain(self.entries.iter().cloned()).collect::<Map<_, _>>())
     }
 
-    /// As indented text.
+    /// The description as indented text.
     pub fn text(&self) -> String {
         let mut text = format!("{}\n", self.kind);
         for (name, value) in &self.entries {

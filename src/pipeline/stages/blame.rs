@@ -1,4 +1,4 @@
-//! Whose failure is an error of each layer? Here, once, for all stages.
+//! Maps the errors of each layer to whoever can act on them, once for all stages.
 
 use crate::engine::{Blame, Failure};
 use crate::{cloud, corpus, evaluate, export, files, generate, ingest, nn, store, train};

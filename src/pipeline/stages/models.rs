@@ -48,7 +48,7 @@ impl LoadedModels {
         })
     }
 
-    /// As generation takes them.
+    /// The models in the form that generation takes.
     pub(in crate::pipeline) fn borrowed(&self) -> Models<'_> {
         Models {
             denoiser: &self.denoiser,

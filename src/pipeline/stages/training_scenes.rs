@@ -30,7 +30,7 @@ impl SceneDataset for SceneStore {
 /// Scenes by index, in the store's order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct TrainingScenes {
-    /// To train on.
+    /// Scenes to train on.
     pub(super) train: Vec<usize>,
     /// Held out.
     pub(super) held_out: Vec<usize>,
@@ -265,7 +265,7 @@ pub(super) fn check_folders(
         }
         if reads_events && !events_beside(scenes).is_file() {
             let why = format!("and {} is missing, from which events are read", events_beside(scenes).display());
-            return refuse(&why, "mine that run, too: give its pipeline a section [mine]".to_owned());
+            return refuse(&why, "add [mine] to that run's pipeline and run it again".to_owned());
         }
         if data[..i].iter().any(|earlier| is_same(scenes, &earlier.scenes)) {
             return refuse("as in an earlier entry", "list it once, with the sum of the weights".to_owned());
@@ -279,7 +279,7 @@ pub(super) fn events_beside(scenes: &Path) -> PathBuf {
     scenes.parent().unwrap_or(Path::new(".")).join(EVENTS)
 }
 
-/// As training takes them.
+/// The events in the form that training takes.
 pub(super) fn mined(events: &[(usize, BehaviorEvent)]) -> Vec<MinedEvent<'_>> {
     events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect()
 }
