@@ -17,9 +17,6 @@ scene_training_section! {
         pub network: Option<SceneTransformerConfig>,
         /// The output of the network: `scene` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
-        /// Weight of -ln p of the best future in the loss, relative to its mean error.
-        #[schemars(extend("exclusiveMinimum" = 0))]
-        pub mode_loss: f64,
         /// Maximum number of agents per scene, nearest to the ego agent.
         #[schemars(range(min = 1, max = 10_000))]
         pub max_agents: Option<usize>,
@@ -38,7 +35,6 @@ impl Default for BaselineTrainingConfig {
             preset: Preset::default(),
             network: None,
             state_parametrization: None,
-            mode_loss: 1.0,
             tasks: TaskWeights::default(),
             data: Vec::new(),
             own_weight: None,
@@ -69,8 +65,6 @@ pub struct BaselineTraining {
     pub network: SceneTransformerConfig,
     /// The output of the network.
     pub parametrization: StateParametrization,
-    /// Weight of -ln p of the best future in the loss.
-    pub mode_loss: f64,
     /// Maximum number of agents per scene.
     pub max_agents: usize,
     /// Maximum number of lane polylines per scene.
@@ -93,7 +87,6 @@ impl BaselineTrainingConfig {
         Ok(BaselineTraining {
             network,
             parametrization: self.state_parametrization.unwrap_or(base.parametrization),
-            mode_loss: self.mode_loss,
             max_agents: self.max_agents.unwrap_or(base.max_agents),
             max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
             common: self.scene_training(&base.common)?,
