@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 scene_training_section! {
     /// How to train Scene Transformer, the paper's baseline. Settings left out are the preset's; except for the
     /// network, the denoiser's.
+    #[derive(Default)]
     pub struct BaselineTrainingConfig in "train.baseline", each Option {
         /// Size of the network: `tiny`, `small` or `paper`.
         pub preset: Preset,
@@ -26,35 +27,6 @@ scene_training_section! {
         /// Dimensions of a predicted state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
         #[schemars(range(min = 2, max = 3))]
         pub state_dim: Option<usize>,
-    }
-}
-
-impl Default for BaselineTrainingConfig {
-    fn default() -> Self {
-        Self {
-            preset: Preset::default(),
-            network: None,
-            state_parametrization: None,
-            tasks: TaskWeights::default(),
-            data: Vec::new(),
-            own_weight: None,
-            splits: Vec::new(),
-            places: Vec::new(),
-            steps: None,
-            batch_size: None,
-            learning_rate: None,
-            warmup_steps: None,
-            decay: None,
-            clip_norm: None,
-            ema_decay: None,
-            max_agents: None,
-            max_lanes: None,
-            state_dim: None,
-            n_eval_scenes: None,
-            evaluate_every: None,
-            save_every: None,
-            checkpoint: None,
-        }
     }
 }
 
