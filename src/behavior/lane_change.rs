@@ -23,30 +23,22 @@ pub(super) const PARAMETERS: &[&str] =
 pub struct LaneChangeConfig {
     /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
-    /// How far the center must be beyond the lane's side before it has left the lane, meters. Default 0.3.
-    #[schemars(range(min = 0.0))]
-    pub hysteresis_m: f64,
     /// How long the center must stay in the new lane, seconds. Default 1.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_stay_s: f64,
-    /// How far the center must be from the old center line for the change to have begun, meters. Default 0.5.
-    #[schemars(range(min = 0.0))]
-    pub start_offset_m: f64,
-    /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, meters.
-    /// Default 0.5.
-    #[schemars(range(min = 0.0))]
-    pub negative_margin_m: f64,
 }
+
+/// How far the center must be beyond the lane's side before it has left the lane, meters: more than a center wavers
+/// that is driven along a side.
+const HYSTERESIS_M: f64 = 0.3;
+/// How far the center must be from the old center line for the change to have begun, meters.
+const START_OFFSET_M: f64 = 0.5;
+/// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, meters.
+const NEGATIVE_MARGIN_M: f64 = 0.5;
 
 impl Default for LaneChangeConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            hysteresis_m: 0.3,
-            min_stay_s: 1.0,
-            start_offset_m: 0.5,
-            negative_margin_m: 0.5,
-        }
+        Self { agents: AgentFilter::Motorized, min_stay_s: 1.0 }
     }
 }
 
@@ -89,7 +81,7 @@ impl LaneChange {
         let config = &self.config;
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let stay = (config.min_stay_s / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
-        let trace = LaneTrace::follow(lanes, trajectory, config.hysteresis_m, stay);
+        let trace = LaneTrace::follow(lanes, trajectory, HYSTERESIS_M, stay);
         if trace.crossings.is_empty() {
             return self.drift(scene, lanes, &trace, agent_idx).into_iter().collect();
         }
@@ -104,7 +96,7 @@ impl LaneChange {
                 None if goes_on || crossing.last_followed < crossing.timestep + stay => continue,
                 None => (EventLabel::Positive, crossing.timestep + stay),
             };
-            let start = trace.departure(crossing, config.start_offset_m);
+            let start = trace.departure(crossing, START_OFFSET_M);
             events.push(self.crossing_event(scene, agent_idx, crossing, label, start, end));
         }
         events
@@ -137,7 +129,7 @@ impl LaneChange {
         trace: &LaneTrace<'a>,
         agent_idx: usize,
     ) -> Option<BehaviorEvent> {
-        let drifts: Vec<_> = trace.drifts(lanes, self.config.negative_margin_m).collect();
+        let drifts: Vec<_> = trace.drifts(lanes, NEGATIVE_MARGIN_M).collect();
         let (first, last) = (drifts.first()?, drifts.last()?);
         let nearest = drifts.iter().min_by(|a, b| a.margin_m.total_cmp(&b.margin_m))?;
         let event =

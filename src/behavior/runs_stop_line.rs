@@ -21,9 +21,6 @@ pub(super) const PARAMETERS: &[&str] = &["speed_mps", "min_speed_mps"];
 pub struct RunsStopLineConfig {
     /// Road users to consider. Default `motorized`.
     pub agents: AgentFilter,
-    /// Over this way before the line the vehicle must have stopped, meters; it must be tracked there. Default 10.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1000.0))]
-    pub approach_m: f64,
     /// Who was slower than this has stopped as most drivers do, by rolling, m/s. Default 2.2 (8 km/h).
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_rolling_mps: f64,
@@ -32,9 +29,13 @@ pub struct RunsStopLineConfig {
     pub negative_speed_mps: f64,
 }
 
+/// Over this way before the line the vehicle must have stopped, meters, and it must be tracked there: less hides stops
+/// behind a waiting vehicle, more loses vehicles at the edge of the recording.
+const APPROACH_M: f64 = 10.0;
+
 impl Default for RunsStopLineConfig {
     fn default() -> Self {
-        Self { agents: AgentFilter::Motorized, approach_m: 10.0, max_rolling_mps: 2.2, negative_speed_mps: 0.5 }
+        Self { agents: AgentFilter::Motorized, max_rolling_mps: 2.2, negative_speed_mps: 0.5 }
     }
 }
 
@@ -91,7 +92,7 @@ impl RunsStopLine {
     fn event(&self, scene: &Scene, agent_idx: usize, fronts: &[Front], line_m: f64) -> Option<BehaviorEvent> {
         let config = &self.config;
         let passed = fronts.iter().position(|front| front.station_m >= line_m)?;
-        let first = fronts[..passed].iter().rposition(|front| front.station_m < line_m - config.approach_m)? + 1;
+        let first = fronts[..passed].iter().rposition(|front| front.station_m < line_m - APPROACH_M)? + 1;
         let approach = &fronts[first..=passed];
         let min_mps = approach.iter().map(|front| front.speed_mps).reduce(f64::min)?;
         let label = match min_mps >= config.max_rolling_mps {

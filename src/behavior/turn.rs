@@ -40,14 +40,14 @@ pub struct TurnConfig {
     /// Default 3.
     #[schemars(range(min = 0.0))]
     pub min_radius_m: f64,
-    /// Shortest path between start and end, meters; less is noise of the heading at low speed. Default 3.
-    #[schemars(range(min = 0.0))]
-    pub min_path_m: f64,
     /// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is
     /// farther. Default 250; at 0, nothing is a roundabout.
     #[schemars(range(min = 0.0, max = 10_000.0))]
     pub max_roundabout_m: f64,
 }
+
+/// Shortest path between start and end, meters; less is noise of the heading at low speed.
+const MIN_PATH_M: f64 = 3.0;
 
 impl Default for TurnConfig {
     fn default() -> Self {
@@ -57,7 +57,6 @@ impl Default for TurnConfig {
             negative_heading_change_rad: FRAC_PI_6,
             max_radius_m: 50.0,
             min_radius_m: 3.0,
-            min_path_m: 3.0,
             max_roundabout_m: 250.0,
         }
     }
@@ -133,7 +132,7 @@ fn turn(
     let (first, last) = (&poses[start], &poses[end]);
     let path_m: f64 = poses[start..=end].windows(2).map(|pair| pair[0].position.distance(pair[1].position)).sum();
     let radius_m = path_m / (last.turned_rad - first.turned_rad);
-    if path_m < config.min_path_m || radius_m < config.min_radius_m {
+    if path_m < MIN_PATH_M || radius_m < config.min_radius_m {
         return None;
     }
     let halfway = (start..=end).find(|at| 2.0 * poses[*at].turned_rad >= turned_rad).unwrap_or(end);

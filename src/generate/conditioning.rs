@@ -62,14 +62,12 @@ const fn yes() -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EditConfig {
-    /// The noise level at which denoising begins: 0 leaves the edited recording as it is, the denoiser's largest noise
-    /// level discards it except for edited states that are observed.
+    /// The noise level at which denoising begins, a standard deviation (the paper prints a variance): 0 leaves the
+    /// edited recording as it is, the denoiser's largest noise level discards it except for edited states that are
+    /// observed.
     #[serde(default = "default_tau")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub tau: f64,
-    /// How much noise is added.
-    #[serde(default)]
-    pub noise: EditNoise,
     /// The changes, in order. None: the recording itself is denoised again.
     #[serde(default)]
     pub edits: Vec<SceneEdit>,
@@ -77,17 +75,6 @@ pub struct EditConfig {
 
 const fn default_tau() -> f64 {
     0.8
-}
-
-/// How much noise is added to an edited recording.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum EditNoise {
-    /// Standard deviation τ, as everywhere else at diffusion time τ.
-    #[default]
-    Tau,
-    /// Variance τ, as printed in the paper.
-    SqrtTau,
 }
 
 impl ClassifierFreeConfig {
@@ -120,14 +107,6 @@ impl EditConfig {
         match self.tau {
             0.0 => vec![0.0],
             tau => sampler.schedule(edm, tau),
-        }
-    }
-
-    /// Standard deviation of the added noise.
-    pub(super) fn noise_std(&self) -> f64 {
-        match self.noise {
-            EditNoise::Tau => self.tau,
-            EditNoise::SqrtTau => self.tau.sqrt(),
         }
     }
 
@@ -315,5 +294,5 @@ pub(super) fn without_wanted_velocities(batch: &SceneBatch, base: &SceneBatch) -
 
 /// The state at which denoising of a guide begins.
 pub(super) fn noisy_guide(edit: &EditConfig, guide: &Tensor, noise: &mut NoiseSource) -> Result<Tensor, Error> {
-    Ok((guide + (noise.draw_like(guide)? * edit.noise_std())?)?)
+    Ok((guide + (noise.draw_like(guide)? * edit.tau)?)?)
 }

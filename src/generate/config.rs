@@ -79,21 +79,11 @@ pub struct PairSelectionConfig {
     pub only_feasible: bool,
     /// Which of the possible pairs come first.
     pub ranking: PairRanking,
-    /// Number of scenes to rank; those with the best pairs are used. Left out: scenes are taken in random order, if
-    /// they have a possible pair.
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub n_scenes_ranked: Option<usize>,
 }
 
 impl Default for PairSelectionConfig {
     fn default() -> Self {
-        Self {
-            per_scene: 1,
-            max_distance_m: 30.0,
-            only_feasible: true,
-            ranking: PairRanking::default(),
-            n_scenes_ranked: None,
-        }
+        Self { per_scene: 1, max_distance_m: 30.0, only_feasible: true, ranking: PairRanking::default() }
     }
 }
 

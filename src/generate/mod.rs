@@ -41,7 +41,7 @@ mod told;
 mod told_tests;
 mod verify;
 
-pub use conditioning::{ClassifierFreeConfig, EditConfig, EditNoise};
+pub use conditioning::{ClassifierFreeConfig, EditConfig};
 pub use config::{GenerateConfig, PairRanking, PairSelectionConfig};
 pub use error::Error;
 pub use generator::{Generator, Models, SceneLoader};

@@ -1,6 +1,6 @@
 //! The plan of a generation, decided before anything is sampled: scenes, pairs, shards.
 
-use super::pairs::{CandidatePair, order_seed};
+use super::pairs::order_seed;
 use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::guidance::Target;
@@ -83,12 +83,6 @@ impl ShardPlan {
     pub fn is_wanted(&self, config: &ResolvedGeneration, n_verified: usize) -> bool {
         config.sweeps[self.sweep_idx].stop_after_verified.is_none_or(|enough| n_verified < enough)
     }
-}
-
-/// The cells of one scene with the score of the best of them.
-struct RankedScene {
-    score: f64,
-    cells: Vec<Cell>,
 }
 
 impl Generator<'_> {
@@ -179,45 +173,43 @@ impl Generator<'_> {
         behavior: &dyn Behavior,
         order: &[ListedScene<'_>],
     ) -> Result<Vec<Vec<Cell>>, Error> {
-        let order = &order[..order.len().min(sweep.pairs.n_scenes_ranked.unwrap_or(usize::MAX))];
-        let mut found: Vec<RankedScene> = Vec::new();
+        let mut found: Vec<Vec<Cell>> = Vec::new();
         // Scenes are examined in parallel, a batch at a time, and counted in order. On a GPU the classifier ranks one
         // scene after the other.
         let rank = |scene: &ListedScene<'_>| self.rank(sweep, behavior, scene);
         for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
-            let ranked: Vec<Option<RankedScene>> = match self.device.is_cuda() {
+            let ranked: Vec<Option<Vec<Cell>>> = match self.device.is_cuda() {
                 true => batch.iter().map(rank).collect::<Result<_, _>>()?,
                 false => batch.par_iter().map(rank).collect::<Result<_, _>>()?,
             };
             found.extend(ranked.into_iter().flatten());
-            if sweep.pairs.n_scenes_ranked.is_none() && found.len() >= sweep.n_scenes {
+            if found.len() >= sweep.n_scenes {
                 break;
             }
         }
-        if sweep.pairs.n_scenes_ranked.is_some() {
-            found.sort_by(|a, b| b.score.total_cmp(&a.score));
-        }
         found.truncate(sweep.n_scenes);
-        Ok(found.into_iter().map(|scene| scene.cells).collect())
+        Ok(found)
     }
 
+    /// The cells of a scene, for its best pairs; `None` where it has no possible one.
     fn rank(
         &self,
         sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         listed: &ListedScene<'_>,
-    ) -> Result<Option<RankedScene>, Error> {
+    ) -> Result<Option<Vec<Cell>>, Error> {
         let scene_id = SceneId::from(listed.id);
         let scene = self.load(listed.scene_idx, &scene_id)?;
         let candidates = self.candidates(sweep, behavior, &scene)?;
-        let Some(CandidatePair { score, .. }) = candidates.first() else { return Ok(None) };
-        let score = *score;
+        if candidates.is_empty() {
+            return Ok(None);
+        }
         let asked = candidates.into_iter().take(sweep.pairs.per_scene);
         let cells = asked.map(|pair| {
             let targets = self.targets(sweep, &scene_id, &pair);
             Cell { targets, ..listed.cell(pair.roles) }
         });
-        Ok(Some(RankedScene { score, cells: cells.collect() }))
+        Ok(Some(cells.collect()))
     }
 }
 

@@ -10,9 +10,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GuidanceConfig {
-    /// The lowest noise level at which guidance acts.
-    #[schemars(range(min = 0.0))]
-    pub sigma_lo: f64,
     /// The highest noise level at which guidance acts. Classifiers see little noise above 3 in training and are
     /// unreliable there: on merging cases, gradients from up there lowered the rate of cut-ins.
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -26,18 +23,18 @@ pub struct GuidanceConfig {
 
 impl Default for GuidanceConfig {
     fn default() -> Self {
-        Self { sigma_lo: 0.0, sigma_hi: 3.0, max_shift: 6.0 }
+        Self { sigma_hi: 3.0, max_shift: 6.0 }
     }
 }
 
 impl GuidanceConfig {
     /// Guidance as the paper's equation 3 has it: at every noise level, however far it shifts.
-    pub const UNRESTRICTED: Self = Self { sigma_lo: 0.0, sigma_hi: f64::MAX, max_shift: f64::MAX };
+    pub const UNRESTRICTED: Self = Self { sigma_hi: f64::MAX, max_shift: f64::MAX };
 
-    /// Whether guidance acts at a noise level. Bounds belong to it, in the single precision in which samplers pass
+    /// Whether guidance acts at a noise level. The bound belongs to it, in the single precision in which samplers pass
     /// levels.
     pub(super) fn acts_at(&self, sigma: f64) -> bool {
-        (self.sigma_lo as f32..=self.sigma_hi as f32).contains(&(sigma as f32))
+        sigma as f32 <= self.sigma_hi as f32
     }
 }
 

@@ -19,21 +19,19 @@ pub struct ModesConfig {
     pub n_modes: usize,
     /// The representative of a mode. Each is reported under its own name.
     pub by: Vec<Representative>,
-    /// Most iterations of expectation-maximization.
-    #[schemars(range(min = 1, max = 1_000_000))]
-    pub max_iterations: usize,
-    /// Fits from different starts; the likeliest is used.
-    #[schemars(range(min = 1, max = 1_000))]
-    pub n_starts: usize,
-    /// Least standard deviation of a mode in any coordinate, meters. A mixture of fewer samples than coordinates needs
-    /// this.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_std_m: f64,
 }
+
+/// Most iterations of expectation-maximization, which settles in a few dozen.
+const MAX_ITERATIONS: usize = 100;
+/// Fits from different starts; the likeliest is used.
+const N_STARTS: usize = 4;
+/// Least standard deviation of a mode in any coordinate, meters: far below what tells futures apart. A mixture of fewer
+/// samples than coordinates needs this.
+const MIN_STD_M: f64 = 0.1;
 
 impl Default for ModesConfig {
     fn default() -> Self {
-        Self { n_modes: 6, by: vec![Representative::Mean], max_iterations: 100, n_starts: 4, min_std_m: 0.1 }
+        Self { n_modes: 6, by: vec![Representative::Mean] }
     }
 }
 
@@ -118,9 +116,9 @@ impl<'a> ModeFit<'a> {
         let points: Vec<Vec<f64>> = samples.iter().map(coordinates).collect();
         let options = MixtureOptions {
             n_components: config.n_modes,
-            max_iterations: config.max_iterations,
-            n_starts: config.n_starts,
-            min_std: config.min_std_m,
+            max_iterations: MAX_ITERATIONS,
+            n_starts: N_STARTS,
+            min_std: MIN_STD_M,
         };
         let mixture = Mixture::fit(&points, &options, seed)?;
         Some(Self { samples, points, mixture })

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 scene_training_section! {
     /// How to train Scene Transformer, the paper's baseline. Settings left out are the preset's; except for the
     /// network, the denoiser's.
+    #[derive(Default)]
     pub struct BaselineTrainingConfig in "train.baseline", each Option {
         /// Size of the network: `tiny`, `small` or `paper`.
         pub preset: Preset,
@@ -17,9 +18,6 @@ scene_training_section! {
         pub network: Option<SceneTransformerConfig>,
         /// The output of the network: `scene` or `motion`.
         pub state_parametrization: Option<StateParametrization>,
-        /// Weight of -ln p of the best future in the loss, relative to its mean error.
-        #[schemars(extend("exclusiveMinimum" = 0))]
-        pub mode_loss: f64,
         /// Maximum number of agents per scene, nearest to the ego agent.
         #[schemars(range(min = 1, max = 10_000))]
         pub max_agents: Option<usize>,
@@ -32,36 +30,6 @@ scene_training_section! {
     }
 }
 
-impl Default for BaselineTrainingConfig {
-    fn default() -> Self {
-        Self {
-            preset: Preset::default(),
-            network: None,
-            state_parametrization: None,
-            mode_loss: 1.0,
-            tasks: TaskWeights::default(),
-            data: Vec::new(),
-            own_weight: None,
-            splits: Vec::new(),
-            places: Vec::new(),
-            steps: None,
-            batch_size: None,
-            learning_rate: None,
-            warmup_steps: None,
-            decay: None,
-            clip_norm: None,
-            ema_decay: None,
-            max_agents: None,
-            max_lanes: None,
-            state_dim: None,
-            n_eval_scenes: None,
-            evaluate_every: None,
-            save_every: None,
-            checkpoint: None,
-        }
-    }
-}
-
 /// The resolved section, with every value decided.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BaselineTraining {
@@ -69,8 +37,6 @@ pub struct BaselineTraining {
     pub network: SceneTransformerConfig,
     /// The output of the network.
     pub parametrization: StateParametrization,
-    /// Weight of -ln p of the best future in the loss.
-    pub mode_loss: f64,
     /// Maximum number of agents per scene.
     pub max_agents: usize,
     /// Maximum number of lane polylines per scene.
@@ -93,7 +59,6 @@ impl BaselineTrainingConfig {
         Ok(BaselineTraining {
             network,
             parametrization: self.state_parametrization.unwrap_or(base.parametrization),
-            mode_loss: self.mode_loss,
             max_agents: self.max_agents.unwrap_or(base.max_agents),
             max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
             common: self.scene_training(&base.common)?,

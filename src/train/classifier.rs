@@ -20,10 +20,6 @@ training_section! {
         pub behavior: String,
         /// The network.
         pub network: BehaviorClassifierConfig,
-        /// Weight of a positive pair in the loss relative to a negative one. Left out: the number of negative pairs
-        /// divided by that of positive ones, which balances the labels.
-        #[schemars(extend("exclusiveMinimum" = 0))]
-        pub pos_weight: Option<f64>,
         /// Distribution of the training noise levels.
         pub noise: NoiseDistribution,
         /// Maximum number of pairs to train on; negative ones are dropped first, until half are positive.
@@ -42,7 +38,6 @@ impl Default for ClassifierTrainingConfig {
         Self {
             behavior: "cut_in".to_owned(),
             network: BehaviorClassifierConfig::default(),
-            pos_weight: None,
             noise: NoiseDistribution::default(),
             splits: Vec::new(),
             places: Vec::new(),
@@ -160,7 +155,8 @@ fn describe(
         dt_s: denoiser.dt_s,
         n_positive: n_positive as u64,
         n_negative: n_negative as u64,
-        pos_weight: config.pos_weight.unwrap_or(n_negative as f64 / n_positive as f64),
+        // Balances the labels.
+        pos_weight: n_negative as f64 / n_positive as f64,
         steps: config.steps,
         seed: seed.0,
         events: data.fingerprint.clone(),

@@ -37,13 +37,6 @@ scene_training_section! {
         /// A few large steps that match many small ones of the denoiser: for sweeps with `sampler = { kind = "euler" }`
         /// of the same `n_steps` and `grid`.
         pub method: StepDistillation,
-        /// Below about this disagreement the loss is quadratic, above it linear; 0: linear throughout.
-        #[schemars(range(min = 0.0))]
-        pub huber: f64,
-        /// Weight of the squared disagreement of the paths to which diffused motion adds up (motion parametrization
-        /// only).
-        #[schemars(range(min = 0.0))]
-        pub path_loss: f64,
         /// Objectives for samples, in addition to matching the denoiser: each adds its weight
         /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
@@ -61,8 +54,6 @@ impl Default for DistillTrainingConfig {
     fn default() -> Self {
         Self {
             method: StepDistillation::default(),
-            huber: 0.01,
-            path_loss: 0.1,
             objectives: Vec::new(),
             events: None,
             tasks: TaskWeights::default(),
@@ -91,10 +82,6 @@ impl Default for DistillTrainingConfig {
 pub struct DistillTraining {
     /// The steps.
     pub method: StepDistillation,
-    /// The disagreement at which the loss turns from quadratic to linear.
-    pub huber: f64,
-    /// Weight of the disagreement of paths.
-    pub path_loss: f64,
     /// The objectives for samples.
     pub objectives: Vec<ObjectiveConfig>,
     /// The events that the network is conditioned on.
@@ -118,8 +105,6 @@ impl DistillTrainingConfig {
         }
         Ok(DistillTraining {
             method: self.method.clone(),
-            huber: self.huber,
-            path_loss: self.path_loss,
             objectives: self.objectives.clone(),
             events: self.events.clone(),
             common: self.scene_training(&SceneTraining::default())?,

@@ -63,7 +63,6 @@ fn distillation(steps: u64, method: StepDistillation) -> DistillTraining {
         tasks: ONLY_PREDICTIVE,
         steps,
         learning_rate: 3e-3,
-        path_loss: 0.0,
         n_eval_scenes: 8,
         ..DistillTrainingConfig::default()
     };

@@ -68,8 +68,6 @@ pub struct JointFuturesTask<'a> {
     pub network: &'a SceneTransformer,
     /// The model without gradients, for evaluation.
     pub frozen: &'a SceneTransformer,
-    /// Weight of -ln p of the best future beside its error.
-    pub mode_loss: f64,
     /// Draws batches.
     pub draws: SceneDraws<'a>,
 }
@@ -78,7 +76,8 @@ impl TrainTask for JointFuturesTask<'_> {
     fn loss(&self, step: u64) -> std::result::Result<Tensor, Error> {
         let DrawnBatch { batch, .. } = self.draws.training_batch(step)?;
         let JointLoss { regression, mode } = JointLoss::new(&self.network.forward(&batch)?, &batch)?;
-        Ok((regression + (mode * self.mode_loss)?)?)
+        // Both as they are: a nat counts as much as a meter beyond one.
+        Ok((regression + mode)?)
     }
 
     fn prepare(&self, step: u64) -> std::result::Result<(), Error> {

@@ -6,7 +6,6 @@ use super::{Error, EventTraining, FitConfig, LearningRateDecay};
 use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
 use crate::guidance::ObjectiveConfig;
 use crate::model::{GeometryConfig, NetworkConfig};
-use crate::settings;
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -49,8 +48,6 @@ scene_training_section! {
         pub network: Option<NetworkConfig>,
         /// What is diffused: `scene` (the paper's) or `motion`.
         pub state_parametrization: Option<StateParametrization>,
-        /// Constants of the diffusion.
-        pub diffusion: Edm,
         /// Distribution of the training noise levels.
         pub noise: Option<NoiseDistribution>,
         /// Weight of the noise levels in the loss: `edm` or `unit`.
@@ -127,9 +124,6 @@ impl DenoiserTrainingConfig {
     pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;
-        let Edm { sigma_min, sigma_max, .. } = self.diffusion;
-        settings::ascending(("diffusion.sigma_min", sigma_min), ("diffusion.sigma_max", sigma_max))
-            .map_err(Self::refusal)?;
         let common = self.scene_training(&base.common)?;
         check_objectives("train.denoiser.objectives", &self.objectives)?;
         let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
@@ -159,7 +153,7 @@ impl DenoiserTrainingConfig {
         Ok(DenoiserTraining {
             network,
             parametrization,
-            edm: self.diffusion,
+            edm: base.edm,
             noise: self.noise.unwrap_or(base.noise),
             loss_weight: self.loss_weight,
             path_loss,

@@ -12,6 +12,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// The disagreement at which the loss turns from quadratic to linear: small beside that of networks, so that few
+/// outliers do not decide, and yet smooth at 0.
+const HUBER: f64 = 0.01;
+/// Weight of the squared disagreement of the paths to which diffused motion adds up, as in the training of denoisers.
+const PATH_LOSS: f64 = 0.1;
+
 /// The steps to which a denoiser is distilled, and the teacher's steps within each.
 ///
 /// The student predicts at the levels of Euler's sampler σ_0 > σ_1 > … > 0. From noise at σ_0 the teacher takes each
@@ -154,8 +160,8 @@ impl StepDistillationTask<'_> {
             let (x, from, to) = (&states[0], levels[0], levels[1]);
             let answered = ask(x, from)?;
             let target = answer(x, &states[1], from, to)?;
-            let squared = squared_error(batch, &answered, &target, self.training.path_loss)?;
-            distances.push((pseudo_huber(batch, &squared, self.training.huber)?.sum_all()? / n_rows as f64)?);
+            let squared = squared_error(batch, &answered, &target, PATH_LOSS)?;
+            distances.push((pseudo_huber(batch, &squared, HUBER)?.sum_all()? / n_rows as f64)?);
             if !self.training.objectives.is_empty() {
                 let answered = if step == 0 { answered } else { ask(&own, from)? };
                 own = ((own * (to / from))? + (answered * (1.0 - to / from))?)?;

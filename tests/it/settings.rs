@@ -59,7 +59,7 @@ fn refusal(more: &[String]) -> Option<String> {
 }
 
 #[test]
-fn every_bound_of_the_schema_is_kept_and_named() {
+fn every_stated_bound_is_kept_and_named() {
     let schema = include_str!("../../schemas/config.schema.json");
     let cases = cases(&serde_json::from_str(schema).unwrap());
     // A seed beyond the numbers of TOML switches no check off.

@@ -13,25 +13,17 @@ pub struct HeunConfig {
     /// Number of steps N, of two evaluations each but for the last.
     #[schemars(range(min = 1, max = 10_000))]
     pub n_steps: usize,
-    /// Amount S_churn of noise added anew over all steps; 0 for none.
+    /// Amount S_churn of noise added anew over all steps, so much at each that the marginals stay what they are; 0 for
+    /// none.
     #[schemars(range(min = 0.0))]
     pub s_churn: f64,
-    /// Lowest noise level S_tmin at which noise is added.
-    #[schemars(range(min = 0.0))]
-    pub s_tmin: f64,
-    /// Highest noise level S_tmax at which noise is added. Left out: no upper limit.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub s_tmax: Option<f64>,
-    /// Standard deviation S_noise of the added noise relative to what would keep the marginals.
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub s_noise: f64,
     /// The grid of noise levels, if it is not the denoiser's.
     pub grid: StepGrid,
 }
 
 impl Default for HeunConfig {
     fn default() -> Self {
-        Self { n_steps: 50, s_churn: 0.0, s_tmin: 0.0, s_tmax: None, s_noise: 1.0, grid: StepGrid::default() }
+        Self { n_steps: 50, s_churn: 0.0, grid: StepGrid::default() }
     }
 }
 
@@ -41,13 +33,10 @@ impl HeunConfig {
         Self { n_steps, ..Self::default() }
     }
 
-    /// The relative increase γ of the noise level at `sigma`, in a run of `n_steps` steps.
-    fn gamma(&self, sigma: f64, n_steps: usize) -> f64 {
-        if sigma >= self.s_tmin && self.s_tmax.is_none_or(|s_tmax| sigma <= s_tmax) {
-            (self.s_churn / n_steps as f64).min(std::f64::consts::SQRT_2 - 1.0)
-        } else {
-            0.0
-        }
+    /// The relative increase γ of each noise level in a run of `n_steps` steps. EDM's S_tmin, S_tmax and S_noise, which
+    /// its authors tune for each data set of images, are 0, ∞ and 1.
+    fn gamma(&self, n_steps: usize) -> f64 {
+        (self.s_churn / n_steps as f64).min(std::f64::consts::SQRT_2 - 1.0)
     }
 }
 
@@ -63,10 +52,10 @@ pub(super) fn integrate(
     let n_steps = sigmas.len().saturating_sub(1);
     for (step_idx, sigma, sigma_next) in steps(sigmas) {
         // Increase the noise temporarily.
-        let gamma = config.gamma(sigma, n_steps);
+        let gamma = config.gamma(n_steps);
         let sigma_hat = sigma * (1.0 + gamma);
         if gamma > 0.0 {
-            let added = (sigma_hat.powi(2) - sigma.powi(2)).sqrt() * config.s_noise;
+            let added = (sigma_hat.powi(2) - sigma.powi(2)).sqrt();
             x = (&x + (noise.draw_like(&x)? * added)?)?;
         }
         // Euler step.

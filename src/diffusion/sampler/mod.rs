@@ -81,9 +81,6 @@ impl SamplerConfig {
     /// Names the setting that is invalid.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
-        if let Self::Heun(HeunConfig { s_tmin, s_tmax: Some(s_tmax), .. }) = self {
-            settings::ascending(("s_tmin", *s_tmin), ("s_tmax", *s_tmax))?;
-        }
         self.grid().validate().map_err(|issue| issue.within("grid"))
     }
 

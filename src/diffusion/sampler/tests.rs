@@ -55,12 +55,7 @@ fn samples_have_the_mean_and_covariance_of_the_data() {
     // The mean's standard error is 0.55 / √8000 = 0.006.
     for config in [
         SamplerConfig::Heun(HeunConfig::with_steps(18)),
-        SamplerConfig::Heun(HeunConfig {
-            s_churn: 10.0,
-            s_tmin: 0.05,
-            s_tmax: Some(50.0),
-            ..HeunConfig::with_steps(40)
-        }),
+        SamplerConfig::Heun(HeunConfig { s_churn: 10.0, ..HeunConfig::with_steps(40) }),
         SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 30, ..Dpmpp2mConfig::default() }),
     ] {
         assert_moments(&sample(&config, &mut noise(8000)), 0.02);

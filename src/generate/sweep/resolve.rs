@@ -7,7 +7,7 @@ use super::{
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
-use crate::guidance::{CleanGradient, GuidanceConfig};
+use crate::guidance::CleanGradient;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
@@ -173,8 +173,6 @@ impl SweepConfig {
         if let Some(sampler) = &self.sampler {
             sampler.validate().map_err(|issue| issue.within("sampler"))?;
         }
-        let GuidanceConfig { sigma_lo, sigma_hi, .. } = self.guidance;
-        settings::ascending(("guidance.sigma_lo", sigma_lo), ("guidance.sigma_hi", sigma_hi))?;
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         if let Some(config) = &self.classifier_free {
             config.validate(roles).map_err(|issue| issue.within("classifier_free"))?;
