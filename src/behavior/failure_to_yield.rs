@@ -17,6 +17,8 @@ pub(super) const ROLES: &[&str] = &["entering", "priority"];
 pub(super) const PARAMETERS: &[&str] =
     &["pet_s", "time_to_arrival_s", "entering_speed_mps", "priority_speed_mps", "max_deceleration_mps2"];
 
+/// A driver who takes the foot off the pedal slows down by this, m/s².
+pub(super) const EASES_OFF_MPS2: f64 = 1.0;
 /// A rule applies to conflicts at most this far from the end of the lanes that it names, meters.
 const RULE_REACH_M: f64 = 40.0;
 
@@ -71,10 +73,12 @@ impl Default for FailureToYieldConfig {
 ///
 /// - The entering vehicle enters the conflict zone before the other, which then drives at 3 m/s or more and would get
 ///   there in less than 4 s at that speed. The boxes never touch.
-/// - From then on, the other brakes with 3 m/s² or more (over half a second) and has to, because at the speed of a
-///   second before the post-encroachment time would be below 1 s; or it is below 1 s: from when the entering vehicle
-///   has left the conflict zone until the other enters it; negative if that is earlier. If the other does not get there
-///   while it is tracked, the time is predicted from its place and speed when the first has left.
+/// - The other has to act: at the speed of a second before, the *post-encroachment time* would be below 1 s. That is
+///   the time from when the entering vehicle has left the conflict zone until the other enters it; negative if that is
+///   earlier. If the other does not get there while it is tracked, the time is predicted from its place and speed when
+///   the first has left.
+/// - From then on it does act: it brakes with 3 m/s² or more (over half a second); or it eases off, with 1 m/s² or
+///   more, and the post-encroachment time is below 1 s all the same.
 ///
 /// The event *starts* when the entering vehicle enters the conflict zone and is *complete* when the other does, or, if
 /// that is not recorded, when the entering vehicle has left.
@@ -82,7 +86,7 @@ impl Default for FailureToYieldConfig {
 /// *What does not count*: two that both yield, or both have the right of way; all-way stops and signals; conflicts that
 /// the scene shows only in part.
 ///
-/// **Negative**: the same without such braking, with a post-encroachment time of up to 2.5 s.
+/// **Negative**: the same where nobody has to act or does, with a post-encroachment time of up to 2.5 s.
 ///
 /// Parameters: `pet_s` (absent if the other stops before the conflict zone); when the first enters, `time_to_arrival_s`
 /// (of the other at the conflict zone, if it kept its speed), `entering_speed_mps` and `priority_speed_mps`;
@@ -147,10 +151,11 @@ impl FailureToYield {
         let pet_s = conflict.pet_s(&priority.course, scene.dt_s);
         let deceleration_mps2 = priority.course.strongest_deceleration_mps2(scene, conflict.enters);
         let is_below = |limit_s: f64| pet_s.is_some_and(|pet_s| pet_s < limit_s);
-        let has_to_brake =
+        let has_to_act =
             conflict.pet_at_kept_speed_s(&priority.course, scene.dt_s).is_some_and(|pet_s| pet_s < config.max_pet_s);
-        let brakes = has_to_brake && deceleration_mps2.is_some_and(|mps2| mps2 >= config.min_deceleration_mps2);
-        let label = match brakes || is_below(config.max_pet_s) {
+        let brakes = |least_mps2: f64| deceleration_mps2.is_some_and(|mps2| mps2 >= least_mps2);
+        let acts = brakes(config.min_deceleration_mps2) || (brakes(EASES_OFF_MPS2) && is_below(config.max_pet_s));
+        let label = match has_to_act && acts {
             true => EventLabel::Positive,
             false if is_below(config.negative_pet_s) => EventLabel::Negative,
             false => return None,

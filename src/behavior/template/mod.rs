@@ -15,6 +15,8 @@ use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory, velocity_at};
 const FADE_S: f64 = 1.0;
 /// The difference in acceleration fades within this time, seconds: as long as a foot takes from one pedal to the other.
 const PEDAL_S: f64 = 0.5;
+/// The largest difference in acceleration that is made up for, m/s²: beyond, one of the two is no motion of a vehicle.
+const MOST_SURPLUS_MPS2: f64 = 5.0;
 /// The observed acceleration is taken over at most, and at least, so many timesteps.
 const N_OBSERVED: usize = 6;
 const LEAST_OBSERVED: usize = 4;
@@ -56,11 +58,15 @@ impl Template {
         let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
         let past: Vec<Vec2> = past.map(|state| state.position).collect();
         let observed = acceleration(&past, scene.dt_s).filter(|_| state.speed_mps() > STANDING_MPS);
+        let at = |step: usize| place(step as f64 * scene.dt_s);
+        let bend = |step: usize| Some(at(step)? - at(step + 1)? * 2.0 + at(step + 2)?);
+        // Extrapolated to the present.
+        let planned = bend(0).zip(bend(1)).map(|(first, next)| (first * 2.0 - next) * (1.0 / scene.dt_s.powi(2)));
         let surplus = observed.map_or(Vec2::ZERO, |observed| {
-            let planned = place(scene.dt_s).zip(place(2.0 * scene.dt_s)).map(|(next, then)| start + then - next * 2.0);
             // The fading of position and velocity accelerates, too.
             let fades = (drift * 2.0 + missing * (1.0 / FADE_S)) * (1.0 / FADE_S);
-            observed - planned.unwrap_or(Vec2::ZERO) * (1.0 / (scene.dt_s * scene.dt_s)) + fades
+            let surplus = observed - planned.unwrap_or(Vec2::ZERO) + fades;
+            surplus * (MOST_SURPLUS_MPS2 / surplus.norm().max(MOST_SURPLUS_MPS2))
         });
         let joins =
             |elapsed_s: f64| (missing + (drift + missing * (1.0 / FADE_S)) * elapsed_s) * (-elapsed_s / FADE_S).exp();

@@ -66,7 +66,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn check(&self) -> Result<()> {
