@@ -76,8 +76,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         assert_eq!(describe(dir.path()).unwrap(), None);
         let bucket = |idx: usize, range: &str, n_accepted: u64| {
-            json!({ "idx": idx, "parts": [{ "parameter": "gap_m", "range": range }], "n_wanted": 5,
-                "n_accepted": n_accepted, "n_surplus": 0, "n_repeated": 0, "accepted_by_arm": [n_accepted],
+            json!({ "idx": idx, "parts": [{ "parameter": "gap_m", "range": range }],
+                "n_feasible": 4, "is_given_up": false,
+                "n_wanted": 5, "n_accepted": n_accepted, "n_surplus": 0, "n_repeated": 0, "n_near_duplicates": 0,
+                "accepted_by_arm": [n_accepted],
                 "hits_by_arm": [n_accepted], "first_round_hits_by_arm": [0], "n_samples_while_open": 100,
                 "n_evaluations_while_open": 1900 })
         };
@@ -87,8 +89,10 @@ mod tests {
         };
         let request = json!({ "name": "tight", "behavior": "cut_in", "ended": "budget",
             "budget": { "n_samples": null, "n_evaluations": 1900 }, "n_rounds": 3, "n_samples": 100,
-            "n_evaluations": 1900, "n_scenes": 4, "n_cells": 4, "n_wanted": 15, "n_accepted": 6,
+            "n_evaluations": 1900, "n_scenes": 4, "n_cells": 4, "n_infeasible": 0,
+            "n_wanted": 15, "n_accepted": 6,
             "arms": [{ "name": "guided", "strength": 2.0, "weight": 0.0, "n_evaluations_per_sample": 19,
+                "n_aimed": 0, "n_aimed_hits": 0,
                 "total": own(6), "first_round": own(0) }],
             "buckets": [bucket(0, "0..5", 5), bucket(1, "5..10", 1), bucket(2, "10..20", 0)] });
         fs_err::write(dir.path().join("requests.json"), json!([request]).to_string()).unwrap();
