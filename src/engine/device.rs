@@ -13,7 +13,8 @@ use std::str::FromStr;
 
 /// What networks compute on: `cpu`, `cuda` (the first GPU) or `cuda:1` (the second one), and so on.
 ///
-/// A change of device does not make a stage run again, and a resumed stage continues on the device that is chosen now.
+/// A change of device does not make a finished stage run again. An interrupted training continues on the device that is
+/// chosen now; interrupted shards of another kind of device are not used.
 /// Results are the same bytes on the same kind of device only, because kinds of device sum in different orders. Noise
 /// is always drawn on the host, so that samples of one seed are alike on all devices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]

@@ -263,12 +263,15 @@ impl ShardFolder {
         Ok(None)
     }
 
-    /// Removes the marks of tries that failed, so that these shards are tried again; where nobody else can be at work,
-    /// all marks.
+    /// Makes sure that shards are made again that were damaged, or failed: removes the marks of tries that failed, and
+    /// where nobody else can be at work, all marks.
     ///
     /// # Errors
     /// On I/O errors.
-    pub(super) fn forget_tries(&self) -> Result<()> {
+    pub(super) fn forget_failures(&self) -> Result<()> {
+        for idx in 0..self.n_shards()? {
+            self.verified::<IgnoredAny>(idx)?;
+        }
         for name in self.tried()? {
             let Some(idx) = name.strip_prefix(self.names.shard).and_then(|rest| rest.strip_prefix('-')?.parse().ok())
             else {

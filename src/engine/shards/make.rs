@@ -129,17 +129,6 @@ impl<'a> Shards<'a> {
         Self { folder, worker, progress, seconds: RefCell::default() }
     }
 
-    /// Makes sure that shards are made again that failed before, or were damaged since.
-    ///
-    /// # Errors
-    /// On I/O errors.
-    pub(super) fn try_again(&self) -> Result<()> {
-        for idx in 0..self.folder.n_shards()? {
-            self.folder.verified::<IgnoredAny>(idx)?;
-        }
-        self.folder.forget_tries()
-    }
-
     /// The decisions made before any shard.
     ///
     /// # Errors

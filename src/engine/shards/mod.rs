@@ -7,6 +7,8 @@
 //! the lock of the run folder; workers remove nothing but their own marks. A process that runs the stage alone does all
 //! three, as worker 1 of 1, and so writes the same bytes.
 
+#[cfg(test)]
+mod alone_tests;
 mod folder;
 mod gathering;
 mod identity;
@@ -142,16 +144,23 @@ fn alone(
                 "{kind}: the shards of workers in {kind}.parts belong to another plan and are not used: {difference}; \
                  discard them with --stage {kind} --part plan --redo {kind}"
             )),
-            _ => other.discard()?,
+            difference => {
+                // The plan said that it resumes.
+                if let Some(difference) = difference.filter(|_| planned.action == Action::Resume) {
+                    progress.warn(&format!("{kind}: the shards of the interrupted run are made again: {difference}"));
+                }
+                other.discard()?;
+            }
         }
     }
     let folder = match begun {
-        Some(folder) => folder,
+        Some(folder) => {
+            folder.forget_failures()?;
+            folder
+        }
         None => ShardFolder::write(root, kind, identity, &sharded.plan(compute, progress)?, false)?,
     };
-    let shards = Shards::new(&folder, Worker::ALONE, progress);
-    shards.try_again()?;
-    sharded.make(&shards, compute)?;
+    sharded.make(&Shards::new(&folder, Worker::ALONE, progress), compute)?;
     Ok(folder)
 }
 

@@ -8,7 +8,8 @@ use crate::scene::State;
 /// Motion is extrapolated from the mean velocity over at most so many timesteps.
 const N_BEFORE: usize = 3;
 
-/// Jumps in position, heading and acceleration between a given state and a generated one, in either order.
+/// Jumps in position and heading between a given state and a generated one, in either order, and in acceleration where
+/// generated states begin.
 pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Violation> {
     let scene = judged.scene;
     let mut worst: [Option<Violation>; 3] = [const { None }; 3];
