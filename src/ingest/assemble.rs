@@ -42,6 +42,7 @@ pub(super) fn assemble(
     check_states(&raw)?;
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
+    std::mem::take(&mut raw.findings).into_iter().for_each(|finding| counts.count_warning(finding));
     if raw.source.dataset.facts().has_velocities {
         derive_velocities(&mut raw, &mut counts);
         // Positions may jump faster than any agent moves.

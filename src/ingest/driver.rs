@@ -78,6 +78,7 @@ pub fn ingest(
         let first = rejects.examples.first().map_or("", String::as_str);
         progress.warn(&format!("{} rejected as {reason}, the first: {first}", rejects.count));
     }
+    total.warnings().for_each(|warning| progress.warn(&warning));
     if total.n_scenes == 0 {
         return Err(Error::NoScenes { files: seen.summary(config), report: Box::new(total) });
     }

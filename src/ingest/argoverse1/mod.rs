@@ -60,8 +60,8 @@ impl RecordingSource for Argoverse1<'_> {
 
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
         let Some(city) = vector_map::city_of(file_name(&entry.path)) else { return Ok(None) };
-        let graph = vector_map::read(&entry.path, reader)?;
-        Ok(Some(MapFile { id: map_id(Dataset::Argoverse1, city), graph, rank: 0, warnings: String::new() }))
+        let (graph, report) = vector_map::read(&entry.path, reader)?;
+        Ok(Some(MapFile { id: map_id(Dataset::Argoverse1, city), graph, rank: 0, warnings: report.summary() }))
     }
 }
 

@@ -75,9 +75,10 @@ impl Argoverse2<'_> {
     fn parse_scenario(&self, unit: &RawUnit) -> Result<RawScene, Reject> {
         let mut scene = tracks::parse(unit, self.horizon)?;
         if let Some(companion) = &unit.companion {
-            let graph = map::parse(&companion.bytes)
+            let (graph, report) = map::parse(&companion.bytes)
                 .map_err(|detail| Reject { reason: "bad_map", detail: format!("{}: {detail}", companion.file) })?;
             scene.own_map = Some(Arc::new(graph));
+            scene.findings = report.findings(&companion.file);
         }
         Ok(scene)
     }

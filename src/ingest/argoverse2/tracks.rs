@@ -75,6 +75,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
         tracks,
         heading_gaps: Vec::new(),
         own_map: None,
+        findings: Vec::new(),
     })
 }
 

@@ -49,6 +49,7 @@ fn raw(tracks: Vec<Track>) -> RawScene {
         heading_gaps: Vec::new(),
         map_id: map_id(Dataset::Interaction, "X"),
         own_map: None,
+        findings: Vec::new(),
     }
 }
 

@@ -9,13 +9,13 @@ mod bound;
 mod lanelet;
 mod osm;
 mod projection;
-mod report;
 mod topology;
 
-pub use report::MapReport;
+pub use super::map_report::MapReport;
 
 use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
+use crate::ingest::plausible_lanes::plausible;
 use crate::scene::LaneGraph;
 use lanelet::Lanelet;
 use osm::{NodePosition, Osm};
@@ -33,7 +33,7 @@ const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
 
 /// Reads a Lanelet2 map: its vehicle lanes in the frame of the recordings, and a report of its defects.
 ///
-/// Incomplete lanelets are left out and reported.
+/// Incomplete lanelets, and those that cannot be lanes, are left out and reported.
 ///
 /// # Errors
 /// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, is beyond all
@@ -54,7 +54,10 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
     let mut report = MapReport::default();
     let osm = osm::parse(text, file, &mut report)?;
     let lanelets = lanelets(&osm, &mut report).map_err(|what| Error::map(file, "", what))?;
-    if lanelets.is_empty() {
+    let lanes = topology::connect(lanelets)
+        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes")))?;
+    let lanes = plausible(lanes, &mut report);
+    if lanes.is_empty() {
         let detail = format!(
             "has no vehicle lane: {} lanelets, {} of them not for vehicles; {}",
             report.n_lanelets,
@@ -63,9 +66,7 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
         );
         return Err(error(detail));
     }
-    report.n_lanes = lanelets.len() as u64;
-    let lanes = topology::connect(lanelets)
-        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes")))?;
+    report.n_lanes = lanes.len() as u64;
     Ok((LaneGraph::new(lanes), report))
 }
 

@@ -4,9 +4,9 @@
 //! size, depth and attributes are bounded, so that no document can exhaust memory or time.
 
 use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
-use super::report::MapReport;
 use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
+use crate::ingest::map_report::MapReport;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
