@@ -2,6 +2,7 @@
 
 use super::config::{AgentsPresent, IngestConfig};
 use super::lane_index::{Circle, LaneIndex};
+use super::plausible_tracks::{judge, judge_place};
 use super::raw::{HeadingGap, RawScene, Reject};
 use super::report::IngestReport;
 use crate::geometry::{Transform2, Vec2};
@@ -33,7 +34,8 @@ const MAX_SPEED_MPS: f64 = 1e6;
 ///
 /// # Errors
 /// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of
-/// the map.
+/// the map;
+/// and those of which most tracks are not plausible.
 pub(super) fn assemble(
     mut raw: RawScene,
     map: Option<&LaneIndex>,
@@ -42,6 +44,10 @@ pub(super) fn assemble(
     check_states(&raw)?;
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
+    judge(&mut raw)?;
+    if let Some(map) = map {
+        judge_place(&mut raw, present, map);
+    }
     std::mem::take(&mut raw.findings).into_iter().for_each(|finding| counts.count_warning(finding));
     if raw.source.dataset.facts().has_velocities {
         derive_velocities(&mut raw, &mut counts);

@@ -28,6 +28,7 @@ pub mod lanelet2;
 mod map_catalog;
 mod map_report;
 mod plausible_lanes;
+mod plausible_tracks;
 mod quotes;
 mod raw;
 mod report;

@@ -2,7 +2,8 @@
 
 use super::RECORDED;
 use super::columns::Table;
-use crate::geometry::{Vec2, wrap_angle};
+use crate::geometry::Vec2;
+use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
 use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory};
@@ -140,7 +141,7 @@ fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<V
         });
         let state = State {
             position: Vec2::new(x.value(row), y.value(row)),
-            heading_rad: wrap_angle(heading.value(row)),
+            heading_rad: recorded_heading(heading.value(row), heads[track_idx].1),
             velocity: Vec2::new(velocity_x.value(row), velocity_y.value(row)),
         };
         if !state.is_finite() {
