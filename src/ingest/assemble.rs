@@ -44,6 +44,11 @@ pub(super) fn assemble(
     check_states(&raw)?;
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
+    if raw.source.dataset.facts().has_classes {
+        let n_tracks = raw.tracks.len();
+        raw.tracks.retain(|track| track.class != AgentClass::Unknown);
+        counts.count_dropped("agents_of_unknown_type", (n_tracks - raw.tracks.len()) as u64);
+    }
     judge(&mut raw)?;
     if let Some(map) = map {
         judge_place(&mut raw, present, map);

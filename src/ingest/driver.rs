@@ -5,6 +5,7 @@ use super::assemble::assemble;
 use super::batches::{Batch, BatchSender};
 use super::config::IngestConfig;
 use super::error::{BoxError, Error};
+use super::files::is_copy;
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
@@ -14,6 +15,7 @@ use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId, Scene};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
 use std::sync::{Arc, mpsc};
 
 /// Scenes of consecutive units, in the order of the recordings.
@@ -127,22 +129,33 @@ fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender:
         sender.push(unit, n_bytes)
     };
     let mut read_all = || -> Result<(), Error> {
-        loop {
+        for pass in 0.. {
             seen.take();
             let mut is_stopped = false;
             visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| {
-                let flow = units.read(entry, reader, &mut emit)?;
+                let flow = match is_copy(&entry.path) {
+                    true if pass == 0 => emit(Err(copy(&entry.path))),
+                    true => ControlFlow::Continue(()),
+                    false => units.read(entry, reader, &mut emit)?,
+                };
                 is_stopped = flow.is_break();
                 Ok(flow)
             })?;
             if is_stopped || !units.next_pass() {
-                return units.finish(&mut emit).map(drop);
+                break;
             }
         }
+        units.finish(&mut emit).map(drop)
     };
     let result = read_all();
     sender.finish(result);
     seen.into_inner()
+}
+
+/// The reject of a file that is named as a copy of another: its scenes would count twice.
+fn copy(path: &str) -> Reject {
+    let detail = format!("{path}: it is named as a copy; give each recording once, or rename it if it is another one");
+    Reject { reason: "recording_repeated", detail }
 }
 
 /// Most scenes that are made at a time: a recording holds thousands.

@@ -20,6 +20,15 @@ pub(super) fn file_stem(path: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
+/// Whether a file is named as the copy that a browser or a file manager makes beside a file: `x (1).csv`,
+/// `x - Copy.csv`.
+pub(super) fn is_copy(path: &str) -> bool {
+    let stem = file_name(path).split('.').next().unwrap_or_default();
+    let numbered = stem.strip_suffix(')').and_then(|stem| stem.rsplit_once(" ("));
+    let is_numbered = numbered.is_some_and(|(_, n)| !n.is_empty() && n.bytes().all(|byte| byte.is_ascii_digit()));
+    is_numbered || stem.to_ascii_lowercase().ends_with(" copy")
+}
+
 /// The split that the folders of `path` name, the innermost first.
 pub(super) fn split_of_path(path: &str) -> Option<Split> {
     path.rsplit('/').find_map(split_of_name)
@@ -83,6 +92,17 @@ mod tests {
     fn names_without_folders_and_extension() {
         assert_eq!(file_stem("a.b/c.d.csv"), "c.d");
         assert_eq!(file_stem("plain"), "plain");
+    }
+
+    #[test]
+    fn copies_are_told_by_name() {
+        for copy in ["A/vehicle_tracks_000 (1).csv", "1 (12).csv", "a - Copy.csv", "a copy.tar.gz", "a - Copy (2).csv"]
+        {
+            assert!(is_copy(copy), "{copy}");
+        }
+        for name in ["A (1)/vehicle_tracks_000.csv", "a (b).csv", "a().csv", "copy.csv", "hardcopy.csv", "a(1).csv"] {
+            assert!(!is_copy(name), "{name}");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::error::Error;
 use super::lane_index::LaneIndex;
 use super::source::{MapFile, RecordingSource};
 use crate::progress::Progress;
-use crate::scene::MapId;
+use crate::scene::{Lane, LaneGraph, MapId};
 use std::collections::btree_map::Entry as MapEntry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufRead;
@@ -72,19 +72,21 @@ impl MapCatalog {
         progress: &dyn Progress,
     ) -> Result<(), Error> {
         let Some(MapFile { id, graph, rank, warnings }) = source.read_map(entry, reader)? else { return Ok(()) };
-        let passed_over = |path: &str, id: &MapId, chosen: &str| {
-            progress.note(&format!("skipped {path}: map {id} is also in {chosen}"));
-        };
-        let listed = || Listed { lanes: LaneIndex::new(Arc::new(graph)), rank, path: entry.path.clone(), warnings };
+        let listed = Listed { lanes: LaneIndex::new(Arc::new(graph)), rank, path: entry.path.clone(), warnings };
         match self.0.entry(id) {
-            MapEntry::Vacant(place) => {
-                place.insert(listed());
+            MapEntry::Vacant(place) => drop(place.insert(listed)),
+            MapEntry::Occupied(mut place) => {
+                let is_better = rank < place.get().rank;
+                let other = if is_better { place.insert(listed) } else { listed };
+                let (id, taken) = (place.key(), place.get());
+                match are_alike(taken.lanes.graph(), other.lanes.graph()) {
+                    true => progress.note(&format!("skipped {}: map {id} is also in {}", other.path, taken.path)),
+                    false => progress.warn(&format!(
+                        "{} and {} are different maps of {id}: the first is taken; remove the one that is out of date",
+                        taken.path, other.path
+                    )),
+                }
             }
-            MapEntry::Occupied(mut place) if rank < place.get().rank => {
-                passed_over(&place.get().path, place.key(), &entry.path);
-                place.insert(listed());
-            }
-            MapEntry::Occupied(place) => passed_over(&entry.path, place.key(), &place.get().path),
         }
         Ok(())
     }
@@ -107,12 +109,60 @@ impl MapCatalog {
     }
 }
 
+/// Whether two maps have the same lanes, but for the digits with which they are written.
+fn are_alike(one: &LaneGraph, other: &LaneGraph) -> bool {
+    const MAX_DISTANCE_M: f64 = 0.1;
+    let is_near = |a: &Lane, b: &Lane| {
+        let (a, b) = (&a.centerline.0, &b.centerline.0);
+        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.distance(*b) <= MAX_DISTANCE_M)
+    };
+    let (one, other) = (one.lanes(), other.lanes());
+    one.len() == other.len() && one.iter().zip(other).all(|(a, b)| a.id == b.id && is_near(a, b))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::ingest::interaction::Interaction;
     use crate::progress::Silent;
     use crate::scene::Dataset;
+
+    /// Keeps what the user is told.
+    #[derive(Default)]
+    struct Told(Mutex<Vec<String>>);
+
+    impl Progress for Told {
+        fn warn(&self, message: &str) {
+            self.0.lock().unwrap().push(message.to_owned());
+        }
+    }
+
+    #[test]
+    fn different_maps_of_one_place_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let source = "tests/fixtures/recordings/interaction_v1_1/maps/FIX_Intersection.osm";
+        let xy = fs_err::read_to_string(format!("{source}_xy")).unwrap();
+        let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
+        let told = || {
+            let told = Told::default();
+            MapCatalog::read(&config, &Interaction::new(&config), &told).unwrap();
+            told.0.into_inner().unwrap()
+        };
+        for folder in [folder.path().join("maps"), folder.path().join("archive")] {
+            fs_err::create_dir_all(folder).unwrap();
+        }
+        fs_err::copy(source, folder.path().join("maps/FIX_Intersection.osm")).unwrap();
+        fs_err::write(folder.path().join("maps/FIX_Intersection.osm_xy"), &xy).unwrap();
+        assert_eq!(told(), [""; 0], "one map in both encodings");
+        // An old copy, without one of the lanes.
+        let old = xy.replacen("\"lanelet\"", "\"multipolygon\"", 1);
+        fs_err::write(folder.path().join("archive/FIX_Intersection.osm_xy"), old).unwrap();
+        let told = told();
+        assert!(
+            told[0].starts_with("maps/FIX_Intersection.osm and archive/FIX_Intersection.osm_xy are different maps of"),
+            "{told:?}"
+        );
+    }
 
     #[test]
     fn maps_that_recordings_need_are_missed_before_any_is_read() {

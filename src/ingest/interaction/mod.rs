@@ -19,12 +19,12 @@
 //! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
 //!   after a second header;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
-//! - `recording_repeated`: a file of a recording comes twice;
+//! - `recording_repeated`: a file of a recording comes twice, or is named as a copy (`… (1).csv`);
 //! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`scenes`];
 //! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
 //! Tolerated: cases whose rows do not stand together (see [`scattered`]), columns in any order and unknown ones, CRLF,
-//! byte order marks, empty lines, a missing last line end, whole numbers printed as floats, sizes that change along a
+//! byte order marks, empty lines, a missing last line end, whole numbers printed as floats (ids, too: `1.0` is `1`), sizes that change along a
 //! track (the first counts) or are blank, quotes around cells (closed on their line).
 
 mod cases;

@@ -1,5 +1,6 @@
 //! Parses one row of a table of tracks.
 
+use super::cases::without_point;
 use super::columns::TrackColumns;
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
@@ -21,7 +22,7 @@ const MIN_SIZE_M: f64 = 1e-3;
 /// One agent at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Row<'a> {
-    /// As written.
+    /// As written, but `1` for `1.0`.
     pub(super) track_id: &'a [u8],
     pub(super) frame_id: i64,
     /// As written.
@@ -48,7 +49,7 @@ impl<'a> Row<'a> {
             return Err(("malformed_row", format!("{n} columns, expected {}", columns.n_columns)));
         }
         let cells = cells.as_slice();
-        let track_id = cells[columns.track_id].trim_ascii();
+        let track_id = without_point(cells[columns.track_id].trim_ascii());
         if track_id.is_empty() || !track_id.iter().all(u8::is_ascii_graphic) {
             return Err(malformed("track_id", track_id, "an id"));
         }

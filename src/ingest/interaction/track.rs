@@ -281,6 +281,9 @@ mod tests {
         assert_eq!(headings(&tracks[0]), [401.07, 5.73, 17.189]);
         assert_eq!(tracks[0].extent, Some(Extent { length_m: 4.0, width_m: 2.0 }));
 
+        let spelled_twice = read("9,3,300,car,3,0,1,0,0.1,4,2\n9.0,4,400,car,4,0,1,0,0.1,4,2\n").unwrap();
+        assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
+
         let track = tracks[0].cut(3, 4, 1).unwrap();
         assert_eq!(
             track.trajectory.entries().iter().map(Option::is_some).collect::<Vec<_>>(),

@@ -106,6 +106,26 @@ fn the_encoding_of_columns_does_not_matter() {
 }
 
 #[test]
+fn types_outside_the_list_are_no_vehicles() {
+    let of_types = |focal: &'static str, other: &'static str| {
+        let types = move |column: &ArrayRef| {
+            let each = (0..column.len()).map(|row| if row % 2 == 0 { focal } else { other });
+            Arc::new(StringArray::from_iter_values(each)) as ArrayRef
+        };
+        parse_columns(replaced("object_type", types))
+    };
+    let scene = of_types("BUS", "Pedestrian").expect("listed, in another case");
+    assert_eq!([scene.tracks[0].class, scene.tracks[1].class], [AgentClass::Bus, AgentClass::Pedestrian]);
+    assert_eq!(scene.findings, []);
+    let scene = of_types("bus", "unknown").expect("listed");
+    assert_eq!((scene.tracks[1].class, scene.findings.len()), (AgentClass::Unknown, 0));
+    let scene = of_types("bus", "hovercraft").expect("the bus is listed");
+    assert_eq!((scene.findings[0].what, scene.findings[0].n), ("tracks_of_unlisted_types", 1));
+    assert!(scene.findings[0].detail.contains("\"hovercraft\""), "{:?}", scene.findings);
+    assert_eq!(of_types("unknown", "vehicle").expect_err("nobody to predict").reason, "unknown_agent_type");
+}
+
+#[test]
 fn only_test_files_may_end_at_the_present() {
     let scene = parse_bytes(parquet_bytes(columns(50)), Split::Test).expect("a test file");
     assert_eq!((scene.n_timesteps, scene.n_history), (50, 50));
