@@ -5,7 +5,7 @@ use super::assemble::assemble;
 use super::batches::{Batch, BatchSender};
 use super::config::IngestConfig;
 use super::error::{BoxError, Error};
-use super::files::is_copy;
+use super::files::{PassedOver, is_copy};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
@@ -55,7 +55,8 @@ pub fn ingest(
     if config.limit.is_some_and(|limit| total.n_scenes >= limit) {
         return Ok(total);
     }
-    let maps = MapCatalog::read(config, source, progress)?;
+    let passed_over = PassedOver::new(progress);
+    let maps = MapCatalog::read(config, source, &passed_over, progress)?;
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
     let parser = UnitParser { config, source, maps: &maps };
@@ -64,7 +65,7 @@ pub fn ingest(
         // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
-        let reader = scope.spawn(move || read_batches(config, source, unit_sender));
+        let reader = scope.spawn(|| read_batches(config, source, &passed_over, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
@@ -110,9 +111,15 @@ impl SeenFiles {
 }
 
 /// The reading thread: cuts all recordings into units until the receiver is gone.
-fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender: BatchSender) -> SeenFiles {
+fn read_batches(
+    config: &IngestConfig,
+    source: &dyn RecordingSource,
+    passed_over: &PassedOver<'_>,
+    mut sender: BatchSender,
+) -> SeenFiles {
     let seen = std::cell::RefCell::new(SeenFiles::default());
     let is_wanted = |path: &str| {
+        passed_over.note(path);
         let is_recording = source.is_recording(path);
         let seen = &mut *seen.borrow_mut();
         if is_recording {

@@ -121,7 +121,7 @@ fn offset_m(line: &Polyline, point: Vec2) -> f64 {
 
 /// Turns around the lines of a lane that run against the others, and returns whether there were any. Lanes whose lines
 /// agree stay as they are.
-pub(super) fn turn_around(left: &mut Polyline, right: &mut Polyline, mut centerline: Option<&mut Polyline>) -> bool {
+pub(super) fn turn_around(left: &mut Polyline, right: &mut Polyline, centerline: Option<&mut Polyline>) -> bool {
     let mut is_turned = runs_against(left, right);
     if is_turned {
         let turned = to_turn(left, right);
@@ -129,7 +129,7 @@ pub(super) fn turn_around(left: &mut Polyline, right: &mut Polyline, mut centerl
             line.0.reverse();
         });
     }
-    if let Some(centerline) = centerline.as_deref_mut().filter(|centerline| runs_against(centerline, left)) {
+    if let Some(centerline) = centerline.filter(|centerline| runs_against(centerline, left)) {
         centerline.0.reverse();
         is_turned = true;
         // Both bounds ran the other way, not the centerline.

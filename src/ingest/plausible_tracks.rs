@@ -162,9 +162,11 @@ mod tests {
     use crate::scene::{Dataset, Extent, LaneGraph, SceneId, SceneSource, Split, TrackId, TrackRole};
     use std::sync::Arc;
 
+    type Change = dyn Fn(usize, &mut State);
+
     /// A car that drives east or north at 10 m/s, its states changed by `change`.
     fn car(id: usize, change: impl Fn(usize, &mut State)) -> Track {
-        let heading_rad = if id % 2 == 0 { 0.0 } else { std::f64::consts::FRAC_PI_2 };
+        let heading_rad = if id.is_multiple_of(2) { 0.0 } else { std::f64::consts::FRAC_PI_2 };
         let direction = Vec2::from_angle(heading_rad);
         let states = (0..20).map(|timestep| {
             let position = direction * timestep as f64 + Vec2::new(0.0, 4.0 * id as f64);
@@ -210,7 +212,7 @@ mod tests {
         let cars = (0..5).map(|id| {
             car(id, |timestep, state| {
                 if id < n_changed {
-                    change(timestep, state)
+                    change(timestep, state);
                 }
             })
         });
@@ -224,7 +226,7 @@ mod tests {
         let backwards = |_: usize, state: &mut State| state.heading_rad += 3.0;
         let pixels = |_: usize, state: &mut State| state.position = state.position * 12.0;
         let jumps = |timestep: usize, state: &mut State| state.position.x += if timestep > 9 { 500.0 } else { 0.0 };
-        let cases: [(&dyn Fn(usize, &mut State), &str, &str, &str); 4] = [
+        let cases: [(&Change, &str, &str, &str); 4] = [
             (&degrees, "tracks_with_headings_off_their_motion", "implausible_headings", "100.0, expected radians"),
             (
                 &backwards,
@@ -270,7 +272,7 @@ mod tests {
             scene.tracks.iter().filter_map(|track| Some(track.trajectory.get(3)?.heading_rad)).collect();
         assert!(headings.iter().all(|heading_rad| (0.0..2.0).contains(heading_rad)), "{headings:?}");
         let standing = |timestep: usize, state: &mut State| {
-            let jitter = if timestep % 2 == 0 { 0.05 } else { 0.0 };
+            let jitter = if timestep.is_multiple_of(2) { 0.05 } else { 0.0 };
             *state = State { position: Vec2::new(jitter, 0.0), velocity: Vec2::ZERO, heading_rad: 2.0 };
         };
         assert_eq!(judged(5, standing).expect("sound").findings, []);

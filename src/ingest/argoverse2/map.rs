@@ -64,7 +64,8 @@ fn segments(json: &[u8], report: &mut MapReport) -> Result<Vec<LaneSegment>, Mal
     if let Ok(map) = serde_json::from_slice::<MapJson<LaneSegment>>(json) {
         return Ok(map.lane_segments.into_values().collect());
     }
-    let map: MapJson<serde_json::Value> = serde_json::from_slice(json)?;
+    let json = without_nan(json);
+    let map: MapJson<serde_json::Value> = serde_json::from_slice(&json)?;
     let mut whole = Vec::new();
     for (key, segment) in map.lane_segments {
         match serde_json::from_value(segment) {
@@ -73,6 +74,26 @@ fn segments(json: &[u8], report: &mut MapReport) -> Result<Vec<LaneSegment>, Mal
         }
     }
     Ok(whole)
+}
+
+/// The JSON without a byte order mark, and with `null` for what Python writes into it, `NaN` and `Infinity`.
+fn without_nan(json: &[u8]) -> Vec<u8> {
+    let mut rest = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
+    let mut plain = Vec::with_capacity(rest.len());
+    let (mut is_text, mut is_escaped) = (false, false);
+    while let Some((byte, after)) = rest.split_first() {
+        let number = [&b"NaN"[..], b"Infinity", b"-Infinity"].into_iter().find(|number| rest.starts_with(number));
+        if let Some(number) = number.filter(|_| !is_text) {
+            plain.extend(b"null");
+            rest = &rest[number.len()..];
+            continue;
+        }
+        is_text ^= *byte == b'"' && !is_escaped;
+        is_escaped = is_text && *byte == b'\\' && !is_escaped;
+        plain.push(*byte);
+        rest = after;
+    }
+    plain
 }
 
 impl LaneSegment {
@@ -183,6 +204,19 @@ mod tests {
             let found = report.warnings.get(reason).map_or("", |found| found.examples[0].as_str());
             assert!(found.starts_with(expected), "{}", report.summary());
         }
+    }
+
+    #[test]
+    fn what_python_writes_is_read() {
+        let whole = map(&[segment(1, "VEHICLE", "\"note\": \"a \\\"NaN\","), segment(2, "VEHICLE", "")]);
+        let graph =
+            |text: &str| parse(text.as_bytes()).map(|(graph, report)| (graph.lanes().len(), report.warnings.len()));
+        assert_eq!(
+            graph(&format!("\u{feff}{}", whole.replace("\"z\": 1", "\"z\": NaN"))).expect("z is not used"),
+            (2, 0)
+        );
+        assert_eq!(graph(&whole.replace("\"z\": 1", "\"z\": -Infinity")).expect("z is not used"), (2, 0));
+        assert_eq!(graph(&whole.replacen("\"x\": 5", "\"x\": NaN", 1)).expect("a lane is whole"), (1, 1));
     }
 
     #[test]

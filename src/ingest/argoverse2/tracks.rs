@@ -24,15 +24,14 @@ const COLUMNS: [&str; 12] = [
     "city",
 ];
 
-/// The time of the first row; not every file has it.
+/// The time of the first row; not every file has it, as a number.
 const START: &str = "start_timestamp";
 
 const DT_S: f64 = 0.1;
 
 /// The scene of a file, cut to `horizon` around the present of the dataset. Rows are counted from 0.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let table = Table::read(&unit.bytes, &[&COLUMNS[..], &[START]].concat())
-        .map_err(|detail| unit.reject("bad_parquet", detail))?;
+    let table = Table::read(&unit.bytes, &COLUMNS, &[START]).map_err(|detail| unit.reject("bad_parquet", detail))?;
     let missing = table.missing(&COLUMNS);
     if !missing.is_empty() {
         return Err(unit.reject("missing_column", format!("no column {}", missing.join(", "))));

@@ -117,10 +117,15 @@ fn shape(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Option<f64>, Option
     Ok((heading_rad, length_m.zip(width_m).map(|(length_m, width_m)| Extent { length_m, width_m })))
 }
 
-/// The number in a cell, or nothing where the cell is blank.
+/// The number in a cell, or nothing where the cell is blank, or `nan` as Python writes a blank one. Marks may be
+/// `True` and `False`.
 fn optional(cell: &[u8], column: &str) -> Result<Option<f64>, Flaw> {
     match cell.trim_ascii() {
         [] => Ok(None),
+        // Nearly all are numbers.
+        [b'n' | b'N', rest @ ..] if rest.eq_ignore_ascii_case(b"an") => Ok(None),
+        b"True" => Ok(Some(1.0)),
+        b"False" => Ok(Some(0.0)),
         _ => number(cell, column).map(Some),
     }
 }
@@ -166,6 +171,8 @@ mod tests {
         let row = parse("P7,3.0,300.0,pedestrian/bicycle,1,2,3,4,,,,0,1").unwrap();
         assert_eq!((row.frame_id, row.heading_rad, row.extent, row.is_interesting), (3, None, None, true));
         assert_eq!(parse("7,3,300,car,1,2,3,0,0,,1.8,,").unwrap().extent, None);
+        let row = parse("P7,3,300,pedestrian/bicycle,1,2,3,4,nan,NaN,2,True,False").unwrap();
+        assert_eq!((row.heading_rad, row.extent, row.is_to_predict, row.is_interesting), (None, None, true, false));
     }
 
     #[test]
@@ -183,7 +190,7 @@ mod tests {
             (",3,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column track_id"),
             ("7,3,300,car,1,NaN,3,4,0,4,2,1,0", "non_finite", "column y is \"NaN\""),
             ("7,3,300,car,1,2,inf,4,0,4,2,1,0", "non_finite", "column vx"),
-            ("7,3,300,car,1,2,3,4,nan,4,2,1,0", "non_finite", "column psi_rad"),
+            ("7,3,300,car,1,2,3,4,inf,4,2,1,0", "non_finite", "column psi_rad"),
             ("7,3,310,car,1,2,3,4,0,4,2,1,0", "bad_timestamp", "timestamp_ms is 310 at frame_id 3, expected 300"),
             ("7,-3,-300,car,1,2,3,4,0,4,2,1,0", "out_of_range", "frame_id is -3"),
             ("7,3,300,car,1e9,2,3,4,0,4,2,1,0", "out_of_range", "position"),

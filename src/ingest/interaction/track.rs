@@ -281,6 +281,8 @@ mod tests {
         assert_eq!(headings(&tracks[0]), [401.07, 5.73, 17.189]);
         assert_eq!(tracks[0].extent, Some(Extent { length_m: 4.0, width_m: 2.0 }));
 
+        let nan = read("P1,1,100,pedestrian/bicycle,0,0,0,0,nan,nan,NaN\n1,1,100,car,0,0,0,0,0,nan,nan\n").unwrap();
+        assert_eq!(nan.iter().map(|track| track.extent).collect::<Vec<_>>(), [None, None]);
         let spelled_twice = read("9,3,300,car,3,0,1,0,0.1,4,2\n9.0,4,400,car,4,0,1,0,0.1,4,2\n").unwrap();
         assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
 
@@ -342,6 +344,7 @@ mod tests {
             (format!("{good}2,1,100,car,0,0,0,0,0,4,2\n{good}"), "duplicate_frame", "t.csv:4: track 1 is at frame 1"),
             (format!("{good}1,2,200,car,0,0,0,0,,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             (format!("{good}1,2,200,pedestrian,0,0,0,0,0,4,2"), "inconsistent_agent_type", "t.csv:3:"),
+            (format!("{good}1,2,200,car,0,0,0,0,NaN,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             ("1,1,100,tank,0,0,0,0,0,4,2".to_owned(), "unknown_agent_type", "t.csv:2: column agent_type is \\\"tank"),
         ] {
             let reject = read(&rows).unwrap_err();

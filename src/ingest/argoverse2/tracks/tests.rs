@@ -106,6 +106,18 @@ fn the_encoding_of_columns_does_not_matter() {
 }
 
 #[test]
+fn a_start_of_another_type_is_none() {
+    let texts = |column: &ArrayRef| Arc::new(StringArray::from(vec!["2021"; column.len()])) as ArrayRef;
+    let times = |column: &ArrayRef| {
+        let time = DataType::Timestamp(arrow::datatypes::TimeUnit::Nanosecond, None);
+        cast(column, &time).expect("castable")
+    };
+    for columns in [replaced("start_timestamp", texts), replaced("start_timestamp", times)] {
+        assert_eq!(parse_columns(columns).expect("it is optional").source.first_frame, "0");
+    }
+}
+
+#[test]
 fn types_outside_the_list_are_no_vehicles() {
     let of_types = |focal: &'static str, other: &'static str| {
         let types = move |column: &ArrayRef| {
