@@ -43,8 +43,8 @@ impl<'a> PassedOver<'a> {
         let is_archive = ARCHIVES.iter().any(|suffix| lower.ends_with(suffix) || part.ends_with(suffix));
         if is_archive && self.said.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned()) {
             self.progress.warn(&format!(
-                "{path} is passed over: it is damaged, within another archive, or of a kind that is not read (.zip, .tar, \
-                 .tar.gz and .tgz are); unpack it if it is needed"
+                "{path} is passed over: it is damaged, within another archive, or of a kind that is not read (.zip, \
+                 .tar, .tar.gz and .tgz are); unpack it if it is needed"
             ));
         }
     }

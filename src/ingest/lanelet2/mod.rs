@@ -2,9 +2,9 @@
 //!
 //! Lanelet2 maps are OSM XML: nodes, ways (polylines of nodes), and relations. A relation of type `lanelet` has a left
 //! and a right bound. Coordinates are meters on the plane (`.osm_xy`), meters encoded as latitude and longitude near
-//! (0°, 0°) (INTERACTION's `.osm`), Autoware's `local_x` and `local_y` (if latitude and longitude are missing or zero), or
-//! true WGS84 coordinates. For the last, the frame of the map is the UTM zone of
-//! its first node, with the origin at that node. x points east and y north.
+//! (0°, 0°) (INTERACTION's `.osm`), Autoware's `local_x` and `local_y` (if latitude and longitude are missing or zero),
+//! or true WGS84 coordinates. For the last, the frame of the map is the UTM zone of its first node, with the origin at
+//! that node. x points east and y north.
 
 mod bound;
 mod lanelet;
