@@ -25,19 +25,31 @@ const BESIDE_ROAD_M: f64 = 10.0;
 /// A scene is rejected if so many of its tracks are doubtful, and more than half of those that can be judged.
 const MIN_REJECTED_TRACKS: u64 = 3;
 
-/// A fault of tracks: its name, and the reason for which scenes are rejected that mostly consist of it.
+/// A fault of tracks.
 struct Fault {
     what: &'static str,
-    reason: Option<&'static str>,
+    /// What becomes of a scene of which most tracks have it.
+    of_most: OfMost,
 }
 
-const FAULTS: [Fault; 4] = [
-    Fault { what: "tracks_with_headings_off_their_motion", reason: Some("implausible_headings") },
-    Fault { what: "tracks_that_jump", reason: Some("implausible_positions") },
-    Fault { what: "tracks_wider_than_long", reason: Some("implausible_sizes") },
-    // Velocities are derived from positions, so these do no harm, and those of short tracks are a filter's. Only a unit
-    // is at fault with most.
-    Fault { what: "tracks_whose_velocities_contradict_their_positions", reason: None },
+/// What becomes of a scene of which most tracks have a fault.
+enum OfMost {
+    /// It is rejected for this reason.
+    Reject(&'static str),
+    /// It is kept with a warning, as it is with fewer: generated traffic may be so.
+    Keep,
+    /// It is kept with a warning, and without if there are fewer: those are the work of a tracker.
+    Warn,
+}
+
+const FAULTS: [Fault; 6] = [
+    Fault { what: "tracks_with_headings_beyond_a_turn", of_most: OfMost::Reject("implausible_headings") },
+    Fault { what: "tracks_with_headings_off_their_motion", of_most: OfMost::Keep },
+    Fault { what: "tracks_that_jump", of_most: OfMost::Keep },
+    Fault { what: "tracks_that_jump_against_their_velocities", of_most: OfMost::Reject("implausible_positions") },
+    Fault { what: "tracks_wider_than_long", of_most: OfMost::Reject("implausible_sizes") },
+    // Velocities are derived from positions, so these do no harm.
+    Fault { what: "tracks_whose_velocities_contradict_their_positions", of_most: OfMost::Warn },
 ];
 
 /// What is found of a track: not to be judged, sound, or doubtful with the figures.
@@ -69,9 +81,11 @@ pub(super) fn judge(raw: &mut RawScene) -> Result<(), Reject> {
     for (fault, (n_judged, n_doubtful, first)) in FAULTS.into_iter().zip(doubtful) {
         let Some(first) = first else { continue };
         let detail = format!("{}: scene {}: {n_doubtful} of {n_judged}: {first}", raw.source.file, raw.id);
-        match (fault.reason, 2 * n_doubtful > n_judged) {
-            (Some(reason), true) if n_doubtful >= MIN_REJECTED_TRACKS => return Err(Reject { reason, detail }),
-            (None, false) => {}
+        match (fault.of_most, 2 * n_doubtful > n_judged) {
+            (OfMost::Reject(reason), true) if n_doubtful >= MIN_REJECTED_TRACKS => {
+                return Err(Reject { reason, detail });
+            }
+            (OfMost::Warn, false) => {}
             _ => raw.findings.push(Finding { what: fault.what, n: n_doubtful, detail }),
         }
     }
@@ -114,21 +128,24 @@ fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.
         }
     }
     let is_judged = n_fast >= MIN_FAST_STEPS;
-    let headings = match (beyond, off) {
-        _ if !facts.has_headings => None,
+    let verdict = |fault: Option<String>| Some(fault.map_or(Ok(()), Err));
+    let (beyond, off) = match (beyond, off) {
+        _ if !facts.has_headings => (None, None),
+        // Headings that are added up agree with the motion.
         (Some(heading_rad), _) if !is_judged || 2 * n_off_beyond > n_fast => {
-            Some(Err(format!("has a heading of {heading_rad:.1}, expected radians")))
+            (verdict(Some(format!("has a heading of {heading_rad:.1}, expected radians"))), None)
         }
         (_, Some((heading_rad, motion_rad))) if is_judged && 2 * n_off > n_fast => {
-            Some(Err(format!("has a heading of {heading_rad:.2} rad and moves along {motion_rad:.2} rad")))
+            let figures = format!("has a heading of {heading_rad:.2} rad and moves along {motion_rad:.2} rad");
+            (verdict(None), verdict(Some(figures)))
         }
-        _ => is_judged.then_some(Ok(())),
+        _ if is_judged => (verdict(None), verdict(None)),
+        _ => (None, None),
     };
     let sizes = track.extent.map(|extent| match extent.width_m > extent.length_m {
         true => Err(format!("is {} m wide and {} m long", extent.width_m, extent.length_m)),
         false => Ok(()),
     });
-    let jumps = (n_steps > 0).then(|| jump.map_or(Ok(()), Err));
     let duration_s = n_steps as f64 * dt_s;
     let is_moving = f64::max(moved_m, recorded_m) > MOVING_MPS * duration_s;
     let velocities = (facts.has_velocities && n_steps >= MIN_FAST_STEPS && is_moving).then(|| {
@@ -137,7 +154,9 @@ fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.
         let figures = || format!("has a velocity of {recorded_mps:.1} m/s and moves at {moved_mps:.1} m/s");
         if agrees { Ok(()) } else { Err(figures()) }
     });
-    [headings, jumps, sizes, velocities]
+    let (jumps, against) = if velocities.as_ref().is_some_and(Result::is_err) { (None, jump) } else { (jump, None) };
+    let [jumps, against] = [jumps, against].map(|jump| verdict(jump).filter(|_| n_steps > 0));
+    [beyond, off, jumps, against, sizes, velocities]
 }
 
 /// Adds to the findings that all vehicles of a scene are far beside the lanes of its map.
@@ -223,19 +242,22 @@ mod tests {
     #[test]
     fn recordings_in_other_units_are_named_with_figures_and_rejected_if_most_tracks_are() {
         let degrees = |_: usize, state: &mut State| state.heading_rad = 100.0 + state.heading_rad.to_degrees();
-        let backwards = |_: usize, state: &mut State| state.heading_rad += 3.0;
         let pixels = |_: usize, state: &mut State| state.position = state.position * 12.0;
         let jumps = |timestep: usize, state: &mut State| state.position.x += if timestep > 9 { 500.0 } else { 0.0 };
-        let cases: [(&Change, &str, &str, &str); 4] = [
-            (&degrees, "tracks_with_headings_off_their_motion", "implausible_headings", "100.0, expected radians"),
+        let cases: [(&Change, &str, &str, &str); 3] = [
+            (&degrees, "tracks_with_headings_beyond_a_turn", "implausible_headings", "100.0, expected radians"),
             (
-                &backwards,
-                "tracks_with_headings_off_their_motion",
-                "implausible_headings",
-                "3.00 rad and moves along 0.00",
+                &pixels,
+                "tracks_that_jump_against_their_velocities",
+                "implausible_positions",
+                "track 0 moves 12.0 m in 0.1 s",
             ),
-            (&pixels, "tracks_that_jump", "implausible_positions", "track 0 moves 12.0 m in 0.1 s"),
-            (&jumps, "tracks_that_jump", "implausible_positions", "1 of 5: track 0 moves 501.0 m in 0.1 s"),
+            (
+                &jumps,
+                "tracks_that_jump_against_their_velocities",
+                "implausible_positions",
+                "1 of 5: track 0 moves 501.0 m in 0.1 s",
+            ),
         ];
         for (change, what, reason, figures) in cases {
             let kept = judged(1, change).expect("most tracks are sound");
@@ -243,6 +265,15 @@ mod tests {
             assert!(kept.findings[0].detail.contains(figures), "{:?}", kept.findings);
             assert_eq!(judged(5, change).expect_err("nothing is sound").reason, reason);
         }
+        let backwards = |_: usize, state: &mut State| state.heading_rad += 3.0;
+        let kept = judged(5, backwards).expect("it may be generated").findings;
+        assert_eq!((kept[0].what, kept[0].n), ("tracks_with_headings_off_their_motion", 5));
+        assert!(kept[0].detail.ends_with("a heading of 3.00 rad and moves along 0.00 rad"), "{kept:?}");
+        let racing = |_: usize, state: &mut State| {
+            (state.position, state.velocity) = (state.position * 12.0, state.velocity * 12.0);
+        };
+        let kept = judged(5, racing).expect("it may be generated").findings;
+        assert_eq!((kept[0].what, kept[0].n), ("tracks_that_jump", 5));
         let kmh = |_: usize, state: &mut State| state.velocity = state.velocity * 3.6;
         let kept = judged(5, kmh).expect("velocities are not used").findings;
         assert_eq!((kept.len(), kept[0].n), (1, 5));
