@@ -33,9 +33,8 @@ const MAX_SPEED_MPS: f64 = 1e6;
 /// throughout, or else among those tracked at present. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
-/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of
-/// the map;
-/// and those of which most tracks are not plausible.
+/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, those with `no_lanes_in_radius` of the
+/// map, and those of which most tracks are not plausible.
 pub(super) fn assemble(
     mut raw: RawScene,
     map: Option<&LaneIndex>,
