@@ -2,6 +2,7 @@
 
 use super::config::{AgentsPresent, IngestConfig};
 use super::lane_index::{Circle, LaneIndex};
+use super::plausible_tracks::{judge, judge_place};
 use super::raw::{HeadingGap, RawScene, Reject};
 use super::report::IngestReport;
 use crate::geometry::{Transform2, Vec2};
@@ -32,8 +33,8 @@ const MAX_SPEED_MPS: f64 = 1e6;
 /// throughout, or else among those tracked at present. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
-/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, and those with `no_lanes_in_radius` of
-/// the map.
+/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, those with `no_lanes_in_radius` of the
+/// map, and those of which most tracks are not plausible.
 pub(super) fn assemble(
     mut raw: RawScene,
     map: Option<&LaneIndex>,
@@ -42,6 +43,16 @@ pub(super) fn assemble(
     check_states(&raw)?;
     let present = raw.n_history.saturating_sub(1);
     let mut counts = IngestReport::default();
+    if raw.source.dataset.facts().has_classes {
+        let n_tracks = raw.tracks.len();
+        raw.tracks.retain(|track| track.class != AgentClass::Unknown);
+        counts.count_dropped("agents_of_unknown_type", (n_tracks - raw.tracks.len()) as u64);
+    }
+    judge(&mut raw)?;
+    if let Some(map) = map {
+        judge_place(&mut raw, present, map);
+    }
+    std::mem::take(&mut raw.findings).into_iter().for_each(|finding| counts.count_warning(finding));
     if raw.source.dataset.facts().has_velocities {
         derive_velocities(&mut raw, &mut counts);
         // Positions may jump faster than any agent moves.

@@ -5,6 +5,7 @@ use super::assemble::assemble;
 use super::batches::{Batch, BatchSender};
 use super::config::IngestConfig;
 use super::error::{BoxError, Error};
+use super::files::{PassedOver, is_copy};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
@@ -14,6 +15,7 @@ use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId, Scene};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
 use std::sync::{Arc, mpsc};
 
 /// Scenes of consecutive units, in the order of the recordings.
@@ -53,7 +55,8 @@ pub fn ingest(
     if config.limit.is_some_and(|limit| total.n_scenes >= limit) {
         return Ok(total);
     }
-    let maps = MapCatalog::read(config, source, progress)?;
+    let passed_over = PassedOver::new(progress);
+    let maps = MapCatalog::read(config, source, &passed_over, progress)?;
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
     let parser = UnitParser { config, source, maps: &maps };
@@ -62,7 +65,7 @@ pub fn ingest(
         // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
-        let reader = scope.spawn(move || read_batches(config, source, unit_sender));
+        let reader = scope.spawn(|| read_batches(config, source, &passed_over, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
@@ -78,6 +81,7 @@ pub fn ingest(
         let first = rejects.examples.first().map_or("", String::as_str);
         progress.warn(&format!("{} rejected as {reason}, the first: {first}", rejects.count));
     }
+    total.warnings().for_each(|warning| progress.warn(&warning));
     if total.n_scenes == 0 {
         return Err(Error::NoScenes { files: seen.summary(config), report: Box::new(total) });
     }
@@ -107,9 +111,15 @@ impl SeenFiles {
 }
 
 /// The reading thread: cuts all recordings into units until the receiver is gone.
-fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender: BatchSender) -> SeenFiles {
+fn read_batches(
+    config: &IngestConfig,
+    source: &dyn RecordingSource,
+    passed_over: &PassedOver<'_>,
+    mut sender: BatchSender,
+) -> SeenFiles {
     let seen = std::cell::RefCell::new(SeenFiles::default());
     let is_wanted = |path: &str| {
+        passed_over.note(path);
         let is_recording = source.is_recording(path);
         let seen = &mut *seen.borrow_mut();
         if is_recording {
@@ -126,22 +136,33 @@ fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender:
         sender.push(unit, n_bytes)
     };
     let mut read_all = || -> Result<(), Error> {
-        loop {
+        for pass in 0.. {
             seen.take();
             let mut is_stopped = false;
             visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| {
-                let flow = units.read(entry, reader, &mut emit)?;
+                let flow = match is_copy(&entry.path) {
+                    true if pass == 0 => emit(Err(copy(&entry.path))),
+                    true => ControlFlow::Continue(()),
+                    false => units.read(entry, reader, &mut emit)?,
+                };
                 is_stopped = flow.is_break();
                 Ok(flow)
             })?;
             if is_stopped || !units.next_pass() {
-                return units.finish(&mut emit).map(drop);
+                break;
             }
         }
+        units.finish(&mut emit).map(drop)
     };
     let result = read_all();
     sender.finish(result);
     seen.into_inner()
+}
+
+/// The reject of a file that is named as a copy of another: its scenes would count twice.
+fn copy(path: &str) -> Reject {
+    let detail = format!("{path}: it is named as a copy; give each recording once, or rename it if it is another one");
+    Reject { reason: "recording_repeated", detail }
 }
 
 /// Most scenes that are made at a time: a recording holds thousands.

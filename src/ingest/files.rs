@@ -2,9 +2,12 @@
 
 use super::archive::Entry;
 use super::raw::Reject;
+use crate::progress::Progress;
 use crate::scene::Split;
+use std::collections::BTreeSet;
 use std::io::{BufRead, Read};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// Maximum size of a recording or map that is read as a whole; a larger file is not one.
 pub(super) const MAX_WHOLE_FILE_BYTES: u64 = 64 << 20;
@@ -18,6 +21,42 @@ pub(super) fn file_name(path: &str) -> &str {
 pub(super) fn file_stem(path: &str) -> &str {
     let name = file_name(path);
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+/// Says once of each archive that it is passed over: one of another kind, within an archive, or damaged.
+pub(super) struct PassedOver<'a> {
+    progress: &'a dyn Progress,
+    said: Mutex<BTreeSet<String>>,
+}
+
+impl<'a> PassedOver<'a> {
+    pub(super) fn new(progress: &'a dyn Progress) -> Self {
+        Self { progress, said: Mutex::default() }
+    }
+
+    /// Looks at the path of a file that may be read.
+    pub(super) fn note(&self, path: &str) {
+        const ARCHIVES: [&str; 12] =
+            [".zip", ".tar", ".tar.gz", ".tgz", ".7z", ".rar", ".xz", ".txz", ".bz2", ".tbz2", ".zst", ".lz4"];
+        let lower = path.to_ascii_lowercase();
+        let part = lower.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('.');
+        let is_archive = ARCHIVES.iter().any(|suffix| lower.ends_with(suffix) || part.ends_with(suffix));
+        if is_archive && self.said.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned()) {
+            self.progress.warn(&format!(
+                "{path} is passed over: it is damaged, within another archive, or of a kind that is not read (.zip, \
+                 .tar, .tar.gz and .tgz are); unpack it if it is needed"
+            ));
+        }
+    }
+}
+
+/// Whether a file is named as the copy that a browser or a file manager makes beside a file: `x (1).csv`,
+/// `x - Copy.csv`.
+pub(super) fn is_copy(path: &str) -> bool {
+    let stem = file_name(path).split('.').next().unwrap_or_default();
+    let numbered = stem.strip_suffix(')').and_then(|stem| stem.rsplit_once(" ("));
+    let is_numbered = numbered.is_some_and(|(_, n)| !n.is_empty() && n.bytes().all(|byte| byte.is_ascii_digit()));
+    is_numbered || stem.to_ascii_lowercase().ends_with(" copy")
 }
 
 /// The split that the folders of `path` name, the innermost first.
@@ -83,6 +122,36 @@ mod tests {
     fn names_without_folders_and_extension() {
         assert_eq!(file_stem("a.b/c.d.csv"), "c.d");
         assert_eq!(file_stem("plain"), "plain");
+    }
+
+    #[test]
+    fn archives_that_are_passed_over_are_named_once() {
+        #[derive(Default)]
+        struct Told(Mutex<Vec<String>>);
+        impl Progress for Told {
+            fn warn(&self, message: &str) {
+                self.0.lock().unwrap().push(message.to_owned());
+            }
+        }
+        let told = Told::default();
+        let passed_over = PassedOver::new(&told);
+        let archives = ["x/inner.zip", "a.tar.xz", "b.zip.001", "c.7Z"];
+        for path in archives.iter().chain(&archives).chain(&["a.csv", "zip.csv", "b.osm_xy", "x.zip/a.csv"]) {
+            passed_over.note(path);
+        }
+        let told = told.0.into_inner().unwrap();
+        assert_eq!(told.iter().map(|text| text.split(' ').next().unwrap()).collect::<Vec<_>>(), archives);
+    }
+
+    #[test]
+    fn copies_are_told_by_name() {
+        for copy in ["A/vehicle_tracks_000 (1).csv", "1 (12).csv", "a - Copy.csv", "a copy.tar.gz", "a - Copy (2).csv"]
+        {
+            assert!(is_copy(copy), "{copy}");
+        }
+        for name in ["A (1)/vehicle_tracks_000.csv", "a (b).csv", "a().csv", "copy.csv", "hardcopy.csv", "a(1).csv"] {
+            assert!(!is_copy(name), "{name}");
+        }
     }
 
     #[test]

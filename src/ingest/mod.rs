@@ -26,6 +26,9 @@ mod lane_index;
 mod lane_topology;
 pub mod lanelet2;
 mod map_catalog;
+mod map_report;
+mod plausible_lanes;
+mod plausible_tracks;
 mod quotes;
 mod raw;
 mod report;
@@ -37,7 +40,7 @@ mod word;
 pub use config::{AgentsPresent, IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
-pub use raw::{Companion, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
+pub use raw::{Companion, Finding, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 #[cfg(test)]

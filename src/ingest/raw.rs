@@ -94,6 +94,19 @@ pub struct RawScene {
     pub map_id: MapId,
     /// The map, if the scene brings its own; otherwise it is looked up among those read beforehand.
     pub own_map: Option<Arc<LaneGraph>>,
+    /// What is doubtful in it and its own map.
+    pub findings: Vec<Finding>,
+}
+
+/// Something doubtful that is kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// A stable code that names the things, such as `lanes_turned_around`.
+    pub what: &'static str,
+    /// How many of them.
+    pub n: u64,
+    /// File and figures.
+    pub detail: String,
 }
 
 /// A track that stands before it moves, in a recording without headings: those before `until_timestep` are

@@ -1,6 +1,6 @@
 //! The report of an ingest: what it read, kept and left out, by reason.
 
-use super::raw::Reject;
+use super::raw::{Finding, Reject};
 use crate::scene::SceneSource;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -27,15 +27,28 @@ pub struct IngestReport {
     pub dropped: BTreeMap<String, u64>,
     /// Counts of assumptions for data that is not recorded, such as headings of standing vehicles.
     pub assumed: BTreeMap<String, u64>,
+    /// What is doubtful in the scenes kept and their maps, by kind.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub warnings: BTreeMap<String, RejectCount>,
 }
 
-/// Rejects of one reason.
+/// Rejects or warnings of one reason.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RejectCount {
     /// How many.
     pub count: u64,
     /// File, line and detail of the first few.
     pub examples: Vec<String>,
+}
+
+impl RejectCount {
+    /// Counts `n` more of them, with an example.
+    pub(super) fn add(&mut self, n: u64, example: String) {
+        self.count += n;
+        if self.examples.len() < MAX_EXAMPLES {
+            self.examples.push(example);
+        }
+    }
 }
 
 impl IngestReport {
@@ -54,21 +67,32 @@ impl IngestReport {
                 add(counts, key, *n);
             }
         }
-        for (reason, rejects) in &later.rejects {
-            let entry = self.rejects.entry(reason.clone()).or_default();
-            entry.count += rejects.count;
-            let room = MAX_EXAMPLES.saturating_sub(entry.examples.len());
-            entry.examples.extend(rejects.examples.iter().take(room).cloned());
+        for (counts, added) in [(&mut self.rejects, &later.rejects), (&mut self.warnings, &later.warnings)] {
+            for (reason, found) in added {
+                let entry = counts.entry(reason.clone()).or_default();
+                entry.count += found.count;
+                let room = MAX_EXAMPLES.saturating_sub(entry.examples.len());
+                entry.examples.extend(found.examples.iter().take(room).cloned());
+            }
         }
     }
 
     /// Counts a reject.
     pub fn count_reject(&mut self, reject: &Reject) {
-        let entry = self.rejects.entry(reject.reason.to_owned()).or_default();
-        entry.count += 1;
-        if entry.examples.len() < MAX_EXAMPLES {
-            entry.examples.push(reject.detail.clone());
-        }
+        self.rejects.entry(reject.reason.to_owned()).or_default().add(1, reject.detail.clone());
+    }
+
+    /// Counts what is doubtful.
+    pub(super) fn count_warning(&mut self, Finding { what, n, detail }: Finding) {
+        self.warnings.entry(what.to_owned()).or_default().add(n, detail);
+    }
+
+    /// What is doubtful, a sentence for each kind.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        self.warnings.iter().map(|(what, found)| {
+            let first = found.examples.first().map_or("", String::as_str);
+            format!("{} {}, the first: {first}", found.count, what.replace('_', " "))
+        })
     }
 
     /// Counts `n` things left out.

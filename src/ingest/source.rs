@@ -35,14 +35,14 @@ pub trait RecordingSource: Sync {
         false
     }
 
-    /// Whether the entry at `path` is a map to be read before all recordings.
-    fn is_map(&self, path: &str) -> bool;
+    /// The id of the map that the entry at `path` is, to be read before all recordings; `None` if it is none.
+    fn map_at(&self, path: &str) -> Option<MapId>;
 
-    /// Reads such a map; `None` if the entry turns out not to be one.
+    /// Reads such a map.
     ///
     /// # Errors
     /// [`Error::Map`] when the map is not whole.
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error>;
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error>;
 
     /// The map that the recordings at `path` need, if the path names it, so that a missing map is reported before
     /// reading.
@@ -57,8 +57,6 @@ pub type PendingScene<'a> = Box<dyn FnOnce() -> Result<RawScene, Reject> + Send 
 /// A map as read from its file.
 #[derive(Debug)]
 pub struct MapFile {
-    /// Its id.
-    pub id: MapId,
     /// Its lanes.
     pub graph: LaneGraph,
     /// If several files contain one map, the one of the lowest rank counts; the first of equals.

@@ -24,6 +24,8 @@ pub struct DatasetFacts {
     pub terms: &'static str,
     /// The country of all its places, by its three letters; `None` if the names of places give it.
     pub country: Option<&'static str>,
+    /// Whether the types of agents are recorded. Otherwise those of unknown type are vehicles.
+    pub has_classes: bool,
     /// Whether headings of vehicles are recorded. Otherwise they follow from positions.
     pub has_headings: bool,
     /// Whether velocities are recorded beside positions. They are a tracker's, filtered, and not the derivative of the
@@ -74,6 +76,7 @@ impl Dataset {
                 terms: "INTERACTION dataset (Zhan et al. 2019): non-commercial use under the terms it was obtained \
                         with. Recordings of another origin in its format are under the terms of their maker.",
                 country: None,
+                has_classes: true,
                 has_headings: true,
                 has_velocities: true,
                 has_clean_motion: true,
@@ -86,6 +89,7 @@ impl Dataset {
                 name: "argoverse1",
                 terms: "Argoverse 1 (Chang et al. 2019): CC BY-NC-SA 4.0, non-commercial use only.",
                 country: Some("USA"),
+                has_classes: false,
                 has_headings: false,
                 has_velocities: false,
                 // Motion of a tracker, unfiltered and at uneven times.
@@ -99,6 +103,7 @@ impl Dataset {
                 name: "argoverse2",
                 terms: "Argoverse 2 (Wilson et al. 2021): CC BY-NC-SA 4.0, non-commercial use only.",
                 country: Some("USA"),
+                has_classes: true,
                 has_headings: true,
                 has_velocities: true,
                 has_clean_motion: true,

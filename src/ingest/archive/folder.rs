@@ -41,7 +41,7 @@ fn visit_folder(
             visit_folder(root, below, ancestors, wanted, visit)?
         } else {
             let relative: Vec<_> = below.iter().map(|name| name.to_string_lossy()).collect();
-            visit_file(root, &relative.join("/"), &path, wanted, visit)?
+            visit_file_or_pass(root, &relative.join("/"), &path, wanted, visit)?
         };
         below.pop();
         if flow.is_break() {
@@ -50,6 +50,26 @@ fn visit_folder(
     }
     ancestors.pop();
     Ok(ControlFlow::Continue(()))
+}
+
+/// Visits a file. An archive that breaks off before anything that is wanted has come is a file that may be wanted by
+/// its name, as any other: it may be of something else.
+fn visit_file_or_pass(
+    root: &Path,
+    name: &str,
+    path: &Path,
+    wanted: &dyn Fn(&str) -> bool,
+    visit: &mut Visitor<'_>,
+) -> Result<ControlFlow<()>, Error> {
+    let mut is_untouched = true;
+    let result = visit_file(root, name, path, wanted, &mut |entry, reader| {
+        is_untouched = false;
+        visit(entry, reader)
+    });
+    match result {
+        Err(Error::Container { .. }) if is_untouched && !wanted(name) => Ok(ControlFlow::Continue(())),
+        result => result,
+    }
 }
 
 fn sorted_names(folder: &Path) -> io::Result<Vec<OsString>> {

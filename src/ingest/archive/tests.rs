@@ -257,3 +257,20 @@ proptest::proptest! {
         assert!(seen.len() <= 10);
     }
 }
+
+#[test]
+fn an_archive_of_something_else_does_not_hinder_the_folder() {
+    let zip = zip_of(&[("a.csv", "1")]);
+    let folder = folder_of(&[("broken.zip", &zip[..20]), ("z.csv", b"2"), ("cut.tar.gz", &gz(b"no archive")[..12])]);
+    let asked = std::cell::RefCell::new(Vec::new());
+    let wanted = |path: &str| {
+        asked.borrow_mut().push(path.to_owned());
+        path.ends_with(".csv")
+    };
+    let (seen, result) = visit_all(&[folder.path().to_owned()], &wanted);
+    result.unwrap();
+    assert_eq!(seen, [("z.csv".to_owned(), Ok("2".to_owned()))]);
+    assert_eq!(asked.into_inner(), ["broken.zip", "cut.tar.gz", "z.csv"], "they are files like any other");
+    // Whoever names the archive wants it.
+    assert!(visit_all(&[folder.path().join("broken.zip")], &|_| true).1.is_err());
+}

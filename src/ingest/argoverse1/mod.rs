@@ -12,7 +12,7 @@ use super::error::Error;
 use super::files::{file_name, file_stem, read_whole, split_of_entry, split_of_path};
 use super::raw::{RawUnit, UnitSplit, map_id};
 use super::source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
-use crate::scene::Dataset;
+use crate::scene::{Dataset, MapId};
 use std::io::BufRead;
 use std::ops::ControlFlow;
 
@@ -54,14 +54,13 @@ impl RecordingSource for Argoverse1<'_> {
         vec![Box::new(move || tracks::parse(&unit, self.horizon, self.config.smooth_tracks))]
     }
 
-    fn is_map(&self, path: &str) -> bool {
-        vector_map::city_of(file_name(path)).is_some()
+    fn map_at(&self, path: &str) -> Option<MapId> {
+        vector_map::city_of(file_name(path)).map(|city| map_id(Dataset::Argoverse1, city))
     }
 
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
-        let Some(city) = vector_map::city_of(file_name(&entry.path)) else { return Ok(None) };
-        let graph = vector_map::read(&entry.path, reader)?;
-        Ok(Some(MapFile { id: map_id(Dataset::Argoverse1, city), graph, rank: 0, warnings: String::new() }))
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
+        let (graph, report) = vector_map::read(&entry.path, reader)?;
+        Ok(MapFile { graph, rank: 0, warnings: report.summary() })
     }
 }
 

@@ -70,6 +70,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
         tracks,
         heading_gaps,
         own_map: None,
+        findings: Vec::new(),
     })
 }
 

@@ -7,6 +7,8 @@ use crate::geometry::{Polyline, Vec2};
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::lane_topology::connect;
+use crate::ingest::map_report::MapReport;
+use crate::ingest::plausible_lanes::plausible;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
@@ -26,8 +28,8 @@ pub(super) fn city_of(file_name: &str) -> Option<&str> {
     stem.split('_').find(|word| word.len() >= 2 && word.bytes().all(|byte| byte.is_ascii_uppercase()))
 }
 
-/// Reads a vector map.
-pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<LaneGraph, Error> {
+/// Reads a vector map and reports the lanes that it leaves out.
+pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<(LaneGraph, MapReport), Error> {
     let mut xml = Reader::from_reader(reader.take(MAX_MAP_BYTES));
     let mut map = VectorMap::default();
     let mut buffer = Vec::new();
@@ -41,11 +43,18 @@ pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<LaneGraph, Er
         }
         buffer.clear();
     }
-    let lanes: Vec<Lane> = map.lanes;
+    let mut report = map.report;
+    let mut lanes = plausible(map.lanes, &mut report);
     if lanes.is_empty() {
-        return Err(Error::map(file, "", "holds no lanes (`way` elements with a `lane_id`)"));
+        let detail = format!("holds no lanes (`way` elements with a `lane_id`) {}", report.summary());
+        return Err(Error::map(file, "", detail.trim_end()));
     }
-    Ok(connect(lanes))
+    for lane in &mut lanes {
+        lane.left = beside(&lane.centerline.0, ASSUMED_LANE_WIDTH_M / 2.0);
+        lane.right = beside(&lane.centerline.0, -ASSUMED_LANE_WIDTH_M / 2.0);
+    }
+    report.n_lanes = lanes.len() as u64;
+    Ok((connect(lanes), report))
 }
 
 #[derive(Default)]
@@ -55,11 +64,14 @@ struct VectorMap {
     nodes: HashMap<i64, Vec2>,
     way: Option<Way>,
     lanes: Vec<Lane>,
+    report: MapReport,
 }
 
 #[derive(Default)]
 struct Way {
     id: i64,
+    /// The first fault in it, for which it is left out.
+    flaw: Option<String>,
     points: Vec<Vec2>,
     left_neighbor: Option<LaneId>,
     right_neighbor: Option<LaneId>,
@@ -105,8 +117,11 @@ impl VectorMap {
                 return Err(format!("begins with <{root}>, expected <ArgoverseVectorMap>").into());
             }
             ("node", _) => {
-                let position = Vec2::new(coordinate(element, "x")?, coordinate(element, "y")?);
-                self.nodes.insert(integer("node id", &attribute(element, "id")?)?, position);
+                let id = integer("node id", &attribute(element, "id")?)?;
+                match coordinate(element, "x").and_then(|x| Ok(Vec2::new(x, coordinate(element, "y")?))) {
+                    Ok(position) => drop(self.nodes.insert(id, position)),
+                    Err(what) => self.report.warn("nodes_without_position", format!("node {id}: {what}")),
+                }
             }
             ("way", None) => {
                 let id = integer("lane_id", &attribute(element, "lane_id")?)?;
@@ -115,13 +130,14 @@ impl VectorMap {
             ("way", Some(way)) => return Err(format!("way {} holds another way", way.id).into()),
             ("nd", Some(way)) => {
                 let node = integer("node reference", &attribute(element, "ref")?)?;
-                let point =
-                    self.nodes.get(&node).ok_or_else(|| format!("way {} refers to missing node {node}", way.id))?;
-                way.points.push(*point);
+                match self.nodes.get(&node) {
+                    Some(point) => way.points.push(*point),
+                    None => way.fault(format!("refers to missing node {node}")),
+                }
             }
             ("tag", Some(way)) => {
                 let (key, value) = (attribute(element, "k")?, attribute(element, "v")?);
-                way.tag(&key, &value).map_err(|malformed| format!("way {}: {malformed}", way.id))?;
+                way.tag(&key, &value).unwrap_or_else(|malformed| way.fault(malformed.to_string()));
             }
             _ => {}
         }
@@ -132,7 +148,10 @@ impl VectorMap {
         if name == "way"
             && let Some(way) = self.way.take()
         {
-            self.lanes.push(way.into_lane()?);
+            match &way.flaw {
+                Some(flaw) => self.report.warn("broken_lanes", format!("way {}: {flaw}", way.id)),
+                None => self.lanes.push(way.into_lane()),
+            }
         }
         Ok(())
     }
@@ -162,26 +181,28 @@ impl Way {
         Ok(())
     }
 
-    fn into_lane(self) -> Result<Lane, Malformed> {
+    fn fault(&mut self, what: String) {
+        self.flaw.get_or_insert(what);
+    }
+
+    /// The lane, without bounds.
+    fn into_lane(self) -> Lane {
         let mut points = self.points;
         points.dedup();
-        if points.len() < 2 {
-            return Err(format!("way {} has {} distinct points, expected at least 2", self.id, points.len()).into());
-        }
         let mut attributes = self.attributes;
         attributes.one_way = true;
         attributes.tags.insert("boundaries".to_owned(), format!("assumed:{ASSUMED_LANE_WIDTH_M}_m_wide"));
-        Ok(Lane {
+        Lane {
             id: LaneId(self.id),
-            left: beside(&points, ASSUMED_LANE_WIDTH_M / 2.0),
-            right: beside(&points, -ASSUMED_LANE_WIDTH_M / 2.0),
+            left: Polyline::default(),
+            right: Polyline::default(),
             centerline: Polyline(points),
             successors: self.successors,
             predecessors: self.predecessors,
             left_neighbor: self.left_neighbor,
             right_neighbor: self.right_neighbor,
             attributes: attributes.into(),
-        })
+        }
     }
 }
 
@@ -242,11 +263,11 @@ mod tests {
         <way lane_id="101"><nd ref="1"/><nd ref="2"/><tag k="r_neighbor_id" v="777"/></way>
         <way lane_id="102"><nd ref="3"/><nd ref="4"/><tag k="l_neighbor_id" v="100"/></way>"#;
 
-    fn read_text(text: &str) -> Result<LaneGraph, Error> {
+    fn read_text(text: &str) -> Result<(LaneGraph, MapReport), Error> {
         read("m_MIA_1_vector_map.xml", &mut text.as_bytes())
     }
 
-    fn read_ways(ways: &str) -> Result<LaneGraph, Error> {
+    fn read_ways(ways: &str) -> Result<(LaneGraph, MapReport), Error> {
         read_text(&format!("<ArgoverseVectorMap>{ways}</ArgoverseVectorMap>"))
     }
 
@@ -256,7 +277,8 @@ mod tests {
 
     #[test]
     fn lanes_have_attributes_links_and_assumed_boundaries() {
-        let graph = read_ways(WAYS).expect("well formed");
+        let (graph, report) = read_ways(WAYS).expect("well formed");
+        assert_eq!(report.summary(), "");
         let lane = graph.get(LaneId(100)).expect("listed");
         assert!(lane.attributes.has_traffic_control && !lane.attributes.is_intersection && lane.attributes.one_way);
         assert_eq!(lane.attributes.turn, TurnDirection::Left);
@@ -288,17 +310,27 @@ mod tests {
 
     #[test]
     fn faults_name_the_file_the_place_and_the_element() {
-        let missing = message(&WAYS.replace(r#"<nd ref="2"/>"#, r#"<nd ref="9"/>"#));
-        assert!(missing.starts_with("map m_MIA_1_vector_map.xml, byte ") && missing.contains("way 101"), "{missing}");
-        for impossible in ["NaN", "1e7", "-inf"] {
-            let message = message(&WAYS.replace("20", impossible));
-            assert!(message.contains(&format!("node coordinate x is `{impossible}`, expected a number")), "{message}");
-        }
-        assert!(message(&WAYS.replace("v=\"True\"", "v=\"yes\"")).contains("way 100: has_traffic_control is `yes`"));
-        assert!(message(&WAYS.replace(r#"<nd ref="1"/>"#, "")).contains("1 distinct points"));
+        assert!(message(&WAYS.replace(r#"ref="9"#, r#"ref="x"#).replace(r#"ref="2"#, r#"ref="y"#)).contains(", byte "));
         assert!(message("").contains("no lanes"));
+        assert!(message(r#"<way lane_id="7"><nd ref="1"/></way>"#).contains("way 7: refers to missing node 1"));
         assert!(message("<way><nd ref=\"1\"/></way>").contains("lane_id"));
         assert!(message(r#"<way lane_id="1"><way lane_id="2"/></way>"#).contains("another way"));
+    }
+
+    #[test]
+    fn one_bad_lane_does_not_cost_the_map() {
+        for (fault, n_lanes, expected) in [
+            (WAYS.replace(r#"<nd ref="2"/>"#, r#"<nd ref="9"/>"#), 2, "way 101: refers to missing node 9"),
+            (WAYS.replace("20", "NaN"), 1, "node coordinate x is `NaN`, expected a number"),
+            (WAYS.replace("20", "1e7"), 1, "node coordinate x is `1e7`, expected a number"),
+            (WAYS.replace("\"True\"", "\"yes\""), 2, "way 100: has_traffic_control is `yes`"),
+            (WAYS.replace(r#"<nd ref="3"/>"#, ""), 2, "lane 102: its centerline has fewer than 2 distinct points"),
+            (WAYS.replace("lane_id=\"102", "lane_id=\"100"), 2, "lane 100: the first of this id is kept"),
+        ] {
+            let (graph, report) = read_ways(&fault).expect("the other lanes are whole");
+            assert_eq!(graph.lanes().len(), n_lanes, "{fault}");
+            assert!(report.summary().contains(expected), "{}", report.summary());
+        }
     }
 
     #[test]

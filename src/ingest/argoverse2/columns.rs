@@ -9,7 +9,7 @@ use parquet::DecodeResult;
 use parquet::arrow::arrow_reader::ArrowReaderOptions;
 use parquet::arrow::push_decoder::ParquetPushDecoderBuilder;
 use parquet::arrow::{ProjectionMask, parquet_to_arrow_schema};
-use parquet::file::metadata::{FileMetaData, ParquetMetaDataPushDecoder};
+use parquet::file::metadata::ParquetMetaDataPushDecoder;
 use std::sync::Arc;
 
 /// A scenario has some hundred tracks of at most 110 rows.
@@ -22,10 +22,10 @@ const MAX_BYTES: usize = 64 << 20;
 pub(super) struct Table(RecordBatch);
 
 impl Table {
-    /// Decodes the columns of a Parquet file with these `names`.
-    pub(super) fn read(bytes: &[u8], names: &[&str]) -> Result<Self, Malformed> {
+    /// Decodes the columns of a Parquet file with these `names`, and with those `numbers` that are numbers.
+    pub(super) fn read(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<Self, Malformed> {
         let damaged = || Err("the file is damaged beyond decoding".into());
-        contained(|| decode(bytes, names)).unwrap_or_else(damaged).map(Self)
+        contained(|| decode(bytes, names, numbers)).unwrap_or_else(damaged).map(Self)
     }
 
     /// Number of rows.
@@ -107,8 +107,7 @@ fn lost(name: &str) -> Malformed {
 
 /// The schema in which the columns of these `names` are decoded: texts as views, so that rows share a long text.
 /// Rejects columns that are neither numbers nor text.
-fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, Malformed> {
-    let schema = parquet_to_arrow_schema(metadata.schema_descr(), metadata.key_value_metadata())?;
+fn views(schema: &Schema, names: &[&str]) -> Result<SchemaRef, Malformed> {
     let in_view = |field: &FieldRef| -> Result<FieldRef, Malformed> {
         let found = match field.data_type() {
             DataType::Dictionary(_, values) => values,
@@ -127,7 +126,7 @@ fn views(metadata: &FileMetaData, names: &[&str]) -> Result<SchemaRef, Malformed
     Ok(Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone())))
 }
 
-fn decode(bytes: &[u8], names: &[&str]) -> Result<RecordBatch, Malformed> {
+fn decode(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<RecordBatch, Malformed> {
     let whole = 0..bytes.len() as u64;
     let mut metadata_decoder = ParquetMetaDataPushDecoder::try_new(whole.end)?;
     metadata_decoder.push_range(whole.clone(), bytes.to_vec().into())?;
@@ -138,14 +137,18 @@ fn decode(bytes: &[u8], names: &[&str]) -> Result<RecordBatch, Malformed> {
     if !(0..=MAX_ROWS as i64).contains(&n_rows) {
         return Err(format!("{n_rows} rows, expected at most {MAX_ROWS}").into());
     }
+    let file = metadata.file_metadata();
+    let schema = parquet_to_arrow_schema(file.schema_descr(), file.key_value_metadata())?;
+    let is_number = |name: &&&str| schema.field_with_name(name).is_ok_and(|field| field.data_type().is_numeric());
+    let names: Vec<&str> = names.iter().chain(numbers.iter().filter(is_number)).copied().collect();
     let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
     let wanted = columns.filter(|column| names.contains(&column.column_path().string().as_str()));
     let n_bytes: u64 = wanted.map(|column| column.uncompressed_size().unsigned_abs()).fold(0, u64::saturating_add);
     if n_bytes > MAX_BYTES as u64 {
         return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, MAX_BYTES >> 20).into());
     }
-    let options = ArrowReaderOptions::new().with_schema(views(metadata.file_metadata(), names)?);
-    let mask = ProjectionMask::columns(metadata.file_metadata().schema_descr(), names.iter().copied());
+    let options = ArrowReaderOptions::new().with_schema(views(&schema, &names)?);
+    let mask = ProjectionMask::columns(file.schema_descr(), names.iter().copied());
     let mut decoder = ParquetPushDecoderBuilder::try_new_decoder_with_options(Arc::new(metadata), options)
         .and_then(|builder| builder.with_projection(mask).with_batch_size(MAX_ROWS).build())?;
     decoder.push_range(whole, bytes.to_vec().into())?;

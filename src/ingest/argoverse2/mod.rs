@@ -11,6 +11,7 @@ use super::error::Error;
 use super::files::split_of_path;
 use super::raw::{RawScene, RawUnit, Reject};
 use super::source::{Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
+use crate::scene::MapId;
 use std::io::BufRead;
 use std::sync::Arc;
 
@@ -62,12 +63,12 @@ impl RecordingSource for Argoverse2<'_> {
         true
     }
 
-    fn is_map(&self, _path: &str) -> bool {
-        false
+    fn map_at(&self, _path: &str) -> Option<MapId> {
+        None
     }
 
-    fn read_map(&self, _entry: &Entry, _reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
-        Ok(None)
+    fn read_map(&self, entry: &Entry, _reader: &mut dyn BufRead) -> Result<MapFile, Error> {
+        Err(Error::map(&entry.path, "", "is of a scenario, and is read with it"))
     }
 }
 
@@ -75,9 +76,10 @@ impl Argoverse2<'_> {
     fn parse_scenario(&self, unit: &RawUnit) -> Result<RawScene, Reject> {
         let mut scene = tracks::parse(unit, self.horizon)?;
         if let Some(companion) = &unit.companion {
-            let graph = map::parse(&companion.bytes)
+            let (graph, report) = map::parse(&companion.bytes)
                 .map_err(|detail| Reject { reason: "bad_map", detail: format!("{}: {detail}", companion.file) })?;
             scene.own_map = Some(Arc::new(graph));
+            scene.findings = report.findings(&companion.file);
         }
         Ok(scene)
     }

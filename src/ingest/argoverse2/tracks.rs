@@ -2,8 +2,9 @@
 
 use super::RECORDED;
 use super::columns::Table;
-use crate::geometry::{Vec2, wrap_angle};
-use crate::ingest::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
+use crate::geometry::Vec2;
+use crate::ingest::plausible_tracks::recorded_heading;
+use crate::ingest::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
 use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory};
 use std::collections::HashMap;
@@ -23,15 +24,14 @@ const COLUMNS: [&str; 12] = [
     "city",
 ];
 
-/// The time of the first row; not every file has it.
+/// The time of the first row; not every file has it, as a number.
 const START: &str = "start_timestamp";
 
 const DT_S: f64 = 0.1;
 
 /// The scene of a file, cut to `horizon` around the present of the dataset. Rows are counted from 0.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let table = Table::read(&unit.bytes, &[&COLUMNS[..], &[START]].concat())
-        .map_err(|detail| unit.reject("bad_parquet", detail))?;
+    let table = Table::read(&unit.bytes, &COLUMNS, &[START]).map_err(|detail| unit.reject("bad_parquet", detail))?;
     let missing = table.missing(&COLUMNS);
     if !missing.is_empty() {
         return Err(unit.reject("missing_column", format!("no column {}", missing.join(", "))));
@@ -48,12 +48,16 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
     let first = RECORDED.n_history - horizon.n_history;
     let last = timesteps.n_recorded.min(RECORDED.n_history + horizon.n_future);
 
-    let mut tracks = read_tracks(unit, &table, &timesteps)?;
+    let (mut tracks, findings) = read_tracks(unit, &table, &timesteps)?;
     for track in &mut tracks {
         track.trajectory = Trajectory::new(track.trajectory.entries()[first..last].to_vec());
     }
-    if !tracks.iter().any(|track| track.role == TrackRole::Focal) {
-        return Err(unit.reject("no_focal_track", "no track is named by focal_track_id"));
+    match tracks.iter().find(|track| track.role == TrackRole::Focal) {
+        None => return Err(unit.reject("no_focal_track", "no track is named by focal_track_id")),
+        Some(focal) if focal.class == AgentClass::Unknown => {
+            return Err(unit.reject("unknown_agent_type", format!("track {}, the focal one, is of no type", focal.id)));
+        }
+        Some(_) => {}
     }
     let case_id = table.text("scenario_id").map_err(malformed)?.value(0).to_owned();
     let place = table.text("city").map_err(malformed)?.value(0).to_owned();
@@ -75,6 +79,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
         tracks,
         heading_gaps: Vec::new(),
         own_map: None,
+        findings,
     })
 }
 
@@ -117,7 +122,7 @@ fn timesteps(unit: &RawUnit, table: &Table, split: Split) -> Result<Timesteps, R
     Err(unit.reject("wrong_timestamp_count", detail))
 }
 
-fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<Vec<Track>, Reject> {
+fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<(Vec<Track>, Vec<Finding>), Reject> {
     let malformed = |detail| unit.reject("malformed_row", detail);
     let float = |name| table.float(name).map_err(malformed);
     let text = |name| table.text(name).map_err(malformed);
@@ -129,17 +134,22 @@ fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<V
     let mut heads: Vec<(TrackId, AgentClass, TrackRole)> = Vec::new();
     let mut states: Vec<Vec<Option<State>>> = Vec::new();
     let mut known: HashMap<&str, usize> = HashMap::new();
+    let mut unlisted: Option<(u64, String)> = None;
     for (row, &timestep) in timesteps.of_row.iter().enumerate() {
         let id = ids.value(row);
         let track_idx = *known.entry(id).or_insert_with(|| {
             let role = role_of(id, categories.value(row), focal.value(row));
-            heads.push((TrackId::from(id), class_of(types.value(row)), role));
+            let class = class_of(types.value(row)).unwrap_or_else(|| {
+                unlisted.get_or_insert_with(|| (0, types.value(row).to_owned())).0 += 1;
+                AgentClass::Unknown
+            });
+            heads.push((TrackId::from(id), class, role));
             states.push(vec![None; timesteps.n_recorded]);
             heads.len() - 1
         });
         let state = State {
             position: Vec2::new(x.value(row), y.value(row)),
-            heading_rad: wrap_angle(heading.value(row)),
+            heading_rad: recorded_heading(heading.value(row), heads[track_idx].1),
             velocity: Vec2::new(velocity_x.value(row), velocity_y.value(row)),
         };
         if !state.is_finite() {
@@ -157,7 +167,12 @@ fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<V
         extent: None,
         trajectory: Trajectory::new(states),
     });
-    Ok(tracks.collect())
+    let findings = unlisted.map(|(n, first)| Finding {
+        what: "tracks_of_unlisted_types",
+        n,
+        detail: format!("{}: object_type {first:?}; they are left out", unit.file),
+    });
+    Ok((tracks.collect(), findings.into_iter().collect()))
 }
 
 /// `object_category`: 0 track fragment, 1 unscored, 2 scored, 3 focal.
@@ -170,16 +185,19 @@ fn role_of(track_id: &str, category: i64, focal_track_id: &str) -> TrackRole {
     }
 }
 
-fn class_of(object_type: &str) -> AgentClass {
-    match object_type {
+/// The class of a type, in any case; `None` if the format does not list it.
+fn class_of(object_type: &str) -> Option<AgentClass> {
+    let class = match object_type.to_ascii_lowercase().as_str() {
         "vehicle" => AgentClass::Vehicle,
         "bus" => AgentClass::Bus,
         "motorcyclist" => AgentClass::Motorcyclist,
         "cyclist" => AgentClass::Cyclist,
         "pedestrian" => AgentClass::Pedestrian,
         "static" | "background" | "construction" | "riderless_bicycle" => AgentClass::Static,
-        _ => AgentClass::Unknown,
-    }
+        "unknown" => AgentClass::Unknown,
+        _ => return None,
+    };
+    Some(class)
 }
 
 #[cfg(test)]

@@ -49,6 +49,7 @@ fn raw(tracks: Vec<Track>) -> RawScene {
         heading_gaps: Vec::new(),
         map_id: map_id(Dataset::Interaction, "X"),
         own_map: None,
+        findings: Vec::new(),
     }
 }
 
@@ -276,4 +277,14 @@ fn velocities_follow_from_positions_whatever_the_columns_say() {
     own.source.dataset = Dataset::Argoverse1;
     let (scene, _) = assemble(own, None, &config()).unwrap();
     assert!((scene.state(0, PRESENT).unwrap().velocity.angle() - 3f64.to_radians()).abs() < 1e-9);
+}
+
+#[test]
+fn who_is_of_no_type_is_left_out_where_types_are_recorded() {
+    let nobody = || Track { class: AgentClass::Unknown, ..context("1", 3.0, 0.0) };
+    let (scene, counts) = assemble(raw(vec![nobody(), context("2", 9.0, 0.0)]), None, &config()).unwrap();
+    assert_eq!((ids(&scene), counts.dropped["agents_of_unknown_type"]), (vec!["2"], 1));
+    let mut without_types = raw(vec![nobody()]);
+    without_types.source.dataset = Dataset::Argoverse1;
+    assert_eq!(ids(&assemble(without_types, None, &config()).unwrap().0), ["1"]);
 }

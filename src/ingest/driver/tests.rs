@@ -133,6 +133,16 @@ fn the_limit_counts_scenes() {
 }
 
 #[test]
+fn copies_of_recordings_are_rejected() {
+    let folder = folder(3);
+    let file = |name: &str| folder.path().join("train/data").join(name);
+    fs_err::copy(file("0001.csv"), file("0001 (1).csv")).expect("writable");
+    let (_, report) = run(&config(folder.path()), None).expect("the others are whole");
+    assert_eq!((report.n_scenes, report.n_units), (3, 4));
+    assert!(report.rejects["recording_repeated"].examples[0].starts_with("train/data/0001 (1).csv: "));
+}
+
+#[test]
 fn missing_maps_are_errors_that_say_what_to_do() {
     let folder = folder(3);
     let message = |config: &IngestConfig| run(config, None).expect_err("no map").to_string();

@@ -229,11 +229,12 @@ impl<'a> CaseId<'a> {
 
 /// A case id as scenes are named by it: case ids are whole numbers printed as floats, `1.0` is `1`.
 pub(super) fn plain_case_id(id: &[u8]) -> String {
-    let text = String::from_utf8_lossy(id).into_owned();
-    match text.strip_suffix(".0") {
-        Some(number) if !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()) => number.to_owned(),
-        _ => text,
-    }
+    String::from_utf8_lossy(without_point(id)).into_owned()
+}
+
+/// An id without the point that it has where whole numbers are printed as floats.
+pub(super) fn without_point(id: &[u8]) -> &[u8] {
+    id.strip_suffix(b".0").filter(|number| !number.is_empty() && number.iter().all(u8::is_ascii_digit)).unwrap_or(id)
 }
 
 #[cfg(test)]

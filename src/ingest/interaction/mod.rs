@@ -19,13 +19,13 @@
 //! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
 //!   after a second header;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
-//! - `recording_repeated`: a file of a recording comes twice;
+//! - `recording_repeated`: a file of a recording comes twice, or is named as a copy (`… (1).csv`);
 //! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`scenes`];
 //! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
 //! Tolerated: cases whose rows do not stand together (see [`scattered`]), columns in any order and unknown ones, CRLF,
-//! byte order marks, empty lines, a missing last line end, whole numbers printed as floats, sizes that change along a
-//! track (the first counts) or are blank, quotes around cells (closed on their line).
+//! byte order marks, empty lines, a missing last line end, whole numbers printed as floats (ids, too: `1.0` is `1`),
+//! sizes that change along a track (the first counts), are blank or `nan`, quotes around cells (closed on their line).
 
 mod cases;
 mod columns;
@@ -98,16 +98,16 @@ impl RecordingSource for Interaction<'_> {
         unit.n_bytes() * if is_recording { 2 } else { 1 }
     }
 
-    fn is_map(&self, path: &str) -> bool {
-        path::place_of_map(path).is_some_and(|place| self.config.wants_place(place))
+    fn map_at(&self, path: &str) -> Option<MapId> {
+        let place = path::place_of_map(path).filter(|place| self.config.wants_place(place))?;
+        Some(map_id(Dataset::Interaction, place))
     }
 
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<Option<MapFile>, Error> {
-        let Some(place) = path::place_of_map(&entry.path) else { return Ok(None) };
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
         // v1.2 has each map in both forms; Lanelet2 itself reads `.osm`.
         let rank = u8::from(!entry.path.to_ascii_lowercase().ends_with(".osm"));
-        Ok(Some(MapFile { id: map_id(Dataset::Interaction, place), graph, rank, warnings: report.summary() }))
+        Ok(MapFile { graph, rank, warnings: report.summary() })
     }
 
     fn map_of(&self, path: &str) -> Option<MapId> {

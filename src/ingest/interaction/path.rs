@@ -98,10 +98,11 @@ pub(super) fn place_of_map(path: &str) -> Option<&str> {
 }
 
 fn split_of_folder(name: &str) -> Option<(Split, Option<String>)> {
-    match name {
-        "train" => Some((Split::Train, None)),
-        "val" => Some((Split::Val, None)),
-        "test" | "test_multi-agent" => Some((Split::Test, None)),
+    let name = name.to_ascii_lowercase();
+    match name.as_str() {
+        "train" | "training" => Some((Split::Train, None)),
+        "val" | "validation" => Some((Split::Val, None)),
+        "test" | "testing" | "test_multi-agent" => Some((Split::Test, None)),
         _ => name.strip_prefix("test_").map(|test_set| (Split::Test, Some(test_set.to_owned()))),
     }
 }
@@ -131,6 +132,9 @@ mod tests {
         assert_eq!(of(&format!("{root}/val/SIM_A_val.csv")), file("SIM_A", Some(Split::Val)));
         assert_eq!(of(&format!("{root}/test_multi-agent/SIM_A_obs.csv")), file("SIM_A", Some(Split::Test)));
         assert_eq!(of("SIM_A_val.csv"), file("SIM_A", Some(Split::Val)));
+        for (folder, split) in [("Val", Split::Val), ("validation", Split::Val), ("TRAINING", Split::Train)] {
+            assert_eq!(of(&format!("{folder}/SIM_A.csv")), file("SIM_A", Some(split)));
+        }
         assert_eq!(of("SIM_A.csv"), file("SIM_A", None));
         assert_eq!(of("recorded_trackfiles/SIM_A/vehicle_tracks_007.csv"), recording("SIM_A", "007", false));
         assert_eq!(of("SIM_A/pedestrian_tracks_007.CSV"), recording("SIM_A", "007", true));

@@ -1,5 +1,6 @@
 //! Parses one row of a table of tracks.
 
+use super::cases::without_point;
 use super::columns::TrackColumns;
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
@@ -21,7 +22,7 @@ const MIN_SIZE_M: f64 = 1e-3;
 /// One agent at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Row<'a> {
-    /// As written.
+    /// As written, but `1` for `1.0`.
     pub(super) track_id: &'a [u8],
     pub(super) frame_id: i64,
     /// As written.
@@ -48,7 +49,7 @@ impl<'a> Row<'a> {
             return Err(("malformed_row", format!("{n} columns, expected {}", columns.n_columns)));
         }
         let cells = cells.as_slice();
-        let track_id = cells[columns.track_id].trim_ascii();
+        let track_id = without_point(cells[columns.track_id].trim_ascii());
         if track_id.is_empty() || !track_id.iter().all(u8::is_ascii_graphic) {
             return Err(malformed("track_id", track_id, "an id"));
         }
@@ -116,10 +117,15 @@ fn shape(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Option<f64>, Option
     Ok((heading_rad, length_m.zip(width_m).map(|(length_m, width_m)| Extent { length_m, width_m })))
 }
 
-/// The number in a cell, or nothing where the cell is blank.
+/// The number in a cell, or nothing where the cell is blank, or `nan` as Python writes a blank one. Marks may be
+/// `True` and `False`.
 fn optional(cell: &[u8], column: &str) -> Result<Option<f64>, Flaw> {
     match cell.trim_ascii() {
         [] => Ok(None),
+        // Nearly all are numbers.
+        [b'n' | b'N', rest @ ..] if rest.eq_ignore_ascii_case(b"an") => Ok(None),
+        b"True" => Ok(Some(1.0)),
+        b"False" => Ok(Some(0.0)),
         _ => number(cell, column).map(Some),
     }
 }
@@ -165,6 +171,8 @@ mod tests {
         let row = parse("P7,3.0,300.0,pedestrian/bicycle,1,2,3,4,,,,0,1").unwrap();
         assert_eq!((row.frame_id, row.heading_rad, row.extent, row.is_interesting), (3, None, None, true));
         assert_eq!(parse("7,3,300,car,1,2,3,0,0,,1.8,,").unwrap().extent, None);
+        let row = parse("P7,3,300,pedestrian/bicycle,1,2,3,4,nan,NaN,2,True,False").unwrap();
+        assert_eq!((row.heading_rad, row.extent, row.is_to_predict, row.is_interesting), (None, None, true, false));
     }
 
     #[test]
@@ -182,7 +190,7 @@ mod tests {
             (",3,300,car,1,2,3,4,0,4,2,1,0", "malformed_row", "column track_id"),
             ("7,3,300,car,1,NaN,3,4,0,4,2,1,0", "non_finite", "column y is \"NaN\""),
             ("7,3,300,car,1,2,inf,4,0,4,2,1,0", "non_finite", "column vx"),
-            ("7,3,300,car,1,2,3,4,nan,4,2,1,0", "non_finite", "column psi_rad"),
+            ("7,3,300,car,1,2,3,4,inf,4,2,1,0", "non_finite", "column psi_rad"),
             ("7,3,310,car,1,2,3,4,0,4,2,1,0", "bad_timestamp", "timestamp_ms is 310 at frame_id 3, expected 300"),
             ("7,-3,-300,car,1,2,3,4,0,4,2,1,0", "out_of_range", "frame_id is -3"),
             ("7,3,300,car,1e9,2,3,4,0,4,2,1,0", "out_of_range", "position"),

@@ -199,6 +199,7 @@ impl Cut<'_> {
             heading_gaps: Vec::new(),
             map_id: map_id(dataset, &unit.place),
             own_map: None,
+            findings: Vec::new(),
         }
     }
 }

@@ -3,9 +3,10 @@
 use super::columns::TrackColumns;
 use super::row::{Flaw, Row};
 use super::{CASE_HORIZON, DT_S};
-use crate::geometry::{Vec2, wrap_angle};
+use crate::geometry::Vec2;
 use crate::ingest::Reject;
 use crate::ingest::csv_rows::lines_of;
+use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::quotes::printable;
 use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory, velocity_at};
 use std::collections::BTreeMap;
@@ -178,14 +179,14 @@ impl<'a> Builder<'a> {
                 (false, false) => TrackRole::Context,
             },
             extent: self.extent,
-            states: states(&self.observations),
+            states: states(&self.observations, self.class),
         })
     }
 }
 
 /// The states by frame. A heading that is not recorded is the direction of the motion up to then, held while the agent
 /// is slow.
-fn states(observations: &[Observation<'_>]) -> Vec<(i64, State, HeadingSource)> {
+fn states(observations: &[Observation<'_>], class: AgentClass) -> Vec<(i64, State, HeadingSource)> {
     let mut known_rad: Option<f64> = None;
     let mut states = Vec::with_capacity(observations.len());
     for (index, Observation { frame_id, position, velocity, heading_rad, .. }) in observations.iter().enumerate() {
@@ -196,7 +197,7 @@ fn states(observations: &[Observation<'_>]) -> Vec<(i64, State, HeadingSource)> 
         let motion = velocity_at(before, DT_S).unwrap_or(*velocity);
         let is_moving = motion.norm() >= MIN_HEADING_SPEED_MPS;
         let (heading_rad, source) = match (heading_rad, known_rad) {
-            (Some(recorded_rad), _) => (wrap_angle(*recorded_rad), HeadingSource::Recorded),
+            (Some(recorded_rad), _) => (recorded_heading(*recorded_rad, class), HeadingSource::Recorded),
             (None, _) if is_moving => (motion.angle(), HeadingSource::Motion),
             (None, Some(known_rad)) => (known_rad, HeadingSource::Held),
             (None, None) => (motion.angle(), HeadingSource::Unknown),
@@ -277,8 +278,13 @@ mod tests {
         let tracks = read(rows).unwrap();
         assert_eq!(tracks.iter().map(|track| track.id.0.as_str()).collect::<Vec<_>>(), ["9", "1"]);
         assert_eq!(tracks[0].states.iter().map(|(frame, ..)| *frame).collect::<Vec<_>>(), [2, 3, 5]);
-        assert_eq!(headings(&tracks[0]), [41.07, 5.73, 17.189]);
+        assert_eq!(headings(&tracks[0]), [401.07, 5.73, 17.189]);
         assert_eq!(tracks[0].extent, Some(Extent { length_m: 4.0, width_m: 2.0 }));
+
+        let nan = read("P1,1,100,pedestrian/bicycle,0,0,0,0,nan,nan,NaN\n1,1,100,car,0,0,0,0,0,nan,nan\n").unwrap();
+        assert_eq!(nan.iter().map(|track| track.extent).collect::<Vec<_>>(), [None, None]);
+        let spelled_twice = read("9,3,300,car,3,0,1,0,0.1,4,2\n9.0,4,400,car,4,0,1,0,0.1,4,2\n").unwrap();
+        assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
 
         let track = tracks[0].cut(3, 4, 1).unwrap();
         assert_eq!(
@@ -338,6 +344,7 @@ mod tests {
             (format!("{good}2,1,100,car,0,0,0,0,0,4,2\n{good}"), "duplicate_frame", "t.csv:4: track 1 is at frame 1"),
             (format!("{good}1,2,200,car,0,0,0,0,,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             (format!("{good}1,2,200,pedestrian,0,0,0,0,0,4,2"), "inconsistent_agent_type", "t.csv:3:"),
+            (format!("{good}1,2,200,car,0,0,0,0,NaN,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             ("1,1,100,tank,0,0,0,0,0,4,2".to_owned(), "unknown_agent_type", "t.csv:2: column agent_type is \\\"tank"),
         ] {
             let reject = read(&rows).unwrap_err();

@@ -2,6 +2,7 @@
 
 use super::osm::{Osm, Relation};
 use crate::geometry::{Polyline, Vec2};
+use crate::ingest::plausible_lanes::to_turn;
 use std::collections::BTreeMap;
 
 /// One side of a lanelet.
@@ -74,28 +75,13 @@ impl Bound {
         std::mem::swap(&mut self.first_node, &mut self.last_node);
         self.line.0.reverse();
     }
-
-    /// The middle node, or the middle of a single segment.
-    fn middle(&self) -> Vec2 {
-        let points = &self.line.0;
-        if points.len() > 2 { points[points.len() / 2] } else { points[0].lerp(points[points.len() - 1], 0.5) }
-    }
-
-    /// Signed distance of `point`, positive to the left.
-    fn offset_m(&self, point: Vec2) -> f64 {
-        self.line.project(point).map_or(0.0, |projection| projection.offset_m)
-    }
 }
 
 /// Turns both bounds into driving direction, as Lanelet2 does: ways are drawn in any direction, and the left bound must
 /// lie to the left of the right one.
 pub(super) fn align(left: &mut Bound, right: &mut Bound) {
-    if left.offset_m(right.middle()) >= 0.0 {
-        left.invert();
-    }
-    if right.offset_m(left.middle()) <= 0.0 {
-        right.invert();
-    }
+    let turned = to_turn(&left.line, &right.line);
+    [left, right].into_iter().zip(turned).filter(|(_, turns)| *turns).for_each(|(bound, _)| bound.invert());
 }
 
 /// Ways joined end to end.

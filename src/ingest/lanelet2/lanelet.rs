@@ -2,8 +2,8 @@
 
 use super::bound::{Bound, Flaw, align};
 use super::osm::{Osm, Relation};
-use super::report::MapReport;
 use crate::geometry::{Polyline, Vec2};
+use crate::ingest::map_report::MapReport;
 use crate::scene::{LaneAttributes, TurnDirection};
 use std::collections::BTreeMap;
 

@@ -4,15 +4,17 @@
 //! size, depth and attributes are bounded, so that no document can exhaust memory or time.
 
 use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
-use super::report::MapReport;
 use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
+use crate::ingest::map_report::MapReport;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
 
 /// OSM documents are three elements deep: `osm`, `relation`, `member`.
 const MAX_DEPTH: usize = 16;
+/// No coordinate on the plane is greater, meters.
+const EARTH_M: f64 = 2.1e7;
 /// OSM elements have about ten attributes.
 const MAX_ATTRIBUTES: usize = 64;
 
@@ -23,6 +25,10 @@ pub(super) struct Osm {
     pub(super) nodes: BTreeMap<i64, NodePosition>,
     /// Nodes without a usable position, and what is wrong with their coordinates.
     pub(super) misplaced: BTreeMap<i64, String>,
+    /// Where nodes lie by Autoware's `local_x` and `local_y`, meters.
+    pub(super) local: BTreeMap<i64, Vec2>,
+    /// Whether that is where they lie: a node has no other position.
+    pub(super) is_local: bool,
     /// The first node with latitude and longitude, in the order of the document.
     pub(super) first_geo: Option<GeoPoint>,
     /// Polylines: the nodes in order.
@@ -101,8 +107,20 @@ fn line_at(text: &str, byte: usize) -> String {
 /// The element that is being read.
 enum Open {
     Nothing,
-    Way { id: i64, nodes: Vec<i64> },
-    Relation { id: i64, relation: Relation },
+    Node {
+        id: i64,
+        position: Result<NodePosition, Malformed>,
+        /// Autoware's `local_x` and `local_y`, meters.
+        local: [Option<f64>; 2],
+    },
+    Way {
+        id: i64,
+        nodes: Vec<i64>,
+    },
+    Relation {
+        id: i64,
+        relation: Relation,
+    },
     Deleted,
 }
 
@@ -123,8 +141,11 @@ impl Document<'_> {
             (1, ..) => {
                 return Err(format!("is not an OSM document: the root element is `<{name}>`, expected `<osm>`").into());
             }
-            (2, "node", _) => self.add_node(&attributes)?,
-            (2, "way" | "relation", _) if attributes.is_deleted() => self.open = Open::Deleted,
+            (2, "node" | "way" | "relation", _) if attributes.is_deleted() => self.open = Open::Deleted,
+            (2, "node", _) => {
+                let (id, position) = (attributes.id("id", name)?, attributes.position());
+                self.open = Open::Node { id, position, local: [None; 2] };
+            }
             (2, "way", _) => self.open = Open::Way { id: attributes.id("id", name)?, nodes: Vec::new() },
             (2, "relation", _) => {
                 self.open = Open::Relation { id: attributes.id("id", name)?, relation: Relation::default() };
@@ -135,6 +156,12 @@ impl Document<'_> {
                 id: attributes.id("ref", name)?,
                 role: attributes.get("role").unwrap_or_default().to_owned(),
             }),
+            (3, "tag", Open::Node { local, .. }) => {
+                let axis = ["local_x", "local_y"].iter().position(|axis| attributes.get("k") == Some(axis));
+                if let Some(axis) = axis {
+                    local[axis] = attributes.coordinate("v", EARTH_M, "m").ok();
+                }
+            }
             (3, "tag", Open::Relation { relation, .. }) => {
                 if let (Some(key), Some(value)) = (attributes.get("k"), attributes.get("v")) {
                     relation.tags.insert(key.to_owned(), value.to_owned());
@@ -155,6 +182,7 @@ impl Document<'_> {
             Open::Relation { id, relation } => {
                 insert_new(&mut self.osm.relations, id, relation).then_some(("relation", id))
             }
+            Open::Node { id, position, local } => self.add_node(id, position, local).then_some(("node", id)),
             Open::Nothing | Open::Deleted => None,
         };
         if let Some((kind, id)) = duplicate {
@@ -162,26 +190,30 @@ impl Document<'_> {
         }
     }
 
-    fn add_node(&mut self, attributes: &Attributes) -> Result<(), Malformed> {
-        let id = attributes.id("id", "node")?;
-        if attributes.is_deleted() {
-            return Ok(());
+    /// Adds a node, and returns whether there is one of this id.
+    fn add_node(&mut self, id: i64, position: Result<NodePosition, Malformed>, local: [Option<f64>; 2]) -> bool {
+        let is_nowhere = match &position {
+            Ok(NodePosition::Geo(geo)) => geo.latitude_deg == 0.0 && geo.longitude_deg == 0.0,
+            position => position.is_err(),
+        };
+        if let [Some(x), Some(y)] = local {
+            self.osm.local.entry(id).or_insert(Vec2::new(x, y));
+            self.osm.is_local |= is_nowhere;
         }
-        let position = match attributes.position() {
-            Ok(position) => position,
+        match position {
+            Ok(position) => {
+                if let (NodePosition::Geo(geo), None) = (position, self.osm.first_geo) {
+                    self.osm.first_geo = Some(geo);
+                }
+                insert_new(&mut self.osm.nodes, id, position)
+            }
+            Err(_) if self.osm.local.contains_key(&id) => false,
             Err(what) => {
                 self.report.warn("node_without_position", format!("node {id}: {what}"));
                 insert_new(&mut self.osm.misplaced, id, what.to_string());
-                return Ok(());
+                false
             }
-        };
-        if let (NodePosition::Geo(geo), None) = (position, self.osm.first_geo) {
-            self.osm.first_geo = Some(geo);
         }
-        if insert_new(&mut self.osm.nodes, id, position) {
-            self.report.warn("duplicate_id", format!("node {id}: the first of this id is kept"));
-        }
-        Ok(())
     }
 }
 
@@ -230,7 +262,6 @@ impl Attributes {
 
     /// `x` and `y` where given, else `lat` and `lon`; or what is wrong with them.
     fn position(&self) -> Result<NodePosition, Malformed> {
-        const EARTH_M: f64 = 2.1e7;
         let is_number = |key| self.get(key).is_some_and(|text| text.trim().parse::<f64>().is_ok());
         let has = |key| self.get(key).is_some();
         if (is_number("x") && is_number("y")) || (has("x") && has("y") && !(has("lat") && has("lon"))) {

@@ -213,6 +213,46 @@ fn nodes_that_are_nowhere_are_said_to_be_so() {
 }
 
 #[test]
+fn positions_of_autoware_count_where_there_are_no_others() {
+    let (expected, _) = read_valid(&[&nodes(), WAYS, RELATIONS].concat());
+    for geo in ["", r#"lat="" lon="""#, r#"lat="0" lon="0.0""#] {
+        let node = |(id, x, y): &(i64, f64, f64)| {
+            let tags = format!(r#"<tag k="local_x" v="{x}"/><tag k="ele" v="1"/><tag k="local_y" v="{y}"/>"#);
+            format!("<node id=\"{id}\" {geo}>{tags}</node>")
+        };
+        let nodes: String = NODES.iter().map(node).collect();
+        let (graph, report) = read_valid(&[&nodes, WAYS, RELATIONS].concat());
+        assert_eq!((graph, report.summary().as_str()), (expected.clone(), ""), "{geo}");
+    }
+    // Where they have both, latitude and longitude count.
+    let both: String = NODES
+        .iter()
+        .map(|(id, x, y)| {
+            let (lat, lon) = (y / 1e5, x / 1e5);
+            format!(
+                r#"<node id="{id}" lat="4{lat}" lon="8{lon}"><tag k="local_x" v="0"/><tag k="local_y" v="0"/></node>"#
+            )
+        })
+        .collect();
+    assert!(read(&osm(&[&both, WAYS, RELATIONS].concat())).is_ok());
+}
+
+#[test]
+fn maps_are_read_in_the_encoding_they_declare() {
+    let (expected, _) = read_valid(&[&nodes(), WAYS, RELATIONS].concat());
+    let text = osm(&[&nodes(), WAYS, RELATIONS].concat()).replace("<osm ", "<!-- Stra\u{df}e --><osm ");
+    let latin1 = |declaration: &str| -> Vec<u8> {
+        text.replace("version=\"1.0\"", declaration).chars().map(|c| c as u8).collect()
+    };
+    let utf16: Vec<u8> = [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    let declared = latin1("version=\"1.0\" encoding=\"ISO-8859-1\"");
+    for bytes in [declared, utf16] {
+        assert_eq!(read_map(&mut bytes.as_slice(), "maps/test.osm").unwrap().0, expected);
+    }
+    assert!(read_map(&mut latin1("version=\"1.0\"").as_slice(), "maps/test.osm").is_err());
+}
+
+#[test]
 fn hostile_and_malformed_documents_are_errors_with_their_line() {
     let bomb = r#"<?xml version="1.0"?>
 <!DOCTYPE osm [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;">]>

@@ -21,7 +21,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn check(&self) -> Result<()> {

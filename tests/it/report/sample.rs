@@ -80,6 +80,7 @@ fn ingest(name: &str) -> IngestReport {
         )]),
         dropped: BTreeMap::from([("agents_absent_at_present".into(), 412)]),
         assumed: BTreeMap::from([("heading_of_standing_agents".into(), 3)]),
+        warnings: BTreeMap::new(),
     }
 }
 

@@ -86,7 +86,7 @@ fn a_file_becomes_a_scene() {
     assert_eq!((state.position, state.velocity), (Vec2::new(5.0, 49.0), Vec2::new(0.0, 10.0)));
     assert_eq!(scene.tracks[1].role, TrackRole::Recorder);
     let heading = scene.tracks[1].trajectory.get(0).expect("tracked").heading_rad;
-    assert!((heading - (std::f64::consts::TAU - 4.0)).abs() < 1e-12, "headings are wrapped");
+    assert!((heading + 4.0).abs() < 1e-12, "headings of vehicles are judged before they are wrapped");
 }
 
 #[test]
@@ -103,6 +103,38 @@ fn the_encoding_of_columns_does_not_matter() {
         let scene = parse_columns(replaced(name, |column| cast(column, &data_type).expect("castable"))).expect(name);
         assert_eq!((scene.tracks, scene.source), (plain.tracks.clone(), plain.source.clone()), "{name}");
     }
+}
+
+#[test]
+fn a_start_of_another_type_is_none() {
+    let texts = |column: &ArrayRef| Arc::new(StringArray::from(vec!["2021"; column.len()])) as ArrayRef;
+    let times = |column: &ArrayRef| {
+        let time = DataType::Timestamp(arrow::datatypes::TimeUnit::Nanosecond, None);
+        cast(column, &time).expect("castable")
+    };
+    for columns in [replaced("start_timestamp", texts), replaced("start_timestamp", times)] {
+        assert_eq!(parse_columns(columns).expect("it is optional").source.first_frame, "0");
+    }
+}
+
+#[test]
+fn types_outside_the_list_are_no_vehicles() {
+    let of_types = |focal: &'static str, other: &'static str| {
+        let types = move |column: &ArrayRef| {
+            let each = (0..column.len()).map(|row| if row % 2 == 0 { focal } else { other });
+            Arc::new(StringArray::from_iter_values(each)) as ArrayRef
+        };
+        parse_columns(replaced("object_type", types))
+    };
+    let scene = of_types("BUS", "Pedestrian").expect("listed, in another case");
+    assert_eq!([scene.tracks[0].class, scene.tracks[1].class], [AgentClass::Bus, AgentClass::Pedestrian]);
+    assert_eq!(scene.findings, []);
+    let scene = of_types("bus", "unknown").expect("listed");
+    assert_eq!((scene.tracks[1].class, scene.findings.len()), (AgentClass::Unknown, 0));
+    let scene = of_types("bus", "hovercraft").expect("the bus is listed");
+    assert_eq!((scene.findings[0].what, scene.findings[0].n), ("tracks_of_unlisted_types", 1));
+    assert!(scene.findings[0].detail.contains("\"hovercraft\""), "{:?}", scene.findings);
+    assert_eq!(of_types("unknown", "vehicle").expect_err("nobody to predict").reason, "unknown_agent_type");
 }
 
 #[test]

@@ -67,6 +67,7 @@ fn add_ingest(model: &mut ReportModel, scenes: &Path) -> Result<()> {
             format!("{} recordings or scenes were rejected; the reasons are listed below.", report.n_rejects());
         model.warnings.push(warning(StageId::Ingest, message));
     }
+    model.warnings.extend(report.warnings().map(|message| warning(StageId::Ingest, message)));
     model.ingest = Some(report);
     Ok(())
 }

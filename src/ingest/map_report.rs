@@ -1,17 +1,15 @@
-//! The defects of a map, and the lanelets left out because of them.
+//! The defects of a map, and the lanes left out because of them.
 
-use crate::ingest::RejectCount;
+use super::raw::Finding;
+use super::report::RejectCount;
 use std::collections::BTreeMap;
 
-/// How many examples of each warning are kept.
-const MAX_EXAMPLES: usize = 5;
-
-/// The report on the lanelets of a map.
+/// The report on the lanes of a map.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MapReport {
-    /// Relations of type `lanelet`.
+    /// Lanelet2: relations of type `lanelet`.
     pub n_lanelets: u64,
-    /// Lanelets that vehicles may not use, such as crosswalks; not lanes.
+    /// Lanelet2: lanelets that vehicles may not use, such as crosswalks; not lanes.
     pub n_not_drivable: u64,
     /// Lanes read.
     pub n_lanes: u64,
@@ -21,11 +19,16 @@ pub struct MapReport {
 
 impl MapReport {
     pub(super) fn warn(&mut self, reason: &'static str, detail: String) {
-        let entry = self.warnings.entry(reason).or_default();
-        entry.count += 1;
-        if entry.examples.len() < MAX_EXAMPLES {
-            entry.examples.push(detail);
-        }
+        self.warnings.entry(reason).or_default().add(1, detail);
+    }
+
+    /// The warnings for the report of the scene that brings the map, which is in `file`.
+    pub(super) fn findings(&self, file: &str) -> Vec<Finding> {
+        let one = |(what, found): (&&'static str, &RejectCount)| {
+            let detail = format!("{file}: {}", found.examples.join("; "));
+            Finding { what, n: found.count, detail }
+        };
+        self.warnings.iter().map(one).collect()
     }
 
     /// The warnings on one line; empty when there are none.
