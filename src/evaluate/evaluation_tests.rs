@@ -44,8 +44,8 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
         let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
         let figures = measurer.measure(&shard).unwrap();
         let file = dir.path().join("figures.bin");
-        write_binary_atomically(&file, "figures.v2", &figures).unwrap();
-        let read: ShardFigures = read_binary(&file, "figures.v2").unwrap();
+        write_binary_atomically(&file, "figures.v1", &figures).unwrap();
+        let read: ShardFigures = read_binary(&file, "figures.v1").unwrap();
         assert!(read == figures, "figures are the same when they were in a file");
         measured[idx] = Some((figures, MeasuredShard::new(shard, read, &config, &store).unwrap()));
     }

@@ -43,7 +43,7 @@ pub struct ExportReport {
 impl ExportReport {
     pub(super) fn new(format: ExportFormat, selection: &Selection, ego: &EgoChoice, ego_motion: EgoMotion) -> Self {
         Self {
-            schema: "export.v2",
+            schema: "export.v1",
             format,
             selection: selection.clone(),
             ego: ego.clone(),

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Version of the manifest and the folder: tables in partitions.
-pub(crate) const CORPUS_SCHEMA: &str = "corpus.v2";
+pub(crate) const CORPUS_SCHEMA: &str = "corpus.v1";
 
 /// Notes of the writer in the manifest.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -41,7 +41,7 @@ pub struct FileEntry {
 /// One table of a corpus.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TableEntry {
-    /// Its schema, such as `scenario.v6`.
+    /// Its schema, such as `scenario.v1`.
     pub schema: String,
     /// Number of rows in all of its files.
     pub n_rows: u64,

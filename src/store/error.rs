@@ -39,7 +39,7 @@ pub enum Error {
     SchemaVersion {
         /// The file.
         path: PathBuf,
-        /// The schema that this version reads, such as `scene.v2`.
+        /// The schema that this version reads, such as `scene.v1`.
         expected: String,
         /// The schema that the file names; empty if it names none.
         found: String,

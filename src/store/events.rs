@@ -188,7 +188,7 @@ mod tests {
         let path = dir.path().join("events.parquet");
         write_metrics(&path, Vec::<Result<MetricRow>>::new()).unwrap();
         let error = read_all(&path).unwrap_err();
-        assert!(matches!(&error, Error::SchemaVersion { found, .. } if found == "metric.v2"), "{error}");
+        assert!(matches!(&error, Error::SchemaVersion { found, .. } if found == "metric.v1"), "{error}");
         write_events(&path, &events()).unwrap();
         let whole = fs_err::read(&path).unwrap();
         for len in (0..whole.len()).step_by(53) {

@@ -42,7 +42,7 @@ pub struct MapsEntry {
 /// Facts about a finished shard; written after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardSidecar {
-    /// Schema of the scenes, such as `scene.v2`.
+    /// Schema of the scenes, such as `scene.v1`.
     pub schema: String,
     /// The shard.
     pub shard: ShardEntry,
@@ -55,7 +55,7 @@ pub struct ShardSidecar {
 /// The manifest of a scene store.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SceneManifest {
-    /// Schema of the scenes, such as `scene.v2`.
+    /// Schema of the scenes, such as `scene.v1`.
     pub scene_schema: String,
     /// Schema of the maps, such as `lane.v1`.
     pub lane_schema: String,

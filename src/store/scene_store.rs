@@ -313,10 +313,10 @@ mod tests {
         let (scenes, maps) = scenes(0..2);
         write(dir.path(), &scenes, &maps);
         let path = dir.path().join(MANIFEST_FILE);
-        let text = fs::read_to_string(&path).unwrap().replace("scene.v3", "scene.v0");
+        let text = fs::read_to_string(&path).unwrap().replace("scene.v1", "scene.v0");
         fs::write(&path, text).unwrap();
         let error = SceneStore::open(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("has schema `scene.v0`, expected `scene.v3`"), "{error}");
+        assert!(error.contains("has schema `scene.v0`, expected `scene.v1`"), "{error}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The key of the schema's name, such as `scene.v2`, in a file's metadata.
+/// The key of the schema's name, such as `scene.v1`, in a file's metadata.
 pub const SCHEMA_KEY: &str = "djinn.schema";
 
 /// Frame of coordinates near zero: origin at the ego's position at the present, x axis along its heading there.
@@ -64,7 +64,7 @@ impl TableSchema {
         ]
     }
 
-    /// Name and version, such as `scene.v2`.
+    /// Name and version, such as `scene.v1`.
     pub fn id(&self) -> String {
         format!("{}.v{}", self.name, self.version)
     }

@@ -83,7 +83,7 @@ fn a_full_disk_is_a_fault_of_the_machine_and_leaves_no_half_result() {
         let recordings = "tests/fixtures/recordings/argoverse1";
         djinn(&["ingest", recordings, "--dataset", "argoverse1", "--set", limit, "--output", output]).expect(0);
     }
-    let corpus = "tests/fixtures/corpus/corpus.v2_scenario.v6";
+    let corpus = "tests/fixtures/corpus/cut_ins";
     for args in [
         vec!["report", "--compare", &a, &b, "--out", &out],
         vec!["report", "--from", &a, "--output", &out],

@@ -6,7 +6,7 @@ use djinn::store::{CorpusManifest, CorpusReader, CorpusTable};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
+const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 
 #[test]
 fn a_corpus_is_read_and_one_of_another_version_is_refused() {
@@ -34,10 +34,10 @@ fn a_corpus_is_read_and_one_of_another_version_is_refused() {
     let workspace = Workspace::new();
     fs_err::create_dir(workspace.path("other")).unwrap();
     let manifest = fs_err::read_to_string(folder.join("manifest.json")).unwrap();
-    let other = manifest.replace("\"corpus.v2\"", "\"corpus.v1\"");
+    let other = manifest.replace("\"corpus.v1\"", "\"corpus.v0\"");
     fs_err::write(workspace.path("other/manifest.json"), other).unwrap();
     let error = CorpusManifest::read(&workspace.path("other")).unwrap_err().to_string();
-    assert!(error.contains("`corpus.v1`, expected `corpus.v2`"), "{error}");
+    assert!(error.contains("`corpus.v0`, expected `corpus.v1`"), "{error}");
 }
 
 #[test]

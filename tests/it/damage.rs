@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 
 const RECORDINGS: &str = "tests/fixtures/recordings/argoverse1";
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
+const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 const MODEL: &str = "pipelines/models/simulated_places.safetensors";
 
 #[test]

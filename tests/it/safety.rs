@@ -9,7 +9,7 @@ use std::time::Duration;
 
 const RECORDINGS: &str = "tests/fixtures/recordings/argoverse1";
 const MODEL: &str = "pipelines/models/simulated_places.safetensors";
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
+const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 
 fn put(path: &Path, text: &str) {
     fs_err::create_dir_all(path.parent().unwrap()).unwrap();

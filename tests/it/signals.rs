@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
+const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 
 /// Starts the program as `env` leaves its signals: whoever runs the tests may have some ignored.
 fn start(signals: &str, args: &[&str]) -> Child {

@@ -9,9 +9,9 @@ use crate::engine::plan;
 use crate::engine::plan::PlannedStage;
 use crate::engine::run_folder::{RunFolder, run_stages};
 use crate::engine::shards::{self, Makers, Part};
-use crate::engine::{Failure, Result};
+use crate::engine::{Failure, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::layout::Layout;
+use crate::pipeline::layout::{Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
@@ -63,9 +63,28 @@ fn run_in(
     let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
     let records = run_stages(&folder, Some(&config.about()?), (compute, makers), planned, &progress)?;
-    printer.message(format_args!("results are in {}", root.display()));
+    describe(&records, root, printer);
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
+}
+
+/// Says what came of the run, and where it lies.
+fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
+    let record = |stage: StageId| records.iter().find(|record| record.stage == stage.name());
+    if let Some(evaluated) = record(StageId::Evaluate) {
+        let count = |key: &str| evaluated.summary[key].as_u64().unwrap_or_default();
+        printer.message(format_args!(
+            "{} of {} scenarios are accepted ({} verified, {} valid)",
+            count("n_accepted"),
+            count("n_scenarios"),
+            count("n_verified"),
+            count("n_valid")
+        ));
+    }
+    match record(StageId::Report) {
+        Some(_) => printer.message(format_args!("the report is {}", root.join(REPORT).display())),
+        None => printer.message(format_args!("results are in {}", root.display())),
+    }
 }
 
 /// The stage that is run in parts, if the arguments are valid for that.

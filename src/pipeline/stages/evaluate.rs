@@ -164,7 +164,7 @@ impl Sharded for Evaluate<'_> {
 }
 
 /// The format of the files with figures of shards.
-const FIGURES_FORMAT: &str = "figures.v2";
+const FIGURES_FORMAT: &str = "figures.v1";
 
 /// Everything that measuring and merging shards needs, read and checked.
 struct EvaluationReady {

@@ -10,7 +10,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Float64Type, UInt64Type};
 use std::path::Path;
 
-/// `metric.v2`.
+/// `metric.v1`.
 pub(crate) fn schema() -> TableSchema {
     let by_metric = "by metric";
     let fields = vec![
@@ -37,7 +37,7 @@ pub(crate) fn schema() -> TableSchema {
             .unit(by_metric)
             .optional(),
     ];
-    TableSchema { name: "metric", version: 2, description: "One row a value of a metric.", fields, open: Vec::new() }
+    TableSchema { name: "metric", version: 1, description: "One row a value of a metric.", fields, open: Vec::new() }
 }
 
 /// These rows.

@@ -9,7 +9,7 @@ use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
 
-/// `recording.v2`.
+/// `recording.v1`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = vec![column("scene_id", DataType::Utf8, "The recorded scene: dataset/split/place/case.")];
     fields.extend(state_rows::who_fields("scene"));
@@ -17,7 +17,7 @@ pub(crate) fn schema() -> TableSchema {
     fields.extend(state_rows::state_fields());
     TableSchema {
         name: "recording",
-        version: 2,
+        version: 1,
         description: "One row a state of a road user in a recorded scene, each scene once; by scene as first used, \
                       then by track, then by time. Timing, frame and map of the scene are in the rows of its \
                       scenarios.",

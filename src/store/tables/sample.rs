@@ -12,7 +12,7 @@ use arrow::datatypes::DataType;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `sample.v6`.
+/// `sample.v1`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -24,7 +24,7 @@ pub(crate) fn schema() -> TableSchema {
     ));
     TableSchema {
         name: "sample",
-        version: 6,
+        version: 1,
         description: "One row a generated scenario, with its tracks nested; the form between generation and the \
                       corpus.",
         fields,

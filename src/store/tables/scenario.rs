@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// `scenario.v6`.
+/// `scenario.v1`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = provenance::fields();
     fields.extend(scene_header::fields());
@@ -39,7 +39,7 @@ pub(crate) fn schema() -> TableSchema {
     fields.extend(assessment::fields());
     TableSchema {
         name: "scenario",
-        version: 6,
+        version: 1,
         description: "One row a generated scenario; parameters are those of the first requested event found in it.",
         fields,
         open: vec![parameters::open_columns()],

@@ -8,14 +8,14 @@ use crate::store::{Error, MapSource, Result};
 use arrow::array::RecordBatch;
 use std::sync::Arc;
 
-/// `scene.v3`.
+/// `scene.v1`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = scene_header::fields();
     fields.push(scene_tracks::field());
     fields.push(scene_derived::field());
     TableSchema {
         name: "scene",
-        version: 3,
+        version: 1,
         description: "One row a recorded scene, with its tracks; lanes are in the lane table.",
         fields,
         open: Vec::new(),

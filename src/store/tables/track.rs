@@ -10,7 +10,7 @@ use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
 use std::collections::BTreeSet;
 
-/// `track.v3`.
+/// `track.v1`.
 pub(crate) fn schema() -> TableSchema {
     let mut fields = vec![column("scenario_id", DataType::Utf8, "The scenario.")];
     fields.extend(state_rows::who_fields("scenario"));
@@ -27,7 +27,7 @@ pub(crate) fn schema() -> TableSchema {
     fields.extend(state_rows::state_fields());
     TableSchema {
         name: "track",
-        version: 3,
+        version: 1,
         description: "One row a state of a road user in a scenario; in the order of the scenario table, then by track, \
                       then by time.",
         fields,

@@ -10,7 +10,7 @@ use arrow::array::{ListArray, RecordBatch, StringArray};
 use arrow::datatypes::{DataType, Float64Type};
 use std::path::Path;
 
-/// `verdict.v3`.
+/// `verdict.v1`.
 pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario, as in the samples and, if it was kept, in the corpus."),
@@ -36,7 +36,7 @@ pub(crate) fn schema() -> TableSchema {
     ];
     TableSchema {
         name: "verdict",
-        version: 3,
+        version: 1,
         description: "One row a generated scenario: whether it is accepted, and why not.",
         fields,
         open: Vec::new(),

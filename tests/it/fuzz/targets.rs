@@ -149,7 +149,7 @@ const VEHICLES: &str =
 const ARGOVERSE1: &str = "tests/fixtures/recordings/argoverse1";
 const ARGOVERSE1_MAP: &str = "pruned_argoverse_MIA_10316_vector_map.xml";
 const LOG: &str = "5f1d0000-0000-4000-8000-00000000f1d5";
-const CORPUS: &str = "tests/fixtures/corpus/corpus.v2_scenario.v6";
+const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 const SHARD: &str = "scenes-00000.arrow";
 const SCENARIOS: &str = "scenarios/behavior=cut_in/place=FIX_Merging/part-00000.parquet";
 
