@@ -99,7 +99,10 @@ impl Check {
             Self::Jerk => "a vehicle's acceleration changes by more than the limit, in any direction",
             Self::YawRate => "a vehicle's heading turns faster than the limit",
             Self::Curvature => "a vehicle's heading turns faster than its tightest circle allows at its speed",
-            Self::Heading => "a vehicle moves at an angle to its heading larger than the limit",
+            Self::Heading => {
+                "a vehicle moves at an angle to its heading that is larger than its turning explains, by more than the \
+                 limit beyond the largest such angle among its given states"
+            }
             Self::StartPosition => {
                 "a road user is farther than the limit from where its motion leads, where given and generated states \
                  meet"

@@ -4,7 +4,7 @@ use super::check::exceeds;
 use super::fit::Fitter;
 use super::{Check, Judged, LocalFit, ValidityConfig, Violation, keep_worse};
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::State;
+use crate::scene::{State, Track};
 
 /// Below this speed the heading is taken as the direction of motion, m/s.
 const MOVING_MPS: f64 = 1.0;
@@ -17,14 +17,21 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
     let fitter = Fitter::new(config.window_s, scene.dt_s);
     let mut worst: [Option<Violation>; Check::ALL.len()] = [const { None }; Check::ALL.len()];
     for agent_idx in judged.generated_agents().filter(|agent_idx| judged.is_vehicle(*agent_idx)) {
-        let trajectory = &scene.tracks[agent_idx].trajectory;
+        let track = &scene.tracks[agent_idx];
+        let (mut generated, mut given_slip_rad) = (Vec::new(), 0.0_f64);
         for middle in fitter.half..scene.n_timesteps.saturating_sub(fitter.half) {
-            let window = middle - fitter.half..=middle + fitter.half;
-            if !window.into_iter().any(|timestep| judged.is_generated(agent_idx, timestep)) {
-                continue;
-            }
+            let trajectory = &track.trajectory;
             let (Some(fit), Some(state)) = (fitter.at(trajectory, middle), trajectory.get(middle)) else { continue };
-            for (check, value, limit) in limits(&fit, state, config) {
+            let slip_rad = unexplained_slip_rad(&fit, state, track);
+            let mut window = middle - fitter.half..=middle + fitter.half;
+            match window.any(|timestep| judged.is_generated(agent_idx, timestep)) {
+                true => generated.push((middle, fit, state, slip_rad)),
+                false => given_slip_rad = given_slip_rad.max(slip_rad),
+            }
+        }
+        for (middle, fit, state, slip_rad) in generated {
+            let slip = (Check::Heading, slip_rad - given_slip_rad, config.max_slip_rad);
+            for (check, value, limit) in limits(&fit, state, config).into_iter().chain([slip]) {
                 if exceeds(value, limit) {
                     let violation = Violation::new(check, scene, agent_idx, middle, (value, limit));
                     keep_worse(&mut worst[check as usize], violation);
@@ -36,17 +43,13 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
 }
 
 /// The checks of one fit, with value and limit.
-fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f64, f64); 7] {
+fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f64, f64); 6] {
     let speed_mps = fit.velocity.norm();
     let forward = match speed_mps >= MOVING_MPS {
         true => fit.velocity * (1.0 / speed_mps),
         false => Vec2::from_angle(state.heading_rad),
     };
     let (along, yaw_rate) = (fit.acceleration.dot(forward), fit.yaw_rate_radps.abs());
-    let slip_rad = match speed_mps >= SLIP_FROM_MPS {
-        true => angle_difference(fit.velocity.angle(), state.heading_rad).abs(),
-        false => 0.0,
-    };
     let tightest = config.max_curvature_per_m * speed_mps + config.yaw_rate_slack_radps;
     [
         (Check::Acceleration, along, config.max_acceleration_mps2),
@@ -55,6 +58,18 @@ fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f6
         (Check::Jerk, fit.jerk.norm(), config.max_jerk_mps3),
         (Check::YawRate, yaw_rate, config.max_yaw_rate_radps),
         (Check::Curvature, yaw_rate, tightest),
-        (Check::Heading, slip_rad, config.max_slip_rad),
     ]
+}
+
+/// The angle between motion and heading beyond that of a vehicle that turns about any axis between its middle and its
+/// rear end (the slip at the center of a vehicle of wheels that do not slide: at a yaw rate ω and a speed v, tan β = l
+/// ω / v, of a rear axle l behind the center), radians. 0 for slow vehicles.
+fn unexplained_slip_rad(fit: &LocalFit, state: &State, track: &Track) -> f64 {
+    let speed_mps = fit.velocity.norm();
+    if speed_mps < SLIP_FROM_MPS {
+        return 0.0;
+    }
+    let slip_rad = angle_difference(fit.velocity.angle(), state.heading_rad);
+    let turning_rad = (track.extent_or_nominal().length_m / 2.0 * fit.yaw_rate_radps / speed_mps).atan();
+    (slip_rad - slip_rad.clamp(turning_rad.min(0.0), turning_rad.max(0.0))).abs()
 }

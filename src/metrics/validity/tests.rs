@@ -97,7 +97,8 @@ fn bends_are_limited_by_grip_yaw_rate_and_steering() {
     let turning = |speed: f64, degrees: f64| {
         scene(speed, &format!("{{ duration_s = 1 }}, {{ duration_s = 2, turn_deg = {degrees:?} }}"))
     };
-    let loose = ValidityConfig { skip: vec![Check::Jerk, Check::Offroad, Check::StartAcceleration], ..defaults() };
+    let others = vec![Check::Jerk, Check::Heading, Check::Offroad, Check::StartAcceleration];
+    let loose = ValidityConfig { skip: others, ..defaults() };
     // 90 degrees in 2 s are 0.785 rad/s: 10 m/s² across at 12.7 m/s.
     let (check, value, _) = only(&turning(12.7324, 90.0), &loose);
     assert!(check == Check::LateralAcceleration && (value - 10.0).abs() < 0.3, "{value}");
@@ -117,10 +118,48 @@ fn bends_are_limited_by_grip_yaw_rate_and_steering() {
 
 #[test]
 fn vehicles_point_where_they_go() {
-    let drifting = |speed: f64| changed(scene(speed, ""), |_, state| State { heading_rad: 0.5, ..state });
-    let (check, value, _) = only(&drifting(10.0), &defaults());
-    assert!(check == Check::Heading && (value - 0.5).abs() < 1e-9);
-    assert_eq!(checks(&drifting(1.5), &defaults()), [""; 0], "slow maneuvers may go any way");
+    let drifting = |speed: f64, from: usize| {
+        changed(scene(speed, ""), |timestep, state| State {
+            heading_rad: if timestep < from { 0.04 } else { 0.14 },
+            ..state
+        })
+    };
+    // By 0.1 more than in the given states, of which there are ten.
+    let (check, value, timestep) = only(&drifting(10.0, 20), &defaults());
+    assert!(check == Check::Heading && (value - 0.1).abs() < 1e-9 && timestep == 20, "{value} at {timestep}");
+    assert_eq!(checks(&drifting(1.5, 20), &defaults()), [""; 0], "slow maneuvers may go any way");
+    assert_eq!(checks(&drifting(10.0, 0), &defaults()), [""; 0], "headings were recorded that far off");
+}
+
+#[test]
+fn who_turns_about_the_rear_axle_does_not_slide() {
+    // The center of a car, 1.5 m ahead of its rear axle on a circle of 10 m, moves at atan(1.5 / 10) to the heading.
+    let (radius_m, axle_m, speed_mps) = (10.0, 1.5, 4.0);
+    let turning = |side: f64| {
+        let mut scene = scene(speed_mps, "");
+        for timestep in 0..scene.n_timesteps {
+            let angle = speed_mps / radius_m * 0.1 * (timestep as f64 - 9.0);
+            let heading_rad = side * angle.max(0.0);
+            let axle = match angle > 0.0 {
+                true => Vec2::new(angle.sin(), side * (1.0 - angle.cos())) * radius_m,
+                false => Vec2::new(angle * radius_m, 0.0),
+            };
+            let position = axle + Vec2::from_angle(heading_rad) * axle_m;
+            scene = changed(scene, |at, state| match at == timestep {
+                true => State { position, heading_rad, ..state },
+                false => state,
+            });
+        }
+        scene
+    };
+    let config =
+        ValidityConfig { skip: vec![Check::Offroad, Check::StartAcceleration, Check::StartPosition], ..defaults() };
+    for side in [1.0, -1.0] {
+        assert_eq!(checks(&turning(side), &config), [""; 0]);
+        // The same motion with headings along it turned the other way.
+        let wrong = changed(turning(side), |_, state| State { heading_rad: -state.heading_rad, ..state });
+        assert!(checks(&wrong, &config).contains(&"heading"));
+    }
 }
 
 #[test]
@@ -131,7 +170,7 @@ fn the_future_begins_where_the_past_ends() {
             false => State { position: state.position + Vec2::new(0.0, by_m), ..state },
         })
     };
-    let others = vec![Check::Jerk, Check::LateralAcceleration, Check::StartAcceleration];
+    let others = vec![Check::Jerk, Check::LateralAcceleration, Check::Heading, Check::StartAcceleration];
     let violation = &found(&shifted(0.5), &ValidityConfig { skip: others, ..defaults() });
     let seams: Vec<_> = violation.iter().map(|v| (v.check, v.timestep)).collect();
     assert_eq!(seams, [(Check::StartPosition, 10)], "{violation:?}");
