@@ -66,7 +66,7 @@ pub use aggregate::{Aggregate, AggregateTally};
 pub use careful_driver::{CarefulDriverConfig, CutInJudgment, Ending, PreventableRate};
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;
-pub use criticality::{PairCriticality, PairMetric, SceneCriticality, SceneMetric};
+pub use criticality::{PairCriticality, PairMetric, SceneCriticality, SceneMetric, closeness_over_time};
 pub use displacement::ScoredAgents;
 pub use drivable_area::DrivableAreaCompliance;
 pub use histogram::Histogram;

@@ -1,10 +1,12 @@
 //! Chooses the scenarios of each sweep to draw, of thousands that are offered one by one.
 //!
-//! Sweeps with a requested behavior are represented by single scenarios: new verified ones first, from as many scenes
-//! as possible, and some that failed; requests by accepted scenarios of each bucket. Other sweeps are represented by
+//! Sweeps with a requested behavior are represented by single scenarios: the hardest accepted ones, and some that failed
+//! (before an evaluation, new verified ones from as many scenes as possible); requests by accepted scenarios of each
+//! bucket. Other sweeps are represented by
 //! scenes with several samples, if possible the same scenes in all of these sweeps, so that they can be compared. The
 //! configuration bounds what is kept of a sweep.
 
+use super::accepted::Accepted;
 use super::card::Verdict;
 use super::config::ReportConfig;
 use crate::scenario::{BucketTag, RequestOutcome, ScenarioRecord};
@@ -41,19 +43,21 @@ pub(super) enum Chosen {
 /// Collects candidates sweep by sweep.
 pub(super) struct Choice<'a> {
     config: &'a ReportConfig,
+    /// `None` if nothing was decided.
+    accepted: Option<&'a Accepted>,
     sweeps: Vec<(String, Candidates)>,
     /// Accepted scenarios of requests, by request and bucket.
     buckets: BTreeMap<(String, usize), Ranked>,
 }
 
 enum Candidates {
-    Asked { new: Ranked, recorded: Ranked, failed: Ranked },
+    Asked { accepted: Hardest, new: Ranked, recorded: Ranked, failed: Ranked },
     Galleries(Galleries),
 }
 
 impl<'a> Choice<'a> {
-    pub(super) const fn new(config: &'a ReportConfig) -> Self {
-        Self { config, sweeps: Vec::new(), buckets: BTreeMap::new() }
+    pub(super) const fn new(config: &'a ReportConfig, accepted: Option<&'a Accepted>) -> Self {
+        Self { config, accepted, sweeps: Vec::new(), buckets: BTreeMap::new() }
     }
 
     /// Offers the next scenario, in the order of the samples, whose scene has this position in its store.
@@ -67,11 +71,13 @@ impl<'a> Choice<'a> {
             self.sweeps.push((record.sweep.clone(), self.candidates(record)));
             self.sweeps.len() - 1
         });
+        let min_ttc_s = self.accepted.and_then(|accepted| accepted.min_ttc_s(&record.scenario.id));
         match &mut self.sweeps[at].1 {
-            Candidates::Asked { new, recorded, failed } => match Verdict::of(record) {
-                Verdict::New => new.offer(record, scene_idx),
-                Verdict::Recorded => recorded.offer(record, scene_idx),
-                Verdict::NotVerified | Verdict::NotAsked => failed.offer(record, scene_idx),
+            Candidates::Asked { accepted, new, recorded, failed } => match (min_ttc_s, Verdict::of(record)) {
+                (Some(min_ttc_s), _) => accepted.offer(record, min_ttc_s),
+                (None, Verdict::New) => new.offer(record, scene_idx),
+                (None, Verdict::Recorded) => recorded.offer(record, scene_idx),
+                (None, Verdict::NotVerified | Verdict::NotAsked) => failed.offer(record, scene_idx),
             },
             Candidates::Galleries(galleries) => galleries.offer(record, scene_idx, self.config.n_samples_drawn),
         }
@@ -80,8 +86,9 @@ impl<'a> Choice<'a> {
     fn candidates(&self, record: &ScenarioRecord) -> Candidates {
         let ReportConfig { n_drawn, n_failed_drawn, n_scenes_drawn, .. } = *self.config;
         if record.requested_behavior.is_some() {
-            let [new, recorded] = [n_drawn; 2].map(Ranked::new);
-            return Candidates::Asked { new, recorded, failed: Ranked::new(n_failed_drawn) };
+            let [new, recorded] = [self.n_verified_drawn(); 2].map(Ranked::new);
+            let accepted = Hardest { limit: n_drawn, n_offered: 0, list: Vec::new() };
+            return Candidates::Asked { accepted, new, recorded, failed: Ranked::new(n_failed_drawn) };
         }
         let mut of_others = self.sweeps.iter().filter_map(|(_, candidates)| match candidates {
             Candidates::Galleries(galleries) => Some(galleries.own.clone()),
@@ -97,6 +104,11 @@ impl<'a> Choice<'a> {
         })
     }
 
+    /// How many verified scenarios of a sweep are drawn, of which none is known to be accepted.
+    const fn n_verified_drawn(&self) -> usize {
+        if self.accepted.is_some() { self.config.n_failed_drawn } else { self.config.n_drawn }
+    }
+
     /// How much of each sweep is drawn, in the order of the sweeps.
     pub(super) fn drawn(&self) -> Vec<Drawn> {
         let ReportConfig { n_drawn, n_failed_drawn, n_scenes_drawn, .. } = *self.config;
@@ -109,16 +121,17 @@ impl<'a> Choice<'a> {
             limit,
         };
         let rows = self.sweeps.iter().flat_map(|(sweep, candidates)| match candidates {
-            Candidates::Asked { new, recorded, failed } => vec![
-                row(sweep, "verified scenarios", new.n_offered + recorded.n_offered, "n_drawn", n_drawn),
-                row(
-                    sweep,
-                    "scenarios without the requested behavior",
-                    failed.n_offered,
-                    "n_failed_drawn",
-                    n_failed_drawn,
-                ),
-            ],
+            Candidates::Asked { accepted, new, recorded, failed } => {
+                let n_verified = new.n_offered + recorded.n_offered;
+                let verified = match self.accepted {
+                    Some(_) => row(sweep, "verified, not accepted", n_verified, "n_failed_drawn", n_failed_drawn),
+                    None => row(sweep, "verified scenarios", n_verified, "n_drawn", n_drawn),
+                };
+                let is_decided = self.accepted.is_some();
+                let accepted = row(sweep, "accepted scenarios", accepted.n_offered, "n_drawn", n_drawn);
+                let failed = row(sweep, "without the behavior", failed.n_offered, "n_failed_drawn", n_failed_drawn);
+                is_decided.then_some(accepted).into_iter().chain([verified, failed]).collect()
+            }
             Candidates::Galleries(galleries) => {
                 vec![row(sweep, "scenes, at each strength", galleries.scenes.len(), "n_scenes_drawn", n_scenes_drawn)]
             }
@@ -150,14 +163,16 @@ impl<'a> Choice<'a> {
 
     /// The choice: requests, bucket by bucket, then sweeps in their order.
     pub(super) fn finish(self) -> Vec<Chosen> {
-        let n_drawn = self.config.n_drawn;
+        let n_verified = self.n_verified_drawn();
         let of_buckets = self.buckets.into_values().flat_map(Ranked::take);
         let mut chosen: Vec<Chosen> = of_buckets.map(|record| Chosen::Alone(Box::new(record))).collect();
         for (_, candidates) in self.sweeps {
             match candidates {
-                Candidates::Asked { new, recorded, failed } => {
-                    let verified = new.take().chain(recorded.take()).take(n_drawn);
-                    chosen.extend(verified.chain(failed.take()).map(|record| Chosen::Alone(Box::new(record))));
+                Candidates::Asked { accepted, new, recorded, failed } => {
+                    let accepted = accepted.list.into_iter().map(|(_, record)| record);
+                    let verified = new.take().chain(recorded.take()).take(n_verified);
+                    let all = accepted.chain(verified).chain(failed.take());
+                    chosen.extend(all.map(|record| Chosen::Alone(Box::new(record))));
                 }
                 Candidates::Galleries(galleries) => chosen.extend(galleries.take().map(Chosen::Together)),
             }
@@ -170,6 +185,24 @@ impl<'a> Choice<'a> {
 fn accepted_into(record: &ScenarioRecord) -> Option<(&str, &BucketTag)> {
     let tag = record.request.as_ref().filter(|tag| tag.outcome == RequestOutcome::Accepted)?;
     Some((&tag.request, tag.bucket.as_ref()?))
+}
+
+/// Up to `limit` scenarios, those with the least time to collision.
+struct Hardest {
+    limit: usize,
+    n_offered: usize,
+    list: Vec<(f64, ScenarioRecord)>,
+}
+
+impl Hardest {
+    fn offer(&mut self, record: &ScenarioRecord, min_ttc_s: f64) {
+        self.n_offered += 1;
+        let at = self.list.partition_point(|(known_s, _)| known_s.total_cmp(&min_ttc_s).is_le());
+        if at < self.limit {
+            self.list.insert(at, (min_ttc_s, record.clone()));
+            self.list.truncate(self.limit);
+        }
+    }
 }
 
 /// Up to `limit` scenarios, the first of each scene before further ones.

@@ -1,8 +1,10 @@
 //! Are the scenarios chosen that a reviewer should see?
 
+use super::accepted::{Accepted, HardnessSummary};
 use super::choice::{Choice, Chosen};
 use super::config::ReportConfig;
-use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
+use crate::metrics::{Group, MetricRow};
+use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario};
 
@@ -54,7 +56,7 @@ fn ids(chosen: &[Chosen]) -> Vec<String> {
 }
 
 fn choose(config: &ReportConfig, records: &[ScenarioRecord]) -> Vec<String> {
-    let mut choice = Choice::new(config);
+    let mut choice = Choice::new(config, None);
     records.iter().for_each(|record| offer(&mut choice, record));
     ids(&choice.finish())
 }
@@ -78,6 +80,50 @@ fn new_scenarios_of_different_scenes_come_first_and_failures_are_shown_too() {
 }
 
 #[test]
+fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
+    let records: Vec<ScenarioRecord> = (0..8).map(|i| asked("a", i, i < 6, false)).collect();
+    let mut accepted = Accepted::default();
+    let id = |i: usize| records[i].scenario.id.clone();
+    for i in 0..4 {
+        let level = GuidanceLevel::UNGUIDED;
+        let (sweep, reasons, not_checked) = ("asked".into(), vec![], vec![]);
+        let row = VerdictRow { scenario_id: id(i), sweep, level, accepted: true, kept: true, reasons, not_checked };
+        accepted.add_verdict(row);
+    }
+    let metric = |i: usize, metric: &str, value: f64| MetricRow {
+        group: Group::Unguided,
+        sweep: "asked".into(),
+        level: GuidanceLevel::UNGUIDED,
+        place: "X".into(),
+        scene_id: None,
+        scenario_id: Some(id(i)),
+        metric: metric.into(),
+        value,
+        n: 1,
+        std_error: None,
+    };
+    for (i, name, value) in [
+        (1, "pair_min_ttc_s", 2.5),
+        (2, "pair_min_ttc_s", 0.5),
+        (3, "pair_min_ttc_s", 4.0),
+        (4, "pair_min_ttc_s", 0.1),
+        (2, "preventable_rate", 0.0),
+        (3, "preventable_rate", 1.0),
+        (4, "preventable_rate", 0.0),
+    ] {
+        accepted.add_metric(&metric(i, name, value));
+    }
+    let summary = HardnessSummary { n_situations: 1, n_critical: 1, n_not_preventable: 1, n_without_course: 1 };
+    assert_eq!(accepted.summary(1), summary);
+    let config = ReportConfig { n_drawn: 3, n_failed_drawn: 1, ..ReportConfig::default() };
+    let mut choice = Choice::new(&config, Some(&accepted));
+    records.iter().for_each(|record| offer(&mut choice, record));
+    let drawn: Vec<_> = choice.drawn().iter().map(|row| (row.n_drawn, row.n_there)).collect();
+    assert_eq!(drawn, [(3, 4), (1, 2), (1, 2)]);
+    assert_eq!(ids(&choice.finish()), ["asked-a-2-2", "asked-a-2-1", "asked-a-2-3", "asked-a-2-4", "asked-a-2-6"]);
+}
+
+#[test]
 fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
     let config = ReportConfig { n_scenes_drawn: 2, n_samples_drawn: 2, ..ReportConfig::default() };
     let mut records = Vec::new();
@@ -95,7 +141,7 @@ fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
 #[test]
 fn what_keeps_drawings_from_being_more_is_told() {
     let config = ReportConfig { n_drawn: 1000, n_failed_drawn: 1, n_scenes_drawn: 2, ..ReportConfig::default() };
-    let mut choice = Choice::new(&config);
+    let mut choice = Choice::new(&config, None);
     for i in 0..5 {
         offer(&mut choice, &asked("a", i, i < 3, i == 0));
     }
@@ -126,7 +172,7 @@ fn of_each_bucket_of_a_request_some_accepted_scenarios_are_drawn() {
         taken("b", 4, 0, surplus),
     ];
     let config = ReportConfig { n_drawn: 0, n_drawn_per_bucket: 2, ..ReportConfig::default() };
-    let mut choice = Choice::new(&config);
+    let mut choice = Choice::new(&config, None);
     records.iter().for_each(|record| offer(&mut choice, record));
     let row = choice.drawn().into_iter().find(|row| row.sweep == "gaps").unwrap();
     assert_eq!((row.n_drawn, row.n_there, row.setting.as_str()), (3, 4, "n_drawn_per_bucket"));

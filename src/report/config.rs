@@ -9,10 +9,11 @@ use serde::{Deserialize, Serialize};
 pub struct ReportConfig {
     /// Title of the page; empty: the pipeline's name.
     pub title: String,
-    /// Verified scenarios to draw per sweep with a behavior: new ones first, from as many scenes as possible.
+    /// Accepted scenarios to draw per sweep with a behavior, the hardest first: those with the least time to collision.
+    /// Without an evaluation verified ones, new ones first, from as many scenes as possible.
     #[schemars(range(max = 100_000))]
     pub n_drawn: usize,
-    /// Scenarios to draw per such sweep that do not show the behavior.
+    /// Scenarios to draw per such sweep that are verified and not accepted, and as many without the behavior.
     #[schemars(range(max = 100_000))]
     pub n_failed_drawn: usize,
     /// Accepted scenarios to draw of each bucket of a request.
@@ -33,7 +34,7 @@ impl Default for ReportConfig {
     fn default() -> Self {
         Self {
             title: String::new(),
-            n_drawn: 12,
+            n_drawn: 100,
             n_failed_drawn: 3,
             n_drawn_per_bucket: 2,
             n_scenes_drawn: 2,

@@ -1,5 +1,6 @@
 //! Chooses the scenes to draw, and collects motion and events to compare, from all samples of a run one by one.
 
+use super::accepted::{Accepted, HardnessSummary};
 use super::card::{Acceptance, SceneCard};
 use super::choice::{Choice, Chosen, Drawn};
 use super::compared::Compared;
@@ -10,8 +11,8 @@ use crate::behavior::BehaviorEvent;
 use crate::evaluate::{Error, Result};
 use crate::metrics::MetricRow;
 use crate::scenario::{ScenarioRecord, VerdictRow};
-use crate::scene::{Scene, SceneId};
-use crate::store::{self, SceneStore};
+use crate::scene::{Scene, SceneId, TrackId};
+use crate::store::{self, SceneSet, SceneStore};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The report's part on single scenes.
@@ -21,6 +22,10 @@ pub struct Drawings {
     pub scenes: Vec<SceneCard>,
     /// How much of each sweep they are.
     pub drawn: Vec<Drawn>,
+    /// Number of recorded scenes that are continued.
+    pub n_continued: usize,
+    /// How hard the accepted scenarios are; `None` if nothing was decided.
+    pub hardness: Option<HardnessSummary>,
     /// Motion and events, recorded and generated.
     pub distributions: Vec<Distribution>,
 }
@@ -30,12 +35,23 @@ pub struct Gallery<'a> {
     store: &'a SceneStore,
     choice: Choice<'a>,
     compared: Compared,
+    accepted: Option<&'a Accepted>,
+    continued: SceneSet,
+    /// The scenes of accepted scenarios, by their positions, and the tracks of their events.
+    situations: BTreeSet<(usize, Vec<TrackId>)>,
 }
 
 impl<'a> Gallery<'a> {
-    /// An empty gallery for samples that continue scenes of `store`.
-    pub fn new(config: &'a ReportConfig, store: &'a SceneStore) -> Self {
-        Self { store, choice: Choice::new(config), compared: Compared::new(config.n_compared) }
+    /// An empty gallery for samples that continue scenes of `store`. `accepted` is `None` if nothing was decided.
+    pub fn new(config: &'a ReportConfig, store: &'a SceneStore, accepted: Option<&'a Accepted>) -> Self {
+        Self {
+            store,
+            choice: Choice::new(config, accepted),
+            compared: Compared::new(config.n_compared),
+            accepted,
+            continued: SceneSet::default(),
+            situations: BTreeSet::new(),
+        }
     }
 
     /// Offers the next scenario, in the order of the samples.
@@ -50,6 +66,12 @@ impl<'a> Gallery<'a> {
         }
         self.compared.add(record);
         self.choice.offer(record, idx);
+        self.continued.insert(idx);
+        if self.accepted.is_some_and(|accepted| accepted.min_ttc_s(&record.scenario.id).is_some()) {
+            let event = record.main_event();
+            let tracks = event.map(|event| event.roles.tracks().cloned().collect());
+            self.situations.insert((idx, tracks.unwrap_or_default()));
+        }
         Ok(())
     }
 
@@ -64,7 +86,7 @@ impl<'a> Gallery<'a> {
         metrics: impl Iterator<Item = store::Result<MetricRow>>,
         verdicts: impl Iterator<Item = store::Result<VerdictRow>>,
     ) -> Result<Drawings> {
-        let Self { store, choice, compared } = self;
+        let Self { store, choice, compared, accepted, continued, situations } = self;
         let mut distributions = compared.motion();
         if let Some(recorded) = recorded {
             distributions.extend(compared.events(recorded)?);
@@ -77,7 +99,10 @@ impl<'a> Gallery<'a> {
         for chosen in &chosen {
             scenes.extend(card(chosen, store, &figures, &decisions)?);
         }
-        Ok(Drawings { scenes, drawn, distributions })
+        // Accepted ones first, of all sweeps together, the hardest first.
+        scenes.sort_by(|a, b| a.key.rank_s().total_cmp(&b.key.rank_s()));
+        let hardness = accepted.map(|accepted| accepted.summary(situations.len()));
+        Ok(Drawings { scenes, drawn, n_continued: continued.len(), hardness, distributions })
     }
 }
 

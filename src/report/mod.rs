@@ -7,6 +7,7 @@
 //! A page of thousands of scenes has still drawings of the first few, and a few kilobytes of packed states for each,
 //! from which `html/player.js` draws the scenes that scroll into view.
 
+mod accepted;
 mod card;
 mod cautions;
 mod choice;
@@ -34,6 +35,7 @@ mod tradeoffs_tests;
 mod training;
 mod wilson;
 
+pub use accepted::{Accepted, HardnessSummary};
 pub use card::{
     Acceptance, CardBucket, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel,
     Verdict, ViewRect,

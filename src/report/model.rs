@@ -1,5 +1,6 @@
 //! The content of a report as plain data, which the page renders.
 
+use super::accepted::HardnessSummary;
 use super::card::SceneCard;
 use super::choice::Drawn;
 use super::distribution::Distribution;
@@ -36,6 +37,10 @@ pub struct ReportModel {
     pub distributions: Vec<Distribution>,
     /// Generated scenes beside their source recording.
     pub scenes: Vec<SceneCard>,
+    /// Number of recorded scenes that are continued.
+    pub n_continued: usize,
+    /// How hard the accepted scenarios are; `None` if nothing was decided.
+    pub hardness: Option<HardnessSummary>,
     /// How much of each sweep is drawn.
     pub drawn: Vec<Drawn>,
     /// Further parts, which come after the scenes, as plain tables and charts.

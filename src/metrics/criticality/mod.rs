@@ -90,6 +90,18 @@ impl PairCriticality {
     }
 }
 
+/// Time to collision (seconds) and distance between the boxes (meters) of two agents of a scene at each timestep of the
+/// future, each where it is defined. `None` if one of them is never tracked.
+pub fn closeness_over_time(scene: &Scene, pair: [usize; 2]) -> Option<Vec<[Option<f64>; 2]>> {
+    let [first, second] = [MovingAgent::of(scene, pair[0])?, MovingAgent::of(scene, pair[1])?];
+    let at = |timestep: usize| {
+        let closing = Closing::over(&first, &second, timestep..timestep + 1, scene.dt_s);
+        let distance = first.sweep.min_distance_m(&second.sweep, timestep..timestep + 1);
+        [closing.min_ttc_s, distance.map(|(distance_m, _)| distance_m)]
+    };
+    Some(future(scene).map(at).collect())
+}
+
 impl SceneCriticality {
     /// The criticality of all pairs of road users that are tracked at present. Pairs that already overlap at present,
     /// and pairs that both stand, do not count, as in the collision rate. `None` without such a pair.

@@ -9,7 +9,9 @@ pub use drawn::{DrawnAgent, DrawnLane, DrawnSample, ScenePanel};
 pub(super) use packed::{pack_lanes, pack_sample};
 pub use view::ViewRect;
 
+use super::accepted::HARDNESS;
 use super::model::Fact;
+use crate::metrics::closeness_over_time;
 use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene};
 
 /// Drawings of one scene side by side, at one scale: the recording and what was generated from it.
@@ -29,6 +31,9 @@ pub struct SceneCard {
     pub lanes: Vec<DrawnLane>,
     /// The drawings, the recording first.
     pub panels: Vec<ScenePanel>,
+    /// Time to collision (seconds) and distance (meters) of the two with roles in the only sample, at each timestep of
+    /// the future; empty if they are not two.
+    pub closeness: Vec<[Option<f64>; 2]>,
 }
 
 /// The keys of a scene for filters.
@@ -50,6 +55,28 @@ pub struct CardKey {
     pub level: GuidanceLevel,
     /// Parameters of the event and metrics of the scenario; means for several samples.
     pub values: Vec<CardValue>,
+}
+
+impl CardKey {
+    /// Whether the scenario was accepted.
+    pub fn is_accepted(&self) -> bool {
+        self.acceptance.as_ref().is_some_and(Acceptance::is_accepted)
+    }
+
+    /// A figure by its name.
+    pub fn value(&self, name: &str) -> Option<f64> {
+        self.values.iter().find(|found| found.name == name).map(|found| found.value)
+    }
+
+    /// The key by which scenes are sorted: accepted ones first, by their least time to collision, seconds.
+    pub(super) fn rank_s(&self) -> f64 {
+        /// More than any time to collision.
+        const WITHOUT_S: f64 = 1e6;
+        match self.is_accepted() {
+            true => self.value(HARDNESS).unwrap_or(WITHOUT_S),
+            false => f64::INFINITY,
+        }
+    }
 }
 
 /// A bucket of a request.
@@ -183,7 +210,12 @@ impl SceneCard {
         };
         let drawn = samples.iter().map(|s| DrawnSample::of(s.name, s.scene, s.observed, roles, &view)).collect();
         panels.extend(title_of_samples.map(|title| panel(title, false, drawn)));
-        Self { id, title, key, facts, view, lanes, panels }
+        let closeness = match samples {
+            [Sample { scene, .. }] => pair(scene, roles).and_then(|pair| closeness_over_time(scene, pair)),
+            _ => None,
+        };
+        let closeness = closeness.unwrap_or_default();
+        Self { id, title, key, facts, view, lanes, panels, closeness }
     }
 
     /// The roles of all panels, sorted: their order decides their colors.
@@ -194,4 +226,10 @@ impl SceneCard {
         roles.dedup();
         roles
     }
+}
+
+/// The two agents that have roles, by their indices; `None` if they are not two.
+fn pair(scene: &Scene, roles: &Roles) -> Option<[usize; 2]> {
+    let pair: Vec<usize> = roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
+    pair.try_into().ok()
 }

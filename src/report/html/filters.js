@@ -28,6 +28,7 @@
       const n = [...group.querySelectorAll("input")].filter((field) => field.value !== "").length;
       group.querySelector(".set").textContent = n ? `${n} set` : "";
     }
+    scatter();
     found.textContent = shown === cards.length ? `All ${shown} scenes are shown.` : `${shown} of ${cards.length} scenes are shown.`;
   };
   const keep = () => {

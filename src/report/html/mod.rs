@@ -25,6 +25,8 @@ const STYLE: &str = include_str!("style.css");
 const DRAWING_STYLE: &str = include_str!("../svg/drawing.css");
 const PLAYER: &str = include_str!("player.js");
 const FILTERS: &str = include_str!("filters.js");
+const SCATTER: &str = include_str!("scatter.js");
+const COURSES: &str = include_str!("courses.js");
 const TABLES: &str = include_str!("tables.js");
 
 /// A part of the page with an entry in the table of contents.
@@ -44,6 +46,7 @@ impl Section {
 pub fn render(model: &ReportModel) -> String {
     let first = [
         Some(warnings(model)),
+        scenes::section(model),
         outcome::section(model),
         requests::section(model),
         verdict::section(model),
@@ -51,7 +54,6 @@ pub fn render(model: &ReportModel) -> String {
         tradeoffs::section(model),
         quality::metrics(model),
         quality::distributions(model),
-        scenes::section(model),
     ];
     let last = [
         training::networks(model),
@@ -62,7 +64,8 @@ pub fn render(model: &ReportModel) -> String {
     ];
     let more = model.more.iter().map(|section| Some(plain::section(section)));
     let sections: Vec<Section> = first.into_iter().chain(more).chain(last).flatten().collect();
-    let scripts = (!model.scenes.is_empty()).then(|| html! { script { (PreEscaped(PLAYER)) (PreEscaped(FILTERS)) } });
+    let scripts = (!model.scenes.is_empty())
+        .then(|| html! { script { @for part in [COURSES, PLAYER, SCATTER, FILTERS] { (PreEscaped(part)) } } });
     page(&model.title, &head(model), &sections, &scripts.unwrap_or_default())
 }
 

@@ -181,6 +181,7 @@
           label.setAttribute("y", -state[1] - label.dataset.lift);
         }
       });
+      mark(timestep);
       slider.value = timestep;
       output.textContent = `${((timestep - data.present) * data.dt).toFixed(1)} s, step ${timestep + 1} of ${last + 1}`;
     };
@@ -219,6 +220,8 @@
       controls.append(choice);
     }
     panels.after(controls);
+    const [chart, mark] = data.roles.length && data.panels.at(-1)[2].length === 1 ? courses(data, states.at(-1)[0], ROLE_COLORS) : [null, () => {}];
+    if (chart) controls.after(chart);
     const keys = { " ": toggle, ArrowLeft: () => go(timestep - 1), ArrowRight: () => go(timestep + 1), Home: () => go(0), End: () => go(last) };
     panels.onkeydown = (event) => {
       if (!(event.key in keys) || event.altKey || event.ctrlKey || event.metaKey) return;
@@ -230,7 +233,7 @@
       const facts = element("dl", { className: "facts" }, ...data.facts.map(([name, value]) =>
         element("div", {}, element("dt", { textContent: name }), element("dd", { textContent: value }))));
       details = element("details", {}, element("summary", { textContent: "Provenance and figures" }), facts);
-      controls.after(details);
+      (chart ?? controls).after(details);
     }
     show(data.present);
     return () => {
@@ -238,6 +241,7 @@
       panels.style.aspectRatio = `${panels.offsetWidth} / ${Math.max(1, panels.offsetHeight)}`;
       panels.replaceChildren(...still);
       controls.remove();
+      chart?.remove();
       details?.remove();
     };
   };

@@ -52,7 +52,10 @@ fn asked(model: &ReportModel) -> Markup {
                 }
             }
         }
-        @if let Some(ingest) = &model.ingest { p { "from " (count(ingest.n_scenes)) " recorded scenes" } }
+        @if model.n_continued > 0 {
+            p { "from " (count(model.n_continued as u64))
+                @if let Some(ingest) = &model.ingest { " of " (count(ingest.n_scenes)) } " recorded scenes" }
+        }
     }
 }
 
@@ -66,6 +69,12 @@ fn got(model: &ReportModel) -> Markup {
             p {
                 strong { (count(n_accepted)) } " accepted of " (count(n_judged)) ": verified, valid, no near-duplicate"
             }
+        }
+        @if let Some(hardness) = model.hardness.filter(|_| n_accepted > 0) {
+            p { "in " strong { (count(hardness.n_situations)) } " situations; "
+                strong { (count(hardness.n_critical)) } " come within 1.5 s of a collision, a careful driver could not \
+                prevent " strong { (count(hardness.n_not_preventable)) } ", and "
+                strong { (count(hardness.n_without_course)) } " are never on course to collide" }
         }
         @if !asked.is_empty() {
             p { strong { (count(sum(&asked, |row| row.n_verified))) }

@@ -24,6 +24,27 @@
       if (isWide(table)) table.classList.replace("tight", "cards");
     }
   };
+  // A heading of a sortable table sorts it, the other way at the second time; rows without a number come last.
+  for (const table of document.querySelectorAll(".sortable table")) {
+    [...table.tHead.rows[0].cells].forEach((heading, column) => {
+      const button = Object.assign(document.createElement("button"), { type: "button" });
+      button.append(...heading.childNodes);
+      heading.append(button);
+      button.onclick = () => {
+        const sign = heading.ariaSort === "ascending" ? -1 : 1;
+        const key = (row) => row.cells[column].textContent.replace("\u2212", "-").replaceAll("\u202f", "");
+        const compare = (a, b) => {
+          const [own, other] = [key(a), key(b)];
+          const [n, m] = [Number.parseFloat(own), Number.parseFloat(other)];
+          if (!heading.classList.contains("n")) return sign * own.localeCompare(other);
+          return Number.isNaN(n) - Number.isNaN(m) || sign * (n - m) || 0;
+        };
+        table.tBodies[0].append(...[...table.tBodies[0].rows].sort(compare));
+        for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
+        heading.ariaSort = sign > 0 ? "ascending" : "descending";
+      };
+    });
+  }
   addEventListener("resize", lay);
   // What is closed has no width.
   document.addEventListener("toggle", lay, true);

@@ -6,7 +6,8 @@ mod scenes;
 use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::report::{
-    Chart, Curve, Distribution, Drawn, Fact, PlainSection, PlainTable, ReportModel, TrainingSummary, Warning,
+    Chart, Curve, Distribution, Drawn, Fact, HardnessSummary, PlainSection, PlainTable, ReportModel, TrainingSummary,
+    Warning,
 };
 use djinn::seed::Seed;
 use djinn::train::NoiseLevelReport;
@@ -22,6 +23,8 @@ pub(crate) fn model() -> ReportModel {
 /// [`model`] with `name` wherever a name comes from the recordings or the configuration.
 pub(crate) fn model_named(name: &str) -> ReportModel {
     ReportModel {
+        n_continued: 3,
+        hardness: Some(HardnessSummary { n_situations: 2, n_critical: 1, n_not_preventable: 0, n_without_course: 1 }),
         title: format!("Cut-ins at the merging highway ({name})"),
         facts: vec![
             Fact::new("Run", name),

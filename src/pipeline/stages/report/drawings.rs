@@ -5,24 +5,40 @@ use crate::engine::Result;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::VERDICTS;
 use crate::pipeline::stages::SampleManifest;
-use crate::report::{Drawings, Gallery};
+use crate::report::{Accepted, Drawings, Gallery};
 use crate::store::{SceneStore, read_metrics, read_verdicts, stream_events};
+use std::path::PathBuf;
 
 /// Reads all samples once, shard by shard, draws those that are chosen, and compares motion and events.
 pub(super) fn drawings(stage: &Report<'_>, manifest: &SampleManifest) -> Result<Drawings> {
     let layout = stage.layout;
     let store = SceneStore::open(&layout.scenes)?;
-    let mut gallery = Gallery::new(stage.config, &store);
+    let is_evaluated = stage.has(StageId::Evaluate);
+    let accepted = is_evaluated.then(|| accepted(stage)).transpose()?;
+    let mut gallery = Gallery::new(stage.config, &store, accepted.as_ref());
     for shard in &manifest.shards {
         for record in SampleManifest::read_shard(&layout.samples, shard, &store)? {
             gallery.offer(&record)?;
         }
     }
     let events = stage.has(StageId::Mine).then(|| stream_events(&layout.events)).transpose()?;
-    let path = layout.metrics.with_file_name(VERDICTS);
-    let is_evaluated = stage.has(StageId::Evaluate);
     let metrics = is_evaluated.then(|| read_metrics(&layout.metrics)).transpose()?;
-    // A folder of an earlier version has no such table.
-    let verdicts = (is_evaluated && path.exists()).then(|| read_verdicts(&path)).transpose()?;
+    let verdicts = is_evaluated.then(|| read_verdicts(&verdicts_of(stage))).transpose()?;
     Ok(gallery.finish(events, metrics.into_iter().flatten(), verdicts.into_iter().flatten())?)
+}
+
+fn verdicts_of(stage: &Report<'_>) -> PathBuf {
+    stage.layout.metrics.with_file_name(VERDICTS)
+}
+
+/// The accepted scenarios, and how hard they are.
+fn accepted(stage: &Report<'_>) -> Result<Accepted> {
+    let mut accepted = Accepted::default();
+    for row in read_verdicts(&verdicts_of(stage))? {
+        accepted.add_verdict(row?);
+    }
+    for row in read_metrics(&stage.layout.metrics)? {
+        accepted.add_metric(&row?);
+    }
+    Ok(accepted)
 }

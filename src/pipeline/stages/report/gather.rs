@@ -176,7 +176,8 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
     model
         .warnings
         .extend(model.requests.iter().filter_map(short_buckets).map(|message| warning(StageId::Generate, message)));
-    let Drawings { scenes, drawn, distributions } = drawings(stage, &manifest)?;
+    let Drawings { scenes, drawn, n_continued, hardness, distributions } = drawings(stage, &manifest)?;
+    (model.n_continued, model.hardness) = (n_continued, hardness);
     (model.scenes, model.drawn) = (scenes, drawn);
     model.distributions = distributions;
     Ok(())

@@ -84,6 +84,10 @@ fn player_data(card: &SceneCard, lanes_idx: usize, with_facts: bool) -> Value {
         "agents": agents.into_iter().map(|(_, agent)| agent).collect::<Vec<_>>(),
         "panels": panels,
     });
+    if !card.closeness.is_empty() {
+        let rounded = |value: &Option<f64>| value.map(|value| (value * 100.0).round() / 100.0);
+        data["closeness"] = card.closeness.iter().map(|[ttc_s, m]| json!([rounded(ttc_s), rounded(m)])).collect();
+    }
     if with_facts {
         data["facts"] = card.facts.iter().map(|fact| json!([fact.name, fact.value])).collect();
     }

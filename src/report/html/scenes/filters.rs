@@ -27,7 +27,7 @@ pub(super) fn form(cards: &[SceneCard]) -> Markup {
     let levels: Vec<(String, String)> = levels.into_iter().map(|own| (own.to_string(), level(own))).collect();
     let buckets = distinct(cards.iter().filter_map(|card| card.key.bucket.as_ref()).map(|b| (b.words(), b.words())));
     let decisions = decisions(cards);
-    let ranges = ranges(cards);
+    let ranges = ranges(cards.iter());
     html! {
         form id="filters" class="filters" hidden aria-label="Choose scenes" {
             div class="choices" {
@@ -96,7 +96,7 @@ fn choice(name: &str, label: &str, options: &[(String, String)]) -> Markup {
 /// The data of the filters: the names of the figures, and for each scene its sweep, behavior, place, verdict, strength,
 /// bucket, decisions and figures.
 pub(super) fn index(cards: &[SceneCard]) -> Value {
-    let ranges = ranges(cards);
+    let ranges = ranges(cards.iter());
     let entry = |card: &SceneCard| {
         let figure = |range: &Range<'_>| {
             let found = card.key.values.iter().find(|found| found.name == range.name)?;

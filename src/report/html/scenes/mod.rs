@@ -3,6 +3,7 @@
 //! The page has still drawings of the first scenes, for print and for browsers without scripts, and packed states of
 //! all scenes (see `card/packed.rs`), from which `player.js` draws those that come into view.
 
+mod accepted;
 mod card;
 mod filters;
 mod ranges;
@@ -24,14 +25,16 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!model.scenes.is_empty()).then(|| {
         let lanes = Lanes::of(model);
         let body = html! {
-            (drawn(&model.drawn))
-            (reading_help(model.scenes.len()))
+            (accepted::table_of(&model.scenes))
             (filters::form(&model.scenes))
+            div id="scatter" class="scatter" hidden {}
+            (reading_help(model.scenes.len()))
             div id="cards" {
                 @for (i, card) in model.scenes.iter().enumerate() {
                     (card::card(i, card, lanes.of_card[i], i < N_STILL))
                 }
             }
+            (drawn(&model.drawn))
             script type="application/json" id="lanes" { (json(&Value::from(lanes.packed))) }
             script type="application/json" id="index" { (json(&filters::index(&model.scenes))) }
         };

@@ -48,11 +48,11 @@ impl Group {
 }
 
 /// The figures in which scenes differ: parameters of events, then metrics.
-pub(super) fn ranges(cards: &[SceneCard]) -> Vec<Range<'_>> {
+pub(super) fn ranges<'a>(cards: impl Iterator<Item = &'a SceneCard>) -> Vec<Range<'a>> {
     let mut ranges: Vec<Range<'_>> = Vec::new();
     // Scenes with an event name its parameters first.
     let has_event = |card: &&SceneCard| matches!(card.key.verdict, Verdict::New | Verdict::Recorded);
-    let (with, without): (Vec<&SceneCard>, Vec<&SceneCard>) = cards.iter().partition(has_event);
+    let (with, without): (Vec<&SceneCard>, Vec<&SceneCard>) = cards.partition(has_event);
     let values = with.into_iter().chain(without).flat_map(|card| &card.key.values);
     for found in values.filter(|found| found.value.is_finite()) {
         match ranges.iter_mut().find(|range| range.name == found.name) {
