@@ -254,7 +254,7 @@ fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<Pat
 fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
     let (done, begun) = (StageRecord::done(root, stage)?, begun(root, stage)?);
     let why = match &done {
-        Some(_) if is_requested => "requested by --redo".to_owned(),
+        Some(_) if is_requested || shards::is_redone(root, stage)? => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(stage, done),
         Some(done) => match done.check_outputs(root, &times_seen(root, stage))? {
             Err(name) => format!("{name} is missing or was changed"),

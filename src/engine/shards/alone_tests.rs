@@ -118,3 +118,20 @@ fn a_process_alone_goes_on_with_its_shards_and_says_when_it_cannot() {
         assert!(!root.path().join("generate.parts").exists(), "what is finished is removed");
     }
 }
+
+#[test]
+fn a_plan_to_do_the_stage_again_outlives_runs_that_do_not_ask_for_it() {
+    let root = tempfile::tempdir().unwrap();
+    run_alone(root.path(), false).1.unwrap();
+    assert!(run_alone(root.path(), false).0.is_empty(), "it is done");
+    let toy = Toy { breaks_off: false, made: RefCell::default() };
+    {
+        let folder = RunFolder::open(root.path(), &KINDS).unwrap();
+        let planned = plan(root.path(), &KINDS, vec![Box::new(&toy)], &[kind("generate")]).unwrap();
+        super::plan(&folder, &planned[0], ComputeChoice::default(), &Heard::default()).unwrap();
+    }
+    let (made, outcome, _) = run_alone(root.path(), false);
+    outcome.unwrap();
+    assert_eq!(made, [0, 1, 2]);
+    assert!(run_alone(root.path(), false).0.is_empty(), "and done again");
+}

@@ -39,6 +39,8 @@ struct About {
     /// Whether it was made for several workers. Nobody else knows of a plan that a process made for itself, and that is
     /// discarded without asking.
     is_shared: bool,
+    /// Whether the stage was requested to be done again: what is done with the same settings does not make it needless.
+    redoes: bool,
 }
 
 /// The record of a finished shard; written beside the shard, after it.
@@ -105,12 +107,13 @@ impl ShardFolder {
         kind: &'static StageKind,
         identity: Identity,
         division: &Division,
-        is_shared: bool,
+        (is_shared, redoes): (bool, bool),
     ) -> Result<Self> {
         let names = kind.shards;
         let names = names.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {kind} has no shards")))?;
         let dir = plans_of(root, kind).join(identity.plan_id()?);
-        let folder = Self { dir, kind, names, about: About { identity, n_shards: division.n_shards, is_shared } };
+        let folder =
+            Self { dir, kind, names, about: About { identity, n_shards: division.n_shards, is_shared, redoes } };
         // The remains of a killed process have no plan, so no worker has used them.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
@@ -132,6 +135,11 @@ impl ShardFolder {
     /// Whether several workers may use the plan.
     pub(super) fn is_shared(&self) -> bool {
         self.about.is_shared
+    }
+
+    /// Whether the stage was requested to be done again.
+    pub(super) fn redoes(&self) -> bool {
+        self.about.redoes
     }
 
     /// The decisions made before any shard.

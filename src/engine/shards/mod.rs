@@ -106,7 +106,7 @@ pub fn plan(
     }
     check_inputs(stage)?;
     let division = sharded.plan(&open(stage, compute)?, progress)?;
-    ShardFolder::write(folder.root(), stage.kind(), identity, &division, true).map(drop)
+    ShardFolder::write(folder.root(), stage.kind(), identity, &division, (true, planned.is_requested)).map(drop)
 }
 
 /// The shards from which a stage is finished: those of workers, or else whatever this process makes of them.
@@ -158,7 +158,7 @@ fn alone(
             folder.forget_failures()?;
             folder
         }
-        None => ShardFolder::write(root, kind, identity, &sharded.plan(compute, progress)?, false)?,
+        None => ShardFolder::write(root, kind, identity, &sharded.plan(compute, progress)?, (false, false))?,
     };
     sharded.make(&Shards::new(&folder, Worker::ALONE, progress), compute)?;
     Ok(folder)
@@ -167,6 +167,11 @@ fn alone(
 /// The record of the work on `stage` in `root` that was planned and not finished.
 pub(super) fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
     Ok(ShardFolder::all(root, stage)?.pop().map(|folder| folder.identity().stage.clone()))
+}
+
+/// Whether workers share a plan to do the stage again.
+pub(super) fn is_redone(root: &Path, stage: &'static StageKind) -> Result<bool> {
+    Ok(ShardFolder::all(root, stage)?.iter().any(ShardFolder::redoes))
 }
 
 /// Removes the plans and shards of the stage with this record, once it is finished. Plans for other work stay; workers'
