@@ -45,6 +45,7 @@
       const details = field.closest("details");
       if (details) details.open = true;
     }
+    form.closest("details").open = true;
     document.getElementById("scenes").scrollIntoView();
     apply();
   };

@@ -45,7 +45,7 @@ impl Section {
 /// The report as one self-contained HTML file: equal models give equal bytes.
 pub fn render(model: &ReportModel) -> String {
     let first = [
-        Some(warnings(model)),
+        warnings(model),
         scenes::section(model),
         outcome::section(model),
         requests::section(model),
@@ -123,17 +123,16 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
     page.into_string()
 }
 
-fn warnings(model: &ReportModel) -> Section {
-    let body = html! {
-        @if model.warnings.is_empty() {
-            p class="fine" { "None." }
-        } @else {
+/// The section; `None` if there is nothing to warn of, which the summary says.
+fn warnings(model: &ReportModel) -> Option<Section> {
+    (!model.warnings.is_empty()).then(|| {
+        let body = html! {
             ul class="warnings" {
                 @for warning in &model.warnings { li { strong { (warning.stage) } " " (warning.message) } }
             }
-        }
-    };
-    Section::new("warnings", "Warnings", body)
+        };
+        Section::new("warnings", "Warnings", body)
+    })
 }
 
 fn config(model: &ReportModel) -> Option<Section> {

@@ -17,7 +17,7 @@ const scatter = (() => {
     return [whole, select];
   };
   const hardness = figures.indexOf("pair_min_ttc_s");
-  const across = known.find((i) => i !== hardness);
+  const across = known.find((i) => i !== hardness && !/timestep|length/.test(figures[i])) ?? known.find((i) => i !== hardness);
   const up = known.includes(hardness) ? hardness : known.find((i) => i !== across);
   const [[acrossLabel, x], [upLabel, y]] = [choice("Across ", across), choice("Up ", up)];
   const picture = document.createElement("div");

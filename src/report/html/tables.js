@@ -37,7 +37,7 @@
           const [own, other] = [key(a), key(b)];
           const [n, m] = [Number.parseFloat(own), Number.parseFloat(other)];
           if (!heading.classList.contains("n")) return sign * own.localeCompare(other);
-          return Number.isNaN(n) - Number.isNaN(m) || sign * (n - m) || 0;
+          return Number.isFinite(m) - Number.isFinite(n) || sign * (n - m) || 0;
         };
         table.tBodies[0].append(...[...table.tBodies[0].rows].sort(compare));
         for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");

@@ -44,6 +44,20 @@ fn scenes_play_and_filters_filter_without_an_error() {
         json!("3.0 s, step 40 of 40")
     );
 
+    // Speed and distance over time are under the drawings, with a mark at the step that is shown.
+    assert_eq!(
+        page.value("[...document.querySelectorAll('#scene-0 .courses svg')].map((plot) => plot.ariaLabel)"),
+        json!(["Speed (m/s) over time", "Distance (m) over time", "Time to collision (s) over time"])
+    );
+    let marks = "[...document.querySelectorAll('#scene-0 .cursor')].map((mark) => mark.getAttribute('transform'))";
+    assert_eq!(page.value(marks), json!(vec!["translate(296 0)"; 3]));
+    // The accepted scenario leads to its scene, and its table can be sorted.
+    assert_eq!(page.value("document.querySelector('.sortable tbody a').hash"), json!("#scene-0"));
+    page.value("document.querySelector('.sortable th button').click()");
+    assert_eq!(page.value("document.querySelector('.sortable th').ariaSort"), json!("ascending"));
+    let points = "document.querySelectorAll('#scatter circle').length";
+    assert_eq!(page.value(points), json!(2));
+
     // Which states were given can be seen: of the third scene every fifth, and everything in its recording.
     page.come_to("scene-2");
     assert_eq!(page.value("document.querySelectorAll('#scene-2 .now').length"), json!(6 + 3 * 6));

@@ -1,6 +1,6 @@
 //! The table of accepted scenarios, which a script sorts, and the commands that hand one on.
 
-use super::ranges::ranges;
+use super::ranges::{Group, ranges};
 use crate::report::accepted::HARDNESS;
 use crate::report::card::SceneCard;
 use crate::report::html::table;
@@ -51,14 +51,14 @@ pub(super) fn table_of(cards: &[SceneCard]) -> Markup {
     }
 }
 
-/// The figures of the columns: the time to collision, then those in which accepted scenarios differ.
+/// The figures of the columns: the time to collision, then the parameters of events in which accepted scenarios differ
+/// and other measures of how critical they are.
 fn figures<'a>(accepted: &[(usize, &'a SceneCard)]) -> Vec<&'a str> {
-    let has = |name: &str| accepted.iter().any(|(_, card)| card.key.value(name).is_some());
-    let mut figures: Vec<&str> = if has(HARDNESS) { vec![HARDNESS] } else { Vec::new() };
-    for name in ranges(accepted.iter().map(|(_, card)| *card)).into_iter().map(|range| range.name) {
-        if figures.len() < MAX_FIGURES && !figures.contains(&name) {
-            figures.push(name);
-        }
-    }
-    figures
+    let ranges = ranges(accepted.iter().map(|(_, card)| *card));
+    let of = |group: Group| ranges.iter().map(|range| range.name).filter(move |name| Group::of(name) == group);
+    let (hardest, others) = of(Group::Criticality).partition::<Vec<&str>, _>(|name| *name == HARDNESS);
+    // Neither when it happened nor how long a vehicle is tells much of a scenario.
+    let of_event = of(Group::Event).filter(|name| !name.ends_with("timestep") && !name.ends_with("length_m"));
+    let n_of_event = MAX_FIGURES - hardest.len() - others.len().min(2);
+    hardest.into_iter().chain(of_event.take(n_of_event)).chain(others).take(MAX_FIGURES).collect()
 }

@@ -15,7 +15,7 @@ pub(super) fn card(card_idx: usize, card: &SceneCard, lanes_idx: usize, is_still
     html! {
         article class=(if is_still { "card still" } else { "card" }) id=(format!("scene-{card_idx}"))
             aria-labelledby=(title_id) {
-            h3 id=(title_id) { (card.title) }
+            h3 id=(title_id) { (card.title) @if card.key.acceptance.is_some() { " " small { (card.id) } } }
             div class=(format!("panels {layout}")) style=(format!("aspect-ratio:{}", aspect_ratio(card))) {
                 @if is_still { (still(card)) }
             }

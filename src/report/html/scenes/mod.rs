@@ -26,8 +26,11 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         let lanes = Lanes::of(model);
         let body = html! {
             (accepted::table_of(&model.scenes))
-            (filters::form(&model.scenes))
-            div id="scatter" class="scatter" hidden {}
+            details class="script-only" hidden {
+                summary { "Filter scenes, and compare them by two figures" }
+                (filters::form(&model.scenes))
+                div id="scatter" class="scatter" hidden {}
+            }
             (reading_help(model.scenes.len()))
             div id="cards" {
                 @for (i, card) in model.scenes.iter().enumerate() {
@@ -60,13 +63,14 @@ fn drawn(rows: &[Drawn]) -> Markup {
 
 fn reading_help(n_scenes: usize) -> Markup {
     html! {
+        details { summary { "How to read the drawings" }
         p class="note" {
             "Seen from above and drawn to scale. Dotted dark lines are states that were given: the history of a \
              recording, or what a sample was conditioned on. "
             "Plain colored lines were generated or, in a recording, are its future. Filled boxes are given or recorded \
              states, light ones with an outline generated ones; the notch points forward. "
             "Outlines without filling are the end of the scene, faint ones a second apart on the way there."
-        }
+        } }
         ul class="legend" {
             li { span class="swatch" style=(format!("background:{CONTEXT}")) {} "others, recorded" }
             li { span class="swatch" style=(format!("background:{GENERATED_CONTEXT}")) {} "others, generated" }

@@ -16,7 +16,7 @@ pub(super) struct Range<'a> {
 
 /// The subject of a figure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Group {
+pub(super) enum Group {
     Event,
     Criticality,
     Validity,
@@ -36,7 +36,7 @@ impl Group {
     }
 
     /// Metrics are recognized by their names; other figures are parameters of an event, or the number of events.
-    fn of(name: &str) -> Self {
+    pub(super) fn of(name: &str) -> Self {
         let is_of = |parts: &[&str]| parts.iter().any(|part| name.contains(part));
         match () {
             () if metrics::by_id(name).is_none() => Self::Event,
