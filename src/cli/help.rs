@@ -157,7 +157,9 @@ comparison.
 
 Examples:
   djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight
-  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --out output/some";
+  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --out output/some
+  djinn corpus filter output/all --top 100 --by pair_min_ttc_s --least --out output/hardest
+  djinn corpus filter output/all --ids ids.txt --out output/listed";
 
 /// Help after the options of `corpus sample`.
 pub(super) const CORPUS_SAMPLE: &str = "\

@@ -181,7 +181,7 @@ impl Condition {
     }
 
     /// The column of the table.
-    fn column(&self) -> &str {
+    pub(super) fn column(&self) -> &str {
         if self.column == BEHAVIOR { "requested_behavior" } else { &self.column }
     }
 

@@ -22,7 +22,7 @@ pub use condition::Condition;
 pub use copy::CopyOutcome;
 pub use diff::{DiffReport, DistributionShift, diff};
 pub use error::{Error, Result};
-pub use filter::filter;
+pub use filter::{FilterOptions, Top, filter};
 pub use merge::merge;
 pub use sample::{SampleOptions, sample};
 pub use validate::{Finding, Severity, ValidationReport, validate};

@@ -16,7 +16,7 @@ fn ids(dir: &Path) -> BTreeSet<String> {
 
 fn filtered(dir: &Path, conditions: &[&str], out: &Path) -> Result<CopyOutcome> {
     let conditions: Vec<Condition> = conditions.iter().map(|text| text.parse().unwrap()).collect();
-    filter(dir, &conditions, out, &Silent)
+    filter(dir, &FilterOptions { conditions, ..FilterOptions::default() }, out, &Silent)
 }
 
 struct Folder(tempfile::TempDir);
@@ -311,4 +311,44 @@ fn damaged_and_foreign_folders_are_refused_before_anything_is_written() {
     let error = merge(&[a, folder.0.path().to_owned()], &folder.path("out"), &Silent).unwrap_err().to_string();
     assert!(error.contains("is not a corpus"), "{error}");
     assert!(!folder.path("out").exists() && !folder.path("out.partial").exists());
+}
+
+#[test]
+fn a_filter_takes_a_list_of_beginnings_and_the_ends_of_an_order() {
+    let folder = Folder::new();
+    let a = folder.corpus("a", 0..8);
+    let all = ids(&a);
+    let take = |options: FilterOptions, name: &str| {
+        filter(&a, &options, &folder.path(name), &Silent).map(|_| ids(&folder.path(name)))
+    };
+    let listed = |ids: &[&str]| FilterOptions {
+        ids: Some(ids.iter().map(|id| (*id).to_owned()).collect()),
+        ..FilterOptions::default()
+    };
+    let first = all.last().unwrap();
+    assert_eq!(take(listed(&[first]), "one").unwrap(), BTreeSet::from([first.clone()]));
+    // The shortest beginning that no other id has.
+    let is_alone = |n: &usize| all.iter().filter(|id| id.starts_with(&first[..*n])).count() == 1;
+    let n = (1..first.len()).find(is_alone).unwrap();
+    assert_eq!(take(listed(&[&first[..n]]), "abbreviated").unwrap(), BTreeSet::from([first.clone()]));
+    let reader = CorpusReader::open(&a).unwrap();
+    assert_eq!(reader.position(&first[..n]).unwrap(), reader.position(first).unwrap());
+    for unknown in ["", "no such scenario"] {
+        assert!(matches!(take(listed(&[unknown]), "none"), Err(Error::Usage(_))), "{unknown}");
+        assert!(reader.position(unknown).is_err());
+    }
+    let top = |n, column: &str, least| Some(Top { n, column: column.to_owned(), least });
+    let options = |n, least| FilterOptions { top: top(n, "seed", least), ..FilterOptions::default() };
+    let mut by_seed: Vec<(u64, String)> =
+        records(0..8).into_iter().map(|record| (record.scenario.provenance.seed, record.scenario.id)).collect();
+    by_seed.sort();
+    let of = |records: &[(u64, String)]| records.iter().map(|(_, id)| id.clone()).collect::<BTreeSet<_>>();
+    let n_equal = |seed| by_seed.iter().filter(|(other, _)| *other == seed).count();
+    let n = 3 * n_equal(by_seed[0].0);
+    assert_eq!(take(options(n, true), "least").unwrap(), of(&by_seed[..n]));
+    assert_eq!(take(options(n, false), "greatest").unwrap(), of(&by_seed[by_seed.len() - n..]));
+    let by_text = FilterOptions { top: top(1, "place", false), ..FilterOptions::default() };
+    assert!(matches!(take(by_text, "text"), Err(Error::Usage(_))));
+    let unknown = FilterOptions { top: top(1, "seeds", false), ..FilterOptions::default() };
+    assert!(matches!(take(unknown, "unknown"), Err(Error::UnknownColumn { .. })));
 }

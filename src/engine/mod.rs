@@ -23,6 +23,7 @@ pub mod plan;
 #[cfg(test)]
 mod plan_tests;
 mod record;
+mod revision;
 pub mod run_folder;
 #[cfg(test)]
 mod safety_tests;

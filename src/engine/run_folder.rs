@@ -13,6 +13,7 @@ use super::kind::StageKind;
 use super::log::{LOG_FILE, Logged};
 use super::plan::{Action, PlannedStage};
 use super::record::{InputRecord, StageRecord};
+use super::revision::revision;
 use super::shards::Makers;
 use super::stage::StageContext;
 use super::work_folder::WorkFolder;
@@ -216,7 +217,7 @@ impl RunManifest {
         };
         Self {
             djinn_version: env!("CARGO_PKG_VERSION").to_owned(),
-            revision: option_env!("DJINN_REVISION").map(str::to_owned),
+            revision: revision().ok(),
             pipeline: about.pipeline.clone(),
             seed: about.seed,
             device: about.device.clone(),

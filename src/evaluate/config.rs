@@ -8,6 +8,7 @@ use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What to measure, what to keep in the corpus, and the quality gates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -33,6 +34,10 @@ pub struct EvaluateConfig {
     /// 0 for none. Requests accept no near-duplicates. Default 0.25.
     #[schemars(range(min = 0.0))]
     pub duplicate_distance_m: f64,
+    /// The terms under which the recordings are, by dataset, where they are not those of the dataset: in the card of
+    /// the corpus, its exports and the report.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub terms: BTreeMap<Dataset, String>,
     /// Quality gates; if one fails, the exit code is 3.
     pub gates: GatesConfig,
 }
@@ -47,6 +52,7 @@ impl Default for EvaluateConfig {
             validity: ValidityConfig::default(),
             careful_driver: CarefulDriverConfig::default(),
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
+            terms: BTreeMap::new(),
             gates: GatesConfig::default(),
         }
     }

@@ -143,7 +143,8 @@ mod tests {
             for format in ExportFormat::ALL {
                 let dir = tempfile::tempdir().unwrap();
                 let mut exporter = format.begin(dir.path(), format.usual_ego());
-                let item = Item { record: &record, number: 1, stem: record.scenario.id.clone(), ego_idx };
+                let item =
+                    Item { record: &record, number: 1, stem: record.scenario.id.clone(), ego_idx, terms: "none" };
                 let crate::export::ExportOutcome::Written(written) = exporter.add(&item).unwrap() else {
                     panic!("{} cannot hold {}", format.name(), behavior.id)
                 };

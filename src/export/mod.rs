@@ -144,6 +144,8 @@ struct Item<'a> {
     stem: String,
     /// Index into the scene's tracks.
     ego_idx: usize,
+    /// The terms of the recording.
+    terms: &'a str,
 }
 
 impl Item<'_> {

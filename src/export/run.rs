@@ -65,8 +65,10 @@ pub fn export_corpus(
         };
         match ego.of(&record) {
             Some((ego_idx, is_for_want)) => {
-                let item = Item { record: &record, number: n_chosen, stem, ego_idx };
-                writer.add(&item, is_for_want, &reader, &mut report)?;
+                let dataset = record.scenario.scene.source.dataset;
+                let terms = reader.manifest().sources.get(dataset.name()).map_or(dataset.facts().terms, String::as_str);
+                let item = Item { record: &record, number: n_chosen, stem, ego_idx, terms };
+                writer.add(&item, is_for_want, &mut report)?;
             }
             None => report.count_left_out(&record.scenario.id, "no_such_track"),
         }
@@ -114,23 +116,14 @@ impl Writer {
     }
 
     /// Adds a scenario; `is_for_want` says that its ego is the center for want of a subject.
-    fn add(
-        &mut self,
-        item: &Item<'_>,
-        is_for_want: bool,
-        reader: &CorpusReader,
-        report: &mut ExportReport,
-    ) -> Result<()> {
+    fn add(&mut self, item: &Item<'_>, is_for_want: bool, report: &mut ExportReport) -> Result<()> {
         let scenario_id = item.record.scenario.id.as_str();
         match self.exporter.add(item)? {
             ExportOutcome::Written(written) => {
                 self.index.add(item, &written)?;
                 report.count_written(scenario_id, &written);
                 report.count_assumed("no_subject", u64::from(is_for_want));
-                let dataset = item.scene().source.dataset;
-                let terms = reader.manifest().sources.get(dataset.name());
-                let terms = terms.map_or_else(|| dataset.facts().terms.to_owned(), Clone::clone);
-                report.sources.insert(dataset.name().to_owned(), terms);
+                report.sources.insert(item.scene().source.dataset.name().to_owned(), item.terms.to_owned());
             }
             ExportOutcome::LeftOut(reason) => report.count_left_out(scenario_id, reason),
         }

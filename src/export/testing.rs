@@ -99,7 +99,7 @@ pub(super) fn add_all(mut exporter: Box<dyn Exporter>, scenes: &[Scene]) -> Vec<
     let outcomes = scenes.iter().enumerate().map(|(i, scene)| {
         let mut record = record(scene);
         record.scenario.id = format!("{}{i}", record.scenario.id);
-        let item = Item { record: &record, number: i + 1, stem: record.scenario.id.clone(), ego_idx: 0 };
+        let item = Item { record: &record, number: i + 1, stem: record.scenario.id.clone(), ego_idx: 0, terms: "none" };
         match exporter.add(&item).unwrap() {
             ExportOutcome::Written(written) => Ok(written),
             ExportOutcome::LeftOut(reason) => Err(reason),

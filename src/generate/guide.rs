@@ -46,7 +46,7 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
             points: RoadPoints::Center,
             margin_m: 0.0,
         }),
-        ObjectiveConfig::SlipLimit(SlipLimit { weight: 1.0, agents, limit_rad: 0.2 }),
+        ObjectiveConfig::SlipLimit(SlipLimit { weight: 1.0, agents, limit_rad: 0.04 }),
     ]
 }
 

@@ -46,6 +46,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
         Ok(reader.scenario(reader.position(id)?)?)
     });
     let from_corpus = from_corpus.transpose()?;
+    let id = from_corpus.as_ref().map_or(id, |record| &record.scenario.id);
     let (shard_at, rows) = rows_until(id, &manifest, &layout.samples, &store, from_corpus.as_ref())?;
     let Some(row) = rows.last() else { return Err(unknown(id, &layout.samples)) };
 

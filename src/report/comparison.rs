@@ -6,7 +6,7 @@ use super::number::{ABSENT, count, level, optional, percent, share, value};
 use super::plain::{PlainRow, PlainTable};
 use super::tradeoffs::tradeoffs;
 use super::wilson::wilson_interval;
-use crate::evaluate::{BehaviorCount, EvaluationSummary, MiningSummary, RealismRow, SamplingRow};
+use crate::evaluate::{AcceptanceRow, BehaviorCount, EvaluationSummary, MiningSummary, RealismRow, SamplingRow};
 use crate::metrics::{MetricRow, SeriesKey};
 use std::collections::BTreeMap;
 
@@ -138,6 +138,31 @@ impl Comparison {
                 let cost = (row.n_evaluations * row.n_scenarios) as f64 / row.n_verified as f64;
                 asked(row, value(cost))
             }));
+            table.push(cells);
+        }
+        table
+    }
+
+    /// Accepted scenarios by sweep and strength, and how they came to be.
+    pub(super) fn acceptance(&self) -> PlainTable {
+        let columns =
+            ["Sweep", "Strength α", "Valid, A", "B", "Accepted, A", "B", "Share accepted, A", "B", "Difference"];
+        let mut table = PlainTable::new("Accepted by sweep and guidance strength", &columns);
+        let key = |row: &AcceptanceRow| (row.sweep.clone(), row.level);
+        let rows = paired(self.a.evaluation.acceptance.clone(), self.b.evaluation.acceptance.clone(), key);
+        for ((sweep, own), a, b) in rows {
+            let both = |of: &dyn Fn(&AcceptanceRow) -> String| {
+                [&a, &b].map(|row| row.as_ref().map_or_else(|| ABSENT.to_owned(), of))
+            };
+            let rate = |row: &Option<AcceptanceRow>| {
+                let row = row.as_ref().filter(|row| row.n_scenarios > 0)?;
+                Some(row.n_accepted as f64 / row.n_scenarios as f64)
+            };
+            let mut cells = vec![sweep, level(own)];
+            cells.extend(both(&|row| share(row.n_valid, row.n_scenarios)));
+            cells.extend(both(&|row| count(row.n_accepted)));
+            cells.extend(both(&|row| share(row.n_accepted, row.n_scenarios)));
+            cells.push(points(rate(&a), rate(&b)));
             table.push(cells);
         }
         table

@@ -19,6 +19,7 @@ pub(crate) fn card(manifest: &CorpusManifest) -> String {
 
 fn write_card(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     let CorpusManifest { n_scenarios, n_verified, n_new, n_recordings, n_maps, .. } = manifest;
+    front_matter(text, manifest)?;
     writeln!(text, "# Generated traffic scenarios\n")?;
     if manifest.is_non_commercial() {
         writeln!(
@@ -40,6 +41,20 @@ fn write_card(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     text.push_str(LOADING);
     text.push_str(USE);
     tables(text, manifest)
+}
+
+/// The tables in YAML, by which `datasets.load_dataset` finds them.
+fn front_matter(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
+    writeln!(text, "---\nlicense: other\nconfigs:")?;
+    for table in CorpusTable::ALL.into_iter().filter(|table| manifest.tables.contains_key(table.name())) {
+        let name = table.name();
+        let files = if table.keys().is_empty() { format!("{name}.parquet") } else { format!("{name}/**/*.parquet") };
+        writeln!(text, "- config_name: {name}\n  data_files: {files}")?;
+        if table == CorpusTable::Scenarios {
+            writeln!(text, "  default: true")?;
+        }
+    }
+    writeln!(text, "---\n")
 }
 
 fn counts(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
@@ -102,7 +117,7 @@ fn sources(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
 const LOADING: &str = r#"## How to load it
 
 The folder names of `scenarios`, `tracks` and `recordings` hold columns (`behavior`, `place`), which all readers below understand.
-In this folder:
+In this folder, or with `datasets.load_dataset("path/of/the/corpus", "tracks")`:
 
 ```sql
 -- DuckDB
@@ -124,11 +139,20 @@ scenarios = pd.read_parquet("scenarios")
 ```
 
 ```python
+import numpy as np
 import polars as pl
 import pyarrow.dataset as ds
 
 scenarios = pl.scan_parquet("scenarios", hive_partitioning=True)
 tracks = ds.dataset("tracks", partitioning="hive").to_table(filter=ds.field("behavior") == "cut_in")
+```
+
+The states of a scenario as an array, agents by timesteps, NaN where an agent is not tracked:
+
+```python
+frame = pl.read_parquet("tracks/**/*.parquet").filter(pl.col("scenario_id") == scenarios.collect()["scenario_id"][0])
+wide = lambda column: frame.pivot("timestep", index="track_id", values=column, sort_columns=True).drop("track_id")
+states = np.stack([wide(column).to_numpy() for column in ("x_m", "y_m", "heading_rad")], axis=-1)
 ```
 
 "#;

@@ -92,12 +92,21 @@ impl CorpusReader {
         Ok(ids.iter().flatten())
     }
 
-    /// The position of a scenario.
+    /// The position of the scenario whose id this is, or begins so.
     ///
     /// # Errors
-    /// [`Error::NotFound`] when there is no scenario with this id.
+    /// [`Error::NotFound`] when there is none, or several ids begin so.
     pub fn position(&self, scenario_id: &str) -> Result<usize> {
-        self.scenario_ids()?.position(|id| id == scenario_id).ok_or_else(|| self.missing(scenario_id))
+        let ids = || Ok::<_, Error>(self.scenario_ids()?.enumerate());
+        if let Some((position, _)) = ids()?.find(|(_, id)| *id == scenario_id) {
+            return Ok(position);
+        }
+        let mut abbreviated = ids()?.filter(|(_, id)| id.starts_with(scenario_id));
+        match (abbreviated.next(), abbreviated.next()) {
+            (Some((position, _)), None) => Ok(position),
+            (Some(_), Some(_)) => Err(self.missing(&format!("only scenario whose id begins with {scenario_id}"))),
+            (None, _) => Err(self.missing(&format!("scenario {scenario_id}"))),
+        }
     }
 
     /// Loads scenario `i` with its tracks, lanes and events.
@@ -105,7 +114,7 @@ impl CorpusReader {
     /// # Errors
     /// [`Error::NotFound`] when there are fewer, [`Error::Corrupt`] when the tables do not fit each other.
     pub fn scenario(&self, i: usize) -> Result<ScenarioRecord> {
-        let missing = || self.missing(&format!("number {i} of {}", self.len()));
+        let missing = || self.missing(&format!("scenario number {i} of {}", self.len()));
         let (path, rows) = self.tracks.get(i).ok_or_else(missing)?;
         let columns = self.columns();
         let n_timesteps = columns.number::<UInt32Type>("n_timesteps", i)? as usize;
@@ -142,8 +151,8 @@ impl CorpusReader {
         Columns::of_batch(&self.scenarios, &self.scenarios_path)
     }
 
-    fn missing(&self, scenario: &str) -> Error {
-        Error::NotFound { path: self.scan.dir().to_owned(), what: format!("scenario {scenario}") }
+    fn missing(&self, what: &str) -> Error {
+        Error::NotFound { path: self.scan.dir().to_owned(), what: what.to_owned() }
     }
 }
 

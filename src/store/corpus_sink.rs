@@ -189,11 +189,11 @@ impl CorpusSink {
         }
         manifest.scenarios_by_partition = self.counts.into_values().collect();
         for name in manifest.scenarios_by_dataset.keys() {
-            let terms =
-                Dataset::from_name(name).map_or("unknown: find out before you use it", |dataset| dataset.facts().terms);
-            manifest.sources.insert(name.clone(), terms.to_owned());
+            let of_dataset = || Dataset::from_name(name).map(|dataset| dataset.facts().terms.to_owned());
+            let terms = about.sources.get(name).cloned().or_else(of_dataset);
+            let terms = terms.unwrap_or_else(|| "unknown: find out before you use it".to_owned());
+            manifest.sources.insert(name.clone(), terms);
         }
-        manifest.sources.extend(about.sources.clone());
         manifest.notes.clone_from(&about.notes);
         manifest.left_out.clone_from(&about.left_out);
         manifest.history = history.to_vec();

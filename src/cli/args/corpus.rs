@@ -50,8 +50,20 @@ pub(in crate::cli) struct CorpusFilterArgs {
     #[arg(value_name = "DIR")]
     pub(in crate::cli) corpus: PathBuf,
     /// A condition such as "gap_m < 5" (may be repeated; all must hold)
-    #[arg(long = "where", value_name = "CONDITION", required = true)]
+    #[arg(long = "where", value_name = "CONDITION", required_unless_present_any = ["ids", "top"])]
     pub(in crate::cli) conditions: Vec<String>,
+    /// A file with the ids of scenarios, or their beginnings, a line each; - for stdin
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) ids: Option<PathBuf>,
+    /// Only the N scenarios with the greatest values of the column --by
+    #[arg(long, value_name = "N", requires = "by")]
+    pub(in crate::cli) top: Option<usize>,
+    /// The column of --top
+    #[arg(long, value_name = "COLUMN", requires = "top")]
+    pub(in crate::cli) by: Option<String>,
+    /// The least values instead of the greatest
+    #[arg(long, requires = "top")]
+    pub(in crate::cli) least: bool,
     /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,

@@ -1,12 +1,12 @@
 //! `djinn corpus`: the tools for finished corpora.
 
-use crate::cli::args::{CorpusCommand, OutputArgs};
+use crate::cli::args::{CorpusCommand, CorpusFilterArgs, OutputArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
 use crate::corpus::{
-    Condition, CopyOutcome, DiffReport, Finding, SampleOptions, Severity, ValidationReport, diff, filter, merge,
-    sample, validate,
+    Condition, CopyOutcome, DiffReport, FilterOptions, Finding, SampleOptions, Severity, Top, ValidationReport, diff,
+    filter, merge, sample, validate,
 };
 use crate::engine::{Failure, Result};
 use serde::Serialize;
@@ -39,10 +39,9 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
             Ok(())
         }
         CorpusCommand::Filter(args) => {
-            let conditions = args.conditions.iter().map(|text| text.parse::<Condition>());
-            let conditions = conditions.collect::<std::result::Result<Vec<_>, _>>()?;
+            let options = filter_options(args)?;
             super::begins_anew(&args.out);
-            let outcome = filter(read(&args.corpus)?.path(), &conditions, &args.out, &progress)?;
+            let outcome = filter(read(&args.corpus)?.path(), &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
@@ -58,6 +57,24 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
             print(printer, args.json, &report, diff_text)
         }
     }
+}
+
+fn filter_options(args: &CorpusFilterArgs) -> Result<FilterOptions> {
+    let conditions = args.conditions.iter().map(|text| text.parse::<Condition>());
+    let ids = args.ids.as_ref().map(|path| -> Result<Vec<String>> {
+        let text = match path.as_os_str() == "-" {
+            true => std::io::read_to_string(std::io::stdin()),
+            false => fs_err::read_to_string(path),
+        };
+        let text = text.map_err(Failure::input)?;
+        Ok(text.lines().map(str::trim).filter(|id| !id.is_empty()).map(str::to_owned).collect())
+    });
+    let top = args.top.zip(args.by.clone()).map(|(n, column)| Top { n, column, least: args.least });
+    Ok(FilterOptions {
+        conditions: conditions.collect::<std::result::Result<Vec<_>, _>>()?,
+        ids: ids.transpose()?,
+        top,
+    })
 }
 
 /// A corpus, wherever it is.

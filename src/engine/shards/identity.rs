@@ -2,6 +2,7 @@
 
 use crate::engine::fingerprint::fingerprint_value;
 use crate::engine::kind::StageKind;
+use crate::engine::revision::revision;
 use crate::engine::stale::why;
 use crate::engine::{ComputeChoice, Failure, Result, StageRecord};
 use serde::{Deserialize, Serialize};
@@ -24,7 +25,11 @@ impl Identity {
     /// When the program cannot be read.
     pub(super) fn own(kind: &StageKind, stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
         let compute = if kind.computes { compute } else { ComputeChoice::default() };
-        Ok(Self { stage, program: program()?, compute: compute.class() })
+        Ok(Self {
+            stage,
+            program: format!("{} ({})", env!("CARGO_PKG_VERSION"), revision()?),
+            compute: compute.class(),
+        })
     }
 
     /// The plan's name: 16 hexadecimal digits.
@@ -73,16 +78,4 @@ impl Identity {
             self.program
         ))
     }
-}
-
-/// The version with the revision of the source, or with a hash of the program if the build did not know the revision.
-fn program() -> Result<String> {
-    let version = env!("CARGO_PKG_VERSION");
-    if let Some(revision) = option_env!("DJINN_REVISION") {
-        return Ok(format!("{version} ({revision})"));
-    }
-    let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(fs_err::File::open(std::env::current_exe()?)?)?;
-    let hash = hasher.finalize().to_hex();
-    Ok(format!("{version} (build {})", hash.get(..12).unwrap_or_default()))
 }

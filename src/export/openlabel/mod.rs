@@ -57,7 +57,6 @@ impl Exporter for OpenLabel {
 
 fn document(item: &Item<'_>) -> Value {
     let record = item.record;
-    let dataset = item.scene().source.dataset;
     let positive = record.events.iter().filter(|event| event.label == EventLabel::Positive);
     let mut tags = vec![scenario_tag(item), provenance_tag(item)];
     tags.extend(record.assessment.iter().flat_map(|judged| assessment::tags(item.scene(), judged)));
@@ -72,7 +71,7 @@ fn document(item: &Item<'_>) -> Value {
             "schema_version": "1.0.0",
             "name": record.scenario.id,
             "annotator": "djinn",
-            "comment": format!("Generated from recordings. {}", dataset.facts().terms),
+            "comment": format!("Generated from recordings. {}", item.terms),
         },
         "ontologies": {
             OURS: { "uri": ONTOLOGY_FILE },
@@ -272,7 +271,9 @@ mod tests {
         let mut record = testing::record(&testing::scene());
         record.assessment = Some(assessment::tests::judgment());
         let mut exporter = Box::new(OpenLabel::new(dir.path()));
-        exporter.add(&Item { record: &record, number: 1, stem: "0a1b0".to_owned(), ego_idx: 0 }).unwrap();
+        exporter
+            .add(&Item { record: &record, number: 1, stem: "0a1b0".to_owned(), ego_idx: 0, terms: "none" })
+            .unwrap();
         exporter.finish().unwrap();
         let ontology: Value = serde_json::from_str(&read(dir.path(), ONTOLOGY_FILE)).unwrap();
         let document: Value = serde_json::from_str(&read(dir.path(), "0a1b0.json")).unwrap();

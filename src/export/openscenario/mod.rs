@@ -201,8 +201,7 @@ fn header(item: &Item<'_>) -> Element {
         .child(property("scene_id", &scene.id.0))
         .child(property("sweep", &record.sweep))
         .child(property("present_s", &number(scene.current_timestep() as f64 * scene.dt_s)));
-    let license =
-        super::xml::leaf("License", dataset.facts().terms).attr("name", format!("terms of {}", dataset.name()));
+    let license = super::xml::leaf("License", item.terms).attr("name", format!("terms of {}", dataset.name()));
     element("FileHeader")
         .attr("revMajor", 1)
         .attr("revMinor", 2)

@@ -6,9 +6,11 @@ use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Point where you drive: J = -½ Σ ∫ (max(|v⊥(t)| - ‖v(t)‖ sin β, 0) / τ)² dt over the chosen motorized agents.
+/// Point where you drive: J = -½ Σ ∫ (max(|v⊥(t)| - ‖v(t)‖ sin β - |ω(t)| L / 2, 0) / τ)² dt over the chosen motorized
+/// agents.
 ///
-/// v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is rounded
+/// The center of a vehicle of length L that turns at a rate ω about an axle between its middle and its end moves aside
+/// by up to |ω| L / 2; that allowance has no gradient, so that nobody turns to slide. v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is rounded
 /// by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside. The potential is 0 where headings
 /// follow the motion anyway.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -47,11 +49,16 @@ impl SceneObjective for SlipLimit {
         let n = velocity_mps.dim(2)?;
         // The direction halfway between two headings, without a choice of turns.
         let halfway = |of: Tensor| of.narrow(2, 0, n)? + of.narrow(2, 1, n)?;
-        let (cos, sin) = (halfway(headings(states)?.cos()?)?, halfway(headings(states)?.sin()?)?);
+        let (cos_of_each, sin_of_each) = (headings(states)?.cos()?, headings(states)?.sin()?);
+        let turn = ((cos_of_each.narrow(2, 0, n)? * sin_of_each.narrow(2, 1, n)?)?
+            - (sin_of_each.narrow(2, 0, n)? * cos_of_each.narrow(2, 1, n)?)?)?;
+        let half_length_m = (context.extent_m.narrow(2, 0, 1)? / 2.0)?;
+        let turning_mps = (turn.squeeze(D::Minus1)?.abs()?.detach() / context.dt_s)?.broadcast_mul(&half_length_m)?;
+        let (cos, sin) = (halfway(cos_of_each)?, halfway(sin_of_each)?);
         let length = norm(&Tensor::cat(&[&cos, &sin], 3)?)?.unsqueeze(3)?;
         let velocity = |dim: usize| velocity_mps.narrow(D::Minus1, dim, 1);
         let across = ((velocity(1)? * cos)? - (velocity(0)? * sin)?)?.div(&length)?;
-        let allowed_mps = (norm(&velocity_mps)? * self.limit_rad.sin())?;
+        let allowed_mps = ((norm(&velocity_mps)? * self.limit_rad.sin())? + turning_mps)?;
         let values = penalty(&(across.squeeze(D::Minus1)?.abs()? - allowed_mps)?.relu()?, TOLERANCE_MPS)?;
         let agents = (context.selected(&self.agents)? * &context.motorized)?;
         integral(&values, &context.terms(1)?, &agents, context.dt_s)
@@ -90,6 +97,23 @@ mod tests {
         for allowed in [0.0, 0.09, -0.09] {
             assert_eq!(turned(allowed).potential(&objective()), [0.0]);
         }
+        // The center of a car may move aside as far as it turns about an axle of its own.
+        let (speed_mps, rate_radps, dt_s) = (10.0, 0.4, traffic.context.dt_s);
+        let about = |axle_m: f64| {
+            let mut traffic = turned(0.0);
+            let slip_rad = (axle_m * rate_radps / speed_mps).atan();
+            let mut states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
+            let (mut x, mut y) = (0.0, 0.0);
+            for (i, state) in states.chunks_exact_mut(3).enumerate() {
+                state.copy_from_slice(&[x, y, rate_radps * dt_s * i as f64]);
+                let course_rad = rate_radps * dt_s * (i as f64 + 0.5) + slip_rad;
+                (x, y) = (x + speed_mps * dt_s * course_rad.cos(), y + speed_mps * dt_s * course_rad.sin());
+            }
+            let states = Tensor::from_vec(states, traffic.states.shape(), traffic.states.device()).unwrap();
+            traffic.states = Var::from_tensor(&states).unwrap();
+            traffic.potential(&SlipLimit { limit_rad: 0.01, ..objective() })[0]
+        };
+        assert!(about(1.5) == 0.0 && about(-1.5) == 0.0 && about(6.0) < 0.0);
         // A turn that leads all the way around is none.
         assert!(turned(std::f64::consts::TAU).potential(&objective())[0].abs() < 1e-9);
         let mut walking = turned(0.3);

@@ -4,9 +4,9 @@ use super::{Description, checkpoint, requests};
 use crate::engine::plan::begun;
 use crate::engine::run_folder::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
 use crate::engine::{Result, StageKind, StageRecord};
-use crate::pipeline::KINDS;
 use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::stages::SampleManifest;
+use crate::pipeline::{KINDS, StageId};
 use crate::store::{CorpusManifest, SceneManifest, SceneStore, TableEntry, read_json};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -24,13 +24,15 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     }
     let timings: Timings = read_json(&path.join(TIMINGS_FILE)).unwrap_or_default();
     let mut description = Description::new("run folder");
-    if let Some(manifest) = manifest {
-        description = description
-            .with("pipeline", manifest.pipeline)
-            .with("seed", manifest.seed)
-            .with("djinn_version", manifest.djinn_version)
-            .with("device", manifest.device)
-            .with_json("inputs", &manifest.inputs)?;
+    if let Some(manifest) = &manifest {
+        description = description.with("pipeline", manifest.pipeline.as_str());
+    }
+    if let Some(evaluated) = records.iter().find(|record| record.stage == StageId::Evaluate.name()) {
+        let results: Map<String, Value> = ["n_scenarios", "n_verified", "n_new", "n_valid", "n_accepted", "n_kept"]
+            .into_iter()
+            .map(|name| (name.to_owned(), evaluated.summary[name].clone()))
+            .collect();
+        description = description.with("results", results);
     }
     let mut stages = Map::new();
     for record in records {
@@ -53,7 +55,16 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     }
     let requests = requests::describe(&path.join(SAMPLES))?;
     description.entries.extend(requests.map(|requests| ("requests".to_owned(), requests)));
-    Ok(Some(description.with("stages", stages)))
+    description = description.with("stages", stages);
+    if let Some(manifest) = manifest {
+        description = description
+            .with("seed", manifest.seed)
+            .with("djinn_version", manifest.djinn_version)
+            .with("revision", manifest.revision)
+            .with("device", manifest.device)
+            .with_json("inputs", &manifest.inputs)?;
+    }
+    Ok(Some(description))
 }
 
 /// Detailed statistics belong to the stage's own files.

@@ -107,7 +107,7 @@ pub(super) fn verdicts(path: &Path) -> Result<Option<Description>> {
 
 /// Shards and other tables are described by the folder that they belong to and the note beside them.
 pub(super) fn part_of_folder(path: &Path) -> Result<Option<Description>> {
-    if !has_extension(path, "parquet") && !has_extension(path, "arrow") {
+    if !path.is_dir() && !has_extension(path, "parquet") && !has_extension(path, "arrow") {
         return Ok(None);
     }
     // Files of a corpus lie in folders of their partition: up to scenarios/behavior=…/place=….
@@ -116,17 +116,24 @@ pub(super) fn part_of_folder(path: &Path) -> Result<Option<Description>> {
     };
     let whole = inspect(folder)?;
     let name = path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
-    let mut description = Description::new("part of a folder")
-        .with("file", name.as_str())
-        .with("n_bytes", fs_err::metadata(path)?.len())
-        .with("folder", whole.kind);
+    let mut description = Description::new("part of a folder").with("file", name.as_str()).with("folder", whole.kind);
+    if !path.is_dir() {
+        description = description.with("n_bytes", fs_err::metadata(path)?.len());
+    }
     if let Ok(beside) = read_json::<Value>(&path.with_extension("json")) {
         description = description.with("shard", beside);
     }
     if whole.kind == "corpus" {
         let manifest = CorpusManifest::read(folder)?;
         for (table, entry) in &manifest.tables {
-            if let Some(file) = entry.files.iter().find(|file| file.path == name) {
+            let files_below = || entry.files.iter().filter(|file| Path::new(&file.path).starts_with(&name));
+            if path.is_dir() && files_below().next().is_some() {
+                description = description
+                    .with("table", table.as_str())
+                    .with("schema", entry.schema.as_str())
+                    .with("n_files", files_below().count())
+                    .with("n_rows", files_below().map(|file| file.n_rows).sum::<u64>());
+            } else if let Some(file) = entry.files.iter().find(|file| file.path == name) {
                 description = description
                     .with("table", table.as_str())
                     .with("schema", entry.schema.as_str())

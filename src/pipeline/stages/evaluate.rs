@@ -216,6 +216,7 @@ impl Evaluate<'_> {
         if !cautions.is_empty() {
             notes.insert("maps".to_owned(), cautions.join(" "));
         }
-        CorpusNotes { sources: BTreeMap::new(), notes, left_out: left_out_by_sweep(&summary.left_out) }
+        let sources = self.config.terms.iter().map(|(dataset, terms)| (dataset.name().to_owned(), terms.clone()));
+        CorpusNotes { sources: sources.collect(), notes, left_out: left_out_by_sweep(&summary.left_out) }
     }
 }

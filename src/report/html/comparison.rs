@@ -17,6 +17,12 @@ pub fn render_comparison(comparison: &Comparison) -> String {
             &comparison.sampling(),
             "A star marks shares whose Wilson intervals (95 %) do not overlap.",
         ),
+        of_table(
+            "accepted",
+            "Accepted",
+            &comparison.acceptance(),
+            "Accepted: verified, valid and no near-duplicate of an accepted scenario before it.",
+        ),
         charts(comparison),
         metrics(comparison),
         of_table(

@@ -33,7 +33,9 @@ impl PlotAxis {
             return Self { low, high, log };
         }
         let (low, high) = if high - low < 1e-9 * high.abs().max(1e-9) {
-            (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0))
+            // What is constant and not negative, such as a share of 0, has no negative part of an axis.
+            let least = if low >= 0.0 { 0.0 } else { f64::NEG_INFINITY };
+            ((low - 0.5 * low.abs().max(1.0)).max(least), high + 0.5 * high.abs().max(1.0))
         } else {
             (low, high)
         };

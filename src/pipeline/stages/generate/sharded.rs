@@ -87,13 +87,16 @@ impl Sharded for Generate<'_> {
             let message = format!("{} samples had non-finite values and were rejected", manifest.n_rejected);
             context.progress.warn(&message);
         }
-        Ok(json!({
+        let mut summary = json!({
             "n_scenarios": manifest.n_scenarios,
             "n_verified": manifest.n_verified,
             "n_rejected": manifest.n_rejected,
-            "n_wanted": summaries.iter().map(|request| request.n_wanted).sum::<u64>(),
-            "n_accepted": summaries.iter().map(|request| request.n_accepted).sum::<u64>(),
-        }))
+        });
+        if !summaries.is_empty() {
+            summary["n_wanted"] = summaries.iter().map(|request| request.n_wanted).sum::<u64>().into();
+            summary["n_accepted"] = summaries.iter().map(|request| request.n_accepted).sum::<u64>().into();
+        }
+        Ok(summary)
     }
 }
 

@@ -12,7 +12,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
-use crate::store::{SceneManifest, read_json};
+use crate::store::{CorpusManifest, SceneManifest, read_json};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
 use std::path::Path;
 
@@ -52,6 +52,8 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
     if stage.has(StageId::Evaluate) {
         let path = stage.layout.metrics.with_file_name(METRICS_SUMMARY);
         add_evaluation(&mut model, read_json(&path).blame_input()?);
+        let sources = CorpusManifest::read(&stage.layout.corpus)?.sources;
+        model.facts.extend(sources.iter().map(|(dataset, terms)| Fact::new(format!("Terms of {dataset}"), terms)));
     }
     if stage.has(StageId::Generate) {
         add_samples(&mut model, stage)?;

@@ -1,0 +1,17 @@
+//! Which program is this?
+
+use super::Result;
+
+/// The revision of the source, or a hash of the program if the build did not know the revision.
+///
+/// # Errors
+/// When the program cannot be read.
+pub(super) fn revision() -> Result<String> {
+    if let Some(revision) = option_env!("DJINN_REVISION") {
+        return Ok(revision.to_owned());
+    }
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(fs_err::File::open(std::env::current_exe()?)?)?;
+    let hash = hasher.finalize().to_hex();
+    Ok(format!("build {}", hash.get(..12).unwrap_or_default()))
+}
