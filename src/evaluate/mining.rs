@@ -93,9 +93,15 @@ impl<'a> MiningTally<'a> {
         }
     }
 
-    /// Number of all events so far.
+    /// Number of all events so far, with those that classifiers learn as counterexamples.
     pub const fn n_events(&self) -> u64 {
         self.n_events
+    }
+
+    /// How much was found so far, in words.
+    pub fn words(&self) -> String {
+        let of = |n: fn(&Counts) -> u64| self.counts.values().map(n).sum::<u64>();
+        format!("{} events and {} counterexamples", of(|counts| counts.n_positive), of(|counts| counts.n_negative))
     }
 
     /// The counts: one row for each behavior and part, even if nothing was found.
@@ -146,7 +152,7 @@ mod tests {
         tally.add(entry("a", Split::Train), &[event("cut_in", positive), event("cut_in", positive)]);
         tally.add(entry("b", Split::Train), &[event("cut_in", negative), event("another", positive)]);
         tally.add(entry("c", Split::Val), &[]);
-        assert_eq!(tally.n_events(), 4);
+        assert_eq!((tally.n_events(), tally.words().as_str()), (4, "2 events and 1 counterexamples"));
         let summary = tally.finish();
         let rows: Vec<_> = summary
             .counts

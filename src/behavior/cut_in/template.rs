@@ -11,8 +11,8 @@ use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// The lateral acceleration of a comfortable lane change, m/s².
-const COMFORTABLE_MPS2: f64 = 1.5;
+/// The lateral acceleration of a comfortable lane change, m/s²: 3.5 m within five seconds, as most drivers take.
+const COMFORTABLE_MPS2: f64 = 0.85;
 /// The largest lateral acceleration, m/s².
 const MOST_MPS2: f64 = 3.0;
 /// The search for the time at which the box enters the path: spacing of times in seconds, how many of them the coarse
@@ -21,7 +21,7 @@ const STEP_S: f64 = 0.02;
 const N_FINE: usize = 5;
 const N_CORRECTIONS: usize = 2;
 /// Durations of the lane change that are tried, as shares of the comfortable one.
-const HURRIES: [f64; 3] = [1.0, 0.85, 0.7];
+const HURRIES: [f64; 4] = [1.0, 0.85, 0.7, 0.55];
 /// How long before the end of the scene the other must be in the lane, seconds.
 const IN_LANE_S: f64 = 0.2;
 /// The largest final offset from the center line, meters.

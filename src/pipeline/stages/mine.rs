@@ -120,7 +120,7 @@ impl Whole for Mine<'_> {
             chunk.iter().zip(&by_scene).for_each(|(idx, events)| tally.add(store.index().get(*idx), events));
             found = by_scene.into_iter().flatten().collect();
             context.progress.advance(chunk.len() as u64);
-            context.progress.note(&format!("{} events", tally.n_events()));
+            context.progress.note(&tally.words());
         }
         writer.write(&found)?;
         context.progress.finish();
