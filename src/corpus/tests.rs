@@ -327,28 +327,30 @@ fn a_filter_takes_a_list_of_beginnings_and_the_ends_of_an_order() {
     };
     let first = all.last().unwrap();
     assert_eq!(take(listed(&[first]), "one").unwrap(), BTreeSet::from([first.clone()]));
-    // The shortest beginning that no other id has.
-    let is_alone = |n: &usize| all.iter().filter(|id| id.starts_with(&first[..*n])).count() == 1;
-    let n = (1..first.len()).find(is_alone).unwrap();
-    assert_eq!(take(listed(&[&first[..n]]), "abbreviated").unwrap(), BTreeSet::from([first.clone()]));
+    // Where others begin alike, a beginning is not enough.
+    let beginning = &first[..first.len() - 1];
     let reader = CorpusReader::open(&a).unwrap();
-    assert_eq!(reader.position(&first[..n]).unwrap(), reader.position(first).unwrap());
+    assert!(
+        matches!(take(listed(&[beginning]), "ambiguous"), Err(Error::Usage(_))) && reader.position(beginning).is_err()
+    );
+    let alone = folder.path("one");
+    filter(&alone, &listed(&[beginning]), &folder.path("abbreviated"), &Silent).unwrap();
+    assert_eq!(ids(&folder.path("abbreviated")), BTreeSet::from([first.clone()]));
+    assert_eq!(CorpusReader::open(&alone).unwrap().position(beginning).unwrap(), 0);
     for unknown in ["", "no such scenario"] {
         assert!(matches!(take(listed(&[unknown]), "none"), Err(Error::Usage(_))), "{unknown}");
         assert!(reader.position(unknown).is_err());
     }
     let top = |n, column: &str, least| Some(Top { n, column: column.to_owned(), least });
-    let options = |n, least| FilterOptions { top: top(n, "seed", least), ..FilterOptions::default() };
-    let mut by_seed: Vec<(u64, String)> =
-        records(0..8).into_iter().map(|record| (record.scenario.provenance.seed, record.scenario.id)).collect();
-    by_seed.sort();
-    let of = |records: &[(u64, String)]| records.iter().map(|(_, id)| id.clone()).collect::<BTreeSet<_>>();
-    let n_equal = |seed| by_seed.iter().filter(|(other, _)| *other == seed).count();
-    let n = 3 * n_equal(by_seed[0].0);
-    assert_eq!(take(options(n, true), "least").unwrap(), of(&by_seed[..n]));
-    assert_eq!(take(options(n, false), "greatest").unwrap(), of(&by_seed[by_seed.len() - n..]));
+    let options = |least| FilterOptions { top: top(8, "sample_idx", least), ..FilterOptions::default() };
+    let of = |sample: usize| {
+        let own = records(0..8).into_iter().filter(|record| record.scenario.provenance.sample_idx == sample);
+        own.map(|record| record.scenario.id).collect::<BTreeSet<_>>()
+    };
+    assert_eq!(take(options(true), "least").unwrap(), of(0));
+    assert_eq!(take(options(false), "greatest").unwrap(), of(1));
     let by_text = FilterOptions { top: top(1, "place", false), ..FilterOptions::default() };
     assert!(matches!(take(by_text, "text"), Err(Error::Usage(_))));
-    let unknown = FilterOptions { top: top(1, "seeds", false), ..FilterOptions::default() };
+    let unknown = FilterOptions { top: top(1, "samples_idx", false), ..FilterOptions::default() };
     assert!(matches!(take(unknown, "unknown"), Err(Error::UnknownColumn { .. })));
 }

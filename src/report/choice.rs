@@ -1,10 +1,9 @@
 //! Chooses the scenarios of each sweep to draw, of thousands that are offered one by one.
 //!
-//! Sweeps with a requested behavior are represented by single scenarios: the hardest accepted ones, and some that failed
-//! (before an evaluation, new verified ones from as many scenes as possible); requests by accepted scenarios of each
-//! bucket. Other sweeps are represented by
-//! scenes with several samples, if possible the same scenes in all of these sweeps, so that they can be compared. The
-//! configuration bounds what is kept of a sweep.
+//! Sweeps with a requested behavior are represented by single scenarios: the hardest accepted ones, and some that
+//! failed (before an evaluation, new verified ones from as many scenes as possible); requests by accepted scenarios of
+//! each bucket. Other sweeps are represented by scenes with several samples, if possible the same scenes in all of
+//! these sweeps, so that they can be compared. The configuration bounds what is kept of a sweep.
 
 use super::accepted::Accepted;
 use super::card::Verdict;

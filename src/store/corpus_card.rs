@@ -139,7 +139,6 @@ scenarios = pd.read_parquet("scenarios")
 ```
 
 ```python
-import numpy as np
 import polars as pl
 import pyarrow.dataset as ds
 
@@ -150,8 +149,12 @@ tracks = ds.dataset("tracks", partitioning="hive").to_table(filter=ds.field("beh
 The states of a scenario as an array, agents by timesteps, NaN where an agent is not tracked:
 
 ```python
-frame = pl.read_parquet("tracks/**/*.parquet").filter(pl.col("scenario_id") == scenarios.collect()["scenario_id"][0])
-wide = lambda column: frame.pivot("timestep", index="track_id", values=column, sort_columns=True).drop("track_id")
+import numpy as np
+import polars as pl
+
+tracks = pl.read_parquet("tracks/**/*.parquet")
+one = tracks.filter(pl.col("scenario_id") == tracks["scenario_id"][0])
+wide = lambda column: one.pivot("timestep", index="track_id", values=column, sort_columns=True).drop("track_id")
 states = np.stack([wide(column).to_numpy() for column in ("x_m", "y_m", "heading_rad")], axis=-1)
 ```
 

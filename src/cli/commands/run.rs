@@ -13,6 +13,7 @@ use crate::engine::{Failure, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::{Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
+use crate::progress::Progress;
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -62,6 +63,7 @@ fn run_in(
     }
     let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
+    config.remarks().iter().for_each(|remark| progress.warn(remark));
     let records = run_stages(&folder, Some(&config.about()?), (compute, makers), planned, &progress)?;
     describe(&records, root, printer);
     // Where a report comes later, the run ends with it.

@@ -40,7 +40,7 @@ fn place(position: &Node) -> (f64, f64, f64) {
 fn the_ego_comes_first_and_is_where_it_is() {
     let (root, outcome) = written(&testing::scene(), EgoMotion::Replayed);
     assert_eq!((root.at("FileHeader").attr("revMajor"), root.at("FileHeader").attr("revMinor")), ("1", "2"));
-    assert!(root.at("FileHeader").at("License").text.contains("INTERACTION"));
+    assert_eq!(root.at("FileHeader").at("License").text, "none");
     let objects = root.at("Entities").all("ScenarioObject");
     let names: Vec<&str> = objects.iter().map(|object| object.attr("name")).collect();
     assert_eq!(names, ["Ego", "track_2", "track_P3", "track_P3_part2"]);

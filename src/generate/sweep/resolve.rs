@@ -50,6 +50,9 @@ impl SweepConfig {
             observe: self.observe.clone(),
             model,
         };
+        if self.stop_after_verified.is_some() && behavior.is_none() {
+            return Err(Issue::new("stop_after_verified", "is set, which needs a behavior that can be verified"));
+        }
         let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
         if self.aim == Aim::Feasible && !can_aim {
             return Err(Issue::new(

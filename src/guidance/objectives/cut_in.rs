@@ -156,7 +156,7 @@ mod tests {
         for relative in [None, Some([1.0, 2.0])] {
             let objective = objective([6.0, 8.0], relative);
             let traffic = beside();
-            assert_gradients_of_match(&objective, &traffic, &[1]);
+            assert_gradients_of_match(&objective, &traffic, |agent, _| agent == 1);
             let gradient = traffic.gradient(&objective);
             assert!(gradient[..gradient.len() / 2].iter().all(|g| *g == 0.0));
         }

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 /// agents.
 ///
 /// The center of a vehicle of length L that turns at a rate ω about an axle between its middle and its end moves aside
-/// by up to |ω| L / 2; that allowance has no gradient, so that nobody turns to slide. v is the difference quotient of positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is rounded
-/// by 0.05 m/s at zero. Agents that are not motorized do not count: they step aside. The potential is 0 where headings
-/// follow the motion anyway.
+/// by up to |ω| L / 2; that allowance has no gradient, so that nobody turns to slide. v is the difference quotient of
+/// positions and v⊥ its part across the mean heading of both timesteps; ‖v‖ is rounded by 0.05 m/s at zero. Agents that
+/// are not motorized do not count: they step aside. The potential is 0 where headings follow the motion anyway.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SlipLimit {

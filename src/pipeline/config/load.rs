@@ -213,6 +213,9 @@ fn in_the_terms_of_users(message: &str) -> String {
     if expected.starts_with("struct ") {
         return format!("{found}, expected a table");
     }
+    if expected.starts_with("internally tagged enum") {
+        return format!("{found}, expected a table with a `kind`");
+    }
     let known = EXPECTED.iter().find(|(rust, _)| expected.starts_with(rust));
     let expected = known.map_or_else(|| expected.to_owned(), |(rust, words)| expected.replacen(rust, words, 1));
     format!("{found}, expected {expected}")
@@ -247,6 +250,7 @@ mod tests {
         assert!(error("[run\n", &[]).to_string().contains("p.toml:1:"));
         for (text, expected) in [
             ("generate = 1", "invalid type: integer `1`, expected a table"),
+            ("[generate]\nsampler = 3", "invalid type: integer `3`, expected a table with a `kind`"),
             ("[run]\nseed = 18446744073709551616", "expected a whole number of at least 0"),
             ("[run]\nseed = -1", "expected a whole number of at least 0"),
         ] {

@@ -7,6 +7,7 @@
 
 mod load;
 mod overrides;
+mod remarks;
 mod urls;
 
 pub use load::{ConfigError, ConfigPlace, parse};

@@ -2,7 +2,7 @@
 
 use super::training_scenes::{check_folders, events_beside};
 use super::with_precision;
-use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
+use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::model::{ModelSpec, TrainedModel};
 use crate::nn::{Checkpoint, Precision, read_checkpoint};
 use crate::pipeline::StageId;
@@ -59,6 +59,14 @@ pub trait Recipe: Serialize {
     /// When there is nothing to learn from, or training fails.
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
 
+    /// Whether a checkpoint of such a network is one of this stage.
+    ///
+    /// # Errors
+    /// Says what it is, and where it can be used.
+    fn check_kind(_spec: &Self::Spec) -> std::result::Result<(), &'static str> {
+        Ok(())
+    }
+
     /// Reads the checkpoint to start from.
     ///
     /// # Errors
@@ -94,6 +102,14 @@ impl<R: Recipe> Stage for Train<'_, R> {
         match self.recipe.source() {
             Source { checkpoint: None, scenes: Some(choice), events, .. } => {
                 check_folders(choice, &self.layout.scenes, events)
+            }
+            // One that is not there is found among the inputs.
+            Source { checkpoint: Some(path), .. } if checkpoint_file(path).exists() => {
+                let file = checkpoint_file(path);
+                let checkpoint = read_checkpoint::<R::Spec>(&file, &Device::Cpu)?;
+                R::check_kind(&checkpoint.metadata).map_err(|what| {
+                    Failure::input_message(format_args!("{}: {} {what}", R::STAGE.name(), file.display()))
+                })
             }
             _ => Ok(()),
         }

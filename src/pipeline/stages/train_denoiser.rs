@@ -24,6 +24,13 @@ impl Recipe for DenoiserTrainingConfig {
         }
     }
 
+    fn check_kind(spec: &DenoiserSpec) -> std::result::Result<(), &'static str> {
+        match spec.distillation {
+            None => Ok(()),
+            Some(_) => Err("is a distilled denoiser, which [train.distill] takes"),
+        }
+    }
+
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
         Ok(Some(json!(self.resolve()?)))
     }

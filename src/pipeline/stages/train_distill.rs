@@ -25,6 +25,13 @@ impl Recipe for DistillTrainingConfig {
         }
     }
 
+    fn check_kind(spec: &DenoiserSpec) -> std::result::Result<(), &'static str> {
+        match spec.distillation {
+            Some(_) => Ok(()),
+            None => Err("is a denoiser that was not distilled, which [train.denoiser] takes"),
+        }
+    }
+
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
         // The section has no preset: it says all.
         self.resolve()?;
