@@ -15,8 +15,6 @@ from torch_geometric_network import BoundDenoiser, Surroundings, decode, relatio
 from torch_reference import ROOT, read_checkpoint, single, write
 
 N_POINTS = 10
-# Inputs by which each agent is told of an event.
-N_EVENT = 7
 
 
 def orthonormal(rng, latent):
@@ -79,8 +77,6 @@ def made_row(rng, n_agents, has_lanes=True, has_edges=True, has_sizes=True, crow
     attributes = np.zeros((slots, 9))
     attributes[:, 0] = has_sizes * there
     attributes[np.arange(slots), 1 + rng.integers(0, 8, slots)] = there
-    events = np.random.default_rng([40, n_agents]).normal(size=(slots, N_EVENT)) * there[:, None]
-    events[1:3] = 0  # two are told nothing
     return {
         "valid": valid,
         "observed": observed,
@@ -95,7 +91,6 @@ def made_row(rng, n_agents, has_lanes=True, has_edges=True, has_sizes=True, crow
         "modes": modes,
         "variances": variances,
         "attributes": attributes,
-        "events": events,
         "agent_lanes": rng.normal(size=(slots, n_seen, 51)) * shown[..., None],
         "agent_lane_valid": shown.astype(float),
         "piece_points": np.stack(pieces),
@@ -151,8 +146,6 @@ def random_network():
     rows.append(made_row(rng, 3, has_sizes=False, crowd_m=0.8, lanes_m=80))
     batch = single({name: torch.tensor(np.stack([row[name] for row in rows])) for name in rows[0]})
     weights = single({name: torch.tensor(rng.normal(size=shape) * 0.4) for name, shape in shapes(config, 3).items()})
-    event_shape = shapes(config, 3, N_EVENT)["input.event.weight"]
-    weights |= single({"input.event.weight": torch.tensor(np.random.default_rng(41).normal(size=event_shape) * 0.4)})
     for weight in weights.values():
         weight.requires_grad_()
     sigma = single({"sigma": torch.tensor([0.05, 0.4, 2.0, 20.0], dtype=torch.float64)})["sigma"]

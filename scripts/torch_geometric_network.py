@@ -2,8 +2,7 @@
 
 To use a checkpoint: BoundDenoiser(*read_checkpoint(path), batch)(x, sigma). A batch holds features, valid, latent, observed_motion and path
 as in torch_reference.py, and observed (B, A, T), base (B, A, T, 3), rotation (B, A, 2), unit (B, A, 3), origin (B, A, 2), attributes (B, A, 9), agent_lanes (B, A, S, 51) with
-agent_lane_valid (B, A, S), modes (B, A, D, T, T), variances (B, A, D, T), and the geometry that torch_relations.py reads;
-of a network that is told of events also events (B, A, E).
+agent_lane_valid (B, A, S), modes (B, A, D, T, T), variances (B, A, D, T), and the geometry that torch_relations.py reads.
 src/tensor/{scene_batch,surroundings}.rs say what these hold.
 """
 
@@ -44,10 +43,7 @@ class Known:
         agent = torch.cat([batch["attributes"], batch["origin"] / EGO_POSITION_M, batch["rotation"], constants], -1)
         time = sinusoidal(torch.arange(self.valid.shape[2], dtype=agent.dtype), ENCODING, TOKEN_PERIODS)
         states = linear(w, "input.known", tokens(known_features(batch), patch))
-        agent = linear(w, "input.agent", agent)
-        if "events" in batch:
-            agent = agent + batch["events"] @ w["input.event.weight"].mT
-        self.input = states + agent[:, :, None] + linear(w, "input.time", time)
+        self.input = states + linear(w, "input.agent", agent)[:, :, None] + linear(w, "input.time", time)
         lanes = mlp(w, "lane_encoder", batch["agent_lanes"], 2)
         self.keys = lane_keys(w, config, lanes)
         self.lane_valid = batch["agent_lane_valid"]
@@ -130,10 +126,10 @@ class BoundDenoiser:
         return (skipped + self.scaled_modes(f, c_out)) * latent
 
 
-def shapes(config, state_dim, n_event_inputs=0):
+def shapes(config, state_dim):
     """Names and shapes of all weights."""
     width, patch, relation = config["width"], config["geometry"]["patch"], config["geometry"]["relation_width"]
-    s = {"input.event.weight": (width, n_event_inputs)} if n_event_inputs else {}
+    s = {}
     for name, n_in in [("latent", patch * 4 * state_dim), ("known", patch * KNOWN), ("agent", AGENT), ("time", ENCODING)]:
         s |= dense(f"input.{name}", n_in, width)
     for name, n_in in [("noise", ENCODING), ("own", OWN), ("pooled", 2 * relation), ("out", width)]:

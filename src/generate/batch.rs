@@ -70,7 +70,7 @@ impl Generator<'_> {
         let denoiser = self.denoiser(batch.sweep)?;
         let bound = denoiser.network.bind(&tensors, n_samples)?;
         let wanted = match diffusion.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
-            Some(config) => Some(self.wanted(config, batch, &tensors)?),
+            Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
             None => None,
         };
         let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
@@ -109,26 +109,7 @@ impl Generator<'_> {
         Ok(scenes.into_iter().zip(wishes).map(draw).collect())
     }
 
-    /// The samples of a batch, one a row, as the conditional branch sees them: with their target states observed as
-    /// well, and conditioned on their events.
-    fn wanted(&self, config: &ClassifierFreeConfig, batch: &Batch<'_>, base: &SceneBatch) -> Result<SceneBatch, Error> {
-        let wanted = match config.extra.is_empty() {
-            true => base.repeated(batch.samples.len())?,
-            false => self.wanted_states(config, batch, base)?,
-        };
-        if !config.event {
-            return Ok(wanted);
-        }
-        let mut told = Vec::new();
-        for (cell, given) in &batch.cells {
-            for sample_idx in batch.samples.clone() {
-                told.push(self.told_event(batch.sweep, cell, &given.scene, sample_idx)?);
-            }
-        }
-        Ok(wanted.telling(self.vocabulary(batch.sweep)?, &told)?)
-    }
-
-    /// As [`Self::wanted`], with only the target states.
+    /// The samples of a batch, one a row, with their target states observed as well.
     fn wanted_states(
         &self,
         config: &ClassifierFreeConfig,

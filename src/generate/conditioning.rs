@@ -14,22 +14,15 @@ use candle_core::Tensor;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What samples lean toward without being bound to it: states (paper, section 5.1), or an event that the denoiser is
-/// told of.
+/// States that samples lean toward without being bound to them (paper, section 5.1).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClassifierFreeConfig {
     /// The wanted states, beyond those that are observed, as rules of a mask; such as the goal of every agent:
     /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; those that are not generated are
-    /// ignored. May be left out with `event`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    /// ignored.
     pub extra: Vec<MaskRule>,
-    /// Whether the denoiser is told of the requested event: the behavior, who takes part, and the values of a mined
-    /// event that began alike or, in requests, of one in the bucket. It must have been trained on the behavior
-    /// (`train.denoiser.events`).
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub event: bool,
-    /// Weights λ, each of which is sampled: 0 ignores the wanted states (and the event), 1 observes them, more
+    /// Weights λ, each of which is sampled: 0 ignores the wanted states, 1 observes them, more
     /// exaggerates. The larger λ is, the faster samples approach the wanted states, and the more steps the sampler
     /// needs to follow: 20 steps suffice up to about 1.5, 50 up to 4. A sweep varies either its strengths or its
     /// weights. Weights other than 0 and 1 take two evaluations of the network a step.
@@ -80,7 +73,7 @@ const fn default_tau() -> f64 {
 impl ClassifierFreeConfig {
     /// Rejects target states of agents that a behavior with these roles does not have.
     pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
-        if self.event && self.extra.is_empty() { Ok(()) } else { validate_rules("extra", &self.extra, roles) }
+        validate_rules("extra", &self.extra, roles)
     }
 }
 
@@ -250,7 +243,7 @@ impl Generator<'_> {
     }
 
     /// The seed of draws for a scene and its requested agents.
-    pub(super) fn mask_seed(&self, purpose: &str, cell: &Cell) -> Seed {
+    fn mask_seed(&self, purpose: &str, cell: &Cell) -> Seed {
         let scene = self.seed().derive_named(purpose, &cell.scene_id.0);
         cell.roles.iter().fold(scene, |seed, (role, track)| seed.derive_named(role, &track.0))
     }

@@ -220,7 +220,6 @@ fn conditions_that_make_no_sense_are_refused() {
         ),
         ("observe = [{ agents = { track = 'nobody' }, times = 'all' }]", "has no observed state"),
         ("behavior = 'drift'\nstrengths = [1.0]\nobserve = 'windowed'", "which observe must show"),
-        ("classifier_free = { event = true }", "classifier_free.event is true, which needs a behavior"),
         ("classifier_free = { extra = [], weights = [1.0] }", "classifier_free.extra has no rule that observes states"),
         ("classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = -1.0 }", "goal_std_m is -1"),
         ("edit = { tau = -1.0 }", "edit.tau is -1"),

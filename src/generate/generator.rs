@@ -174,9 +174,6 @@ impl<'a> Generator<'a> {
             self.check_noise_levels(&sweep.name, diffusion)?;
         }
         let Some(behavior) = &sweep.behavior else { return Ok(()) };
-        if sweep.tells_event() {
-            self.known_behavior(sweep, behavior)?;
-        }
         let Some(classifier) = self.classifier(sweep) else {
             return match sweep.needs_classifier() {
                 false => Ok(()),

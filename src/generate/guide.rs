@@ -117,8 +117,7 @@ impl<'g> Generator<'g> {
     }
 
     /// The kind of guidance at this level, as recorded: `none`, or the classifier and the objectives in order, such as
-    /// `classifier:cut_in+no_collision`; `classifier_free` where samples lean toward states, and `event` where the
-    /// denoiser is conditioned on the requested event.
+    /// `classifier:cut_in+no_collision`; `classifier_free` where samples lean toward states.
     pub(super) fn guidance_kind(&self, sweep: &ResolvedSweep, diffusion: &Diffusion, level: GuidanceLevel) -> String {
         let classifier = self.guiding_classifier(sweep, level.strength);
         let mut parts: Vec<String> =
@@ -127,9 +126,8 @@ impl<'g> Generator<'g> {
             let objectives = &diffusion.guidance.objectives;
             parts.extend(objectives.iter().map(|objective| objective.kind().to_owned()));
         }
-        if let Some(config) = diffusion.classifier_free.as_ref().filter(|_| level.weight != 0.0) {
-            let named = [(!config.extra.is_empty(), "classifier_free"), (config.event, "event")];
-            parts.extend(named.into_iter().filter(|(acts, _)| *acts).map(|(_, name)| name.to_owned()));
+        if level.weight != 0.0 {
+            parts.push("classifier_free".to_owned());
         }
         if sweep.uses_template() {
             parts.push("template".to_owned());

@@ -36,9 +36,6 @@ mod sweep;
 mod testing;
 #[cfg(test)]
 mod tests;
-mod told;
-#[cfg(test)]
-mod told_tests;
 mod verify;
 
 pub use conditioning::{ClassifierFreeConfig, EditConfig};

@@ -23,7 +23,6 @@ impl Generator<'_> {
             }
             None => (&self.baseline(sweep)?.fingerprint, GuidanceTag::BASELINE.to_owned(), None),
         };
-        let told = if level.weight == 0.0 { None } else { self.told_event(sweep, cell, recorded, sample_idx)? };
         let provenance = Provenance {
             scene_id: cell.scene_id.clone(),
             observation: sweep.observe.name().to_owned(),
@@ -35,7 +34,7 @@ impl Generator<'_> {
             probability,
             guidance: GuidanceTag { kind, level, roles: cell.roles.clone() },
             sampler: sweep.sampler_name(),
-            settings: sweep.settings(level, told.as_ref()),
+            settings: sweep.settings(level),
         };
         // The verified states must be the written ones.
         let scene = as_stored(generated);

@@ -93,7 +93,6 @@ pub(crate) fn denoiser_spec(parametrization: StateParametrization) -> DenoiserSp
         objectives: Vec::new(),
         changed_losses: Vec::new(),
         losses_by_place: Vec::new(),
-        events: None,
         distillation: None,
     }
 }

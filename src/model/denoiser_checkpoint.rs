@@ -1,12 +1,10 @@
 //! The description of a denoiser in its checkpoint, beside the weights.
 
-use super::event_input::EventInput;
 use super::{ModelSpec, NetworkConfig, SceneDenoiser, TrainedModel};
 use crate::diffusion::Edm;
-use crate::nn::{Checkpoint, Params};
+use crate::nn::Params;
 use crate::seed::Seed;
-use crate::tensor::{Collator, EventVocabulary, Normalizer, Sight};
-use candle_core::{DType, Device, Tensor};
+use crate::tensor::{Collator, Normalizer, Sight};
 use serde::{Deserialize, Serialize};
 
 /// The specification of a denoiser, beside its weights.
@@ -48,9 +46,6 @@ pub struct DenoiserSpec {
     /// Its loss on held-out scenes place by place; empty where nobody measured it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub losses_by_place: Vec<PlaceLoss>,
-    /// The events that it can be conditioned on; `None` if it was not trained on any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub events: Option<EventVocabulary>,
     /// The target of its distillation; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
@@ -159,34 +154,11 @@ impl DenoiserSpec {
     }
 }
 
-impl DenoiserSpec {
-    /// The checkpoint with the inputs for events that this denoiser has: at 0 where `start` has none, so that the
-    /// network gives the same answers, and without those of `start` where it has none itself.
-    ///
-    /// # Errors
-    /// When the device runs out of memory.
-    pub fn with_event_inputs(&self, start: &Checkpoint<Self>) -> candle_core::Result<Checkpoint<Self>> {
-        let mut start = start.clone();
-        match (&self.events, &start.metadata.events) {
-            (Some(events), None) => {
-                let device = start.tensors.values().next().map_or(Device::Cpu, |tensor| tensor.device().clone());
-                let weight = Tensor::zeros((self.network.width, events.n_inputs()), DType::F32, &device)?;
-                start.tensors.insert(EventInput::TENSOR.to_owned(), weight);
-            }
-            (None, Some(_)) => drop(start.tensors.remove(EventInput::TENSOR)),
-            _ => {}
-        }
-        Ok(start)
-    }
-}
-
 impl ModelSpec for DenoiserSpec {
     type Network = SceneDenoiser;
 
     fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<SceneDenoiser> {
-        let n_event_inputs = self.events.as_ref().map_or(0, EventVocabulary::n_inputs);
-        let sizes = (self.normalizer.state_dim, n_event_inputs);
-        SceneDenoiser::with_events(params, &self.network, sizes, self.edm, seed)
+        SceneDenoiser::new(params, &self.network, self.normalizer.state_dim, self.edm, seed)
     }
 }
 

@@ -5,7 +5,6 @@
 //! its own pose, its nearest neighbors and its nearest lanes at the pose of the estimate (`relations`). A token is a
 //! stretch of `patch` timesteps of one agent.
 
-use super::event_input::EventInput;
 use super::relations::{self, Counts, Relations};
 use super::trunk::{LaneKeys, Trunk, TrunkConfig};
 use super::{GeometryConfig, NetworkConfig};
@@ -40,7 +39,6 @@ pub(super) struct GeometricNetwork {
     latent: Linear,
     known: Linear,
     agent: Linear,
-    event: Option<EventInput>,
     time: Linear,
     noise: Linear,
     own: Option<Linear>,
@@ -67,8 +65,7 @@ pub(super) struct KnownTokens {
 }
 
 impl GeometricNetwork {
-    /// A network for states of `state_dim` dimensions with `n_event_inputs` inputs for events (0: none), with
-    /// parameters below `scope`.
+    /// A network for states of `state_dim` dimensions, with parameters below `scope`.
     ///
     /// # Errors
     /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
@@ -77,7 +74,6 @@ impl GeometricNetwork {
         config: &NetworkConfig,
         geometry: &GeometryConfig,
         state_dim: usize,
-        n_event_inputs: usize,
     ) -> Result<Self> {
         let NetworkConfig { width, n_heads, feed_forward, .. } = *config;
         let GeometryConfig { patch, relation_width, n_neighbors, n_nearest_lanes, own_pose, .. } = *geometry;
@@ -88,7 +84,6 @@ impl GeometricNetwork {
         let latent = Linear::new(&mut input, "latent", patch * 4 * state_dim, width)?;
         let known = Linear::new(&mut input, "known", patch * KNOWN, width)?;
         let agent = Linear::new(&mut input, "agent", SurroundingsLayout::AGENT + AGENT_CONSTANTS, width)?;
-        let event = (n_event_inputs > 0).then(|| EventInput::new(&mut input, n_event_inputs, width)).transpose()?;
         let time = Linear::new(&mut input, "time", ENCODING, width)?;
         let noise = Linear::new(&mut input, "noise", ENCODING, width)?;
         let own = own_pose.then(|| Linear::new(&mut input, "own", relations::OWN, width)).transpose()?;
@@ -111,7 +106,6 @@ impl GeometricNetwork {
             latent,
             known,
             agent,
-            event,
             time,
             noise,
             own,
@@ -143,13 +137,7 @@ impl GeometricNetwork {
         // Sizes and whether an agent is never observed, of any timestep.
         let constants = batch.features.narrow(3, 4, 3)?.max(2)?;
         let agent = Tensor::cat(&[&surroundings.attributes, &origin, &batch.rotation, &constants], 2)?;
-        let mut agent = self.agent.forward(&agent)?;
-        match (&self.event, &batch.events) {
-            (Some(event), Some(events)) => agent = (agent + event.forward(events)?)?,
-            (None, Some(_)) => candle_core::bail!("the network cannot be told of events"),
-            (_, None) => {}
-        }
-        let agent = agent.unsqueeze(2)?;
+        let agent = self.agent.forward(&agent)?.unsqueeze(2)?;
         let n = valid.dim(2)?;
         let present: Vec<f32> = (0..n).map(|token| token as f32).collect();
         let time =

@@ -4,15 +4,11 @@
 //! The denoiser has one of two networks. `network` is the paper's. `geometric_network` sees geometry in common frames:
 //! at every noise level, a linear filter along the modes of motion turns the noisy states into a first estimate, which
 //! is decoded to poses. `relations` looks up the nearest neighbors and lanes of each agent at those poses, on the host
-//! and outside every gradient. Weights of `event_input` begin at zero, so that events can be added to a trained
-//! network.
+//! and outside every gradient.
 
 mod behavior_classifier;
 mod classifier_checkpoint;
 mod denoiser_checkpoint;
-mod event_input;
-#[cfg(test)]
-mod event_tests;
 mod geometric_network;
 #[cfg(test)]
 mod geometric_tests;

@@ -35,33 +35,12 @@ impl SceneDenoiser {
     /// # Errors
     /// Fails when the configuration is no network.
     pub fn new(params: &mut Params, config: &NetworkConfig, state_dim: usize, edm: Edm, seed: Seed) -> Result<Self> {
-        Self::with_events(params, config, (state_dim, 0), edm, seed)
-    }
-
-    /// A denoiser with `n_event_inputs` inputs for events of each agent, beside states of `state_dim` dimensions.
-    ///
-    /// # Errors
-    /// If the configuration is no network, or is DJINN's, which has no event inputs.
-    pub fn with_events(
-        params: &mut Params,
-        config: &NetworkConfig,
-        (state_dim, n_event_inputs): (usize, usize),
-        edm: Edm,
-        seed: Seed,
-    ) -> Result<Self> {
-        if n_event_inputs > 0 && config.geometry.is_none() {
-            candle_core::bail!("only the geometric network supports event conditioning");
-        }
         let mut scope = Scope::root(params, seed);
         let network = match &config.geometry {
             None => Network::Scene(Box::new(SceneNetwork::new(&mut scope, config, state_dim)?), config.path_input),
-            Some(geometry) => Network::Geometric(Box::new(GeometricNetwork::new(
-                &mut scope,
-                config,
-                geometry,
-                state_dim,
-                n_event_inputs,
-            )?)),
+            Some(geometry) => {
+                Network::Geometric(Box::new(GeometricNetwork::new(&mut scope, config, geometry, state_dim)?))
+            }
         };
         Ok(Self { network, edm })
     }

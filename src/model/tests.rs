@@ -207,7 +207,6 @@ fn the_carried_checkpoint_gives_what_it_gives_in_pytorch() {
         rotation: agents.squeeze(2).unwrap().narrow(2, 0, 2).unwrap().zeros_like().unwrap(),
         unit: agents.squeeze(2).unwrap().zeros_like().unwrap(),
         frames: vec![collate(&[&cars(2)]).frames[0].clone(); 4],
-        events: None,
         surroundings: None,
     })
     .unwrap();

@@ -118,7 +118,6 @@ impl BatchBuffers {
                 .transpose()?,
             path: self.path.map(|path| Tensor::from_vec(path, (b, a, t, t), device)).transpose()?,
             surroundings: None,
-            events: None,
             frames: frames.into_iter().map(Arc::new).collect(),
         })
     }

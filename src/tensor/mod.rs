@@ -6,7 +6,7 @@
 //! meaning by themselves: [`SceneBatch::decode`] turns them into meters and radians, linearly.
 //!
 //! With a `Sight`, the collator also looks around each agent: lane pieces that it can reach, in its own frame, and the
-//! modes of its motion. A batch can carry events, one or none for each row; zeros mean that nothing is known.
+//! modes of its motion.
 
 mod agent_frame;
 mod agent_row;
@@ -14,7 +14,6 @@ mod batch_buffers;
 mod collate;
 mod continuation;
 mod eigen;
-mod event_vocabulary;
 mod features;
 mod hidden_states;
 mod lane_pieces;
@@ -32,11 +31,9 @@ mod surroundings;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
-mod told_event;
 
 pub use agent_frame::AgentFrame;
 pub use collate::{Collator, FutureValidity, SceneView};
-pub use event_vocabulary::{EventExample, EventVocabulary, KnownBehavior, ONSET, ValueUnit};
 pub use features::{FeatureLayout, LANE_POINTS};
 pub use lane_pieces::{LanePiece, LanePoint, PIECE_FLAGS, PIECE_POINTS};
 pub use mask_sampler::{MaskSampler, MaskTask, TaskWeights};
@@ -47,4 +44,3 @@ pub use repeated_rows::RepeatedRows;
 pub use scene_batch::{SceneBatch, SceneTensors, Surroundings};
 pub use sight::Sight;
 pub use surroundings::{AgentSurroundings, RowSurroundings, SeenPiece, SurroundingsLayout};
-pub use told_event::{ToldEvent, present_of};

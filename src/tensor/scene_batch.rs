@@ -54,8 +54,6 @@ pub struct SceneTensors {
     pub frames: Vec<Arc<AgentFrame>>,
     /// The surroundings of each agent, if the collator has `Sight`.
     pub surroundings: Option<Surroundings>,
-    /// Event inputs of each agent, (B, A, E), if a row is conditioned on an event ([`SceneBatch::telling`]).
-    pub events: Option<Tensor>,
 }
 
 /// The surroundings of the agents of a batch: B scenes, A agents, L pieces of lanes, T timesteps, D dimensions of a
@@ -109,9 +107,6 @@ impl SceneTensors {
         self.check("unit", &self.unit, &[b, a, 3])?;
         if let Some(motion) = &self.observed_motion {
             self.check("observed_motion", motion, &[b, a, t, d])?;
-        }
-        if let Some(events) = &self.events {
-            self.check("events", events, &[b, a, events.dim(D::Minus1)?])?;
         }
         if let Some(path) = &self.path {
             self.check("path", path, &[b, a, t, t])?;
@@ -211,7 +206,6 @@ impl SceneBatch {
             path: self.path.as_ref().map(repeat).transpose()?,
             frames: rows.items(&self.frames),
             surroundings: self.surroundings.as_ref().map(|around| around.repeated(&rows)).transpose()?,
-            events: self.events.as_ref().map(repeat).transpose()?,
         }))
     }
 

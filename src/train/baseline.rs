@@ -32,7 +32,7 @@ pub fn train_baseline(
     };
     let mut model = Trainable::new(&spec, None, job)?;
     let scenes = ScenesOfFit::new(data, &training.common, Balance::Scenes, spec.collator(), job.seed)?;
-    let draws = scenes.draws(false, None, job);
+    let draws = scenes.draws(false, job);
     let task = JointFuturesTask { network: &model.network, frozen: &model.frozen, draws };
     let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
     model.finish(spec, outcome, job)

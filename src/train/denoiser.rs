@@ -4,7 +4,7 @@ use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
 use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
-use super::{DenoiserTraining, DenoisingTask, Error, LearnedEvents, TrainJob, TrainOutcome, Trainable, fit};
+use super::{DenoiserTraining, DenoisingTask, Error, TrainJob, TrainOutcome, Trainable, fit};
 use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
@@ -20,60 +20,19 @@ pub fn train_denoiser(
     job: TrainJob<'_>,
 ) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let mut spec = describe(training, data, job)?;
-    let mut events = gather_events(training, data, &spec, job)?;
-    spec.events = events.as_ref().map(|events| events.vocabulary.clone());
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
         spec.normalizer = start.metadata.normalizer.clone();
-        keep_vocabulary(&mut spec, &start.metadata, events.as_mut())?;
     }
-    let start = start.map(|start| spec.with_event_inputs(start)).transpose()?;
-    let mut model = Trainable::new(&spec, start.as_ref(), job)?;
+    let mut model = Trainable::new(&spec, start, job)?;
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
-    let draws = scenes.draws(!training.objectives.is_empty(), events.as_ref(), job);
+    let draws = scenes.draws(!training.objectives.is_empty(), job);
     let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
     let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
     spec.changed_losses = changed_losses(&task)?;
     spec.losses_by_place = losses_by_place(&task)?;
     map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));
     model.finish(spec, outcome, job)
-}
-
-/// The events of the training, if its section has them.
-fn gather_events(
-    training: &DenoiserTraining,
-    data: &TrainingData<'_>,
-    spec: &DenoiserSpec,
-    job: TrainJob<'_>,
-) -> Result<Option<LearnedEvents>, Error> {
-    let gather = |config| {
-        let times = (spec.n_history, spec.dt_s);
-        LearnedEvents::gather("train.denoiser", config, data, times, training.common.n_eval_scenes, job.seed)
-    };
-    training.events.as_ref().map(gather).transpose()
-}
-
-/// Keeps the inputs for events that `start` has, with their units. Without events to train on, they stay as they are.
-fn keep_vocabulary(
-    spec: &mut DenoiserSpec,
-    start: &DenoiserSpec,
-    events: Option<&mut LearnedEvents>,
-) -> Result<(), Error> {
-    let Some(known) = &start.events else { return Ok(()) };
-    if let Some(events) = events {
-        if !known.has_inputs_of(&events.vocabulary) {
-            return Err(Error::Config(format!(
-                "the checkpoint of train.denoiser.start_from was trained on the events {}, \
-                 train.denoiser.events.behaviors is {}: expected the same behaviors in the same order, with the same \
-                 parameters",
-                known.names(),
-                events.vocabulary.names()
-            )));
-        }
-        events.vocabulary = known.clone();
-    }
-    spec.events = Some(known.clone());
-    Ok(())
 }
 
 /// Fails if the weights of `start` would have another meaning in `wanted`.
@@ -114,7 +73,6 @@ fn describe(training: &DenoiserTraining, data: &TrainingData<'_>, job: TrainJob<
         objectives: described(&training.objectives)?,
         changed_losses: Vec::new(),
         losses_by_place: Vec::new(),
-        events: None,
         distillation: None,
     })
 }

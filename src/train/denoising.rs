@@ -17,9 +17,6 @@ const EVALUATION_SIGMAS: [f64; 4] = [0.05, 0.2, 0.8, 3.0];
 /// The one of them at which losses on changed scenes are also taken; all of them would cost too much.
 const CHANGED_SIGMA: f64 = 0.8;
 
-/// Noise levels at which losses on events are given: an event is decided at high noise.
-const EVENT_SIGMAS: [f64; 2] = [0.8, 3.0];
-
 /// Training of a `SceneDenoiser` on the scenes of a dataset.
 pub struct DenoisingTask<'a> {
     /// The denoiser with trainable parameters.
@@ -59,23 +56,6 @@ impl DenoisingTask<'_> {
     /// 1 for each row at a noise level at which objectives count.
     fn counts(&self, sigmas: &[f64]) -> Vec<f32> {
         sigmas.iter().map(|sigma| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma))).collect()
-    }
-
-    /// The losses on held-out events with event conditioning, and on the same events without.
-    fn event_losses(&self) -> Result<Vec<(String, f64)>, Error> {
-        if self.draws.events.is_none_or(|events| events.held_out.is_empty()) {
-            return Ok(Vec::new());
-        }
-        let mut found = Vec::new();
-        for (is_told, name) in [(true, "told"), (false, "untold")] {
-            let losses =
-                self.draws.event_means(is_told, EVENT_SIGMAS.len(), |DrawnBatch { batch, seeds, .. }| {
-                    EVENT_SIGMAS.iter().map(|sigma| self.held_out_loss(batch, *sigma, seeds)).collect()
-                })?;
-            let names = EVENT_SIGMAS.map(|sigma| format!("held_out_loss_at_sigma_{sigma}_of_{name}_events"));
-            found.extend(names.into_iter().zip(losses));
-        }
-        Ok(found)
     }
 
     /// The loss of the frozen denoiser with every row at noise level `sigma`.
@@ -122,7 +102,6 @@ impl TrainTask for DenoisingTask<'_> {
             Ok(figures)
         })?;
         let mut found: BTreeMap<String, f64> = names.into_iter().zip(means).collect();
-        found.extend(self.event_losses()?);
         for change in SceneChange::ALL.into_iter().filter(|change| *change != SceneChange::AsRecorded) {
             let losses = losses_of(self, self.draws.held_out, change, &[CHANGED_SIGMA])?;
             let name = format!("held_out_loss_at_sigma_{CHANGED_SIGMA}_{}", change.name());

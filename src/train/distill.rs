@@ -3,12 +3,10 @@
 use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::{
-    Balance, DistillTraining, Error, LearnedEvents, StepDistillationTask, TrainJob, TrainOutcome, Trainable,
-    TrainingData, fit,
+    Balance, DistillTraining, Error, StepDistillationTask, TrainJob, TrainOutcome, Trainable, TrainingData, fit,
 };
 use crate::model::{DenoiserSpec, ModelSpec};
 use crate::nn::{Checkpoint, Params};
-use crate::tensor::EventVocabulary;
 
 /// The checkpoints that distillation starts from.
 #[derive(Clone, Copy)]
@@ -33,17 +31,8 @@ pub fn distill_denoiser(
 ) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let mut objectives = teacher.metadata.objectives.clone();
     objectives.extend(described(&training.objectives)?);
-    let DenoiserSpec { n_history, dt_s, .. } = teacher.metadata;
-    let gather = |config| {
-        LearnedEvents::gather("train.distill", config, data, (n_history, dt_s), training.common.n_eval_scenes, job.seed)
-    };
-    let mut events = training.events.as_ref().map(gather).transpose()?;
-    if let Some(events) = &mut events {
-        keep_units(events, &teacher.metadata)?;
-    }
     let spec = DenoiserSpec {
         objectives,
-        events: events.as_ref().map(|events| events.vocabulary.clone()),
         steps: training.common.fit.steps,
         seed: job.seed.0,
         scenes: data.fingerprint.clone(),
@@ -57,34 +46,17 @@ pub fn distill_denoiser(
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
     }
-    let start = spec.with_event_inputs(start.unwrap_or(teacher))?;
-    let mut model = Trainable::new(&spec, Some(&start), job)?;
+    let mut model = Trainable::new(&spec, Some(start.unwrap_or(teacher)), job)?;
     let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
     let scenes = ScenesOfFit::new(data, &training.common, balance, spec.collator(), job.seed)?;
-    let draws = scenes.draws(!training.objectives.is_empty(), events.as_ref(), job);
+    let draws = scenes.draws(!training.objectives.is_empty(), job);
     let mut kept = Params::new(job.compute).frozen();
     let taught_by = spec.build(&mut kept, job.seed)?;
-    kept.load(&spec.with_event_inputs(teacher)?.tensors)?;
+    kept.load(&teacher.tensors)?;
     let (denoiser, frozen, steps) = (&model.network, &model.frozen, &training.method);
     let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
     let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
     model.finish(spec, outcome, job)
-}
-
-/// Gives `events` the units of the teacher, which must know them.
-fn keep_units(events: &mut LearnedEvents, teacher: &DenoiserSpec) -> Result<(), Error> {
-    match &teacher.events {
-        Some(known) if known.has_inputs_of(&events.vocabulary) => events.vocabulary = known.clone(),
-        known => {
-            return Err(Error::Config(format!(
-                "train.distill.events.behaviors is {}, expected those that the denoiser was trained on, in the same \
-                 order: {}",
-                events.vocabulary.names(),
-                known.as_ref().map_or_else(|| "none; remove the section".to_owned(), EventVocabulary::names)
-            )));
-        }
-    }
-    Ok(())
 }
 
 /// Fails if `start` is not an earlier result of a distillation to `wanted`.
@@ -92,7 +64,6 @@ fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error>
     let differs = [
         (start.network != wanted.network, "has a different network than the denoiser"),
         (start.normalizer != wanted.normalizer, "has different scales than the denoiser"),
-        (start.events.is_some() && start.events != wanted.events, "was trained on other events"),
         (start.distillation != wanted.distillation, "was not distilled, or onto different noise levels"),
     ];
     match differs.iter().find(|(differs, _)| *differs) {

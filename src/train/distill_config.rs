@@ -2,7 +2,7 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{Own, SceneTraining, scene_training_section};
-use super::{Error, EventTraining, FitConfig, LearningRateDecay, StepDistillation};
+use super::{Error, FitConfig, LearningRateDecay, StepDistillation};
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
@@ -40,10 +40,6 @@ scene_training_section! {
         /// Objectives for samples, in addition to matching the denoiser: each adds its weight
         /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
-        /// Mined events that the network is told of, of the behaviors that its denoiser was told of, in the same order.
-        /// Left out: the distilled denoiser cannot be told of events.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        pub events: Option<EventTraining>,
         /// A checkpoint of the same denoiser, distilled to the same steps, to start from: to train it toward other
         /// objectives.
         pub start_from: Option<std::path::PathBuf>,
@@ -55,7 +51,6 @@ impl Default for DistillTrainingConfig {
         Self {
             method: StepDistillation::default(),
             objectives: Vec::new(),
-            events: None,
             tasks: TaskWeights::default(),
             data: Vec::new(),
             own_weight: None,
@@ -84,9 +79,6 @@ pub struct DistillTraining {
     pub method: StepDistillation,
     /// The objectives for samples.
     pub objectives: Vec<ObjectiveConfig>,
-    /// The events that the network is conditioned on.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub events: Option<EventTraining>,
     /// Tasks, batches, evaluations and the schedule.
     pub common: SceneTraining,
 }
@@ -100,13 +92,9 @@ impl DistillTrainingConfig {
         self.check_ranges()?;
         self.method.validate().map_err(refused)?;
         check_objectives("train.distill.objectives", &self.objectives)?;
-        if let Some(events) = &self.events {
-            events.validate().map_err(|issue| Self::refusal(issue.within("events")))?;
-        }
         Ok(DistillTraining {
             method: self.method.clone(),
             objectives: self.objectives.clone(),
-            events: self.events.clone(),
             common: self.scene_training(&SceneTraining::default())?,
         })
     }

@@ -1,9 +1,7 @@
 //! Training: one resumable loop for all models.
 //!
 //! The denoiser learns a mixture of observation tasks, the baseline the same draws, the classifier mined pairs in noisy
-//! states, and the distilled denoiser a few large steps. With events, a share of each batch is drawn from mined events,
-//! on which these rows are conditioned; all other rows have none, so that the network without an event does what
-//! ordinary traffic does.
+//! states, and the distilled denoiser a few large steps.
 
 mod baseline;
 mod baseline_config;
@@ -24,10 +22,6 @@ mod distill_config;
 #[cfg(test)]
 mod distill_tests;
 mod error;
-mod event_config;
-#[cfg(test)]
-mod event_tests;
-mod events;
 mod fit;
 mod fit_config;
 mod joint_futures;
@@ -59,8 +53,6 @@ pub use denoising::DenoisingTask;
 pub use distill::{DistillSource, distill_denoiser};
 pub use distill_config::{DistillTraining, DistillTrainingConfig};
 pub use error::Error;
-pub use event_config::EventTraining;
-pub use events::{LearnedEvent, LearnedEvents};
 pub use fit::{FitOutcome, FitStatistics, fit};
 pub use fit_config::{FitConfig, LearningRateDecay};
 pub use joint_futures::{JointFuturesTask, JointLoss};

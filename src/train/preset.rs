@@ -2,7 +2,7 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{SceneTraining, scene_training_section};
-use super::{Error, EventTraining, FitConfig, LearningRateDecay};
+use super::{Error, FitConfig, LearningRateDecay};
 use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
 use crate::guidance::ObjectiveConfig;
 use crate::model::{GeometryConfig, NetworkConfig};
@@ -64,9 +64,6 @@ scene_training_section! {
         /// the rules of traffic do not apply.
         #[schemars(extend("exclusiveMinimum" = 0))]
         pub objectives_below_sigma: Option<f64>,
-        /// Mined events that the network is told of. Left out: of none.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        pub events: Option<EventTraining>,
         /// What is drawn with equal weight in training: `scenes` or `places`.
         pub balance: Option<Balance>,
         /// Maximum number of agents per scene, nearest to the ego agent.
@@ -102,9 +99,6 @@ pub struct DenoiserTraining {
     pub objectives: Vec<ObjectiveConfig>,
     /// The noise level up to which they count.
     pub objectives_below_sigma: f64,
-    /// The events that the network is conditioned on.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub events: Option<EventTraining>,
     /// The unit that is drawn with equal weight.
     pub balance: Balance,
     /// Maximum number of agents per scene.
@@ -142,14 +136,6 @@ impl DenoiserTrainingConfig {
             return Err(Error::Config(message.to_owned()));
         }
         network.validate().map_err(|issue| Self::refusal(issue.within("network")))?;
-        if let Some(events) = &self.events {
-            events.validate().map_err(|issue| Self::refusal(issue.within("events")))?;
-            if network.geometry.is_none() {
-                let message = "train.denoiser.events needs train.denoiser.network.geometry: only the geometric network \
-                               can be told of events";
-                return Err(Error::Config(message.to_owned()));
-            }
-        }
         Ok(DenoiserTraining {
             network,
             parametrization,
@@ -159,7 +145,6 @@ impl DenoiserTrainingConfig {
             path_loss,
             objectives: self.objectives.clone(),
             objectives_below_sigma: self.objectives_below_sigma.unwrap_or(base.objectives_below_sigma),
-            events: self.events.clone(),
             balance: self.balance.unwrap_or(base.balance),
             max_agents: self.max_agents.unwrap_or(base.max_agents),
             max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
@@ -255,7 +240,6 @@ impl Preset {
             path_loss: 0.1,
             objectives: Vec::new(),
             objectives_below_sigma: 0.3,
-            events: None,
             balance: Balance::Places,
             max_agents,
             max_lanes,

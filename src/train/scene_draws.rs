@@ -1,10 +1,10 @@
 //! Draws the batch of a training step: scenes, ego agents and masks. All models of scenes share it.
 
-use super::{Error, LearnedEvent, LearnedEvents};
+use super::Error;
 use crate::guidance::{ContextRow, SceneContext};
 use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::{Seed, SeededRng};
-use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView, ToldEvent};
+use crate::tensor::{Collator, FutureValidity, MaskSampler, SceneBatch, SceneView};
 use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -35,8 +35,6 @@ pub struct SceneDraws<'a> {
     pub dataset: &'a dyn SceneDataset,
     /// The scenes to train on.
     pub train: &'a [WeightedGroups],
-    /// The events that batches are conditioned on, if any.
-    pub events: Option<&'a LearnedEvents>,
     /// Indices of the held-out scenes to evaluate on.
     pub held_out: &'a [usize],
     /// Draws masks.
@@ -93,37 +91,11 @@ pub struct DrawnBatch {
     pub rngs: Vec<SeededRng>,
 }
 
-/// The source of a row of a batch.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Entry<'a> {
-    /// A scene, by its index.
-    Scene(usize),
-    /// An event with its scene.
-    Event(&'a LearnedEvent),
-}
-
 /// A scene with the draws of a training step.
 struct Drawn {
     scene: Scene,
     ego_idx: usize,
     mask: ObservationMask,
-    told: Option<ToldEvent>,
-}
-
-impl Drawn {
-    /// A scene of which the history is observed.
-    fn predictive(ego_idx: usize, scene: Scene, told: Option<ToldEvent>) -> Self {
-        let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
-        Self { scene, ego_idx, mask, told }
-    }
-}
-
-/// Adds the scalar figures of a batch, which counts by its number of rows.
-fn add_figures(sums: &mut [f64], n_rows: usize, figures: &[Tensor]) -> Result<(), Error> {
-    for (sum, figure) in sums.iter_mut().zip(figures) {
-        *sum += f64::from(figure.to_scalar::<f32>()?) * n_rows as f64;
-    }
-    Ok(())
 }
 
 impl SceneDraws<'_> {
@@ -147,10 +119,10 @@ impl SceneDraws<'_> {
     }
 
     fn draw_rows(&self, step: u64) -> Result<DrawnBatch, Error> {
-        let entries = self.batch_entries(step);
-        let seeds: Vec<Seed> = (0..entries.len()).map(|row| self.seed.derive("row", &[step, row as u64])).collect();
+        let indices = self.batch_indices(step);
+        let seeds: Vec<Seed> = (0..indices.len()).map(|row| self.seed.derive("row", &[step, row as u64])).collect();
         let mut rngs: Vec<SeededRng> = seeds.iter().map(|seed| seed.derive("draws", &[]).rng()).collect();
-        let drawn = entries.par_iter().zip(&mut rngs).map(|(entry, rng)| self.draw(*entry, rng));
+        let drawn = indices.par_iter().zip(&mut rngs).map(|(idx, rng)| self.draw(*idx, rng));
         let drawn: Vec<Drawn> = drawn.collect::<Result<_, _>>()?;
         self.collate(&drawn, seeds, rngs)
     }
@@ -159,7 +131,8 @@ impl SceneDraws<'_> {
     fn held_out_batch(&self, indices: &[usize], change: &dyn Fn(Scene) -> Scene) -> Result<DrawnBatch, Error> {
         let predictive = |idx: &usize| {
             let scene = change(self.dataset.scene(*idx).map_err(Error::Scene)?);
-            Ok(Drawn::predictive(scene.ego_idx, scene, None))
+            let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
+            Ok(Drawn { ego_idx: scene.ego_idx, mask, scene })
         };
         let drawn = indices.iter().map(predictive).collect::<Result<Vec<_>, Error>>()?;
         let seeds: Vec<Seed> = indices.iter().map(|idx| self.seed.derive("evaluation", &[*idx as u64])).collect();
@@ -193,58 +166,18 @@ impl SceneDraws<'_> {
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
         for chunk in scenes.chunks(self.batch_size) {
-            add_figures(&mut sums, chunk.len(), &figures(&self.held_out_batch(chunk, change)?)?)?;
+            for (sum, figure) in sums.iter_mut().zip(figures(&self.held_out_batch(chunk, change)?)?) {
+                *sum += f64::from(figure.to_scalar::<f32>()?) * chunk.len() as f64;
+            }
         }
         let n_scenes = scenes.len().max(1) as f64;
         Ok(sums.into_iter().map(|sum| sum / n_scenes).collect())
     }
 
-    /// The means of `n` scalar figures over the scenes of held-out events, whose first agents are at the center. The
-    /// events are shown with all of their values, or not at all; everything else is the same.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded, or a figure cannot be computed.
-    pub fn event_means(
-        &self,
-        is_told: bool,
-        n: usize,
-        figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
-    ) -> Result<Vec<f64>, Error> {
-        let held_out = self.events.map_or(&[][..], |events| &events.held_out);
-        let drawn = |event: &LearnedEvent| {
-            let scene = self.dataset.scene(event.scene_idx).map_err(Error::Scene)?;
-            let told = event.told(&scene)?;
-            let ego_idx = told.agents.first().copied().unwrap_or(scene.ego_idx);
-            Ok(Drawn::predictive(ego_idx, scene, is_told.then_some(told)))
-        };
-        let mut sums = vec![0.0; n];
-        for (i, chunk) in held_out.chunks(self.batch_size).enumerate() {
-            let first = i * self.batch_size;
-            let seeds = (first..first + chunk.len()).map(|i| self.seed.derive("held-out event", &[i as u64]));
-            let (seeds, rngs) = seeds.map(|seed| (seed, seed.rng())).unzip();
-            let rows = chunk.iter().map(drawn).collect::<Result<Vec<_>, Error>>()?;
-            add_figures(&mut sums, chunk.len(), &figures(&self.collate(&rows, seeds, rngs)?)?)?;
-        }
-        Ok(sums.into_iter().map(|sum| sum / held_out.len().max(1) as f64).collect())
-    }
-
-    /// The rows of the batch of `step`.
-    pub(super) fn batch_entries(&self, step: u64) -> Vec<Entry<'_>> {
+    /// The scenes of the batch of `step`.
+    pub(super) fn batch_indices(&self, step: u64) -> Vec<usize> {
         let batch_size = self.batch_size as u64;
-        (step * batch_size..(step + 1) * batch_size).filter_map(|position| self.entry_at(position)).collect()
-    }
-
-    /// The row at a position of the training: of the first n, ⌊n share⌋ are conditioned on events. Their behaviors take
-    /// turns, and each yields consecutive entries of a shuffle.
-    fn entry_at(&self, position: u64) -> Option<Entry<'_>> {
-        let Some(events) = self.events else { return self.scene_at(position).map(Entry::Scene) };
-        let n_told = |n: u64| (n as f64 * events.config.share).floor() as u64;
-        let turn = n_told(position);
-        if n_told(position + 1) == turn {
-            return self.scene_at(position - turn).map(Entry::Scene);
-        }
-        let first_group = self.train.iter().map(|source| source.groups.len()).sum();
-        Some(Entry::Event(&events.events[self.member_of(&events.by_behavior, first_group, turn)]))
+        (step * batch_size..(step + 1) * batch_size).filter_map(|position| self.scene_at(position)).collect()
     }
 
     /// The scene at a position of the training. Sources alternate as evenly as their weights allow (of the first n
@@ -274,7 +207,7 @@ impl SceneDraws<'_> {
         self.shuffle_of(first_group + group, &groups[group], turn / n)[(turn % n) as usize]
     }
 
-    /// The scenes (or events) of a group, in the order of one of its epochs. Groups are numbered through all sources.
+    /// The scenes of a group, in the order of one of its epochs. Groups are numbered through all sources.
     fn shuffle_of(&self, group: usize, scenes: &[usize], epoch: u64) -> Arc<[usize]> {
         let mut shuffles = self.ahead.shuffles.lock().unwrap_or_else(PoisonError::into_inner);
         match shuffles.get(&group) {
@@ -293,20 +226,11 @@ impl SceneDraws<'_> {
         }
     }
 
-    fn draw(&self, entry: Entry<'_>, rng: &mut SeededRng) -> Result<Drawn, Error> {
-        let (scene_idx, event) = match entry {
-            Entry::Scene(scene_idx) => (scene_idx, None),
-            Entry::Event(event) => (event.scene_idx, Some(event)),
-        };
+    fn draw(&self, scene_idx: usize, rng: &mut SeededRng) -> Result<Drawn, Error> {
         let scene = self.dataset.scene(scene_idx).map_err(Error::Scene)?;
-        let told = event.zip(self.events).map(|(event, events)| events.told_in_part(event, &scene, rng)).transpose()?;
-        // As in sampling, the first agent of an event is at the center.
-        let ego_idx = match told.as_ref().and_then(|told| told.agents.first()) {
-            Some(first) => *first,
-            None => draw_ego(&scene, rng),
-        };
+        let ego_idx = draw_ego(&scene, rng);
         let mask = self.masks.sample(&scene, ego_idx, rng);
-        Ok(Drawn { scene, ego_idx, mask, told })
+        Ok(Drawn { scene, ego_idx, mask })
     }
 
     fn collate(&self, drawn: &[Drawn], seeds: Vec<Seed>, rngs: Vec<SeededRng>) -> Result<DrawnBatch, Error> {
@@ -314,11 +238,7 @@ impl SceneDraws<'_> {
             drawn.iter().map(|d| SceneView { scene: &d.scene, ego_idx: d.ego_idx, mask: &d.mask }).collect();
         // Networks that see surroundings get the same inputs as in sampling; the paper's are trained as in the paper.
         let validity = if self.collator.sight.is_some() { FutureValidity::Continued } else { FutureValidity::Recorded };
-        let mut batch = self.collator.collate(&views, validity, self.device)?;
-        if let Some(events) = self.events {
-            let told: Vec<Option<ToldEvent>> = drawn.iter().map(|d| d.told.clone()).collect();
-            batch = batch.telling(&events.vocabulary, &told)?;
-        }
+        let batch = self.collator.collate(&views, validity, self.device)?;
         let context = match self.with_context {
             true => {
                 let rows =

@@ -1,6 +1,5 @@
 //! Draws follow the weights of sources and places, and are the same whether or not they are made in advance.
 
-use super::scene_draws::Entry;
 use super::testing::{arcs, collator, draws_of_four};
 use super::*;
 use crate::nn::testing::values;
@@ -9,12 +8,6 @@ use crate::tensor::{MaskSampler, StateParametrization, TaskWeights};
 
 fn any_masks() -> MaskSampler {
     MaskSampler::new(&TaskWeights::default()).unwrap()
-}
-
-/// The scenes of the batch of `step`, none of which is conditioned on an event.
-fn scenes_of(draws: &SceneDraws<'_>, step: u64) -> Vec<usize> {
-    let scene = |entry: Entry<'_>| if let Entry::Scene(idx) = entry { idx } else { usize::MAX };
-    draws.batch_entries(step).into_iter().map(scene).collect()
 }
 
 #[test]
@@ -46,7 +39,6 @@ fn groups_count_the_same_however_many_scenes_they_have() {
             places: vec![4, 4, 4, 4, 4, 4, 4, 4, 9, 9],
             held_out: Vec::new(),
         }],
-        events: Vec::new(),
         state_dim: 3,
         fingerprint: String::new(),
     };
@@ -56,7 +48,7 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     // Every second row is of the small place, whose two scenes take turns.
     let (collator, masks) = (collator(&dataset, StateParametrization::Motion), any_masks());
     let draws = draws_of_four(&dataset, &places, &collator, &masks);
-    let drawn: Vec<usize> = (0..4).flat_map(|step| scenes_of(&draws, step)).collect();
+    let drawn: Vec<usize> = (0..4).flat_map(|step| draws.batch_indices(step)).collect();
     let (large, small): (Vec<_>, Vec<_>) = drawn.chunks(2).map(|pair| (pair[0], pair[1])).unzip();
     let sorted = |mut indices: Vec<usize>| {
         indices.sort_unstable();
@@ -77,7 +69,7 @@ fn draws_follow_the_weights_of_sources() {
     let sources = [source(4.0, &[(0, 2)]), source(3.0, &[(2, 3), (3, 10)]), source(1.0, &[(10, 18)])];
     let (collator, masks) = (collator(&dataset, StateParametrization::Motion), any_masks());
     let draws = draws_of_four(&dataset, &sources, &collator, &masks);
-    let drawn: Vec<usize> = (0..32).flat_map(|step| scenes_of(&draws, step)).collect();
+    let drawn: Vec<usize> = (0..32).flat_map(|step| draws.batch_indices(step)).collect();
     let n_of =
         |drawn: &[usize], scenes: std::ops::Range<usize>| drawn.iter().filter(|idx| scenes.contains(*idx)).count();
     assert_eq!([n_of(&drawn, 0..2), n_of(&drawn, 2..10), n_of(&drawn, 10..18)], [64, 48, 16]);
@@ -86,7 +78,7 @@ fn draws_follow_the_weights_of_sources() {
     assert!(drawn.chunks(8).all(|stretch| n_of(stretch, 0..2) == 4), "{drawn:?}");
     assert!((10..18).all(|idx| n_of(&drawn, idx..idx + 1) == 2), "{drawn:?}");
     // A resumed training draws later steps only.
-    assert_eq!(scenes_of(&draws_of_four(&dataset, &sources, &collator, &masks), 31), drawn[124..]);
+    assert_eq!(draws_of_four(&dataset, &sources, &collator, &masks).batch_indices(31), drawn[124..]);
 }
 
 #[test]
@@ -101,7 +93,6 @@ fn scales_and_held_out_scenes_are_of_all_sources_by_their_weights() {
     let data = TrainingData {
         dataset: &dataset,
         sources: vec![source(3.0, 0, 20), source(1.0, 24, 4)],
-        events: Vec::new(),
         state_dim: 3,
         fingerprint: String::new(),
     };

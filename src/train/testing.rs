@@ -65,7 +65,7 @@ pub(super) fn one_source(dataset: &dyn SceneDataset) -> TrainingData<'_> {
         places: vec![0; n_train],
         held_out: (n_train..dataset.len()).collect(),
     };
-    TrainingData { dataset, sources: vec![source], events: Vec::new(), state_dim: 3, fingerprint: "scenes".to_owned() }
+    TrainingData { dataset, sources: vec![source], state_dim: 3, fingerprint: "scenes".to_owned() }
 }
 
 /// A training in `dir` on the processor.
@@ -101,7 +101,6 @@ pub(super) fn draws_of_four<'a>(
         collator,
         dataset,
         train,
-        events: None,
         held_out: &[],
         masks,
         batch_size: 4,

@@ -2,7 +2,7 @@
 
 use super::section::SceneTraining;
 use super::training_data::TrainingData;
-use super::{Balance, Error, FitOutcome, FitStatistics, LearnedEvents, Prefetched, SceneDraws, WeightedGroups};
+use super::{Balance, Error, FitOutcome, FitStatistics, Prefetched, SceneDraws, WeightedGroups};
 use crate::model::ModelSpec;
 use crate::nn::{Checkpoint, Compute, Params};
 use crate::progress::Progress;
@@ -98,18 +98,12 @@ impl<'a> ScenesOfFit<'a> {
         })
     }
 
-    /// Draws batches, a share of which is conditioned on `events`; `with_context` adds the context of objectives.
-    pub(super) fn draws<'b>(
-        &'b self,
-        with_context: bool,
-        events: Option<&'b LearnedEvents>,
-        job: TrainJob<'b>,
-    ) -> SceneDraws<'b> {
+    /// Draws batches; `with_context` adds the context of objectives.
+    pub(super) fn draws<'b>(&'b self, with_context: bool, job: TrainJob<'b>) -> SceneDraws<'b> {
         SceneDraws {
             collator: &self.collator,
             dataset: self.data.dataset,
             train: &self.groups,
-            events,
             held_out: &self.held_out,
             masks: &self.masks,
             batch_size: self.batch_size,

@@ -1,6 +1,6 @@
 //! The scenes of a training run, and the constants gathered from them.
 
-use super::{Balance, Error, MinedEvent, SceneDataset, TrainJob, WeightedGroups};
+use super::{Balance, Error, SceneDataset, TrainJob, WeightedGroups};
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, NormalizerFit, StateParametrization};
 use std::collections::BTreeMap;
@@ -14,8 +14,6 @@ pub struct TrainingData<'a> {
     pub dataset: &'a dyn SceneDataset,
     /// The scenes to draw, by source; not empty.
     pub sources: Vec<TrainingSource>,
-    /// The mined events of these scenes, if the training conditions its model on events.
-    pub events: Vec<MinedEvent<'a>>,
     /// Dimensions of a diffused state.
     pub state_dim: usize,
     /// Fingerprint of the scenes.

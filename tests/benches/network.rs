@@ -124,7 +124,6 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         objectives: Vec::new(),
         changed_losses: Vec::new(),
         losses_by_place: Vec::new(),
-        events: None,
         distillation: None,
     };
     let networks = || -> Result<(Params, SceneDenoiser, SceneDenoiser)> {
@@ -137,7 +136,6 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
         collator: &spec.collator(),
         dataset: &store,
         train: &[WeightedGroups::single(train)],
-        events: None,
         held_out: &[],
         masks: &MaskSampler::new(&training.common.tasks).ok_or("no task has a weight")?,
         batch_size,

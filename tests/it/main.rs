@@ -28,4 +28,3 @@ mod stages;
 #[cfg(unix)]
 mod submit;
 mod support;
-mod told_events;

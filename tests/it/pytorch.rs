@@ -150,7 +150,6 @@ fn batch_of(named: &HashMap<String, Tensor>, other: &SceneBatch) -> SceneBatch {
         rotation: get("rotation"),
         unit: get("unit"),
         path: Some(get("path")),
-        events: named.get("events").cloned(),
         surroundings: Some(Surroundings {
             origin: get("origin"),
             attributes: get("attributes"),
@@ -188,9 +187,7 @@ fn outputs_and_gradients_of_random_weights_are_those_of_pytorch() {
         ..NetworkConfig::default()
     };
     let mut params = Params::new(&Compute::cpu());
-    let n_event_inputs = golden["input.events"].dim(2).unwrap();
-    let denoiser =
-        SceneDenoiser::with_events(&mut params, &config, (3, n_event_inputs), Edm::default(), Seed(1)).unwrap();
+    let denoiser = SceneDenoiser::new(&mut params, &config, 3, Edm::default(), Seed(1)).unwrap();
     params.load(&below(&golden, "weight.")).unwrap();
     let batch = batch_of(&below(&golden, "input.").into_iter().collect(), &collated(&carried().spec));
     let x = Var::from_tensor(&golden["x"]).unwrap();

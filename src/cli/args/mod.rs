@@ -9,7 +9,7 @@ pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::{CorpusCommand, CorpusFilterArgs};
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
-pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand, TrainFurtherArgs};
+pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand};
 use super::help;
 use crate::cloud::ObjectUrl;
 use crate::engine::DeviceChoice;

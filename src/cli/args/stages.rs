@@ -12,13 +12,13 @@ use std::path::PathBuf;
 pub(in crate::cli) enum TrainCommand {
     /// Train the diffusion model that generates scenarios
     #[command(after_help = help::TRAIN_DENOISER)]
-    Denoiser(TrainDenoiserArgs),
+    Denoiser(SceneStageArgs),
     /// Tune a trained diffusion model to need few evaluations
     #[command(after_help = help::TRAIN_DISTILL)]
-    Distill(TrainFurtherArgs),
+    Distill(TrainDistillArgs),
     /// Train the classifier that guides generation toward a behavior
     #[command(after_help = help::TRAIN_CLASSIFIER)]
-    Classifier(TrainFurtherArgs),
+    Classifier(TrainClassifierArgs),
     /// Train Scene Transformer, the baseline to compare the diffusion model with
     #[command(after_help = help::TRAIN_BASELINE)]
     Baseline(SceneStageArgs),
@@ -65,22 +65,22 @@ pub(in crate::cli) struct SceneStageArgs {
 }
 
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct TrainDenoiserArgs {
+pub(in crate::cli) struct TrainDistillArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
     #[command(flatten)]
-    pub(in crate::cli) events: EventsArg,
+    pub(in crate::cli) denoiser: DenoiserArg,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
 }
 
-/// Arguments of a training that starts from a denoiser.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct TrainFurtherArgs {
+pub(in crate::cli) struct TrainClassifierArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,
-    #[command(flatten)]
-    pub(in crate::cli) events: EventsArg,
+    /// The events to read [default: events.parquet in the run folder]
+    #[arg(long, value_name = "FILE", value_parser = on_disk())]
+    pub(in crate::cli) events: Option<PathBuf>,
     #[command(flatten)]
     pub(in crate::cli) denoiser: DenoiserArg,
     #[command(flatten)]
@@ -145,13 +145,6 @@ pub(in crate::cli) struct ScenesArg {
     /// The scene store to read [default: scenes in the run folder]
     #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) scenes: Option<PathBuf>,
-}
-
-#[derive(Debug, clap::Args)]
-pub(in crate::cli) struct EventsArg {
-    /// The events to read [default: events.parquet in the run folder]
-    #[arg(long, value_name = "FILE", value_parser = on_disk())]
-    pub(in crate::cli) events: Option<PathBuf>,
 }
 
 #[derive(Debug, clap::Args)]

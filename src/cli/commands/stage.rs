@@ -1,7 +1,7 @@
 //! The commands that run one stage alone, on explicit inputs and into an explicit folder.
 
 use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
-use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand, TrainFurtherArgs};
+use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
@@ -84,20 +84,20 @@ impl<'a> Request<'a> {
         request
     }
 
-    fn further(id: StageId, args: &'a TrainFurtherArgs) -> Self {
-        let request = Self::new(id, &args.stage).scenes(&args.scenes.scenes).events(&args.events.events);
-        request.denoiser(&args.denoiser.denoiser)
-    }
-
     fn from_command(command: &'a Command) -> Option<Self> {
         let request = match command {
             Command::Ingest(args) => Self::ingest(args),
             Command::Mine(args) => Self::new(StageId::Mine, &args.stage).scenes(&args.scenes.scenes),
             Command::Train(TrainCommand::Denoiser(args)) => {
-                Self::new(StageId::TrainDenoiser, &args.stage).scenes(&args.scenes.scenes).events(&args.events.events)
+                Self::new(StageId::TrainDenoiser, &args.stage).scenes(&args.scenes.scenes)
             }
-            Command::Train(TrainCommand::Distill(args)) => Self::further(StageId::TrainDistill, args),
-            Command::Train(TrainCommand::Classifier(args)) => Self::further(StageId::TrainClassifier, args),
+            Command::Train(TrainCommand::Distill(args)) => Self::new(StageId::TrainDistill, &args.stage)
+                .scenes(&args.scenes.scenes)
+                .denoiser(&args.denoiser.denoiser),
+            Command::Train(TrainCommand::Classifier(args)) => Self::new(StageId::TrainClassifier, &args.stage)
+                .scenes(&args.scenes.scenes)
+                .events(&args.events)
+                .denoiser(&args.denoiser.denoiser),
             Command::Train(TrainCommand::Baseline(args)) => {
                 Self::new(StageId::TrainBaseline, &args.stage).scenes(&args.scenes.scenes)
             }

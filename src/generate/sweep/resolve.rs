@@ -58,7 +58,7 @@ impl SweepConfig {
             return Err(Issue::new(
                 "aim",
                 "is \"feasible\", which needs a behavior and what can aim at the event's parameters: template = true, \
-                 classifier_free = { event = true }, or strengths other than 0 and an objective, such as \
+                 or strengths other than 0 and an objective, such as \
                  objectives = [{ kind = \"cut_in\" }]",
             ));
         }
@@ -179,12 +179,6 @@ impl SweepConfig {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         if let Some(config) = &self.classifier_free {
             config.validate(roles).map_err(|issue| issue.within("classifier_free"))?;
-            if config.event && roles.is_empty() {
-                return Err(Issue::new(
-                    "classifier_free.event",
-                    "is true, which needs a behavior: set behavior = \"cut_in\" or another",
-                ));
-            }
         }
         if let Some(edit) = &self.edit {
             edit.validate(roles).map_err(|issue| issue.within("edit"))?;

@@ -127,26 +127,17 @@ impl ResolvedSweep {
             })
     }
 
-    /// The parameters of the event at which its template and the objectives of its guidance can aim, and those that its
-    /// denoiser is conditioned on.
+    /// The parameters of the event at which its template and the objectives of its guidance can aim.
     pub(in crate::generate) fn aims_at(&self) -> BTreeSet<&'static str> {
         let guided = self.diffusion().filter(|diffusion| diffusion.is_guided());
         let objectives = guided.into_iter().flat_map(|diffusion| &diffusion.guidance.objectives);
         let of_template = self.diffusion().map_or(&[][..], |diffusion| diffusion.template);
-        let told = self.behavior.as_deref().filter(|_| self.tells_event()).and_then(BehaviorEntry::of);
-        let told = told.map_or(&[][..], |entry| entry.parameters);
-        let aimed_at = objectives.flat_map(|objective| objective.objective().aims_at());
-        aimed_at.chain(of_template).chain(told).copied().collect()
+        objectives.flat_map(|objective| objective.objective().aims_at()).chain(of_template).copied().collect()
     }
 
     /// Whether the requested event is a collision.
     pub(in crate::generate) fn asks_for_collision(&self) -> bool {
         BehaviorEntry::is_collision(self.behavior.as_deref())
-    }
-
-    /// Whether its denoiser is conditioned on the requested event.
-    pub fn tells_event(&self) -> bool {
-        self.diffusion().and_then(|diffusion| diffusion.classifier_free.as_ref()).is_some_and(|config| config.event)
     }
 
     /// Evaluations of the network for one sample, as many as at its most expensive level. Classifier-free guidance

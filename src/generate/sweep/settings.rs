@@ -2,14 +2,12 @@
 
 use super::{Diffusion, ResolvedSweep, SweepModel};
 use crate::scene::GuidanceLevel;
-use crate::tensor::ToldEvent;
 use serde_json::{Value, json};
 
 impl ResolvedSweep {
     /// The settings of a sample of this sweep at `level` as JSON: sampler, observed states, edits, and its guidance
-    /// with strengths and every option of the objectives. Settings without effect at this level are left out. `told` is
-    /// the event that its denoiser was conditioned on.
-    pub(in crate::generate) fn settings(&self, level: GuidanceLevel, told: Option<&ToldEvent>) -> String {
+    /// with strengths and every option of the objectives. Settings without effect at this level are left out.
+    pub(in crate::generate) fn settings(&self, level: GuidanceLevel) -> String {
         let mut settings = match &self.model {
             SweepModel::Denoiser(diffusion) | SweepModel::Distilled(diffusion) => diffusion.settings(level),
             SweepModel::Baseline => json!({}),
@@ -20,9 +18,6 @@ impl ResolvedSweep {
             SweepModel::Baseline => "baseline",
         });
         settings["observe"] = json!(self.observe);
-        if let Some(told) = told {
-            settings["told"] = json!(told.values);
-        }
         settings.to_string()
     }
 }
@@ -66,7 +61,7 @@ mod tests {
     fn settings(toml: &str) -> Vec<Value> {
         let resolved = resolve(&format!("[[sweeps]]\nname = 's'\nn_scenes = 1\nbehavior = 'drift'\n{toml}"));
         let sweep = &resolved.sweeps[0];
-        sweep.levels().iter().map(|level| serde_json::from_str(&sweep.settings(*level, None)).unwrap()).collect()
+        sweep.levels().iter().map(|level| serde_json::from_str(&sweep.settings(*level)).unwrap()).collect()
     }
 
     #[test]

@@ -32,11 +32,6 @@ pub(super) fn describe(path: &Path) -> Result<Option<Description>> {
             if let Some(covariance) = value.get_mut("motion_covariance").filter(|found| found.is_object()) {
                 *covariance = json!(format!("of {} timesteps", covariance["n_timesteps"]));
             }
-            for behavior in value.get_mut("behaviors").and_then(Value::as_array_mut).into_iter().flatten() {
-                if let Some(examples) = behavior.get_mut("examples").filter(|found| found.is_array()) {
-                    *examples = json!(format!("{} events", examples.as_array().map_or(0, Vec::len)));
-                }
-            }
             let value = match name.as_str() {
                 "changed_losses" => by_name(&value, "change", "loss"),
                 "losses_by_place" => losses_by_place(&value),

@@ -40,7 +40,7 @@ use serde_json::{Value, json};
 
 /// The stages whose sections the configuration has, in the order in which they run.
 pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result<Vec<Box<dyn Stage + 'a>>> {
-    check_learned_events(config)?;
+    check_learned_behavior(config)?;
     let stages: Vec<_> = StageId::ALL.into_iter().filter_map(|id| build(id, config, layout)).collect();
     if stages.is_empty() {
         return Err(Failure::input_message("the pipeline has no stages")
@@ -49,27 +49,18 @@ pub fn of_pipeline<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Result
     Ok(stages)
 }
 
-/// Refuses events to learn from that the pipeline does not mine.
-fn check_learned_events(config: &PipelineConfig) -> Result<()> {
+/// Refuses a behavior to learn that the pipeline does not mine.
+fn check_learned_behavior(config: &PipelineConfig) -> Result<()> {
     let Some(mine) = &config.mine else { return Ok(()) };
     let mined: Vec<&str> = mine.build()?.iter().map(|behavior| behavior.id()).collect();
-    let denoiser = config.train.denoiser.as_ref().map(|section| ("train.denoiser", &section.events));
-    let distill = config.train.distill.as_ref().map(|section| ("train.distill", &section.events));
-    let told = denoiser.into_iter().chain(distill).flat_map(|(section, events)| {
-        let behaviors = events.as_ref().map_or(&[][..], |events| &events.behaviors);
-        behaviors.iter().enumerate().map(move |(i, id)| (format!("{section}.events.behaviors.{i}"), id))
-    });
     let classifier = config.train.classifier.as_ref().filter(|classifier| classifier.checkpoint.is_none());
-    let classified = classifier.map(|classifier| ("train.classifier.behavior".to_owned(), &classifier.behavior));
     // Names that no behavior has are refused by the section itself.
-    let is_known = |id: &str| BehaviorEntry::of(id).is_some();
-    match told.chain(classified).find(|(_, id)| is_known(id) && !mined.contains(&id.as_str())) {
-        Some((key, id)) => {
-            let mined = mined.join(", ");
-            Err(Failure::input_message(format_args!(
-                "{key} is \"{id}\", expected one of mine.behaviors, which are {mined}"
-            )))
-        }
+    let is_unmined = |id: &&String| BehaviorEntry::of(id).is_some() && !mined.contains(&id.as_str());
+    match classifier.map(|classifier| &classifier.behavior).filter(is_unmined) {
+        Some(id) => Err(Failure::input_message(format_args!(
+            "train.classifier.behavior is \"{id}\", expected one of mine.behaviors, which are {}",
+            mined.join(", ")
+        ))),
         None => Ok(()),
     }
 }

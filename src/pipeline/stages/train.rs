@@ -1,6 +1,6 @@
 //! The training stages: what they have in common. What is particular to a model is its recipe.
 
-use super::training_scenes::{check_folders, events_beside};
+use super::training_scenes::check_folders;
 use super::with_precision;
 use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::model::{ModelSpec, TrainedModel};
@@ -25,8 +25,6 @@ pub struct Source<'a> {
     pub start_from: Option<&'a Path>,
     /// The scenes to train on, where they may be those of several runs.
     pub scenes: Option<SceneChoice<'a>>,
-    /// Whether it learns from the mined events of these scenes.
-    pub events: bool,
 }
 
 /// How a model comes to be: the section of a training stage, and what is done with it.
@@ -100,9 +98,7 @@ impl<R: Recipe> Stage for Train<'_, R> {
     fn check(&self) -> Result<()> {
         self.recipe.resolved()?;
         match self.recipe.source() {
-            Source { checkpoint: None, scenes: Some(choice), events, .. } => {
-                check_folders(choice, &self.layout.scenes, events)
-            }
+            Source { checkpoint: None, scenes: Some(choice), .. } => check_folders(choice, &self.layout.scenes),
             // One that is not there is found among the inputs.
             Source { checkpoint: Some(path), .. } if checkpoint_file(path).exists() => {
                 let file = checkpoint_file(path);
@@ -125,27 +121,18 @@ impl<R: Recipe> Stage for Train<'_, R> {
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let Source { checkpoint, start_from, scenes: choice, events: reads_events } = self.recipe.source();
+        let Source { checkpoint, start_from, scenes: choice } = self.recipe.source();
         if let Some(path) = checkpoint {
             return vec![StageInput::external("checkpoint", &checkpoint_file(path))];
         }
-        let has_own = choice.is_none_or(|choice| choice.own_weight > 0.0);
-        let is_read = |stage: &&StageId| match stage {
-            StageId::Ingest => has_own,
-            StageId::Mine => has_own && reads_events,
-            _ => true,
-        };
+        let is_read =
+            |stage: &&StageId| **stage != StageId::Ingest || choice.is_none_or(|choice| choice.own_weight > 0.0);
         let made = R::LEARNS_FROM
             .iter()
             .filter(is_read)
             .filter_map(|stage| stage.output(self.layout).map(|(name, path)| StageInput::made_by(*stage, name, path)));
         let more = choice.map_or(&[][..], |choice| choice.data).iter().enumerate();
-        let more = more.flat_map(|(i, more)| {
-            let scenes = StageInput::made_by(StageId::Ingest, &format!("data.{i}"), &more.scenes);
-            let events = events_beside(&more.scenes);
-            let events = StageInput::made_by(StageId::Mine, &format!("data.{i}.events"), &events);
-            std::iter::once(scenes).chain(reads_events.then_some(events))
-        });
+        let more = more.map(|(i, more)| StageInput::made_by(StageId::Ingest, &format!("data.{i}"), &more.scenes));
         let start = start_from.map(|path| StageInput::external("start_from", &checkpoint_file(path)));
         made.chain(more).chain(start).collect()
     }

@@ -19,7 +19,7 @@ impl Recipe for ClassifierTrainingConfig {
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {
-        Source { checkpoint: self.checkpoint.as_deref(), events: true, ..Source::default() }
+        Source { checkpoint: self.checkpoint.as_deref(), ..Source::default() }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {

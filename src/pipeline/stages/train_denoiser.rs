@@ -1,7 +1,7 @@
 //! Scenes to a denoiser.
 
 use super::train::{Recipe, Source};
-use super::training_scenes::{OpenedScenes, mined, training_summary};
+use super::training_scenes::{OpenedScenes, training_summary};
 use crate::engine::Result;
 use crate::model::DenoiserSpec;
 use crate::pipeline::StageId;
@@ -13,14 +13,13 @@ impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDenoiser;
     const VERSION: u32 = 2;
-    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine];
+    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
     fn source(&self) -> Source<'_> {
         Source {
             checkpoint: self.checkpoint.as_deref(),
             start_from: self.start_from.as_deref(),
             scenes: Some(self.scene_choice()),
-            events: self.events.is_some(),
         }
     }
 
@@ -41,9 +40,7 @@ impl Recipe for DenoiserTrainingConfig {
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
-        let events = scenes.events(&layout.events, self.events.as_ref())?;
-        let mut data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
-        data.events = mined(&events);
+        let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
         let start = self.read_start(&job.compute.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))

@@ -1,7 +1,7 @@
 //! A denoiser and scenes to a denoiser that needs few evaluations.
 
 use super::train::{Recipe, Source, checkpoint_file};
-use super::training_scenes::{OpenedScenes, mined, training_summary};
+use super::training_scenes::{OpenedScenes, training_summary};
 use crate::engine::Result;
 use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
@@ -14,14 +14,13 @@ impl Recipe for DistillTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDistill;
     const VERSION: u32 = 1;
-    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
+    const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {
         Source {
             checkpoint: self.checkpoint.as_deref(),
             start_from: self.start_from.as_deref(),
             scenes: Some(self.scene_choice()),
-            events: self.events.is_some(),
         }
     }
 
@@ -47,9 +46,7 @@ impl Recipe for DistillTrainingConfig {
         let start = self.read_start(&job.compute.device)?;
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
-        let events = scenes.events(&layout.events, self.events.as_ref())?;
-        let mut data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
-        data.events = mined(&events);
+        let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
         let source = DistillSource { teacher: &teacher, start: start.as_ref() };
         let outcome = distill_denoiser(&self.resolve()?, &data, source, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))

@@ -1,18 +1,14 @@
 //! Which scenes of which stores does a model train on, and which are held out?
 
-use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::engine::Failure;
 use crate::engine::Result as StageResult;
 use crate::engine::fingerprint_value;
-use crate::pipeline::layout::{EVENTS, SCENES};
+use crate::pipeline::layout::SCENES;
 use crate::scene::{Scene, Split};
-use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore, read_events};
-use crate::train::{
-    EventTraining, MinedEvent, MoreScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource,
-};
+use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore};
+use crate::train::{MoreScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource};
 use serde_json::{Value, json};
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Where the store has no `val` split, every so many-th scene is held out.
 const HOLD_OUT_EVERY: usize = 20;
@@ -75,10 +71,6 @@ pub(super) struct OpenedScenes<'a> {
 struct OpenedSource<'a> {
     /// Its name for the user: its key, or the run's own scenes.
     name: String,
-    /// The folder of its scenes.
-    path: PathBuf,
-    /// Whether it is the run's own.
-    is_own: bool,
     store: SceneStore,
     /// Index of its first scene among those of all sources.
     first: usize,
@@ -110,8 +102,7 @@ impl<'a> OpenedScenes<'a> {
         let mut sources: Vec<OpenedSource<'a>> = Vec::new();
         for (name, path, weight, splits, places) in own.into_iter().chain(more) {
             let first = sources.last().map_or(0, |last| last.first + last.store.len());
-            let (store, is_own) = (SceneStore::open(path)?, sources.is_empty() && own_weight > 0.0);
-            sources.push(OpenedSource { name, path: path.to_owned(), is_own, store, first, weight, splits, places });
+            sources.push(OpenedSource { name, store: SceneStore::open(path)?, first, weight, splits, places });
         }
         Ok(Self { section, sources })
     }
@@ -148,30 +139,7 @@ impl<'a> OpenedScenes<'a> {
                 "set state_dim = 2, and headings follow from the motion; or train a denoiser with network.geometry",
             ));
         }
-        Ok(TrainingData { fingerprint: self.fingerprint()?, dataset: self, sources, events: Vec::new(), state_dim })
-    }
-
-    /// The mined events of a section, with the index of their scenes: those of the run in `own`, those of other runs
-    /// beside their scenes. None without a section.
-    pub(super) fn events(
-        &self,
-        own: &Path,
-        section: Option<&EventTraining>,
-    ) -> StageResult<Vec<(usize, BehaviorEvent)>> {
-        let mut found = Vec::new();
-        let Some(EventTraining { behaviors, .. }) = section else { return Ok(found) };
-        for source in &self.sources {
-            let beside = events_beside(&source.path);
-            let path = if source.is_own { own } else { &beside };
-            let index = source.store.index();
-            let scenes: HashMap<&str, usize> =
-                (0..index.len()).map(|idx| (index.get(idx).id, source.first + idx)).collect();
-            let events =
-                read_events(path, |event| event.label == EventLabel::Positive && behaviors.contains(&event.behavior))?;
-            let placed = |event: BehaviorEvent| Some((*scenes.get(event.scene_id.0.as_str())?, event));
-            found.extend(events.into_iter().filter_map(placed));
-        }
-        Ok(found)
+        Ok(TrainingData { fingerprint: self.fingerprint()?, dataset: self, sources, state_dim })
     }
 
     /// Refuses sources whose scenes are of another shape than those of the first one.
@@ -232,7 +200,6 @@ impl OpenedSource<'_> {
 pub(super) fn check_folders(
     SceneChoice { section, splits, own_weight, data, .. }: SceneChoice<'_>,
     own: &Path,
-    reads_events: bool,
 ) -> StageResult<()> {
     let own_splits = (own_weight > 0.0).then(|| (section.to_owned(), splits));
     let more_splits = data.iter().enumerate().map(|(i, more)| (format!("{section}.data.{i}"), more.splits.as_slice()));
@@ -263,25 +230,11 @@ pub(super) fn check_folders(
         if is_same(scenes, own) {
             return refuse("the run's own scenes", format!("remove the entry, and set {section}.own_weight"));
         }
-        if reads_events && !events_beside(scenes).is_file() {
-            let why = format!("and {} is missing, from which events are read", events_beside(scenes).display());
-            return refuse(&why, "add [mine] to that run's pipeline and run it again".to_owned());
-        }
         if data[..i].iter().any(|earlier| is_same(scenes, &earlier.scenes)) {
             return refuse("as in an earlier entry", "list it once, with the sum of the weights".to_owned());
         }
     }
     Ok(())
-}
-
-/// The mined events of the run whose scenes are in this folder.
-pub(super) fn events_beside(scenes: &Path) -> PathBuf {
-    scenes.parent().unwrap_or(Path::new(".")).join(EVENTS)
-}
-
-/// The events in the form that training takes.
-pub(super) fn mined(events: &[(usize, BehaviorEvent)]) -> Vec<MinedEvent<'_>> {
-    events.iter().map(|(scene_idx, event)| MinedEvent { scene_idx: *scene_idx, event }).collect()
 }
 
 /// The part of a training stage's summary that all trainings share.
