@@ -199,6 +199,15 @@ fn edited_states_can_be_observed() {
 }
 
 #[test]
+fn leaning_costs_a_second_evaluation_only_where_estimates_are_mixed() {
+    let cost = |weights: &str| {
+        let goals = "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], weights =";
+        sweep(&format!("{goals} {weights} }}")).resolve(&drift()).unwrap().sweeps[0].n_evaluations()
+    };
+    assert_eq!(cost("[2.0]"), 2 * cost("[0.0, 1.0]"));
+}
+
+#[test]
 fn conditions_that_make_no_sense_are_refused() {
     let refusal = |more: &str| {
         let config = sweep(more);
