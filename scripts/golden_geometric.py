@@ -172,23 +172,51 @@ def stretches(observed, latent):
             yield inside, np.array([after - t for t in inside]), None
 
 
-def change_of_variables(covariances, observed, latent):
+def of_noise(k, n, dim):
+    """What unit errors of k + 1 observed positions do to k steps and to the motion at n timesteps after them, (k + n, k + n), both
+    beyond the velocity at the last position: the slope of the parabola through the last three, or of the line through two."""
+    steps = np.eye(k + n, k + 1, 1) - np.eye(k + n, k + 1)
+    velocity = np.zeros(k + 1)
+    if dim < 2:
+        velocity[-3:] = [0.5, -2, 1.5] if k > 1 else [-1, 1]
+    return (steps - velocity) @ (steps - velocity).T
+
+
+def left_to_chance(known, dim, n_past):
+    """The covariance of motion after the last observed state that is not predicted from the n_past steps before it, (N, N)."""
+    k, n = known["n_past"], known["n_timesteps"]
+    covariance = np.array(known["values"][dim]).reshape(k + n, k + n)
+    past, future = slice(k - n_past, k), slice(k, k + n)
+    if n_past == 0:
+        return covariance[future, future]
+    noisy = covariance + known["noise"][dim] ** 2 * of_noise(k, n, dim)
+    w = noisy[future, past] @ np.linalg.inv(noisy[past, past])
+    explained = w @ covariance[past, future]
+    return covariance[future, future] - explained - explained.T + w @ covariance[past, past] @ w.T
+
+
+def change_of_variables(known, observed, latent, present):
     """The path G by which residuals follow from x, (T, T), the modes of x, (D, T, T), and their variances, (D, T), of one agent.
 
     x is white where residuals are a Brownian path, or a bridge between observed states: G is the Cholesky factor of its covariance. In
     traffic residuals have another covariance S, and x that of inv(G) S inv(G)'.
     """
-    t, n_dims = len(observed), len(covariances)
+    t, n_dims = len(observed), len(known["values"])
     path, modes, variances = np.zeros((t, t)), np.zeros((n_dims, t, t)), np.zeros((n_dims, t))
     seen, hidden = np.flatnonzero(observed), np.flatnonzero(latent)
     if len(seen) == 0:
         path[hidden, hidden], modes[:, hidden, hidden], variances[:, hidden] = 1, 1, 0.25
         return path, modes, variances
+    # Steps without a gap up to the last observed state, from which motion is predicted if nothing later than the present is observed.
+    n_past = 0
+    while seen[-1] <= present and n_past < min(known["n_past"], len(seen) - 1) and seen[-1 - n_past] - 1 == seen[-2 - n_past]:
+        n_past += 1
     for at, away, gap in stretches(seen, hidden):
         brownian = np.minimum.outer(away, away) - (np.outer(away, away) / gap if gap else 0)
         factor = np.linalg.cholesky(brownian)
         path[np.ix_(at, at)] = factor
-        for dim, covariance in enumerate(covariances):
+        for dim in range(n_dims):
+            covariance = left_to_chance(known, dim, n_past if at[0] > seen[-1] else 0)
             n = max(gap or 0, away.max())
             index = np.minimum(np.arange(n), len(covariance) - 1)
             sums = covariance[np.ix_(index, index)].cumsum(0).cumsum(1)
@@ -197,7 +225,7 @@ def change_of_variables(covariances, observed, latent):
             residuals = sums[np.ix_(away - 1, away - 1)]
             values, vectors = np.linalg.eigh(np.linalg.solve(factor, np.linalg.solve(factor, residuals).T))
             modes[dim][np.ix_(at, at)] = vectors.T
-            variances[dim, at] = values.clip(1e-4)
+            variances[dim, at] = values.clip((0.2 * known["noise"][dim]) ** 2 if known["noise"] else 1e-4)
     return path, modes, variances
 
 
@@ -205,11 +233,9 @@ def carried_geometric():
     spec, weights = read_checkpoint(ROOT / "pipelines/models/geometric.safetensors", torch.float64)
     batch = {name: t.double() for name, t in load_file(ROOT / "tests/golden/geometric_scene.safetensors").items()}
     known = spec["normalizer"]["motion_covariance"]
-    n = known["n_timesteps"]
-    covariances = [np.array(values).reshape(n, n) for values in known["values"]]
     parts = []
     for b, a in np.ndindex(*batch["valid"].shape[:2]):
-        parts.append(change_of_variables(covariances, batch["observed"][b, a], batch["latent"][b, a]))
+        parts.append(change_of_variables(known, batch["observed"][b, a], batch["latent"][b, a], spec["n_history"] - 1))
         if batch["attributes"][b, a, 6] > 0:  # INTERACTION records no heading of this class: none is generated
             parts[-1][1][2], parts[-1][2][2] = 0, 0
     for name, part in zip(("path", "modes", "variances"), zip(*parts)):
