@@ -50,8 +50,16 @@ pub(super) struct Choice<'a> {
 }
 
 enum Candidates {
-    Asked { accepted: Hardest, new: Ranked, recorded: Ranked, failed: Ranked },
+    Asked(Box<AskedCandidates>),
     Galleries(Galleries),
+}
+
+/// The scenarios of a sweep with a behavior.
+struct AskedCandidates {
+    accepted: Hardest,
+    new: Ranked,
+    recorded: Ranked,
+    failed: Ranked,
 }
 
 impl<'a> Choice<'a> {
@@ -72,11 +80,11 @@ impl<'a> Choice<'a> {
         });
         let min_ttc_s = self.accepted.and_then(|accepted| accepted.min_ttc_s(&record.scenario.id));
         match &mut self.sweeps[at].1 {
-            Candidates::Asked { accepted, new, recorded, failed } => match (min_ttc_s, Verdict::of(record)) {
-                (Some(min_ttc_s), _) => accepted.offer(record, min_ttc_s),
-                (None, Verdict::New) => new.offer(record, scene_idx),
-                (None, Verdict::Recorded) => recorded.offer(record, scene_idx),
-                (None, Verdict::NotVerified | Verdict::NotAsked) => failed.offer(record, scene_idx),
+            Candidates::Asked(asked) => match (min_ttc_s, Verdict::of(record)) {
+                (Some(min_ttc_s), _) => asked.accepted.offer(record, min_ttc_s),
+                (None, Verdict::New) => asked.new.offer(record, scene_idx),
+                (None, Verdict::Recorded) => asked.recorded.offer(record, scene_idx),
+                (None, Verdict::NotVerified | Verdict::NotAsked) => asked.failed.offer(record, scene_idx),
             },
             Candidates::Galleries(galleries) => galleries.offer(record, scene_idx, self.config.n_samples_drawn),
         }
@@ -87,11 +95,12 @@ impl<'a> Choice<'a> {
         if record.requested_behavior.is_some() {
             let [new, recorded] = [self.n_verified_drawn(); 2].map(Ranked::new);
             let accepted = Hardest { limit: n_drawn, n_offered: 0, list: Vec::new() };
-            return Candidates::Asked { accepted, new, recorded, failed: Ranked::new(n_failed_drawn) };
+            let failed = Ranked::new(n_failed_drawn);
+            return Candidates::Asked(Box::new(AskedCandidates { accepted, new, recorded, failed }));
         }
         let mut of_others = self.sweeps.iter().filter_map(|(_, candidates)| match candidates {
             Candidates::Galleries(galleries) => Some(galleries.own.clone()),
-            Candidates::Asked { .. } => None,
+            Candidates::Asked(_) => None,
         });
         let preferred = of_others.next().unwrap_or_default();
         Candidates::Galleries(Galleries {
@@ -120,7 +129,8 @@ impl<'a> Choice<'a> {
             limit,
         };
         let rows = self.sweeps.iter().flat_map(|(sweep, candidates)| match candidates {
-            Candidates::Asked { accepted, new, recorded, failed } => {
+            Candidates::Asked(asked) => {
+                let AskedCandidates { accepted, new, recorded, failed } = asked.as_ref();
                 let n_verified = new.n_offered + recorded.n_offered;
                 let verified = match self.accepted {
                     Some(_) => row(sweep, "verified, not accepted", n_verified, "n_failed_drawn", n_failed_drawn),
@@ -167,7 +177,8 @@ impl<'a> Choice<'a> {
         let mut chosen: Vec<Chosen> = of_buckets.map(|record| Chosen::Alone(Box::new(record))).collect();
         for (_, candidates) in self.sweeps {
             match candidates {
-                Candidates::Asked { accepted, new, recorded, failed } => {
+                Candidates::Asked(asked) => {
+                    let AskedCandidates { accepted, new, recorded, failed } = *asked;
                     let accepted = accepted.list.into_iter().map(|(_, record)| record);
                     let verified = new.take().chain(recorded.take()).take(n_verified);
                     let all = accepted.chain(verified).chain(failed.take());

@@ -1,9 +1,9 @@
 //! Converts scenes to tensors and back: frames, scales, masks and inputs of the network.
 //!
-//! Three parametrizations of states: `scene` is the paper's, `residual` an agent's motion relative to a kinematic
-//! reference that follows from its observed states, `motion` the change of that residual from timestep to timestep,
-//! which turns a small error of the network into a small error of velocity instead of a jerk. Diffused values have no
-//! meaning by themselves: [`SceneBatch::decode`] turns them into meters and radians, linearly.
+//! Two parametrizations of states: `scene` is the paper's, `motion` the change from timestep to timestep of an agent's
+//! motion relative to a kinematic reference that follows from its observed states, which turns a small error of the
+//! network into a small error of velocity instead of a jerk. Diffused values have no meaning by themselves:
+//! [`SceneBatch::decode`] turns them into meters and radians, linearly.
 //!
 //! With a `Sight`, the collator also looks around each agent: lane pieces that it can reach, in its own frame, and the
 //! modes of its motion.
