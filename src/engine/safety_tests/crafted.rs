@@ -9,6 +9,7 @@ use crate::store::write_record;
 use fs_err as fs;
 use proptest::prelude::*;
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Somebody's files, beside the folder that holds the run folder.
@@ -134,7 +135,13 @@ impl Crafted {
             fs::create_dir_all(link.parent().unwrap()).unwrap();
             std::os::unix::fs::symlink(outside.join("theirs"), link).unwrap();
         }
-        self.outputs.iter().chain(&self.files).any(|name| !stays_below(name)) || self.fingerprint.is_some()
+        // A record holds each path once: `a` and `a/.` are one, under the name that comes first.
+        let mut files = BTreeSet::new();
+        for name in &self.files {
+            files.insert(Path::new(name));
+        }
+        let names = files.into_iter().filter_map(Path::to_str).chain(self.outputs.iter().map(String::as_str));
+        names.into_iter().any(|name| !stays_below(name)) || self.fingerprint.is_some()
     }
 }
 
