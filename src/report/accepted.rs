@@ -16,7 +16,10 @@ const CRITICAL_S: f64 = 1.5;
 pub struct Accepted {
     /// Their least times to collision, seconds, by their ids; infinite without a course to collide.
     min_ttc_s: BTreeMap<String, f64>,
-    n_not_preventable: u64,
+    /// `None` where no scenario, accepted or not, has the metric.
+    n_not_preventable: Option<u64>,
+    /// Whether any scenario, accepted or not, has a time to collision: if not, it was not measured.
+    has_ttc: bool,
 }
 
 /// How many scenarios were accepted, and how hard they are.
@@ -24,12 +27,12 @@ pub struct Accepted {
 pub struct HardnessSummary {
     /// Situations, a recorded scene with the road users of the event, that they continue.
     pub n_situations: u64,
-    /// Those with a time to collision below 1.5 s.
-    pub n_critical: u64,
-    /// Those that a careful driver could not have prevented.
-    pub n_not_preventable: u64,
-    /// Those in which the two are never on course to collide.
-    pub n_without_course: u64,
+    /// Those with a time to collision below 1.5 s; `None` if it was not measured.
+    pub n_critical: Option<u64>,
+    /// Those without a time to collision; `None` if it was not measured.
+    pub n_without_ttc: Option<u64>,
+    /// Those that a careful driver could not have prevented; `None` if that was not judged.
+    pub n_not_preventable: Option<u64>,
 }
 
 impl Accepted {
@@ -42,10 +45,16 @@ impl Accepted {
 
     /// Adds a figure, after all verdicts.
     pub fn add_metric(&mut self, row: &MetricRow) {
-        let known = row.scenario_id.as_ref().and_then(|id| self.min_ttc_s.get_mut(id));
-        match (known, row.metric.as_str()) {
-            (Some(min_ttc_s), HARDNESS) => *min_ttc_s = row.value,
-            (Some(_), PREVENTABLE) if row.value == 0.0 => self.n_not_preventable += 1,
+        let Some(id) = &row.scenario_id else { return };
+        let accepted = self.min_ttc_s.get_mut(id);
+        match row.metric.as_str() {
+            HARDNESS => {
+                self.has_ttc = true;
+                accepted.into_iter().for_each(|min_ttc_s| *min_ttc_s = row.value);
+            }
+            PREVENTABLE => {
+                *self.n_not_preventable.get_or_insert(0) += u64::from(accepted.is_some() && row.value == 0.0);
+            }
             _ => {}
         }
     }
@@ -56,12 +65,30 @@ impl Accepted {
     }
 
     pub(super) fn summary(&self, n_situations: usize) -> HardnessSummary {
-        let n_of = |is: fn(f64) -> bool| self.min_ttc_s.values().filter(|ttc_s| is(**ttc_s)).count() as u64;
+        let n_of = |is: fn(f64) -> bool| {
+            self.has_ttc.then(|| self.min_ttc_s.values().filter(|ttc_s| is(**ttc_s)).count() as u64)
+        };
         HardnessSummary {
             n_situations: n_situations as u64,
             n_critical: n_of(|ttc_s| ttc_s < CRITICAL_S),
+            n_without_ttc: n_of(f64::is_infinite),
             n_not_preventable: self.n_not_preventable,
-            n_without_course: n_of(f64::is_infinite),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_names_are_those_of_metrics() {
+        assert!([HARDNESS, PREVENTABLE].into_iter().all(|name| crate::metrics::by_id(name).is_some()));
+    }
+
+    #[test]
+    fn what_was_not_measured_is_not_counted() {
+        let nothing = HardnessSummary { n_situations: 2, ..HardnessSummary::default() };
+        assert_eq!(Accepted::default().summary(2), nothing);
     }
 }

@@ -113,7 +113,8 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
     ] {
         accepted.add_metric(&metric(i, name, value));
     }
-    let summary = HardnessSummary { n_situations: 1, n_critical: 1, n_not_preventable: 1, n_without_course: 1 };
+    let summary =
+        HardnessSummary { n_situations: 1, n_critical: Some(1), n_without_ttc: Some(1), n_not_preventable: Some(1) };
     assert_eq!(accepted.summary(1), summary);
     let config = ReportConfig { n_drawn: 3, n_failed_drawn: 1, ..ReportConfig::default() };
     let mut choice = Choice::new(&config, Some(&accepted));

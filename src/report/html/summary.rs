@@ -71,10 +71,15 @@ fn got(model: &ReportModel) -> Markup {
             }
         }
         @if let Some(hardness) = model.hardness.filter(|_| n_accepted > 0) {
-            p { "in " strong { (count(hardness.n_situations)) } " situations; "
-                strong { (count(hardness.n_critical)) } " come within 1.5 s of a collision, a careful driver could not \
-                prevent " strong { (count(hardness.n_not_preventable)) } ", and "
-                strong { (count(hardness.n_without_course)) } " are never on course to collide" }
+            p { "in " strong { (count(hardness.n_situations)) } " situations"
+                @if let Some((n_critical, n_without)) = hardness.n_critical.zip(hardness.n_without_ttc) {
+                    "; " strong { (count(n_critical)) } " have a time to collision below 1.5 s, "
+                    strong { (count(n_without)) } " have none"
+                }
+                @if let Some(n_not_preventable) = hardness.n_not_preventable {
+                    "; a careful driver could not prevent " strong { (count(n_not_preventable)) }
+                }
+            }
         }
         @if !asked.is_empty() {
             p { strong { (count(sum(&asked, |row| row.n_verified))) }

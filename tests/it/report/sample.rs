@@ -24,7 +24,12 @@ pub(crate) fn model() -> ReportModel {
 pub(crate) fn model_named(name: &str) -> ReportModel {
     ReportModel {
         n_continued: 3,
-        hardness: Some(HardnessSummary { n_situations: 2, n_critical: 1, n_not_preventable: 0, n_without_course: 1 }),
+        hardness: Some(HardnessSummary {
+            n_situations: 2,
+            n_critical: Some(1),
+            n_without_ttc: Some(1),
+            n_not_preventable: None,
+        }),
         title: format!("Cut-ins at the merging highway ({name})"),
         facts: vec![
             Fact::new("Run", name),
