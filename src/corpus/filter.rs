@@ -47,6 +47,11 @@ pub fn filter(dir: &Path, options: &FilterOptions, out: &Path, progress: &dyn Pr
     let scan = CorpusScan::open(dir)?;
     let schema = scan.scenario_schema()?;
     conditions.iter().try_for_each(|condition| condition.check(&schema))?;
+    if conditions.is_empty() && ids.is_none() && top.is_none() {
+        return Err(Error::Usage(
+            "a filter needs a condition, a list of ids or an order to take the top of".to_owned(),
+        ));
+    }
     let mut words: Vec<String> = conditions.iter().map(ToString::to_string).collect();
     let mut listed = ids.as_ref().map(|ids| listed(&scan, ids)).transpose()?;
     words.extend(listed.as_ref().map(|ids| format!("scenario_id is one of {}", ids.len())));
@@ -152,8 +157,10 @@ fn texts_of(scan: &CorpusScan, conditions: &[Condition]) -> Result<Vec<(String, 
     for chunk in scan.all_chunks(false) {
         let chunk = chunk?;
         for (name, values) in &mut values {
-            if let Some(found) = column(&chunk.scenarios, name, &chunk.path)?.as_any().downcast_ref::<StringArray>() {
-                values.extend(found.iter().flatten().map(str::to_owned).take(MAX_LISTED + 1));
+            let found = column(&chunk.scenarios, name, &chunk.path)?.as_any().downcast_ref::<StringArray>();
+            // More than a message lists need not be known.
+            if let Some(found) = found.filter(|_| values.len() <= MAX_LISTED) {
+                values.extend(found.iter().flatten().map(str::to_owned));
             }
         }
     }
