@@ -13,7 +13,6 @@ use crate::engine::{Failure, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::{Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
-use crate::progress::Progress;
 use crate::settings;
 use std::path::{Path, PathBuf};
 
@@ -44,6 +43,7 @@ fn run_in(
         refuse_too_large(config, &layout, &planned)?;
         Ok(planned)
     };
+    config.remarks().iter().for_each(|remark| printer.message(printer.warning_line(remark)));
     if args.dry_run {
         return print_dry_run(config, &layout, &plan()?, printer);
     }
@@ -63,7 +63,6 @@ fn run_in(
     }
     let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
-    config.remarks().iter().for_each(|remark| progress.warn(remark));
     let records = run_stages(&folder, Some(&config.about()?), (compute, makers), planned, &progress)?;
     describe(&records, root, printer);
     // Where a report comes later, the run ends with it.

@@ -1,52 +1,38 @@
 //! Settings that have no effect.
 
 use super::{PipelineConfig, TrainConfig};
-use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
+use serde::Serialize;
+use serde_json::Value;
 
 impl PipelineConfig {
     /// What a user may have meant otherwise, although it can work.
     pub fn remarks(&self) -> Vec<String> {
         let TrainConfig { denoiser, distill, classifier, baseline } = &self.train;
-        let beside_checkpoints = [
-            (
-                "denoiser",
-                denoiser.as_ref().is_some_and(|own| {
-                    let alone = DenoiserTrainingConfig { checkpoint: own.checkpoint.clone(), ..Default::default() };
-                    own.checkpoint.is_some() && *own != alone
-                }),
-            ),
-            (
-                "distill",
-                distill.as_ref().is_some_and(|own| {
-                    let alone = DistillTrainingConfig { checkpoint: own.checkpoint.clone(), ..Default::default() };
-                    own.checkpoint.is_some() && *own != alone
-                }),
-            ),
-            (
-                "classifier",
-                classifier.as_ref().is_some_and(|own| {
-                    let alone = ClassifierTrainingConfig { checkpoint: own.checkpoint.clone(), ..Default::default() };
-                    own.checkpoint.is_some() && *own != alone
-                }),
-            ),
-            (
-                "baseline",
-                baseline.as_ref().is_some_and(|own| {
-                    let alone = BaselineTrainingConfig { checkpoint: own.checkpoint.clone(), ..Default::default() };
-                    own.checkpoint.is_some() && *own != alone
-                }),
-            ),
+        let sections = [
+            ("denoiser", has_more_than_checkpoint(denoiser.as_ref())),
+            ("distill", has_more_than_checkpoint(distill.as_ref())),
+            ("classifier", has_more_than_checkpoint(classifier.as_ref())),
+            ("baseline", has_more_than_checkpoint(baseline.as_ref())),
         ];
-        let named = beside_checkpoints.into_iter().filter(|(_, has_more)| *has_more);
-        named
-            .map(|(section, _)| {
-                format!(
-                    "train.{section}.checkpoint is used as it is: the other settings of the section have no effect; \
-                     to train it further, use start_from"
-                )
+        let remark = |(section, has_more): (&str, bool)| {
+            has_more.then(|| {
+                format!("train.{section}.checkpoint is used as it is: the other settings of the section have no effect")
             })
-            .collect()
+        };
+        sections.into_iter().filter_map(remark).collect()
     }
+}
+
+/// Whether a section has a checkpoint and other settings that are not their defaults.
+fn has_more_than_checkpoint<C: Serialize + Default>(section: Option<&C>) -> bool {
+    let settings = |section: &C| match serde_json::to_value(section) {
+        Ok(Value::Object(mut settings)) => Some((settings.remove("checkpoint"), settings)),
+        _ => None,
+    };
+    let (own, default) = (section.and_then(settings), settings(&C::default()));
+    own.zip(default).is_some_and(|((checkpoint, own), (_, default))| {
+        checkpoint.is_some_and(|checkpoint| !checkpoint.is_null()) && own != default
+    })
 }
 
 #[cfg(test)]
