@@ -1,17 +1,19 @@
 //! Which program is this?
 
 use super::Result;
+use std::sync::OnceLock;
 
 /// The revision of the source, or a hash of the program if the build did not know the revision.
 ///
 /// # Errors
 /// When the program cannot be read.
 pub(super) fn revision() -> Result<String> {
-    if let Some(revision) = option_env!("DJINN_REVISION") {
+    static KNOWN: OnceLock<String> = OnceLock::new();
+    if let Some(revision) = option_env!("DJINN_REVISION").or(KNOWN.get().map(String::as_str)) {
         return Ok(revision.to_owned());
     }
     let mut hasher = blake3::Hasher::new();
     hasher.update_reader(fs_err::File::open(std::env::current_exe()?)?)?;
     let hash = hasher.finalize().to_hex();
-    Ok(format!("build {}", hash.get(..12).unwrap_or_default()))
+    Ok(KNOWN.get_or_init(|| format!("build {}", hash.get(..12).unwrap_or_default())).clone())
 }

@@ -98,7 +98,7 @@ impl ShardFolder {
         differs.map_or(Ok(None), Err)
     }
 
-    /// Keeps a plan.
+    /// Keeps a plan, which nobody else may use yet.
     ///
     /// # Errors
     /// When other people's files are in its place; those of the file system.
@@ -107,13 +107,16 @@ impl ShardFolder {
         kind: &'static StageKind,
         identity: Identity,
         division: &Division,
-        (is_shared, redoes): (bool, bool),
     ) -> Result<Self> {
         let names = kind.shards;
         let names = names.ok_or_else(|| Failure::fault(anyhow::anyhow!("stage {kind} has no shards")))?;
         let dir = plans_of(root, kind).join(identity.plan_id()?);
-        let folder =
-            Self { dir, kind, names, about: About { identity, n_shards: division.n_shards, is_shared, redoes } };
+        let folder = Self {
+            dir,
+            kind,
+            names,
+            about: About { identity, n_shards: division.n_shards, is_shared: false, redoes: false },
+        };
         // The remains of a killed process have no plan, so no worker has used them.
         folder.discard()?;
         fs_err::create_dir_all(&folder.dir)?;
@@ -122,14 +125,15 @@ impl ShardFolder {
         Ok(folder)
     }
 
-    /// Lets several workers use the plan.
+    /// Lets several workers use the plan, to do the stage again if it was requested so, now or before.
     ///
     /// # Errors
     /// On I/O errors.
-    pub(super) fn share(&self) -> Result<()> {
-        let about = About { is_shared: true, ..self.about.clone() };
-        write_record(&self.dir.join(ABOUT_FILE), &about)?;
-        Ok(())
+    pub(super) fn shared(mut self, redoes: bool) -> Result<Self> {
+        self.about.is_shared = true;
+        self.about.redoes |= redoes;
+        write_record(&self.dir.join(ABOUT_FILE), &self.about)?;
+        Ok(self)
     }
 
     /// Whether several workers may use the plan.

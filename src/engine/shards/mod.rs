@@ -99,14 +99,15 @@ pub fn plan(
     for other in ShardFolder::all(folder.root(), stage.kind())? {
         match other.difference(&identity) {
             _ if planned.is_requested => other.discard()?,
-            None => return other.share(),
+            None => return other.shared(false).map(drop),
             Some(_) if !other.is_shared() => other.discard()?,
             Some(difference) => return Err(other.refusal(&difference)),
         }
     }
     check_inputs(stage)?;
     let division = sharded.plan(&open(stage, compute)?, progress)?;
-    ShardFolder::write(folder.root(), stage.kind(), identity, &division, (true, planned.is_requested)).map(drop)
+    let plan = ShardFolder::write(folder.root(), stage.kind(), identity, &division)?;
+    plan.shared(planned.is_requested).map(drop)
 }
 
 /// The shards from which a stage is finished: those of workers, or else whatever this process makes of them.
@@ -158,7 +159,7 @@ fn alone(
             folder.forget_failures()?;
             folder
         }
-        None => ShardFolder::write(root, kind, identity, &sharded.plan(compute, progress)?, (false, false))?,
+        None => ShardFolder::write(root, kind, identity, &sharded.plan(compute, progress)?)?,
     };
     sharded.make(&Shards::new(&folder, Worker::ALONE, progress), compute)?;
     Ok(folder)
