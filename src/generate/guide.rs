@@ -26,8 +26,8 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further
-/// off the road than they are, vehicles that point where they drive. Agents of a requested collision may touch each
-/// other.
+/// off the road than they are, vehicles that point where they drive, well within what validity allows. Agents of a
+/// requested collision may touch each other.
 fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
