@@ -196,13 +196,14 @@ impl<'g> Generator<'g> {
             strength: validity_strength,
             gate: GuidanceConfig::default(),
             config: ObjectiveGuidanceConfig::default(),
+            modes: guided.repeated.surroundings.as_ref(),
         })
     }
 
     /// `inner`, guided by a potential of clean estimates as strongly as the sweep says.
     fn on_estimates<'a>(
         &self,
-        Guided { diffusion, level, .. }: &Guided<'_>,
+        Guided { diffusion, level, repeated, .. }: &Guided<'a>,
         inner: &'a dyn Denoiser,
         potential: &'a dyn CleanPotential,
     ) -> CleanGuidedDenoiser<'a> {
@@ -212,13 +213,14 @@ impl<'g> Generator<'g> {
             strength: level.strength,
             gate: diffusion.guidance.gate,
             config: diffusion.guidance.objective_guidance,
+            modes: repeated.surroundings.as_ref(),
         }
     }
 
     /// [`Self::on_estimates`] by a classifier's potential: damping presumes a best value, which log odds do not have.
     fn by_classifier<'a>(
         &self,
-        guided: &Guided<'_>,
+        guided: &Guided<'a>,
         inner: &'a dyn Denoiser,
         potential: &'a dyn CleanPotential,
     ) -> CleanGuidedDenoiser<'a> {

@@ -4,7 +4,8 @@ use super::guided_denoiser::limit_norm;
 use super::objectives::nothing;
 use super::{GuidanceConfig, ObjectiveConfig, SceneContext};
 use crate::diffusion::{Denoiser, SIGMA_DATA, rows_like, sigma_rows};
-use crate::tensor::SceneBatch;
+use crate::nn::ops::mode_filter;
+use crate::tensor::{SceneBatch, Surroundings};
 use candle_core::{Error, Result, Tensor, Var};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -74,7 +75,8 @@ pub struct ObjectiveGuidanceConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CleanGradient {
-    /// σ² σ_data² / (σ² + σ_data²), that of independent Gaussian data: needs no gradient of the denoiser.
+    /// σ² λ / (σ² + λ) along each mode of variance λ of the motion of traffic, that of Gaussian data: needs no gradient
+    /// of the denoiser. Networks that do not know these modes take λ = σ_data² everywhere.
     #[default]
     Clean,
     /// σ² ∂D/∂x, the exact one for an exact denoiser: each step goes back through the network, at about three times the
@@ -95,7 +97,8 @@ impl Default for ObjectiveGuidanceConfig {
 /// about normal given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the
 /// mean D + C ∇J, which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ
 /// ln p(y | x) and ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian
-/// data of standard deviation σ_data, C = w(σ) = σ² σ_data² / (σ² + σ_data²) and nothing is approximate if J is linear.
+/// data of covariance Uᵀ Λ U, C = Uᵀ (σ² λ / (σ² + λ)) U and nothing is approximate if J is linear. Traffic has little
+/// variance in modes that change from timestep to timestep, so that it is pushed as it moves: aside without a jolt.
 ///
 /// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer D + α C ∇J / (1 + α
 /// k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, the factor 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it without
@@ -114,27 +117,32 @@ pub struct CleanGuidedDenoiser<'a> {
     pub gate: GuidanceConfig,
     /// How potentials become shifts.
     pub config: ObjectiveGuidanceConfig,
+    /// The modes of clean samples, where they are known; without them, entries are independent, of variance σ_data².
+    pub modes: Option<&'a Surroundings>,
 }
 
 /// The estimate of the inner denoiser, and what multiplies gradients by its covariance.
-enum Estimate {
-    /// The estimate, and w(σ) of each row.
-    Clean(Tensor, Tensor),
+enum Estimate<'a> {
+    /// The estimate, and σ² σ_data² / (σ² + σ_data²) of each row.
+    Independent(Tensor, Tensor),
+    /// The estimate, the modes U, (B, A, D, T, T), and σ² λ / (σ² + λ), (B, A, D, T).
+    InModes(Tensor, &'a Tensor, Tensor),
     /// The noisy tensor, the estimate with the graph that leads there, and σ² of each row.
     ThroughNetwork(Var, Tensor, Tensor),
 }
 
-impl Estimate {
+impl Estimate<'_> {
     /// The estimate without a graph behind it.
     fn x0_hat(&self) -> Tensor {
-        let (Self::Clean(x0_hat, _) | Self::ThroughNetwork(_, x0_hat, _)) = self;
+        let (Self::Independent(x0_hat, _) | Self::InModes(x0_hat, ..) | Self::ThroughNetwork(_, x0_hat, _)) = self;
         x0_hat.detach()
     }
 
     /// C g.
     fn times_covariance(&self, gradient: &Tensor) -> Result<Tensor> {
         match self {
-            Self::Clean(_, weight) => gradient.broadcast_mul(weight),
+            Self::Independent(_, weight) => gradient.broadcast_mul(weight),
+            Self::InModes(_, modes, gains) => mode_filter(gradient, modes, gains),
             Self::ThroughNetwork(x, x0_hat, weight) => {
                 let gradients = (x0_hat * gradient)?.sum_all()?.backward()?;
                 let Some(gradient) = gradients.get(x.as_tensor()) else {
@@ -147,15 +155,20 @@ impl Estimate {
 }
 
 impl CleanGuidedDenoiser<'_> {
-    fn estimate(&self, x: &Tensor, sigma: &Tensor) -> Result<Estimate> {
+    fn estimate(&self, x: &Tensor, sigma: &Tensor) -> Result<Estimate<'_>> {
         let rows = |value: &dyn Fn(f64) -> f64| rows_like(sigma_rows(sigma)?.into_iter().map(value).collect(), x);
-        match self.config.gradient {
-            CleanGradient::Clean => {
+        match (self.config.gradient, self.modes) {
+            (CleanGradient::Clean, Some(Surroundings { modes, variances, .. })) => {
+                let noise = rows(&|sigma| sigma.powi(2))?;
+                let gains = variances.broadcast_mul(&noise)?.div(&variances.broadcast_add(&noise)?)?;
+                Ok(Estimate::InModes(self.inner.denoise(x, sigma)?, modes, gains))
+            }
+            (CleanGradient::Clean, None) => {
                 let data = SIGMA_DATA.powi(2);
                 let weight = rows(&|sigma| sigma.powi(2) * data / (sigma.powi(2) + data))?;
-                Ok(Estimate::Clean(self.inner.denoise(x, sigma)?, weight))
+                Ok(Estimate::Independent(self.inner.denoise(x, sigma)?, weight))
             }
-            CleanGradient::ThroughNetwork => {
+            (CleanGradient::ThroughNetwork, _) => {
                 let x = Var::from_tensor(&x.detach())?;
                 let x0_hat = self.inner.denoise(x.as_tensor(), sigma)?;
                 Ok(Estimate::ThroughNetwork(x, x0_hat, rows(&|sigma| sigma.powi(2))?))

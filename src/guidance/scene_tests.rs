@@ -76,6 +76,7 @@ fn gradients_go_through_the_network() {
         strength: 0.25,
         gate: GuidanceConfig::UNRESTRICTED,
         config: ObjectiveGuidanceConfig { gradient: CleanGradient::ThroughNetwork, damped: false, inner_steps: 1 },
+        modes: None,
     };
     // α σ² = 1: the shift is the gradient of the projection itself.
     let estimate = guided.denoise(&x, &sigma).unwrap();
@@ -108,6 +109,7 @@ fn objectives_with_nothing_to_say_change_nothing() {
         strength: 1.0,
         gate: GuidanceConfig::UNRESTRICTED,
         config: ObjectiveGuidanceConfig::default(),
+        modes: None,
     };
     let x = NoiseSource::new(vec![Seed(1)]).draw_like(&batch.x0).unwrap();
     let sigma = Tensor::new(&[1.0f32], &Device::Cpu).unwrap();

@@ -48,7 +48,7 @@ fn guided<'a>(
     inner_steps: usize,
 ) -> CleanGuidedDenoiser<'a> {
     let config = ObjectiveGuidanceConfig { gradient, damped, inner_steps };
-    CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, config }
+    CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, config, modes: None }
 }
 
 fn estimate(denoiser: &dyn Denoiser, sigma: f64) -> [f64; 2] {
@@ -185,4 +185,67 @@ fn the_gate_and_the_limit_hold_and_no_strength_is_no_guidance() {
         guided.strength = 0.0;
         assert_eq!(estimate(&guided, 0.8), plain(0.8));
     }
+}
+
+/// Gaussian data of variance λ in each of two modes of three timesteps: D(x) = Uᵀ λ / (λ + σ²) U x.
+struct InModes(Surroundings);
+
+impl InModes {
+    fn new() -> Self {
+        let device = &Device::Cpu;
+        let (a, h) = (0.5f32.sqrt(), 0.5f32);
+        // One agent of one dimension, and a third row without a mode.
+        let modes = Tensor::new(&[[h, a, h], [a, 0.0, -a], [0.0, 0.0, 0.0]], device).unwrap();
+        let variances = Tensor::new(&[0.8f32, 0.001, 0.0], device).unwrap();
+        let nothing = Tensor::zeros((1, 1, 1), DType::F32, device).unwrap();
+        Self(Surroundings {
+            origin: nothing.clone(),
+            attributes: nothing.clone(),
+            lanes: nothing.clone(),
+            lane_valid: nothing,
+            modes: modes.reshape((1, 1, 1, 3, 3)).unwrap(),
+            variances: variances.reshape((1, 1, 1, 3)).unwrap(),
+            rows: Vec::new(),
+        })
+    }
+}
+
+impl Denoiser for InModes {
+    fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
+        let variance = sigma.sqr()?.reshape((1, 1, 1, 1))?;
+        let gains = self.0.variances.div(&self.0.variances.broadcast_add(&variance)?)?;
+        mode_filter(x, &self.0.modes, &gains)
+    }
+}
+
+#[test]
+fn wishes_push_along_the_modes_as_an_exact_denoiser_would() {
+    let data = InModes::new();
+    let (x, sigma) = (Tensor::new(&[0.3f32, -0.1, 0.6], &Device::Cpu).unwrap(), 0.8);
+    let x = x.reshape((1, 1, 3, 1)).unwrap();
+    struct Last;
+    impl CleanPotential for Last {
+        fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+            x0.narrow(2, 2, 1)?.flatten_all()
+        }
+    }
+    let shift = |gradient: CleanGradient, modes: Option<&Surroundings>| -> Vec<f32> {
+        let guided = CleanGuidedDenoiser { modes, ..guided(&data, &Last, gradient, false, 1) };
+        let sigma = Tensor::new(&[sigma as f32], &Device::Cpu).unwrap();
+        let moved = guided.denoise(&x, &sigma).unwrap() - data.denoise(&x, &sigma).unwrap();
+        moved.unwrap().flatten_all().unwrap().to_vec1().unwrap()
+    };
+    let found = shift(CleanGradient::Clean, Some(&data.0));
+    // α Uᵀ c U e₃ with c = σ² λ / (σ² + λ): 1.5 (½ c₁ u₁ - √½ c₂ u₂).
+    let c = |variance: f64| sigma * sigma * variance / (sigma * sigma + variance);
+    let (along, across) = (1.5 * 0.5 * c(0.8), 1.5 * 0.5f64.sqrt() * c(0.001));
+    let expected = [0.5 * along - 0.5f64.sqrt() * across, 0.5f64.sqrt() * along, 0.5 * along + 0.5f64.sqrt() * across];
+    for (i, expected) in expected.into_iter().enumerate() {
+        assert!((f64::from(found[i]) - expected).abs() < 1e-6, "{found:?}, expected {expected} at {i}");
+    }
+    let exact = shift(CleanGradient::ThroughNetwork, None);
+    assert!(found.iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}, through the network {exact:?}");
+    // Independent entries would be pushed in the last timestep alone: with a jolt.
+    let jolt = shift(CleanGradient::Clean, None);
+    assert!(jolt[..2] == [0.0, 0.0] && jolt[2] > 0.1, "{jolt:?}");
 }
