@@ -14,6 +14,7 @@ mod batch_buffers;
 mod collate;
 mod continuation;
 mod eigen;
+mod ending;
 mod features;
 mod hidden_states;
 mod lane_pieces;

@@ -1,0 +1,196 @@
+//! What the states of a sample are beyond what the network generated: standing, velocities, headings that fit them.
+
+use crate::geometry::{Vec2, angle_difference, wrap_angle};
+use crate::scene::{STANDING_STEP_M, State, velocity_at};
+use std::f64::consts::FRAC_PI_2;
+
+/// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz.
+const STILL_STEP_M: f64 = 0.004;
+
+/// Leaves out the steps of a sample that are too short to be motion, after the last observed state: who stands is
+/// exactly still. What follows is shifted by the sum of the steps that were left out.
+pub(super) fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
+    let n_entries = entries.len();
+    let mut left_out = Vec2::ZERO;
+    let first = (0..n_entries).rfind(|t| latent[*t] == 0 && entries[*t].is_some()).map_or(n_entries, |last| last + 1);
+    for timestep in first..n_entries {
+        let (before, Some(state)) = (entries[timestep - 1], entries[timestep]) else { continue };
+        let mut held = State { position: state.position - left_out, ..state };
+        if let Some(before) = before.filter(|before| held.position.distance(before.position) < STILL_STEP_M) {
+            left_out = left_out + (held.position - before.position);
+            held = State { position: before.position, heading_rad: before.heading_rad, ..held };
+        }
+        entries[timestep] = Some(held);
+    }
+}
+
+/// Velocities of generated entries ([`velocity_at`]; 0 for one that stands alone) and, if requested, headings along the
+/// motion.
+pub(super) fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
+    for timestep in 0..entries.len() {
+        if latent[timestep] == 0 {
+            continue;
+        }
+        let position = |offset: isize| {
+            let entry = timestep.checked_add_signed(offset).and_then(|t| entries.get(t));
+            entry.copied().flatten().map(|state: State| state.position)
+        };
+        let velocity = velocity_at(position, dt_s).unwrap_or_default();
+        let before = timestep.checked_sub(1).and_then(|t| entries[t]);
+        let Some(state) = entries[timestep].as_mut() else { continue };
+        state.velocity = velocity;
+        if !with_heading {
+            let held = before.map_or(state.heading_rad, |before| before.heading_rad);
+            state.heading_rad = if velocity.norm() * dt_s > STANDING_STEP_M { velocity.angle() } else { held };
+        }
+    }
+}
+
+/// Vehicles do not slide: turns generated headings into the motion by as much as their angle to it exceeds what turning
+/// explains and what the given states of the vehicle show. At a yaw rate ω and a speed v, the center of a vehicle of
+/// length L moves at up to atan(L ω / 2 v) to its heading. Whoever is slower than 2 m/s is turned by less, below 1 m/s
+/// not at all: those who maneuver may go backward.
+pub(super) fn turn_into_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, length_m: f64) {
+    let sliding = |t: usize| -> f64 {
+        let (Some(state), Some(before)) = (entries[t], t.checked_sub(1).and_then(|t| entries[t])) else { return 0.0 };
+        let (speed_mps, after) = (state.speed_mps(), entries.get(t + 1).copied().flatten());
+        let slip_rad = angle_difference(state.velocity.angle(), state.heading_rad);
+        let (to, n_steps) = after.map_or((state, 1.0), |after| (after, 2.0));
+        let yaw_rate_radps = angle_difference(to.heading_rad, before.heading_rad) / (n_steps * dt_s);
+        let turning_rad = (length_m / 2.0 * yaw_rate_radps / speed_mps.max(1.0)).atan().abs();
+        match slip_rad.abs() < FRAC_PI_2 {
+            true => slip_rad.signum() * (slip_rad.abs() - turning_rad).max(0.0) * (speed_mps - 1.0).clamp(0.0, 1.0),
+            false => 0.0,
+        }
+    };
+    let slidings: Vec<f64> = (0..entries.len()).map(sliding).collect();
+    let of_given = slidings.iter().zip(latent).filter(|(_, latent)| **latent == 0).map(|(sliding, _)| sliding.abs());
+    let given_rad = of_given.fold(0.0, f64::max);
+    let beyond = |t: usize| match latent[t] {
+        0 => 0.0,
+        _ => slidings[t].signum() * (slidings[t].abs() - given_rad).max(0.0),
+    };
+    for (t, entry) in entries.iter_mut().enumerate().filter(|(t, _)| latent[*t] != 0) {
+        let Some(state) = entry else { continue };
+        // Averaged over time, lest whoever begins to slide is turned at once.
+        let around =
+            WEIGHTS.iter().zip(t..).map(|(weight, at)| weight * beyond(at.saturating_sub(2).min(latent.len() - 1)));
+        state.heading_rad = wrap_angle(state.heading_rad + around.sum::<f64>());
+    }
+}
+
+/// Weights of two timesteps before, the same one and two after, of sum 1.
+const WEIGHTS: [f64; 5] = [1.0 / 9.0, 2.0 / 9.0, 3.0 / 9.0, 2.0 / 9.0, 1.0 / 9.0];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_stands_is_exactly_still_and_who_starts_loses_millimeters() {
+        // Half a millimeter of noise about x = 2, then a start at 2 m/s².
+        let noise = |t: usize| if t.is_multiple_of(2) { 0.0005 } else { -0.0005 };
+        let at = |t: usize| 2.0 + noise(t) + 0.01 * (t.saturating_sub(6) as f64).powi(2);
+        let state =
+            |t: usize| Some(State { position: Vec2::new(at(t), 0.0), heading_rad: noise(t), ..State::default() });
+        let mut entries: Vec<Option<State>> = (0..12).map(state).collect();
+        let mut latent = [1; 12];
+        latent[..2].fill(0);
+        hold_still(&mut entries, &latent);
+        assert_eq!(entries[0], state(0));
+        for entry in &entries[2..7] {
+            assert_eq!(*entry, state(1), "as it was last observed");
+        }
+        for (t, entry) in entries.iter().enumerate().skip(7) {
+            let shift_m = entry.unwrap().position.x - at(t);
+            assert!(shift_m.abs() < 0.004, "{t}: {shift_m}");
+        }
+        // Up to an observed state nothing moves, lest it be missed.
+        let mut entries: Vec<Option<State>> = (0..12).map(state).collect();
+        latent[11] = 0;
+        hold_still(&mut entries, &latent);
+        assert_eq!(entries, (0..12).map(state).collect::<Vec<_>>());
+        // Without anything observed, too.
+        hold_still(&mut entries, &[1; 12]);
+        assert_eq!(entries, (0..12).map(state).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn velocities_are_those_at_the_timesteps() {
+        // x = 3 t + 2 t², observed at first: a speed of 3 + 4 t.
+        let at = |t: usize| 3.0 * (0.1 * t as f64) + 2.0 * (0.1 * t as f64).powi(2);
+        let state =
+            |t: usize| State { position: Vec2::new(at(t), 0.0), velocity: Vec2::new(9.0, 9.0), ..State::default() };
+        let mut entries: Vec<Option<State>> = (0..7).map(|t| (t != 3).then(|| state(t))).collect();
+        derive_motion(&mut entries, &[0, 1, 1, 1, 1, 1, 1], 0.1, false);
+        assert_eq!(entries[0].unwrap().velocity, Vec2::new(9.0, 9.0), "observed states stay as they are");
+        // Before and after the gap there are two positions in a row, or three.
+        for t in [1, 2, 4, 5, 6] {
+            let found = entries[t].unwrap().velocity;
+            assert!(found.distance(Vec2::new(3.0 + 0.4 * t as f64, 0.0)) < 1e-9, "{t}: {found:?}");
+        }
+        let mut lonely = vec![None, Some(state(1)), Some(state(2)), None, Some(state(4))];
+        derive_motion(&mut lonely, &[1; 5], 0.1, false);
+        let speeds: Vec<f64> = lonely.iter().flatten().map(State::speed_mps).collect();
+        assert!(
+            speeds.iter().zip([3.6, 3.6, 0.0]).all(|(found, expected)| (found - expected).abs() < 1e-9),
+            "{speeds:?}"
+        );
+    }
+
+    /// A car of 4 m that drives at 8 m/s along x and, from 1 s on, at `aside_mps` along y; at all times turned by
+    /// `heading_rad`. The first 10 of 40 states are given.
+    fn sliding(aside_mps: f64, heading_rad: f64) -> (Vec<Option<State>>, Vec<u8>) {
+        let state = |t: usize| State {
+            position: Vec2::new(0.8 * t as f64, 0.1 * aside_mps * (t as f64 - 10.0).max(0.0)),
+            heading_rad,
+            velocity: Vec2::new(8.0, if t > 10 { aside_mps } else { 0.0 }),
+        };
+        let latent = (0..40).map(|t| u8::from(t >= 10)).collect();
+        ((0..40).map(|t| Some(state(t))).collect(), latent)
+    }
+
+    #[test]
+    fn who_is_moved_aside_turns() {
+        let (mut entries, latent) = sliding(1.0, 0.0);
+        turn_into_motion(&mut entries, &latent, 0.1, 4.0);
+        let course_rad = 0.125f64.atan();
+        let headings: Vec<f64> = entries.iter().map(|entry| entry.unwrap().heading_rad).collect();
+        assert!(headings[..9].iter().all(|heading| *heading == 0.0), "{headings:?}");
+        // Within half a second, without a step.
+        assert!(headings[13..].iter().all(|heading| (heading - course_rad).abs() < 1e-12), "{headings:?}");
+        assert!(
+            headings.windows(2).all(|pair| (0.0..0.35 * course_rad).contains(&(pair[1] - pair[0]))),
+            "{headings:?}"
+        );
+        let positions = |entries: &[Option<State>]| entries.iter().map(|e| e.unwrap().position).collect::<Vec<_>>();
+        assert_eq!(positions(&entries), positions(&sliding(1.0, 0.0).0));
+    }
+
+    #[test]
+    fn headings_that_turning_or_the_recording_explains_stay() {
+        // Around a circle of 10 m at 5 m/s, about an axle 1.5 m behind the center: 8.5 degrees of slip.
+        let (radius_m, rate_radps): (f64, f64) = (10.0, 0.5);
+        let slip_rad = (1.5 * rate_radps / 5.0_f64).atan();
+        let at = |t: usize| {
+            let angle_rad = 0.1 * rate_radps * t as f64;
+            State {
+                position: Vec2::from_angle(angle_rad - FRAC_PI_2) * radius_m,
+                heading_rad: angle_rad - slip_rad,
+                velocity: Vec2::from_angle(angle_rad) * 5.0,
+            }
+        };
+        let circle: Vec<Option<State>> = (0..40).map(|t| Some(at(t))).collect();
+        let latent: Vec<u8> = (0..40).map(|t| u8::from(t >= 10)).collect();
+        let mut turned = circle.clone();
+        turn_into_motion(&mut turned, &latent, 0.1, 4.0);
+        assert_eq!(turned, circle);
+        // Whose headings are off by as much in its given states; who is driven backward.
+        for (aside_mps, heading_rad) in [(0.0, 0.05), (0.0, std::f64::consts::PI)] {
+            let (mut entries, latent) = sliding(aside_mps, heading_rad);
+            let before = entries.clone();
+            turn_into_motion(&mut entries, &latent, 0.1, 4.0);
+            assert_eq!(entries, before);
+        }
+    }
+}
