@@ -24,9 +24,9 @@ pub struct GenerateConfig {
     pub places: Vec<String>,
     /// The sampler of sweeps that set none.
     pub sampler: SamplerConfig,
-    /// How strongly samples are kept apart and on the road while they are denoised (the objectives `no_collision`,
-    /// `stay_on_road` and `slip_limit`), for sweeps that do not set it. 0: not at all, as in the paper. It costs no
-    /// evaluations of the network.
+    /// How strongly samples are kept apart and on the road while they are denoised (the objectives `no_collision`
+    /// and `stay_on_road`), for sweeps that do not set it. 0: not at all, as in the paper. It costs no evaluations of
+    /// the network.
     #[schemars(range(min = 0.0, max = 1e6))]
     pub validity_strength: f64,
     /// Number of samples that are denoised together. Memory grows with it; it affects only the last digits of results.

@@ -9,7 +9,7 @@ use crate::diffusion::Denoiser;
 use crate::guidance::{
     AgentSelector, ClassifierGuidance, ClassifierPotential, CleanGuidedDenoiser, CleanPotential, ContextRow,
     EstimatePotential, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig,
-    ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, SlipLimit, StayOnRoad,
+    ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
@@ -26,9 +26,8 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further
-/// off the road than they are, vehicles that point where they drive, well within what validity allows. Agents of a
-/// requested collision may touch each other.
-fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
+/// off the road than they are. Agents of a requested collision may touch each other.
+fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
     let may_collide = may_collide.filter(|_| sweep.asks_for_collision());
@@ -40,13 +39,7 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 3] {
             except: may_collide.map(|roles| roles.map(AgentSelector::new)),
             margin_m: 0.3,
         }),
-        ObjectiveConfig::StayOnRoad(StayOnRoad {
-            weight: 3.0,
-            agents: agents.clone(),
-            points: RoadPoints::Center,
-            margin_m: 0.0,
-        }),
-        ObjectiveConfig::SlipLimit(SlipLimit { weight: 1.0, agents, limit_rad: 0.04 }),
+        ObjectiveConfig::StayOnRoad(StayOnRoad { weight: 3.0, agents, points: RoadPoints::Center, margin_m: 0.0 }),
     ]
 }
 

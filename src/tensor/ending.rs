@@ -51,36 +51,46 @@ pub(super) fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: 
 /// length L moves at up to atan(L ω / 2 v) to its heading. Whoever is slower than 2 m/s is turned by less, below 1 m/s
 /// not at all: those who maneuver may go backward.
 pub(super) fn turn_into_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, length_m: f64) {
-    let sliding = |t: usize| -> f64 {
-        let (Some(state), Some(before)) = (entries[t], t.checked_sub(1).and_then(|t| entries[t])) else { return 0.0 };
-        let (speed_mps, after) = (state.speed_mps(), entries.get(t + 1).copied().flatten());
-        let slip_rad = angle_difference(state.velocity.angle(), state.heading_rad);
-        let (to, n_steps) = after.map_or((state, 1.0), |after| (after, 2.0));
-        let yaw_rate_radps = angle_difference(to.heading_rad, before.heading_rad) / (n_steps * dt_s);
-        let turning_rad = (length_m / 2.0 * yaw_rate_radps / speed_mps.max(1.0)).atan().abs();
-        match slip_rad.abs() < FRAC_PI_2 {
-            true => slip_rad.signum() * (slip_rad.abs() - turning_rad).max(0.0) * (speed_mps - 1.0).clamp(0.0, 1.0),
-            false => 0.0,
+    let slides = |entries: &[Option<State>]| -> Vec<f64> {
+        (0..entries.len()).map(|t| slide_rad(entries, t, dt_s, length_m)).collect()
+    };
+    let is_given = |t: &usize| latent[*t] == 0;
+    let given_rad =
+        slides(entries).iter().enumerate().filter(|(t, _)| is_given(t)).fold(0.0, |a: f64, (_, b)| a.max(b.abs()));
+    for _ in 0..N_TURNS {
+        let slides = slides(entries);
+        let beyond = |t: usize| match is_given(&t) {
+            true => 0.0,
+            false => slides[t].signum() * (slides[t].abs() - given_rad).max(0.0),
+        };
+        for (t, entry) in entries.iter_mut().enumerate().filter(|(t, _)| !is_given(t)) {
+            let Some(state) = entry else { continue };
+            let at = |offset: usize| (t + offset).saturating_sub(2).min(slides.len() - 1);
+            let around = WEIGHTS.iter().enumerate().map(|(offset, weight)| weight * beyond(at(offset)));
+            state.heading_rad = wrap_angle(state.heading_rad + around.sum::<f64>());
         }
-    };
-    let slidings: Vec<f64> = (0..entries.len()).map(sliding).collect();
-    let of_given = slidings.iter().zip(latent).filter(|(_, latent)| **latent == 0).map(|(sliding, _)| sliding.abs());
-    let given_rad = of_given.fold(0.0, f64::max);
-    let beyond = |t: usize| match latent[t] {
-        0 => 0.0,
-        _ => slidings[t].signum() * (slidings[t].abs() - given_rad).max(0.0),
-    };
-    for (t, entry) in entries.iter_mut().enumerate().filter(|(t, _)| latent[*t] != 0) {
-        let Some(state) = entry else { continue };
-        // Averaged over time, lest whoever begins to slide is turned at once.
-        let around =
-            WEIGHTS.iter().zip(t..).map(|(weight, at)| weight * beyond(at.saturating_sub(2).min(latent.len() - 1)));
-        state.heading_rad = wrap_angle(state.heading_rad + around.sum::<f64>());
     }
 }
 
-/// Weights of two timesteps before, the same one and two after, of sum 1.
+/// A turn changes the yaw rate, and so what turning explains.
+const N_TURNS: usize = 3;
+/// Turns are averages over two timesteps before, the same one and two after, lest whoever begins to slide is turned at
+/// once.
 const WEIGHTS: [f64; 5] = [1.0 / 9.0, 2.0 / 9.0, 3.0 / 9.0, 2.0 / 9.0, 1.0 / 9.0];
+
+/// The angle from heading to motion at timestep `t` beyond what turning explains, radians; 0 where it is not known.
+fn slide_rad(entries: &[Option<State>], t: usize, dt_s: f64, length_m: f64) -> f64 {
+    let (Some(state), Some(before)) = (entries[t], t.checked_sub(1).and_then(|t| entries[t])) else { return 0.0 };
+    let speed_mps = state.speed_mps();
+    let slip_rad = angle_difference(state.velocity.angle(), state.heading_rad);
+    let (after, n_steps) = entries.get(t + 1).copied().flatten().map_or((state, 1.0), |after| (after, 2.0));
+    let yaw_rate_radps = angle_difference(after.heading_rad, before.heading_rad) / (n_steps * dt_s);
+    let turning_rad = (length_m / 2.0 * yaw_rate_radps / speed_mps.max(1.0)).atan().abs();
+    match slip_rad.abs() < FRAC_PI_2 {
+        true => slip_rad.signum() * (slip_rad.abs() - turning_rad).max(0.0) * (speed_mps - 1.0).clamp(0.0, 1.0),
+        false => 0.0,
+    }
+}
 
 #[cfg(test)]
 mod tests {
