@@ -1,7 +1,7 @@
 //! Collision: do two road users drive into each other?
 
 use super::maneuver::Maneuver;
-use super::sweep::Sweep;
+use super::swept_boxes::SweptBoxes;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Extent, Scene, Track};
@@ -67,7 +67,7 @@ impl Collision {
         &self.config
     }
 
-    fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&Sweep; 2]) -> Option<BehaviorEvent> {
+    fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&SweptBoxes; 2]) -> Option<BehaviorEvent> {
         let both = || first.both_at(second, 0..scene.n_timesteps);
         let present = scene.current_timestep();
         let touches = both().find(|(_, one, other)| one.overlaps(other)).map(|(timestep, ..)| timestep);
@@ -124,8 +124,8 @@ impl Behavior for Collision {
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let cores = with_cores(scene);
         let admitted = cores.tracks.iter().enumerate().filter(|(_, track)| self.config.agents.admits(track.class));
-        let sweeps: Vec<(usize, Sweep)> =
-            admitted.filter_map(|(agent_idx, track)| Some((agent_idx, Sweep::new(track)?))).collect();
+        let sweeps: Vec<(usize, SweptBoxes)> =
+            admitted.filter_map(|(agent_idx, track)| Some((agent_idx, SweptBoxes::new(track)?))).collect();
         let pairs =
             sweeps.iter().enumerate().flat_map(|(i, one)| sweeps[i + 1..].iter().map(move |other| (one, other)));
         pairs

@@ -5,7 +5,7 @@ use super::footprint::Footprint;
 use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::speed_profile::smoothed_accelerations_mps2;
-use super::sweep::Sweep;
+use super::swept_boxes::SweptBoxes;
 use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{Extent, Scene, State, Track};
 use std::f64::consts::FRAC_PI_6;
@@ -26,7 +26,7 @@ const SMOOTHING_S: f64 = 0.5;
 pub(super) struct Course<'a> {
     pub(super) track: &'a Track,
     pub(super) lane: KeptLane,
-    pub(super) sweep: Sweep,
+    pub(super) sweep: SweptBoxes,
     extent: Extent,
     /// Its highest speed.
     fastest_mps: f64,
@@ -60,7 +60,7 @@ impl<'a> Course<'a> {
         let speeds =
             track.trajectory.valid().filter(|(_, state)| state.is_finite()).map(|(_, state)| state.speed_mps());
         let fastest_mps = speeds.fold(0.0, f64::max);
-        let (sweep, extent) = (Sweep::new(track)?, track.extent_or_nominal());
+        let (sweep, extent) = (SweptBoxes::new(track)?, track.extent_or_nominal());
         Some(Self { track, lane, sweep, extent, fastest_mps, offset_m })
     }
 

@@ -36,7 +36,7 @@ mod right_turn;
 mod runs_stop_line;
 pub(crate) mod speed_profile;
 mod subject;
-pub(crate) mod sweep;
+pub(crate) mod swept_boxes;
 mod tailgating;
 mod template;
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Ordered pairs of agents: which of them show a behavior, and which only come close?
 
-use super::sweep::Sweep;
+use super::swept_boxes::SweptBoxes;
 use super::{AgentFilter, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
 use std::ops::Range;
@@ -27,7 +27,7 @@ impl PairSearch<'_> {
     /// the present on.
     pub(super) fn events(
         &self,
-        positive: impl Fn([usize; 2], &Sweep, &Sweep) -> Option<BehaviorEvent>,
+        positive: impl Fn([usize; 2], &SweptBoxes, &SweptBoxes) -> Option<BehaviorEvent>,
     ) -> Vec<BehaviorEvent> {
         let scene = self.scene;
         let present = scene.current_timestep();
@@ -38,9 +38,9 @@ impl PairSearch<'_> {
             self.agents.admits(scene.tracks[*agent_idx].class)
                 && scene.state(*agent_idx, present).is_some_and(|state| state.is_finite())
         };
-        let sweeps: Vec<(usize, Sweep)> = (0..scene.tracks.len())
+        let sweeps: Vec<(usize, SweptBoxes)> = (0..scene.tracks.len())
             .filter(takes_part)
-            .filter_map(|agent_idx| Some((agent_idx, Sweep::new(&scene.tracks[agent_idx])?)))
+            .filter_map(|agent_idx| Some((agent_idx, SweptBoxes::new(&scene.tracks[agent_idx])?)))
             .collect();
         let mut events = Vec::new();
         for (i, (first_idx, first)) in sweeps.iter().enumerate() {
@@ -65,7 +65,7 @@ impl PairSearch<'_> {
         events
     }
 
-    fn is_near(&self, first: &Sweep, second: &Sweep) -> bool {
+    fn is_near(&self, first: &SweptBoxes, second: &SweptBoxes) -> bool {
         if self.same_time {
             first.comes_within_at_same_time(second, self.judged.clone(), self.negative_distance_m)
         } else {

@@ -37,6 +37,10 @@ mod connect;
 mod error;
 #[cfg(feature = "cloud")]
 mod journal;
+#[cfg(feature = "cloud")]
+mod mirrored;
+#[cfg(not(feature = "cloud"))]
+mod no_stores;
 mod place;
 #[cfg(feature = "cloud")]
 mod push;
@@ -45,8 +49,6 @@ mod recordings;
 #[cfg(feature = "cloud")]
 mod redact;
 #[cfg(feature = "cloud")]
-mod shown;
-#[cfg(feature = "cloud")]
 mod side_by_side;
 #[cfg(test)]
 #[cfg(feature = "cloud")]
@@ -54,17 +56,15 @@ mod tests;
 mod url;
 #[cfg(feature = "cloud")]
 mod view;
-#[cfg(not(feature = "cloud"))]
-mod without;
 
 pub use error::{Error, Result};
 pub use place::{Access, Place, use_cache_dir};
 pub use url::{ObjectUrl, Scheme};
 
+#[cfg(not(feature = "cloud"))]
+pub use no_stores::Recordings;
 #[cfg(feature = "cloud")]
 pub use recordings::Recordings;
-#[cfg(not(feature = "cloud"))]
-pub use without::Recordings;
 
 /// Whether this build can open URLs.
 pub const IS_BUILT: bool = cfg!(feature = "cloud");

@@ -3,9 +3,9 @@
 use super::ObjectUrl;
 use super::error::Result;
 #[cfg(feature = "cloud")]
-use super::shown::Shown;
+use super::mirrored::Mirrored;
 #[cfg(not(feature = "cloud"))]
-use super::without::Shown;
+use super::no_stores::Mirrored;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -39,7 +39,7 @@ pub enum Access {
 #[derive(Debug)]
 pub struct Place {
     path: PathBuf,
-    shown: Option<Shown>,
+    shown: Option<Mirrored>,
 }
 
 impl Place {
@@ -49,7 +49,7 @@ impl Place {
     /// When the URL cannot be read, or this build knows no URLs; those of the store.
     pub fn open(path: &Path, access: Access) -> Result<Self> {
         let Some(url) = ObjectUrl::of(path)? else { return Ok(Self { path: path.to_owned(), shown: None }) };
-        let shown = Shown::open(&url, access, CACHE_DIR.get().map(PathBuf::as_path))?;
+        let shown = Mirrored::open(&url, access, CACHE_DIR.get().map(PathBuf::as_path))?;
         Ok(Self { path: shown.path().to_owned(), shown: Some(shown) })
     }
 

@@ -3,11 +3,11 @@
 use super::device::ComputeChoice;
 use super::failure::{Failure, Result};
 use super::kind::StageKind;
+use super::outdated;
 use super::plan::{Action, PlannedStage};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
 use super::stage::{Stage, StageContext, Work};
-use super::stale;
 use super::work_folder::WorkFolder;
 use crate::progress::Progress;
 use std::path::Path;
@@ -24,7 +24,7 @@ pub(super) fn execute(
     let mut records = Vec::new();
     for mut planned in planned {
         planned.expected.learn_contents(&records);
-        stale::revise(&mut planned, context)?;
+        outdated::revise(&mut planned, context)?;
         let kind = planned.stage.kind();
         let record = if planned.action == Action::Reuse {
             let PlannedStage { expected, .. } = planned;

@@ -10,15 +10,16 @@
 //!   replaced or removed.
 //! - Decisions are made while the folder is locked, so that they hold until they are carried out.
 
-mod claim;
 mod clock;
 mod device;
 mod execute;
 mod failure;
 mod fingerprint;
-mod keep;
+mod kept_models;
 mod kind;
 mod log;
+mod outdated;
+mod ownership;
 pub mod plan;
 #[cfg(test)]
 mod plan_tests;
@@ -29,7 +30,6 @@ pub mod run_folder;
 mod safety_tests;
 pub mod shards;
 mod stage;
-mod stale;
 #[cfg(test)]
 mod testing;
 mod work_folder;
@@ -37,7 +37,7 @@ mod work_folder;
 pub use device::{ComputeChoice, DeviceChoice};
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path, fingerprint_value};
-pub use keep::Kept;
+pub use kept_models::Kept;
 pub use kind::{ShardNames, StageKind};
 pub use record::{InputRecord, StageRecord, done_path};
 pub use stage::{Stage, StageContext, StageInput, Whole, Work};

@@ -1,15 +1,15 @@
 //! Decides which stages must run, which can be reused and which resume.
 
-use super::claim;
 use super::failure::{Blame, Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to};
-use super::keep::{Kept, kept};
+use super::kept_models::{Kept, kept};
 use super::kind::StageKind;
+use super::outdated;
+use super::ownership;
 use super::record::{InputRecord, StageRecord};
 use super::run_folder::times_seen;
 use super::shards;
 use super::stage::{Stage, StageInput};
-use super::stale;
 use super::work_folder::WorkFolder;
 use crate::cloud::Recordings;
 use serde::Serialize;
@@ -83,8 +83,8 @@ pub fn plan<'a>(
     if let Some(stage) = redo.iter().find(|kind| !stages.iter().any(|stage| stage.kind() == **kind)) {
         return Err(Failure::input_message(format_args!("--redo {stage}: the pipeline has no such stage")));
     }
-    claim::check_overlaps(root, &stages)?;
-    claim::check_root(root, kinds)?;
+    ownership::check_overlaps(root, &stages)?;
+    ownership::check_root(root, kinds)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
     for stage in stages {
         let earlier = StageRecord::done(root, stage.kind())?;
@@ -147,12 +147,12 @@ pub(super) fn check_writable(
         // Whoever began it has requested it already.
         Action::Resume => {
             WorkFolder::check_ours(root, stage.kind())?;
-            claim::check_outputs(root, stage.kind(), stage.outputs())?;
+            ownership::check_outputs(root, stage.kind(), stage.outputs())?;
             kept(root, stage.kind(), expected, "", true)
         }
         Action::Run(why) => {
             WorkFolder::check_ours(root, stage.kind())?;
-            claim::check_outputs(root, stage.kind(), stage.outputs())?;
+            ownership::check_outputs(root, stage.kind(), stage.outputs())?;
             kept(root, stage.kind(), expected, why, is_requested)
         }
     }
@@ -261,7 +261,7 @@ fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is
             Ok(times) => {
                 expected.times = times;
                 match expected.rewritten_since(done) {
-                    Some(producer) if !stale::is_kept(stage, done) => stale::why(producer),
+                    Some(producer) if !outdated::is_kept(stage, done) => outdated::why(producer),
                     _ => return Ok(Action::Reuse),
                 }
             }
@@ -272,7 +272,7 @@ fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is
         },
     };
     Ok(match begun {
-        Some(begun) if stale::can_resume(expected, &begun) => Action::Resume,
+        Some(begun) if outdated::can_resume(expected, &begun) => Action::Resume,
         _ => Action::Run(why),
     })
 }

@@ -4,13 +4,13 @@
 //! input fingerprints, state of every stage), `timings.json` and `log.txt`. Two runs of one pipeline on the same inputs
 //! differ in the last two alone: everything that distinguishes one run from another is kept there.
 
-use super::claim;
 use super::clock::{peak_memory_bytes, utc_now};
 use super::device::ComputeChoice;
 use super::execute::{Moment, execute};
 use super::failure::{Blame, Failure, Result};
 use super::kind::StageKind;
 use super::log::{LOG_FILE, Logged};
+use super::ownership;
 use super::plan::{Action, PlannedStage};
 use super::record::{InputRecord, StageRecord};
 use super::revision::revision;
@@ -195,10 +195,10 @@ impl RunFolder {
     /// # Errors
     /// When another process has the lock, or files of the folder that would be written are somebody else's.
     pub fn open(root: &Path, kinds: &'static [StageKind]) -> Result<Self> {
-        claim::check_root(root, kinds)?;
+        ownership::check_root(root, kinds)?;
         fs_err::create_dir_all(root)?;
         let lock = Lock::in_folder(root)?;
-        claim::remove_leftovers(root, kinds)?;
+        ownership::remove_leftovers(root, kinds)?;
         WorkFolder::complete_all(root, kinds)?;
         Ok(Self { root: root.to_owned(), lock })
     }

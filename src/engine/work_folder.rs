@@ -6,10 +6,10 @@
 //! ([`WorkFolder::complete_all`]). Folders are exchanged by one system call where there is one, so that each output,
 //! old or new, is always in place, whenever the process is killed.
 
-use super::claim;
 use super::failure::{Failure, Result};
-use super::keep::{self, Kept};
+use super::kept_models::{self, Kept};
 use super::kind::StageKind;
+use super::ownership;
 use super::record::{StageRecord, done_path, unreadable};
 use crate::files::{
     self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
@@ -78,8 +78,9 @@ impl WorkFolder {
         let kept: Option<KeptNames> = read_record(&path).map_err(|error| self.unreadable(error))?;
         let names = kept.unwrap_or_default().names;
         let outputs = self.stage.outputs;
-        let may_be =
-            |(name, as_name): (&String, &String)| outputs.contains(&name.as_str()) && keep::is_kept(name, as_name);
+        let may_be = |(name, as_name): (&String, &String)| {
+            outputs.contains(&name.as_str()) && kept_models::is_kept(name, as_name)
+        };
         match names.iter().find(|names| !may_be(*names)) {
             Some((name, as_name)) => {
                 let detail = format!("{name:?} cannot stay as {as_name:?}");
@@ -171,7 +172,7 @@ impl WorkFolder {
         // An output that is in its place already is not looked at: the record of the earlier run does not know it.
         let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
-        claim::check_outputs(&self.root, self.stage, &names)?;
+        ownership::check_outputs(&self.root, self.stage, &names)?;
         Self::check_ours(&self.root, self.stage)?;
         let earlier = StageRecord::done(&self.root, self.stage)?;
         let keep = self.kept_names()?;
@@ -187,7 +188,7 @@ impl WorkFolder {
         if let Some(earlier) = &earlier {
             for away in keep.values().map(|as_name| self.root.join(as_name)) {
                 if away.is_dir() && !files::is_link(&away) {
-                    keep::leave_record(earlier, &away)?;
+                    kept_models::leave_record(earlier, &away)?;
                 }
             }
             self.remove_stale(earlier, record)?;
@@ -232,7 +233,7 @@ impl WorkFolder {
     /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are
     /// known for ours whenever the process is killed.
     fn list_replaced(&self, name: &str) -> Result<()> {
-        let owned = claim::owned(&self.root, self.stage)?;
+        let owned = ownership::owned(&self.root, self.stage)?;
         let files = owned.iter().filter(|file| file.starts_with(name));
         let names: Vec<PathBuf> = files.flat_map(|file| [file.clone(), Path::new(REPLACED).join(file)]).collect();
         Ok(enter_all(&self.dir, names.iter().map(PathBuf::as_path))?)
@@ -240,7 +241,7 @@ impl WorkFolder {
 
     /// Removes files that the earlier run wrote under names that this one did not write at all.
     fn remove_stale(&self, earlier: &StageRecord, record: &StageRecord) -> Result<()> {
-        let owned = claim::owned(&self.root, self.stage)?;
+        let owned = ownership::owned(&self.root, self.stage)?;
         for name in earlier.outputs.keys().filter(|name| !record.outputs.contains_key(*name)) {
             let place = self.root.join(name);
             if place.is_dir() {
@@ -264,7 +265,7 @@ impl WorkFolder {
     fn discard(&self) -> Result<()> {
         Self::check_ours(&self.root, self.stage)?;
         if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.trains) {
-            keep::keep_unfinished(&started, &self.dir, &self.root)?;
+            kept_models::keep_unfinished(&started, &self.dir, &self.root)?;
         }
         self.clean_up()
     }

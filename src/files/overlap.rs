@@ -39,13 +39,13 @@ fn relation(output: &Path, input: &Path) -> Option<PathRelation> {
 /// When links form a loop, or there is no current folder.
 pub fn resolve(path: &Path) -> io::Result<PathBuf> {
     let mut at = std::env::current_dir()?;
-    let mut pending: Vec<Part> = parts(path);
+    let mut pending: Vec<PathPart> = parts(path);
     let mut n_links = 0;
     while let Some(part) = pending.pop() {
         match part {
-            Part::Root(root) => at = root,
-            Part::Up => _ = at.pop(),
-            Part::Name(name) => {
+            PathPart::Root(root) => at = root,
+            PathPart::Up => _ = at.pop(),
+            PathPart::Name(name) => {
                 at.push(name);
                 let Ok(target) = fs_err::read_link(&at) else { continue };
                 n_links += 1;
@@ -60,26 +60,26 @@ pub fn resolve(path: &Path) -> io::Result<PathBuf> {
     Ok(at)
 }
 
-enum Part {
+enum PathPart {
     Root(PathBuf),
     Up,
     Name(OsString),
 }
 
 /// The parts of a path, the last one first.
-fn parts(path: &Path) -> Vec<Part> {
+fn parts(path: &Path) -> Vec<PathPart> {
     let mut parts = Vec::new();
     for component in path.components() {
         match component {
-            Component::Prefix(prefix) => parts.push(Part::Root(prefix.as_os_str().into())),
+            Component::Prefix(prefix) => parts.push(PathPart::Root(prefix.as_os_str().into())),
             // After a prefix, the root belongs to it.
             Component::RootDir => match parts.last_mut() {
-                Some(Part::Root(root)) => root.push(component.as_os_str()),
-                _ => parts.push(Part::Root(component.as_os_str().into())),
+                Some(PathPart::Root(root)) => root.push(component.as_os_str()),
+                _ => parts.push(PathPart::Root(component.as_os_str().into())),
             },
             Component::CurDir => {}
-            Component::ParentDir => parts.push(Part::Up),
-            Component::Normal(name) => parts.push(Part::Name(name.to_owned())),
+            Component::ParentDir => parts.push(PathPart::Up),
+            Component::Normal(name) => parts.push(PathPart::Name(name.to_owned())),
         }
     }
     parts.reverse();

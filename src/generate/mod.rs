@@ -10,7 +10,6 @@
 //! round is written to a file before its shards are sampled. `regenerate` samples one scenario again in its original
 //! batch: matrix products of few rows round differently from those of many.
 
-mod aim;
 mod baseline;
 #[cfg(test)]
 mod baseline_tests;
@@ -22,7 +21,6 @@ mod config;
 mod error;
 mod generator;
 mod guide;
-mod limit;
 mod observe;
 mod pairs;
 mod plan;
@@ -30,8 +28,10 @@ mod record;
 mod regenerate;
 mod request;
 mod sample;
+mod sample_limit;
 mod select;
 mod sweep;
+mod targets;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -42,7 +42,6 @@ pub use conditioning::{ClassifierFreeConfig, EditConfig};
 pub use config::{GenerateConfig, PairRanking, PairSelectionConfig};
 pub use error::Error;
 pub use generator::{Generator, Models, SceneLoader};
-pub use limit::{Limit, LimitRange};
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use regenerate::SampleKey;
@@ -52,6 +51,7 @@ pub use request::{
     Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use sample::{RejectedSample, ShardOutput};
+pub use sample_limit::{Limit, LimitRange};
 pub use select::SelectConfig;
 pub use sweep::{
     Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,

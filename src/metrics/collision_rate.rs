@@ -2,7 +2,7 @@
 
 use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, SampleGroup};
-use crate::behavior::sweep::Sweep;
+use crate::behavior::swept_boxes::SweptBoxes;
 use crate::scene::{AgentClass, Scene};
 
 /// An agent that stays within this distance of its present position stands, meters.
@@ -62,8 +62,9 @@ pub(super) struct Collision {
 
 /// The collisions among the agents tracked at present, pair by pair.
 pub(super) fn collisions(scene: &Scene) -> Vec<Collision> {
-    let agents: Vec<(usize, Sweep, bool)> =
-        present_agents(scene).filter_map(|i| Some((i, Sweep::new(&scene.tracks[i])?, is_moving(scene, i)))).collect();
+    let agents: Vec<(usize, SweptBoxes, bool)> = present_agents(scene)
+        .filter_map(|i| Some((i, SweptBoxes::new(&scene.tracks[i])?, is_moving(scene, i))))
+        .collect();
     let mut found = Vec::new();
     for (at, (i, first, first_moves)) in agents.iter().enumerate() {
         for (j, second, second_moves) in &agents[at + 1..] {
@@ -83,7 +84,7 @@ fn collides(scene: &Scene) -> Vec<bool> {
     present_agents(scene).map(|i| found.iter().any(|collision| collision.pair.contains(&i))).collect()
 }
 
-fn first_contact(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<usize> {
+fn first_contact(scene: &Scene, first: &SweptBoxes, second: &SweptBoxes) -> Option<usize> {
     let present = scene.current_timestep();
     let overlap = |timesteps: std::ops::Range<usize>| {
         first.both_at(second, timesteps).find(|(_, one, other)| one.overlaps(other)).map(|(timestep, _, _)| timestep)

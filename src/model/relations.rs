@@ -70,7 +70,7 @@ struct Pose {
 }
 
 /// One row of the features, while it is written.
-struct Row<'a> {
+struct FeatureRow<'a> {
     frames: &'a mut [f32],
     own: &'a mut [f32],
     neighbors: &'a mut [f32],
@@ -111,7 +111,7 @@ impl Relations {
                     [a, t, n, counts.patch],
                     surroundings.rows[i].dt_s,
                 );
-                let mut row = Row { frames, own, neighbors, neighbor_valid, lanes, lane_valid };
+                let mut row = FeatureRow { frames, own, neighbors, neighbor_valid, lanes, lane_valid };
                 let own_frames = (&origin[i * a * 2..(i + 1) * a * 2], &rotation[i * a * 2..(i + 1) * a * 2]);
                 row.write(&poses, &surroundings.rows[i], own_frames, [a, n], counts);
             });
@@ -154,7 +154,7 @@ fn token_poses(poses: &[f32], valid: &[f32], [a, t, n, patch]: [usize; 4], dt_s:
     found
 }
 
-impl Row<'_> {
+impl FeatureRow<'_> {
     fn write(
         &mut self,
         poses: &[Option<Pose>],

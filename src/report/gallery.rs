@@ -1,9 +1,9 @@
 //! Chooses the scenes to draw, and collects motion and events to compare, from all samples of a run one by one.
 
 use super::accepted::{Accepted, HardnessSummary};
+use super::beside_recordings::BesideRecordings;
 use super::card::{Acceptance, SceneCard};
 use super::choice::{Choice, Chosen, Drawn};
-use super::compared::Compared;
 use super::config::ReportConfig;
 use super::distribution::Distribution;
 use super::figures_of_scenarios::FiguresOfScenarios;
@@ -34,7 +34,7 @@ pub struct Drawings {
 pub struct Gallery<'a> {
     store: &'a SceneStore,
     choice: Choice<'a>,
-    compared: Compared,
+    compared: BesideRecordings,
     accepted: Option<&'a Accepted>,
     continued: SceneSet,
     /// The scenes of accepted scenarios, by their positions, and the tracks of their events.
@@ -47,7 +47,7 @@ impl<'a> Gallery<'a> {
         Self {
             store,
             choice: Choice::new(config, accepted),
-            compared: Compared::new(config.n_compared),
+            compared: BesideRecordings::new(config.n_compared),
             accepted,
             continued: SceneSet::default(),
             situations: BTreeSet::new(),

@@ -8,12 +8,12 @@
 //! from which `html/player.js` draws the scenes that scroll into view.
 
 mod accepted;
+mod beside_recordings;
 mod card;
 mod cautions;
 mod choice;
 #[cfg(test)]
 mod choice_tests;
-mod compared;
 mod comparison;
 #[cfg(test)]
 mod comparison_tests;

@@ -32,7 +32,7 @@ pub(crate) struct CorpusSink {
     dir: PathBuf,
     scenes_per_file: usize,
     /// The unfinished file of each partition.
-    parts: BTreeMap<(CorpusTable, Partition), Part>,
+    parts: BTreeMap<(CorpusTable, Partition), OpenFile>,
     /// The finished files, with their numbers.
     files: BTreeMap<(CorpusTable, Partition, usize), FileEntry>,
     counts: BTreeMap<(String, String), PartitionCount>,
@@ -42,7 +42,7 @@ pub(crate) struct CorpusSink {
 }
 
 /// A file that is being written, and the rows to write next.
-struct Part {
+struct OpenFile {
     file: ParquetFile,
     path: PathBuf,
     /// Its number in the partition.
@@ -101,7 +101,7 @@ impl CorpusSink {
         let mut rest = without(batch, table.keys())?;
         let key = (table, partition.clone());
         if !self.parts.contains_key(&key) {
-            self.parts.insert(key.clone(), Part::create(&self.dir, table, partition, 0, &rest)?);
+            self.parts.insert(key.clone(), OpenFile::create(&self.dir, table, partition, 0, &rest)?);
         }
         while let Some(part) = self.parts.get_mut(&key) {
             let n_rows = part.n_rows_that_fit(table, &rest, self.scenes_per_file)?;
@@ -110,7 +110,7 @@ impl CorpusSink {
                 break;
             }
             rest = rest.slice(n_rows, rest.num_rows() - n_rows);
-            let next = Part::create(&self.dir, table, partition, part.number + 1, &rest)?;
+            let next = OpenFile::create(&self.dir, table, partition, part.number + 1, &rest)?;
             let full = std::mem::replace(part, next);
             self.files.insert((table, partition.clone(), full.number), full.finish(table, partition)?);
         }
@@ -120,7 +120,7 @@ impl CorpusSink {
     /// Ends the largest unfinished row group while too much is in memory. The choice depends only on the order of the
     /// rows, so equal corpora stay equal.
     fn limit_memory(&mut self) -> Result<()> {
-        let size = |part: &Part| part.file.n_bytes_in_memory();
+        let size = |part: &OpenFile| part.file.n_bytes_in_memory();
         while self.parts.values().map(size).sum::<usize>() > MAX_BYTES_IN_MEMORY {
             // The last by name among equally large ones.
             let largest = self.parts.values_mut().max_by_key(|part| size(part));
@@ -203,7 +203,7 @@ impl CorpusSink {
     }
 }
 
-impl Part {
+impl OpenFile {
     fn create(
         dir: &Path,
         table: CorpusTable,

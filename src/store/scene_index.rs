@@ -25,12 +25,12 @@ pub struct SceneIndexEntry<'a> {
 pub struct SceneIndex {
     ids: String,
     places: Vec<String>,
-    rows: Vec<Row>,
+    rows: Vec<IndexEntry>,
 }
 
 /// The entry of a scene beside its id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Row {
+struct IndexEntry {
     /// The end of its id, which begins where the previous one ends.
     id_end: usize,
     /// Position among the places.
@@ -54,7 +54,7 @@ impl SceneIndex {
 
     /// The entry of the scene at `position`, which must be below [`len`](Self::len).
     pub fn get(&self, position: usize) -> SceneIndexEntry<'_> {
-        let Row { place, n_agents, n_timesteps, dataset, split, .. } = self.rows[position];
+        let IndexEntry { place, n_agents, n_timesteps, dataset, split, .. } = self.rows[position];
         let place = &self.places[place as usize];
         SceneIndexEntry { id: self.id(position), dataset, split, place, n_agents, n_timesteps }
     }
@@ -75,7 +75,7 @@ impl SceneIndex {
         let SceneIndexEntry { id, dataset, split, place, n_agents, n_timesteps } = entry;
         self.ids.push_str(id);
         let (id_end, place) = (self.ids.len(), self.number_of(place));
-        self.rows.push(Row { id_end, place, n_agents, n_timesteps, dataset, split });
+        self.rows.push(IndexEntry { id_end, place, n_agents, n_timesteps, dataset, split });
     }
 
     /// Frees spare capacity.
@@ -131,6 +131,6 @@ mod tests {
 
     #[test]
     fn a_scene_takes_as_many_bytes_as_the_documents_say() {
-        assert_eq!(size_of::<Row>(), 24);
+        assert_eq!(size_of::<IndexEntry>(), 24);
     }
 }

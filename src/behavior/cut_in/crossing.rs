@@ -38,7 +38,7 @@ pub(super) struct Crossing {
 
 /// Where an agent is relative to the lane.
 #[derive(Clone, Copy)]
-struct Place {
+struct LanePlace {
     station_m: f64,
     /// Positive to the left of the center line.
     offset_m: f64,
@@ -57,7 +57,7 @@ impl LaneCrossing<'_> {
         let (present, end) = (scene.current_timestep(), scene.n_timesteps);
         let side = if self.place(other, present)?.offset_m < 0.0 { -1.0 } else { 1.0 };
         let crossing = self.crossed(other, side)?;
-        let places: Vec<[Option<Place>; 2]> = (0..end)
+        let places: Vec<[Option<LanePlace>; 2]> = (0..end)
             .map(|t| if t < present { [None, None] } else { [self.place(ego, t), self.place(other, t)] })
             .collect();
         let (intrusion, reached) = self.replayed(&places)?;
@@ -108,7 +108,7 @@ impl LaneCrossing<'_> {
 
     /// Whether the other is ahead of the ego when it crosses and when it intrudes, clear of it when both have happened,
     /// and the ego in its lane until then.
-    fn is_ahead(&self, places: &[[Option<Place>; 2]], crossing: usize, intrusion: usize) -> bool {
+    fn is_ahead(&self, places: &[[Option<LanePlace>; 2]], crossing: usize, intrusion: usize) -> bool {
         let both = |t: usize| places[t][0].zip(places[t][1]);
         let is_ahead = |t: usize| both(t).is_some_and(|(own, theirs)| theirs.station_m > own.station_m);
         let come_in = crossing.max(intrusion);
@@ -122,7 +122,7 @@ impl LaneCrossing<'_> {
 
     /// Whether the other comes into the way of the ego as it drives: ahead of it, and beside the place at which the ego
     /// passes it, or is last, by at most half of both widths.
-    fn is_met(&self, places: &[[Option<Place>; 2]]) -> bool {
+    fn is_met(&self, places: &[[Option<LanePlace>; 2]]) -> bool {
         let [own_m, their_m] = self.pair.map(|agent_idx| self.scene.tracks[agent_idx].extent_or_nominal().width_m);
         let is_in_way = |timestep: usize| {
             let Some((own, theirs)) = places[timestep][0].zip(places[timestep][1]) else { return false };
@@ -136,7 +136,7 @@ impl LaneCrossing<'_> {
     }
 
     /// The relation of the two at a timestep. `None` if one of them stands still.
-    fn moment(&self, timestep: usize, places: &[Option<Place>; 2], side: f64, shift_m: f64) -> Option<Intrusion> {
+    fn moment(&self, timestep: usize, places: &[Option<LanePlace>; 2], side: f64, shift_m: f64) -> Option<Intrusion> {
         let [ego, other] = self.pair.map(|agent_idx| &self.scene.tracks[agent_idx]);
         let (own, theirs) = (places[0]?, places[1]?);
         let (ego_state, other_state) = (state(ego, timestep)?, state(other, timestep)?);
@@ -158,7 +158,7 @@ impl LaneCrossing<'_> {
     }
 
     /// From the front of the ego to the rear of the other, along the lane.
-    fn gap_m(&self, own: &Place, theirs: &Place) -> f64 {
+    fn gap_m(&self, own: &LanePlace, theirs: &LanePlace) -> f64 {
         let half_length_m = self.scene.tracks[self.pair[0]].extent_or_nominal().length_m / 2.0;
         theirs.station_m - theirs.half_along_m - own.station_m - half_length_m
     }
@@ -167,22 +167,22 @@ impl LaneCrossing<'_> {
         (SETTLING_S / self.scene.dt_s).round() as usize
     }
 
-    fn place(&self, track: &Track, timestep: usize) -> Option<Place> {
+    fn place(&self, track: &Track, timestep: usize) -> Option<LanePlace> {
         let state = state(track, timestep)?;
         let Projection { station_m, offset_m, heading_rad, .. } = self.lane.project(state.position)?;
         let body = Footprint::new(&track.footprint(state));
         let half_extent_m = |angle_rad: f64| body.half_extent_m(Vec2::from_angle(angle_rad));
         let (half_along_m, half_across_m) = (half_extent_m(heading_rad), half_extent_m(heading_rad + FRAC_PI_2));
-        Some(Place { station_m, offset_m, heading_rad, half_along_m, half_across_m })
+        Some(LanePlace { station_m, offset_m, heading_rad, half_along_m, half_across_m })
     }
 
     /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also where the other is in its strip
     /// already at present.
-    fn replayed(&self, places: &[[Option<Place>; 2]]) -> Option<(usize, usize)> {
+    fn replayed(&self, places: &[[Option<LanePlace>; 2]]) -> Option<(usize, usize)> {
         let (scene, extent) = (self.scene, self.scene.tracks[self.pair[0]].extent_or_nominal());
         let kept_offset_m = places[scene.current_timestep()][0]?.offset_m;
         let is_in_strip =
-            |place: &Place| (place.offset_m - kept_offset_m).abs() <= extent.width_m / 2.0 + place.half_across_m;
+            |place: &LanePlace| (place.offset_m - kept_offset_m).abs() <= extent.width_m / 2.0 + place.half_across_m;
         if is_in_strip(&places[scene.current_timestep()][1]?) {
             return None;
         }
@@ -190,8 +190,9 @@ impl LaneCrossing<'_> {
         let max_delay = (self.config.max_delay_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
         (scene.n_history..scene.n_timesteps).find_map(|timestep| {
             let theirs = places[timestep][1].filter(is_in_strip)?;
-            let is_there =
-                |own: &Place| (own.station_m - theirs.station_m).abs() <= extent.length_m / 2.0 + theirs.half_along_m;
+            let is_there = |own: &LanePlace| {
+                (own.station_m - theirs.station_m).abs() <= extent.length_m / 2.0 + theirs.half_along_m
+            };
             let later = timestep + 1..scene.n_timesteps.min(timestep + max_delay + 1);
             let reached = later.into_iter().find(|t| places[*t][0].as_ref().is_some_and(is_there))?;
             Some((timestep, reached))

@@ -9,7 +9,7 @@ mod tests;
 use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::pairs::PairSearch;
-use super::sweep::Sweep;
+use super::swept_boxes::SweptBoxes;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::scene::Scene;
 use crossing::{Crossing, LaneCrossing};
@@ -186,7 +186,7 @@ impl Behavior for CutIn {
         let lanes = SceneLanes::new(&scene.lanes);
         let kept: Vec<OnceCell<Option<KeptLane>>> = scene.tracks.iter().map(|_| OnceCell::new()).collect();
         let kept = |agent_idx: usize| kept[agent_idx].get_or_init(|| KeptLane::of(scene, &lanes, agent_idx)).as_ref();
-        let collides = |ego: &Sweep, other: &Sweep| {
+        let collides = |ego: &SweptBoxes, other: &SweptBoxes| {
             let future = scene.current_timestep()..scene.n_timesteps;
             self.config.collision_free && ego.both_at(other, future).any(|(_, own, theirs)| own.overlaps(theirs))
         };

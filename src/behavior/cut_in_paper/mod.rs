@@ -6,7 +6,7 @@ mod tests;
 
 use super::intrusion::Intrusion;
 use super::pairs::PairSearch;
-use super::sweep::Sweep;
+use super::swept_boxes::SweptBoxes;
 use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
 use crate::scene::Scene;
@@ -131,8 +131,8 @@ impl CutInPaper {
         &self,
         scene: &Scene,
         [ego_idx, other_idx]: [usize; 2],
-        ego: &Sweep,
-        other: &Sweep,
+        ego: &SweptBoxes,
+        other: &SweptBoxes,
     ) -> Option<(usize, usize)> {
         let present = scene.current_timestep();
         let same_way = |t_other: usize, t_ego: usize| {

@@ -20,7 +20,7 @@ const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
 
 /// A drive along a rail until the end of the scene.
-struct Course {
+struct RailDrive {
     rail: usize,
     pace: Pace,
     drift_m: f64,
@@ -51,7 +51,7 @@ impl Collision {
                 continue;
             }
             let from_s = (step + 1) as f64 * scene.dt_s;
-            let stopping = |driver: &Driver, course: &Course| {
+            let stopping = |driver: &Driver, course: &RailDrive| {
                 let pace = course.pace.clone().then(from_s, -AFTERWARD_MPS2);
                 drifting(driver, (course.rail, &pace, course.drift_m)).0
             };
@@ -67,7 +67,7 @@ impl Collision {
     }
 }
 
-impl Course {
+impl RailDrive {
     /// Its velocity at a timestep after the present, m/s.
     fn velocity(&self, step: usize, dt_s: f64) -> Vec2 {
         (self.positions[step + 1] - self.positions[step]) * (1.0 / dt_s)
@@ -75,7 +75,7 @@ impl Course {
 }
 
 /// Courses along each way of an agent, with each acceleration and each drift.
-fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
+fn courses(driver: &Driver, extent: Extent) -> Vec<RailDrive> {
     let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
     let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
     let course = |(rail, mps2, drift_m): (usize, f64, f64)| {
@@ -86,7 +86,7 @@ fn courses(driver: &Driver, extent: Extent) -> Vec<Course> {
             Footprint::new(&OrientedBox { center, heading_rad, length_m, width_m })
         });
         let effort = pace.effort().max(drift_m.abs() / 2.0);
-        Course { rail, drift_m, effort, positions, boxes: boxes.collect(), pace }
+        RailDrive { rail, drift_m, effort, positions, boxes: boxes.collect(), pace }
     };
     tried.map(course).collect()
 }

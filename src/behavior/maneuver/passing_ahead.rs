@@ -24,7 +24,7 @@ const MOST_DELAY_S: f64 = 2.5;
 const DELAY_SPACING_S: f64 = 0.4;
 
 /// A drive along a rail.
-struct Course {
+struct RailDrive {
     rail: usize,
     mps2: f64,
     driven_m: Vec<f64>,
@@ -57,16 +57,18 @@ pub(super) fn passing_ahead(
     let paces = |driver: &Driver, mps2: &'static [f64]| {
         (0..driver.rails.len()).flat_map(move |rail| mps2.iter().map(move |mps2| (rail, *mps2)))
     };
-    let course = |(driver, extent), (rail, mps2)| Course::new(driver, extent, rail, mps2, &Pace::steady(mps2));
-    let firsts: Vec<Course> = paces(first, &FIRST_MPS2).filter_map(|pace| course((first, extents[0]), pace)).collect();
-    let others: Vec<Course> = paces(other, &OTHER_MPS2).filter_map(|pace| course((other, extents[1]), pace)).collect();
+    let course = |(driver, extent), (rail, mps2)| RailDrive::new(driver, extent, rail, mps2, &Pace::steady(mps2));
+    let firsts: Vec<RailDrive> =
+        paces(first, &FIRST_MPS2).filter_map(|pace| course((first, extents[0]), pace)).collect();
+    let others: Vec<RailDrive> =
+        paces(other, &OTHER_MPS2).filter_map(|pace| course((other, extents[1]), pace)).collect();
     let pairs = firsts.iter().flat_map(|own| others.iter().map(move |theirs| (own, theirs)));
     pairs.flat_map(|(own, theirs)| pair.maneuvers(own, theirs, parameters)).collect()
 }
 
 impl Pair<'_> {
     /// The maneuvers in which the first drives as it is said, and the other does so until it brakes.
-    fn maneuvers(&self, own: &Course, theirs: &Course, parameters: &'static [&'static str]) -> Vec<Maneuver> {
+    fn maneuvers(&self, own: &RailDrive, theirs: &RailDrive, parameters: &'static [&'static str]) -> Vec<Maneuver> {
         let Some((enters, delay)) = own.passes_ahead_of(theirs, (MOST_DELAY_S / self.dt_s) as usize) else {
             return Vec::new();
         };
@@ -74,7 +76,7 @@ impl Pair<'_> {
         let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
         let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
             let pace = Pace::steady(theirs.mps2).then(from_s, theirs.mps2.min(-brakes_mps2));
-            let braking = Course::new(self.other, self.extents[1], theirs.rail, theirs.mps2, &pace)?;
+            let braking = RailDrive::new(self.other, self.extents[1], theirs.rail, theirs.mps2, &pace)?;
             own.keeps(&braking, APART_M).then(|| Maneuver {
                 kind: [own.rail * self.other.rails.len() + theirs.rail, nth * 100 + delay / spacing],
                 effort: effort(own.mps2).max(effort(theirs.mps2)),
@@ -92,7 +94,7 @@ impl Pair<'_> {
     }
 }
 
-impl Course {
+impl RailDrive {
     fn new(driver: &Driver, extent: Extent, rail: usize, mps2: f64, pace: &Pace) -> Option<Self> {
         let driven_m = driver.travel(rail, pace).driven_m;
         let boxes = driver.boxes(rail, &driven_m, extent);

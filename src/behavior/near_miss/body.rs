@@ -3,7 +3,7 @@
 use super::config::NearMissConfig;
 use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Footprint;
-use crate::behavior::sweep::Sweep;
+use crate::behavior::swept_boxes::SweptBoxes;
 use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{Extent, Scene, State, Track};
 use std::f64::consts::FRAC_PI_6;
@@ -18,9 +18,9 @@ pub(super) struct Body<'a> {
     pub(super) agent_idx: usize,
     pub(super) track: &'a Track,
     /// Its boxes; of half the nominal size where none is recorded, because whole ones overlap where no agents touch.
-    pub(super) outer: Sweep,
+    pub(super) outer: SweptBoxes,
     /// The inner parts of the boxes: if these overlap, the agents do more than graze.
-    pub(super) inner: Sweep,
+    pub(super) inner: SweptBoxes,
     inner_extent: Extent,
     /// The way that it drives over the whole scene.
     path: DrivenPath,
@@ -34,7 +34,7 @@ impl<'a> Body<'a> {
             return None;
         }
         let [extent, inner_extent] = extents(track, config);
-        let sweep = |extent: Extent| Sweep::new(&Track { extent: Some(extent), ..track.clone() });
+        let sweep = |extent: Extent| SweptBoxes::new(&Track { extent: Some(extent), ..track.clone() });
         let (first, _) = track.trajectory.valid().find(|(_, state)| state.is_finite())?;
         Some(Self {
             agent_idx,

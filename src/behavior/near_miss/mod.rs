@@ -11,7 +11,7 @@ pub use config::NearMissConfig;
 
 use self::body::Body;
 use super::maneuver::Maneuver;
-use super::sweep::Sweep;
+use super::swept_boxes::SweptBoxes;
 use super::time_to_collision::time_to_collision_s;
 use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
@@ -238,12 +238,12 @@ impl Behavior for NearMiss {
 }
 
 /// The shortest time between one agent and the other covering the same place, seconds. `None` if they never do.
-fn post_encroachment_s(scene: &Scene, first: &Sweep, second: &Sweep) -> Option<f64> {
+fn post_encroachment_s(scene: &Scene, first: &SweptBoxes, second: &SweptBoxes) -> Option<f64> {
     let timesteps = 0..scene.n_timesteps;
     if !first.may_come_within(second, 0.0) {
         return None;
     }
-    let meets = |one: &Sweep, other: &Sweep, delay: usize| {
+    let meets = |one: &SweptBoxes, other: &SweptBoxes, delay: usize| {
         timesteps.clone().any(|t| one.at(t).zip(other.at(t + delay)).is_some_and(|(a, b)| a.overlaps(b)))
     };
     let delay = timesteps.clone().find(|delay| meets(first, second, *delay) || meets(second, first, *delay))?;

@@ -39,7 +39,7 @@ struct Search<'a> {
 }
 
 /// A drive, the rail that it follows, and the first step at which somebody else is in the way.
-struct Course {
+struct PlannedDrive {
     rail: usize,
     acceleration_mps2: f64,
     drive: Drive,
@@ -72,7 +72,7 @@ impl<'a> Search<'a> {
     }
 
     fn drafts(&self) -> Vec<Maneuver> {
-        let courses = [0, 1].map(|who| -> Vec<Course> {
+        let courses = [0, 1].map(|who| -> Vec<PlannedDrive> {
             let rails = 0..self.drivers[who].rails.len();
             let tried = rails.flat_map(|rail| ORDINARY_MPS2.map(|acceleration_mps2| (rail, acceleration_mps2)));
             tried.map(|(rail, acceleration_mps2)| self.course(who, rail, acceleration_mps2, None)).collect()
@@ -92,19 +92,19 @@ impl<'a> Search<'a> {
         drafts
     }
 
-    fn course(&self, who: usize, rail: usize, acceleration_mps2: f64, brake: Option<(f64, f64)>) -> Course {
+    fn course(&self, who: usize, rail: usize, acceleration_mps2: f64, brake: Option<(f64, f64)>) -> PlannedDrive {
         let pace = Pace::steady(acceleration_mps2);
         let pace = brake.into_iter().fold(pace, |pace, (from_s, mps2)| pace.then(from_s, -mps2));
         let drive = Drive::new(&self.drivers[who], rail, &pace, self.extents[who]);
         let steps = (0..drive.outer.len()).step_by(STRIDE);
         let is_blocked = |step: &usize| self.others[who][*step].iter().any(|other| other.overlaps(&drive.outer[*step]));
         let clear = steps.into_iter().find(is_blocked).unwrap_or(drive.outer.len());
-        Course { rail, acceleration_mps2, drive, clear }
+        PlannedDrive { rail, acceleration_mps2, drive, clear }
     }
 
     /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. `None`
     /// if that is not urgent, or does not help.
-    fn avoided(&self, courses: [&Course; 2], meets: usize, evader: usize, at_s: f64) -> Option<Maneuver> {
+    fn avoided(&self, courses: [&PlannedDrive; 2], meets: usize, evader: usize, at_s: f64) -> Option<Maneuver> {
         let (own, other) = (courses[evader], courses[1 - evader]);
         let n_before = (at_s / self.dt_s).round() as usize;
         let begins = meets.checked_sub(n_before)?;
@@ -128,7 +128,7 @@ impl<'a> Search<'a> {
     }
 
     /// Two agents that cross shortly after each other. `None` if they do not.
-    fn crossed(&self, courses: [&Course; 2]) -> Option<Maneuver> {
+    fn crossed(&self, courses: [&PlannedDrive; 2]) -> Option<Maneuver> {
         let config = self.behavior.config();
         let [one, other] = courses.map(|course| &course.drive);
         let n_steps = one.outer.len();
@@ -148,7 +148,7 @@ impl<'a> Search<'a> {
         (is_crossed && one.keeps(other, APART_M)).then(|| self.draft(NOBODY_BRAKES, parameters, courses))
     }
 
-    fn draft(&self, kind: [usize; 2], parameters: &'static [&'static str], courses: [&Course; 2]) -> Maneuver {
+    fn draft(&self, kind: [usize; 2], parameters: &'static [&'static str], courses: [&PlannedDrive; 2]) -> Maneuver {
         let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive.driven_m);
         let effort = courses[0].drive.effort.max(courses[1].drive.effort);
         Maneuver { kind, effort, parameters, in_the_way: None, positions: [0, 1].map(positions).into() }

@@ -8,7 +8,7 @@ mod views;
 
 use super::bucket::{Bucket, Patience};
 use super::cache::Cache;
-use super::shown::Shown;
+use super::mirrored::Mirrored;
 use super::{Access, ObjectUrl};
 use flaky::{Failing, Flaky};
 use object_store::ObjectStore;
@@ -35,9 +35,9 @@ fn run_of(store: &Arc<InMemory>) -> Bucket {
 }
 
 /// A machine: its own cache, and the view of the run folder there.
-fn machine(bucket: Bucket, access: Access) -> (tempfile::TempDir, Shown) {
+fn machine(bucket: Bucket, access: Access) -> (tempfile::TempDir, Mirrored) {
     let cache = tempfile::tempdir().unwrap();
-    let shown = Shown::of(bucket, Cache::in_dir(cache.path().to_owned()), access).unwrap();
+    let shown = Mirrored::of(bucket, Cache::in_dir(cache.path().to_owned()), access).unwrap();
     (cache, shown)
 }
 

@@ -13,7 +13,7 @@ fn commit(path: &Path, text: &str) {
 }
 
 /// A look at the bucket that is not put off.
-fn refresh(shown: &Shown, dir: &str) {
+fn refresh(shown: &Mirrored, dir: &str) {
     shown.view.state().forget_look();
     shown.view.refresh(&shown.path().join(dir)).unwrap();
 }
@@ -109,12 +109,12 @@ fn one_machine_has_one_writer() {
     let store = Arc::new(InMemory::new());
     let (folder, shown) = machine(run_of(&store), Access::Write);
     let cache = || Cache::in_dir(folder.path().to_owned());
-    let busy = Shown::of(run_of(&store), cache(), Access::Write).unwrap_err();
+    let busy = Mirrored::of(run_of(&store), cache(), Access::Write).unwrap_err();
     assert!(busy.to_string().contains("s3://bucket/runs/main is in use by process"), "{busy}");
-    let other = Shown::of(run_of(&store), cache(), Access::Read).unwrap();
+    let other = Mirrored::of(run_of(&store), cache(), Access::Read).unwrap();
     assert_ne!(other.path(), shown.path());
     drop((other, shown));
-    Shown::of(run_of(&store), cache(), Access::Write).unwrap();
+    Mirrored::of(run_of(&store), cache(), Access::Write).unwrap();
     assert_eq!(files(&folder.path().join("views")).len(), 0, "views go with their processes");
 }
 
@@ -167,19 +167,19 @@ fn the_cache_gives_what_has_not_changed() {
     let flaky = Flaky::new(Arc::clone(&store), Failing::Sometimes(0.0));
     let folder = tempfile::tempdir().unwrap();
     let cache = || Cache::in_dir(folder.path().to_owned());
-    let shown = Shown::of(run_in(&flaky), cache(), Access::Write).unwrap();
+    let shown = Mirrored::of(run_in(&flaky), cache(), Access::Write).unwrap();
     put(&shown.path().join("scenes/a.arrow"), b"scenes");
     put(&shown.path().join("log.txt"), b"line\n");
     shown.finish().unwrap();
     drop(shown);
     let before = flaky.n_requests();
-    let shown = Shown::of(run_in(&flaky), cache(), Access::Write).unwrap();
+    let shown = Mirrored::of(run_in(&flaky), cache(), Access::Write).unwrap();
     assert_eq!(flaky.n_requests(), before + 2, "the listing, and the log, which this machine has not downloaded");
     // Lines that are appended to a log do not get into the cache.
     let mut log = fs_err::OpenOptions::new().append(true).open(shown.path().join("log.txt")).unwrap();
     log.write_all(b"more\n").unwrap();
     drop(shown);
-    let shown = Shown::of(run_in(&flaky), cache(), Access::Read).unwrap();
+    let shown = Mirrored::of(run_in(&flaky), cache(), Access::Read).unwrap();
     assert_eq!(fs_err::read(shown.path().join("log.txt")).unwrap(), b"line\n");
     assert_eq!(flaky.n_requests(), before + 3);
 }
@@ -192,7 +192,7 @@ fn what_a_journal_says_of_a_record_does_not_get_into_the_cache() {
     Journal { records: Some(records), ..Journal::default() }.keep(&run_of(&store)).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let seen = || {
-        let shown = Shown::of(run_of(&store), Cache::in_dir(folder.path().to_owned()), Access::Read).unwrap();
+        let shown = Mirrored::of(run_of(&store), Cache::in_dir(folder.path().to_owned()), Access::Read).unwrap();
         fs_err::read(shown.path().join("evaluate.done.json")).unwrap()
     };
     assert_eq!((seen(), seen()), (b"new".to_vec(), b"new".to_vec()));

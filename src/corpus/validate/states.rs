@@ -56,14 +56,14 @@ impl<'a> States<'a> {
 }
 
 /// Where findings are reported.
-struct Place<'r> {
+struct Location<'r> {
     file: &'r str,
     /// Position in the file of the first row of the batch.
     first_row: usize,
     report: &'r mut ValidationReport,
 }
 
-impl Place<'_> {
+impl Location<'_> {
     fn damage(&mut self, check: &'static str, row: usize, detail: impl Into<String>) {
         self.report.damage(check, self.file, Some(self.first_row + row), detail);
     }
@@ -81,7 +81,7 @@ pub(super) fn check_scenario(
     let (states, rows) = (States::of(&columns)?, chunk.track_rows[i].clone());
     let id = scenarios.text("scenario_id", i)?;
     let ids: &StringArray = columns.get("scenario_id")?;
-    let mut place = Place { file: &tracks_file.path, first_row: chunk.first_track_row, report };
+    let mut place = Location { file: &tracks_file.path, first_row: chunk.first_track_row, report };
     if let Some(row) = rows.clone().find(|row| ids.value(*row) != id) {
         place.damage("reference", row, format!("it is of scenario {}, expected {id}", ids.value(row)));
         return Ok(());
@@ -121,7 +121,13 @@ pub(super) fn check_scenario(
 }
 
 /// Checks the tracks in these rows, and gives back how many there are.
-fn check_tracks(states: &States<'_>, rows: Range<usize>, n_timesteps: u32, dt_s: f64, place: &mut Place<'_>) -> usize {
+fn check_tracks(
+    states: &States<'_>,
+    rows: Range<usize>,
+    n_timesteps: u32,
+    dt_s: f64,
+    place: &mut Location<'_>,
+) -> usize {
     let mut tracks: BTreeSet<&str> = BTreeSet::new();
     let mut last: Option<(&str, u32)> = None;
     for row in rows {
@@ -155,7 +161,7 @@ fn check_tracks(states: &States<'_>, rows: Range<usize>, n_timesteps: u32, dt_s:
 }
 
 /// Checks one state.
-fn check_state(states: &States<'_>, row: usize, place: &mut Place<'_>) {
+fn check_state(states: &States<'_>, row: usize, place: &mut Location<'_>) {
     let heading_rad = states.number(2, row);
     if heading_rad.abs() > PI {
         place.damage("range", row, format!("heading_rad is {heading_rad}, expected within half a turn"));
@@ -185,7 +191,7 @@ fn check_state(states: &States<'_>, row: usize, place: &mut Place<'_>) {
 }
 
 /// Checks that positions in both frames are the same places.
-fn check_frames(states: &States<'_>, rows: Range<usize>, world_from_scene: &Transform2, place: &mut Place<'_>) {
+fn check_frames(states: &States<'_>, rows: Range<usize>, world_from_scene: &Transform2, place: &mut Location<'_>) {
     for row in rows {
         let position = world_from_scene.point(Vec2::new(states.number(0, row), states.number(1, row)));
         let world = Vec2::new(states.world[0].value(row), states.world[1].value(row));
@@ -243,7 +249,7 @@ fn check_recording_file(
         report.n_states += batch.num_rows() as u64;
         let states = States::of(&Columns::of_batch(&batch, &path))?;
         let scenes = texts(&batch, "scene_id", &path)?;
-        let mut place = Place { file: &file.path, first_row, report };
+        let mut place = Location { file: &file.path, first_row, report };
         for row in 0..batch.num_rows() {
             let (scene, track, timestep) = (scenes.value(row), states.track_id.value(row), states.timestep.value(row));
             let hash = fingerprint(scene.as_bytes());

@@ -2,8 +2,8 @@
 
 use crate::engine::fingerprint::fingerprint_value;
 use crate::engine::kind::StageKind;
+use crate::engine::outdated::why;
 use crate::engine::revision::revision;
-use crate::engine::stale::why;
 use crate::engine::{ComputeChoice, Failure, Result, StageRecord};
 use serde::{Deserialize, Serialize};
 

@@ -22,12 +22,12 @@ pub(super) struct Encounter<'a> {
     /// The ego's speed at the present, m/s.
     pub(super) ego_speed_mps: f64,
     /// The other relative to the path at each timestep of the scene.
-    places: Vec<Option<Place>>,
+    places: Vec<Option<RelativePosition>>,
 }
 
 /// The position of the other relative to the ego's path.
 #[derive(Clone, Copy)]
-struct Place {
+struct RelativePosition {
     /// Distance of its center from the path, meters; positive on the side on which it is at present.
     offset_m: f64,
     /// Distance of its nearer flank from the path, meters; negative if it is beyond the path.
@@ -62,7 +62,7 @@ impl<'a> Encounter<'a> {
             let body = other.footprint(state);
             let across = Vec2::from_angle(projection.heading_rad + std::f64::consts::FRAC_PI_2);
             let offset_m = side * projection.offset_m;
-            Some(Place {
+            Some(RelativePosition {
                 offset_m,
                 flank_m: offset_m.abs() - Footprint::new(&body).half_extent_m(across),
                 ahead_m: path.gap_m(&body)?,
@@ -109,7 +109,7 @@ impl<'a> Encounter<'a> {
     /// When, from `perceived_s` on, the time to collision along the path is dangerous, seconds since the present.
     /// `None` for never.
     pub(super) fn danger_s(&self, perceived_s: f64, config: &CarefulDriverConfig) -> Option<f64> {
-        let is_danger = |(time_s, place): &(f64, Place)| {
+        let is_danger = |(time_s, place): &(f64, RelativePosition)| {
             let gap_m = place.ahead_m - self.ego_speed_mps * time_s;
             let closing_mps = self.ego_speed_mps - place.along_mps;
             // The ego need not brake for a vehicle behind it, but for one alongside.
@@ -149,7 +149,7 @@ impl<'a> Encounter<'a> {
     }
 
     /// The other's positions from the present on, with seconds since then.
-    fn future(&self) -> impl Iterator<Item = (f64, Place)> + '_ {
+    fn future(&self) -> impl Iterator<Item = (f64, RelativePosition)> + '_ {
         let present = self.scene.current_timestep();
         let places = self.places.iter().enumerate().skip(present);
         places.filter_map(|(timestep, place)| Some((self.time_s(timestep), (*place)?)))

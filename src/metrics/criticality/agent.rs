@@ -1,6 +1,6 @@
 //! The boxes and velocities of an agent, for measures of criticality.
 
-use crate::behavior::sweep::Sweep;
+use crate::behavior::swept_boxes::SweptBoxes;
 use crate::geometry::Vec2;
 use crate::scene::{Scene, Trajectory};
 
@@ -9,7 +9,7 @@ pub(super) struct MovingAgent {
     /// Its index in the scene.
     pub(super) agent_idx: usize,
     /// Its boxes.
-    pub(super) sweep: Sweep,
+    pub(super) sweep: SweptBoxes,
     velocities: Vec<Option<Vec2>>,
 }
 
@@ -17,7 +17,7 @@ impl MovingAgent {
     /// An agent of `scene`; `None` if there is no such agent, or none of its states is finite.
     pub(super) fn of(scene: &Scene, agent_idx: usize) -> Option<Self> {
         let track = scene.tracks.get(agent_idx)?;
-        let sweep = Sweep::new(track)?;
+        let sweep = SweptBoxes::new(track)?;
         Some(Self { agent_idx, sweep, velocities: velocities(&track.trajectory, scene.dt_s) })
     }
 

@@ -2,7 +2,7 @@
 
 use super::agent::MovingAgent;
 use crate::behavior::footprint::Footprint;
-use crate::behavior::sweep::Sweep;
+use crate::behavior::swept_boxes::SweptBoxes;
 use crate::geometry::wrap_angle;
 use crate::scene::{Scene, State};
 
@@ -36,7 +36,7 @@ struct Visit {
 
 impl Visit {
     /// `None` if it is never there.
-    fn of(scene: &Scene, agent: &MovingAgent, swept: &Sweep) -> Option<Self> {
+    fn of(scene: &Scene, agent: &MovingAgent, swept: &SweptBoxes) -> Option<Self> {
         let timesteps = 0..scene.n_timesteps;
         let is_there = |footprint: &Footprint| swept.overlaps_any(footprint, timesteps.clone());
         let there = |timestep: usize| agent.sweep.at(timestep).is_some_and(is_there);

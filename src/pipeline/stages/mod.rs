@@ -1,6 +1,6 @@
 //! The stages: how are the sections of a pipeline file connected to the code that does the work?
 
-mod blame;
+mod error_causes;
 mod evaluate;
 mod generate;
 mod ingest;
@@ -14,7 +14,7 @@ mod train_denoiser;
 mod train_distill;
 mod training_scenes;
 
-pub(in crate::pipeline) use blame::of_named_path;
+pub(in crate::pipeline) use error_causes::of_named_path;
 pub use evaluate::Evaluate;
 pub(in crate::pipeline) use generate::{FoundShard, find_shard, is_round_file, shard_name};
 pub use generate::{Generate, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};

@@ -11,13 +11,13 @@ const BLOCK_LEN: usize = 5;
 
 /// The boxes of one agent, one entry a timestep.
 #[derive(Debug, Clone)]
-pub(crate) struct Sweep {
+pub(crate) struct SweptBoxes {
     footprints: Vec<Option<Footprint>>,
     blocks: Vec<Option<Bounds>>,
     bounds: Bounds,
 }
 
-impl Sweep {
+impl SweptBoxes {
     /// The boxes of `track` at all timesteps at which it is tracked with finite numbers. `None` when there are none.
     pub(crate) fn new(track: &Track) -> Option<Self> {
         let footprint = |state: &crate::scene::State| Footprint::new(&track.footprint(state));

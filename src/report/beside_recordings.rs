@@ -9,7 +9,7 @@ use crate::store::{Result, SceneSet};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Collects at most `limit` scenes of each group, and the parameters of events.
-pub(super) struct Compared {
+pub(super) struct BesideRecordings {
     limit: usize,
     recorded: SceneSet,
     n_generated: BTreeMap<&'static str, usize>,
@@ -18,7 +18,7 @@ pub(super) struct Compared {
     behaviors: BTreeSet<String>,
 }
 
-impl Compared {
+impl BesideRecordings {
     pub(super) fn new(limit: usize) -> Self {
         Self {
             limit,
@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn edited_scenarios_are_not_compared_as_unguided_traffic() {
-        let mut compared = Compared::new(9);
+        let mut compared = BesideRecordings::new(9);
         compared.add_recording(0, &recorded());
         let mut guided = record(2.0, false, false, recorded());
         compared.add(&guided);

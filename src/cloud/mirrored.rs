@@ -11,13 +11,13 @@ use std::sync::Arc;
 
 /// A view that those who read and write files find by its path.
 #[derive(Debug)]
-pub(super) struct Shown {
+pub(super) struct Mirrored {
     pub(super) view: Arc<View>,
     /// Keeps out other processes of this machine that would write there.
     _alone: Option<Lock>,
 }
 
-impl Shown {
+impl Mirrored {
     /// Shows what is at a URL to everything that reads and writes files.
     ///
     /// # Errors
@@ -49,7 +49,7 @@ impl Shown {
     }
 }
 
-impl Drop for Shown {
+impl Drop for Mirrored {
     fn drop(&mut self) {
         unmirror(&self.view.root);
     }

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 /// A folder of objects, shown on disk.
 #[derive(Debug)]
-pub(super) enum Shown {}
+pub(super) enum Mirrored {}
 
-impl Shown {
+impl Mirrored {
     pub(super) fn open(url: &ObjectUrl, _: Access, _: Option<&Path>) -> Result<Self> {
         Err(Error::NotBuilt { url: url.clone() })
     }
