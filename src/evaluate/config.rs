@@ -1,9 +1,8 @@
 //! The `[evaluate]` section: what to measure, what to keep, and which gates to check.
 
 use super::error::{Error, Result};
-use super::gates::GatesConfig;
-use super::measures::known_ids;
-use crate::metrics::{CarefulDriverConfig, DUPLICATE_DISTANCE_M, MetricSettings, ModesConfig, ValidityConfig};
+use super::gate_config::GatesConfig;
+use crate::metrics::{ALL, CarefulDriverConfig, DUPLICATE_DISTANCE_M, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
@@ -92,7 +91,7 @@ impl EvaluateConfig {
             return Err(Error::Config { message, advice: "leave it out for its default".to_owned() });
         }
         self.gates.validate(&self.metrics)?;
-        let known = known_ids();
+        let known: Vec<&str> = ALL.iter().map(|metric| metric.spec().id).collect();
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
         Err(Error::Config {

@@ -1,65 +1,25 @@
 //! Merges measured shards of scenarios into the results of an evaluation.
 
 use super::config::EvaluateConfig;
-use super::distinguishability::{CellKey, DistinguishabilityRow, Distinguished, TellingFeatureRow};
+use super::distinguishability::{CellKey, Distinguished};
 use super::error::Result;
-use super::gates::GateResult;
-use super::map_fits::MapFitRow;
+use super::gates;
 use super::measure::{MeasuredCell, MeasuredShard};
 use super::measures::MetricDoc;
 use super::metric_rows::{CellNames, FinishedRows, MetricRows};
 use super::predictions::Predictions;
-use super::realism::{RealismRow, RealismTable};
-use super::sampling::{SamplingRow, SamplingTally};
-use super::validity::{ValidityRow, ValidityTable};
-use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts};
+use super::realism::RealismTable;
+use super::sampling::SamplingTally;
+use super::summary::EvaluationSummary;
+use super::validity::ValidityTable;
+use super::verdicts::Verdicts;
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, MetricRow};
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Scene, SceneId};
 use crate::store::{self, VerdictWriter};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// The figures that people look at first: the content of `metrics.json`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct EvaluationSummary {
-    /// Number of generated scenarios.
-    pub n_scenarios: u64,
-    /// How many of them show the requested behavior.
-    pub n_verified: u64,
-    /// How many of the verified ones the recording does not already show.
-    pub n_new: u64,
-    /// How many pass every check of validity.
-    pub n_valid: u64,
-    /// How many are accepted: verified, valid and no near-duplicates.
-    pub n_accepted: u64,
-    /// How many scenarios the corpus has.
-    pub n_kept: u64,
-    /// The gates.
-    pub gates: Vec<GateResult>,
-    /// Requested and generated scenarios, by sweep, place and strength.
-    pub sampling: Vec<SamplingRow>,
-    /// Definitions of the metrics.
-    pub docs: Vec<MetricDoc>,
-    /// Means over scenes: of all places together, then of each.
-    pub aggregates: Vec<MetricRow>,
-    /// How far the motion of whole sweeps is from the recordings.
-    pub realism: Vec<RealismRow>,
-    /// The verdicts on the scenarios of each sweep at each strength.
-    pub acceptance: Vec<AcceptanceRow>,
-    /// Why samples are not accepted, or not even scenarios.
-    pub left_out: Vec<LeftOutRow>,
-    /// How many scenarios, and how many of the recordings that they continue, fail each check.
-    pub validity: Vec<ValidityRow>,
-    /// The performance of a classifier that tells the tracks of each series from recorded ones.
-    pub distinguishability: Vec<DistinguishabilityRow>,
-    /// The features that give them away.
-    pub telling_features: Vec<TellingFeatureRow>,
-    /// The places where the map is good enough to judge departures from the road.
-    pub maps: Vec<MapFitRow>,
-}
 
 /// The result of an evaluation. Its rows are in files until [`Evaluated::remove_rows`].
 #[derive(Debug)]
@@ -242,7 +202,7 @@ impl<'a> Evaluation<'a> {
             telling_features: self.distinguished.telling(),
             maps: Vec::new(),
         };
-        summary.gates = self.config.gates.check(&summary);
+        summary.gates = gates::check(&self.config.gates, &summary);
         Ok(Evaluated { summary, rows, n_predicted_scenes, n_tracks_left_out })
     }
 }

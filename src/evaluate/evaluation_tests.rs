@@ -2,9 +2,10 @@
 
 use super::config::{EvaluateConfig, Keep};
 use super::distinguishability::TrackPool;
-use super::evaluation::{Evaluation, EvaluationFiles, EvaluationSummary};
-use super::gates::GatesConfig;
+use super::evaluation::{Evaluation, EvaluationFiles};
+use super::gate_config::GatesConfig;
 use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
+use super::summary::EvaluationSummary;
 use crate::generate::RejectedSample;
 use crate::metrics::MetricRow;
 use crate::progress::Silent;

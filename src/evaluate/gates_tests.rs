@@ -1,7 +1,8 @@
 //! Tests of every gate: met, at its edge, unmet, and without anything to judge.
 
-use super::evaluation::EvaluationSummary;
-use super::gates::GatesConfig;
+use super::gate_config::GatesConfig;
+use super::gates::check;
+use super::summary::EvaluationSummary;
 use super::{DistinguishabilityRow, EvaluateConfig, GateResult, SamplingRow, ValidityRow};
 use crate::behavior::BehaviorConfig;
 use crate::generate::GenerateConfig;
@@ -94,7 +95,7 @@ fn gates(toml: &str) -> GatesConfig {
 }
 
 fn results(toml: &str, found: &EvaluationSummary) -> Vec<GateResult> {
-    let results = gates(toml).check(found);
+    let results = check(&gates(toml), found);
     assert!(!results.is_empty(), "{toml}: a gate that is set says something");
     results
 }

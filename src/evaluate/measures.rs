@@ -2,7 +2,7 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{ALL, Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
+use crate::metrics::{Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
 use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
@@ -48,11 +48,6 @@ pub(super) struct Requested<'a> {
     pub(super) behavior: &'a str,
     /// Roles and tracks.
     pub(super) roles: &'a Roles,
-}
-
-/// The names of all metrics that can be chosen.
-pub(super) fn known_ids() -> Vec<&'static str> {
-    ALL.iter().map(|metric| metric.spec().id).collect()
 }
 
 impl<'a> Measures<'a> {

@@ -16,6 +16,7 @@ mod error;
 mod evaluation;
 #[cfg(test)]
 mod evaluation_tests;
+mod gate_config;
 mod gates;
 #[cfg(test)]
 mod gates_tests;
@@ -28,6 +29,7 @@ mod mining;
 mod predictions;
 mod realism;
 mod sampling;
+mod summary;
 #[cfg(test)]
 pub(crate) mod testing;
 mod validity;
@@ -38,13 +40,14 @@ mod verdicts_tests;
 pub use config::{EvaluateConfig, Keep};
 pub use distinguishability::{DistinguishabilityRow, Distinguished, TellingFeatureRow, TrackPool};
 pub use error::{Error, Result};
-pub use evaluation::{Evaluated, Evaluation, EvaluationFiles, EvaluationSummary, KeptScenarios};
-pub use gates::{GateResult, GatesConfig};
+pub use evaluation::{Evaluated, Evaluation, EvaluationFiles, KeptScenarios};
+pub use gate_config::GatesConfig;
 pub use map_fits::{MapFitRow, for_maps, map_fits};
 pub use measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 pub use measures::MetricDoc;
 pub use mining::{BehaviorCount, BehaviorDoc, MiningSummary, MiningTally};
 pub use realism::RealismRow;
 pub use sampling::SamplingRow;
+pub use summary::{EvaluationSummary, GateResult};
 pub use validity::ValidityRow;
 pub use verdicts::{AcceptanceRow, LeftOutRow, left_out_by_sweep};
