@@ -74,12 +74,14 @@ pub enum Error {
     },
     /// A scene that was added twice.
     #[error(
-        "scene {id} was read twice; check whether the inputs overlap, such as a folder and the archive it was unpacked \
-         from"
+        "scene {id} was read twice, from {} and from {}; check whether the inputs overlap, such as a folder and the \
+         archive it was unpacked from", .files[0], .files[1]
     )]
     DuplicateScene {
         /// The scene.
         id: String,
+        /// The recordings within their folders or archives, the earlier one first.
+        files: [String; 2],
     },
     /// A map that is in no table.
     #[error("map {map_id} is not among the maps of {}", .path.display())]
