@@ -1,6 +1,7 @@
 //! The `[ingest]` section: which recordings become scenes, and how much of each is kept.
 
 use super::error::Error;
+use crate::files::paths_as_text;
 use crate::scene::{Dataset, Split};
 use crate::settings::{self, Issue};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -16,12 +17,13 @@ pub struct IngestConfig {
     pub dataset: Dataset,
     /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded; with the
     /// feature `cloud`, also such in object stores (`s3://bucket/x.zip`, `gs://bucket/folder`).
+    #[serde(serialize_with = "paths_as_text")]
     pub inputs: Vec<PathBuf>,
     /// Whether scenes must have maps.
     #[serde(default)]
     pub maps: MapsConfig,
     /// Where to look for maps; empty: among `inputs`.
-    #[serde(default)]
+    #[serde(default, serialize_with = "paths_as_text")]
     pub map_inputs: Vec<PathBuf>,
     /// The splits to keep; empty: all.
     #[serde(default)]
