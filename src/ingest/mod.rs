@@ -27,6 +27,7 @@ mod lane_topology;
 pub mod lanelet2;
 mod map_catalog;
 mod map_report;
+mod map_text;
 mod plausible_lanes;
 mod plausible_tracks;
 mod quotes;
