@@ -21,6 +21,7 @@ mod decimal;
 mod driver;
 mod error;
 mod files;
+mod ids;
 mod interaction;
 mod lane_index;
 mod lane_topology;

@@ -16,6 +16,7 @@
 //! - `duplicate_frame`: a track is twice at the same frame;
 //! - `too_many_tracks`: more than 100,000 tracks, which no recording has;
 //! - `unknown_agent_type`, `inconsistent_agent_type`: not a type of the format; two types in one track;
+//! - `ambiguous_id`: two ids that may be one, `7` and `07`, of tracks in a case or recording, or of cases in a file;
 //! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
 //!   after a second header;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
