@@ -3,6 +3,7 @@
 use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
+use super::map_report::MapReport;
 use super::raw::{RawScene, RawUnit, Reject};
 use crate::scene::{LaneGraph, MapId};
 use std::io::BufRead;
@@ -61,8 +62,8 @@ pub struct MapFile {
     pub graph: LaneGraph,
     /// If several files contain one map, the one of the lowest rank counts; the first of equals.
     pub rank: u8,
-    /// Its defects, for messages; empty if there are none.
-    pub warnings: String,
+    /// Its defects.
+    pub report: MapReport,
 }
 
 /// Receives units and rejects; each counts as one unit. `Break` ends reading.

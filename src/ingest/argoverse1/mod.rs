@@ -60,7 +60,7 @@ impl RecordingSource for Argoverse1<'_> {
 
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         let (graph, report) = vector_map::read(&entry.path, reader)?;
-        Ok(MapFile { graph, rank: 0, warnings: report.summary() })
+        Ok(MapFile { graph, rank: 0, report })
     }
 }
 

@@ -143,6 +143,33 @@ fn copies_of_recordings_are_rejected() {
 }
 
 #[test]
+fn what_is_not_read_is_counted_once() {
+    let folder = folder(70);
+    let write = |name: &str, text: &str| fs_err::write(folder.path().join(name), text).expect("writable");
+    write("train/data/0001.7z", "of another kind");
+    write("train/data/broken.zip", "of a kind that is read");
+    let broken_lane = r#"<way lane_id="6"><nd ref="9"/></way></ArgoverseVectorMap>"#;
+    write("pruned_argoverse_PIT_10314_vector_map.xml", &MAP.replace("</ArgoverseVectorMap>", broken_lane));
+    let config = config(folder.path());
+    let (batches, report) = run(&config, None).expect("the others are whole");
+    assert_eq!((report.n_units, report.n_scenes), (72, 63));
+    let archives = &report.rejects["archive_passed_over"];
+    assert_eq!(archives.count, 2);
+    assert!(archives.examples[0].contains("0001.7z: it is within another archive, or of a kind that is not read"));
+    assert!(archives.examples[1].contains("broken.zip: invalid Zip archive"), "{archives:?}");
+    let lanes = &report.warnings["broken_lanes"];
+    assert_eq!(lanes.count, 1);
+    assert!(lanes.examples[0].ends_with("vector_map.xml: way 6: refers to missing node 9"), "{lanes:?}");
+    assert_eq!(run(&config, Some(&batches[0].report)).expect("whole").1, report);
+    // Archives among the maps alone are no recordings.
+    let maps = tempfile::tempdir().expect("a temporary folder");
+    fs_err::write(maps.path().join("more.rar"), "x").expect("writable");
+    let map_inputs = vec![folder.path().to_owned(), maps.path().to_owned()];
+    let (_, report) = run(&IngestConfig { map_inputs, ..config }, None).expect("the others are whole");
+    assert_eq!((report.rejects["archive_passed_over"].count, report.warnings["archives_passed_over"].count), (2, 3));
+}
+
+#[test]
 fn missing_maps_are_errors_that_say_what_to_do() {
     let folder = folder(3);
     let message = |config: &IngestConfig| run(config, None).expect_err("no map").to_string();
@@ -153,6 +180,9 @@ fn missing_maps_are_errors_that_say_what_to_do() {
     assert!(text.contains("no map for argoverse1/PIT") && text.contains("argoverse1/MIA"), "{text}");
     fs_err::remove_file(other).expect("writable");
     assert!(message(&config(folder.path())).contains("ingest.maps = \"none\""));
+    fs_err::write(folder.path().join("maps.tar.xz"), "x").expect("writable");
+    let text = message(&config(folder.path()));
+    assert!(text.contains(", where maps.tar.xz cannot be read; unpack it; add the map files"), "{text}");
     let without = IngestConfig { maps: MapsConfig::None, ..config(folder.path()) };
     let (batches, report) = run(&without, None).expect("maps are not needed");
     assert!(batches[0].maps.is_empty() && scenes(&batches)[0].map_id.is_none());

@@ -108,7 +108,7 @@ impl RecordingSource for Interaction<'_> {
         let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
         // v1.2 has each map in both forms; Lanelet2 itself reads `.osm`.
         let rank = u8::from(!entry.path.to_ascii_lowercase().ends_with(".osm"));
-        Ok(MapFile { graph, rank, warnings: report.summary() })
+        Ok(MapFile { graph, rank, report })
     }
 
     fn map_of(&self, path: &str) -> Option<MapId> {
