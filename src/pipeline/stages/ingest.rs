@@ -21,7 +21,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn check(&self) -> Result<()> {
