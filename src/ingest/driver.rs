@@ -8,6 +8,7 @@ use super::error::{BoxError, Error};
 use super::files::{is_archive, is_copy, passed_over};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
+use super::places::Places;
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
@@ -52,20 +53,21 @@ pub fn ingest(
     let source = super::source_of(config)?;
     let source = &*source;
     let mut total = done.cloned().unwrap_or_default();
-    let maps = MapCatalog::read(config, source, progress)?;
+    let places = &Places::of(config);
+    let maps = MapCatalog::read(config, source, places, progress)?;
     if config.limit.is_some_and(|limit| total.n_scenes >= limit) {
         maps.findings.into_iter().for_each(|finding| total.count_warning(finding));
         return Ok(total);
     }
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
-    let parser = UnitParser { config, source, maps: &maps };
+    let parser = UnitParser { config, source, maps: &maps, places };
     // Units are read, parsed and stored at the same time; parsing is what takes all threads.
     let seen = std::thread::scope(|scope| {
         // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
-        let reader = scope.spawn(|| read_batches(config, source, unit_sender));
+        let reader = scope.spawn(|| read_batches(config, source, places, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
@@ -85,7 +87,11 @@ pub fn ingest(
     // These were said when the maps were read. No batch has them: which one would, depends on what was done before.
     maps.findings.into_iter().for_each(|finding| total.count_warning(finding));
     if total.n_scenes == 0 {
-        return Err(Error::NoScenes { files: seen.summary(config), report: Box::new(total) });
+        let none = || Error::NoScenes { files: seen.summary(config), report: Box::new(total) };
+        return Err(places.error().unwrap_or_else(none));
+    }
+    if config.limit.is_none_or(|limit| total.n_scenes < limit) {
+        places.warning().into_iter().for_each(|warning| progress.warn(&warning));
     }
     Ok(total)
 }
@@ -113,9 +119,15 @@ impl SeenFiles {
 }
 
 /// The reading thread: cuts all recordings into units until the receiver is gone.
-fn read_batches(config: &IngestConfig, source: &dyn RecordingSource, mut sender: BatchSender) -> SeenFiles {
+fn read_batches(
+    config: &IngestConfig,
+    source: &dyn RecordingSource,
+    places: &Places<'_>,
+    mut sender: BatchSender,
+) -> SeenFiles {
     let seen = std::cell::RefCell::new(SeenFiles::default());
     let is_wanted = |path: &str| {
+        places.note(source.place_at(path).as_deref());
         let is_recording = source.is_recording(path);
         let seen = &mut *seen.borrow_mut();
         if is_recording {
@@ -194,6 +206,7 @@ struct UnitParser<'a> {
     config: &'a IngestConfig,
     source: &'a dyn RecordingSource,
     maps: &'a MapCatalog,
+    places: &'a Places<'a>,
 }
 
 impl UnitParser<'_> {
@@ -257,6 +270,7 @@ impl UnitParser<'_> {
         {
             return Some(OTHER_SPLITS);
         }
+        self.places.note(Some(&unit.place));
         (!unit.place.is_empty() && !self.config.wants_place(&unit.place)).then_some(OTHER_PLACES)
     }
 
@@ -307,6 +321,7 @@ impl UnitParser<'_> {
         if !self.config.wants_split(scene.source.split) {
             return UnitOutcome::Unwanted(OTHER_SPLITS);
         }
+        self.places.note(Some(&scene.source.place));
         if !self.config.wants_place(&scene.source.place) {
             return UnitOutcome::Unwanted(OTHER_PLACES);
         }

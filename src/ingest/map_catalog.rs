@@ -6,6 +6,7 @@ use super::error::Error;
 use super::files::is_archive;
 use super::lane_index::LaneIndex;
 use super::map_report::MapReport;
+use super::places::Places;
 use super::raw::Finding;
 use super::source::{MapFile, RecordingSource};
 use crate::progress::Progress;
@@ -57,6 +58,7 @@ impl MapCatalog {
     pub(super) fn read(
         config: &IngestConfig,
         source: &dyn RecordingSource,
+        places: &Places<'_>,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         if !config.wants_maps() || source.has_own_maps() {
@@ -65,6 +67,7 @@ impl MapCatalog {
         let inputs = if config.map_inputs.is_empty() { &config.inputs } else { &config.map_inputs };
         let (needed, passed_over) = (RefCell::new(BTreeSet::new()), RefCell::new(BTreeSet::new()));
         let is_wanted = |path: &str| {
+            places.note(source.place_at(path).as_deref());
             if source.is_recording(path) {
                 needed.borrow_mut().extend(source.map_of(path));
             }
@@ -80,6 +83,9 @@ impl MapCatalog {
         })?;
         catalog.passed_over = passed_over.into_inner();
         if catalog.maps.is_empty() && catalog.broken.is_empty() {
+            if let Some(error) = places.error() {
+                return Err(error);
+            }
             let searched: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
             let passed_over = catalog.passed_over.into_iter().collect();
             return Err(Error::NoMaps { dataset: config.dataset.name(), searched: searched.join(", "), passed_over });
@@ -212,7 +218,7 @@ mod tests {
         let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
         let told = || {
             let told = Told::default();
-            MapCatalog::read(&config, &Interaction::new(&config), &told).unwrap();
+            MapCatalog::read(&config, &Interaction::new(&config), &Places::of(&config), &told).unwrap();
             told.0.into_inner().unwrap()
         };
         for folder in [folder.path().join("maps"), folder.path().join("archive")] {
@@ -238,7 +244,7 @@ mod tests {
         fs_err::create_dir_all(folder.path().join("maps")).unwrap();
         fs_err::copy(map, folder.path().join("maps/FIX_Intersection.osm")).unwrap();
         let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
-        let read = || MapCatalog::read(&config, &Interaction::new(&config), &Silent);
+        let read = || MapCatalog::read(&config, &Interaction::new(&config), &Places::of(&config), &Silent);
         // A map that nobody needs may be broken.
         fs_err::write(folder.path().join("maps/FIX_Nowhere.osm"), "<osm>").unwrap();
         assert_eq!(read().unwrap().maps.len(), 1);

@@ -45,6 +45,11 @@ pub trait RecordingSource: Sync {
     /// [`Error::Map`] when the map is not whole.
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error>;
 
+    /// The place that the path of a recording or a map names, whether or not it is one to keep.
+    fn place_at(&self, _path: &str) -> Option<String> {
+        None
+    }
+
     /// The map that the recordings at `path` need, if the path names it, so that a missing map is reported before
     /// reading.
     fn map_of(&self, _path: &str) -> Option<MapId> {

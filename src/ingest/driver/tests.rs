@@ -10,6 +10,16 @@ use flate2::write::GzEncoder;
 use std::io::Write;
 use std::path::Path;
 
+/// Keeps what the user is told.
+#[derive(Default)]
+struct Told(std::sync::Mutex<Vec<String>>);
+
+impl Progress for Told {
+    fn warn(&self, message: &str) {
+        self.0.lock().unwrap().push(message.to_owned());
+    }
+}
+
 const MAP: &str = r#"<ArgoverseVectorMap><node id="0" x="900" y="2000"/><node id="1" x="1200" y="2000"/>
     <way lane_id="5"><nd ref="0"/><nd ref="1"/></way></ArgoverseVectorMap>"#;
 
@@ -195,15 +205,35 @@ fn no_scenes_is_an_error_that_says_what_was_seen() {
     fs_err::write(folder.path().join("train/data/notes.txt"), "hello").expect("writable");
     let message = |config: &IngestConfig| run(config, None).expect_err("no scenes").to_string();
     let text = message(&IngestConfig { places: vec!["MIA".to_owned()], ..config(folder.path()) });
-    assert!(text.contains("3 files named like argoverse1 recordings") && text.contains("3 units read"), "{text}");
-    assert!(text.contains("3 units of other places dropped"), "{text}");
+    assert_eq!(text, "ingest.places: names MIA, of which there is nothing; there are recordings or maps of PIT");
     for i in 0..3 {
         fs_err::write(folder.path().join(format!("train/data/{i:04}.csv")), "a;b\n1;2\n").expect("writable");
     }
     let text = message(&config(folder.path()));
     assert!(text.contains("3 rejected as bad_header (first: train/data/0000.csv:1: no column"), "{text}");
+    assert!(text.contains("3 files named like argoverse1 recordings") && text.contains("3 units read"), "{text}");
     let text = message(&IngestConfig { splits: vec![crate::scene::Split::Val], ..config(folder.path()) });
     assert!(text.contains("0 files named like"), "{text}");
+}
+
+#[test]
+fn places_that_are_not_there_are_named_with_those_that_are() {
+    let recordings = vec!["tests/fixtures/recordings/interaction_v1_1".into()];
+    let at = |places: &[&str], maps: MapsConfig| IngestConfig {
+        places: places.iter().map(|place| (*place).to_owned()).collect(),
+        maps,
+        ..IngestConfig::new(Dataset::Interaction, recordings.clone())
+    };
+    for maps in [MapsConfig::Required, MapsConfig::None] {
+        let text = run(&at(&["Nowhere", "FIX_intersection"], maps), None).expect_err("none is there").to_string();
+        let expected = "ingest.places: names Nowhere, FIX_intersection, of which there is nothing; there are \
+                        recordings or maps of FIX_Intersection";
+        assert_eq!(text, expected, "{maps:?}");
+    }
+    let config = at(&["Nowhere", "FIX_Intersection"], MapsConfig::None);
+    let told = Told::default();
+    assert!(ingest(&config, None, &told, &mut |_| Ok(())).expect("one is there").n_scenes > 0);
+    assert_eq!(told.0.into_inner().unwrap(), ["ingest.places names Nowhere, of which there is nothing"]);
 }
 
 #[test]

@@ -104,6 +104,10 @@ impl RecordingSource for Interaction<'_> {
         Some(map_id(Dataset::Interaction, place))
     }
 
+    fn place_at(&self, path: &str) -> Option<String> {
+        path::place_of_map(path).map(str::to_owned).or_else(|| TrackFile::of_path(path).map(|file| file.place))
+    }
+
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
         // v1.2 has each map in both forms; Lanelet2 itself reads `.osm`.
