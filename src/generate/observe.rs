@@ -92,8 +92,10 @@ pub struct TimestepRange {
 #[serde(deny_unknown_fields)]
 pub struct SecondRange {
     /// The first time, seconds after the present (negative: before it).
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub from_s: f64,
     /// The last time, seconds after the present.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub to_s: f64,
 }
 

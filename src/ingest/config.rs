@@ -31,6 +31,7 @@ pub struct IngestConfig {
     pub splits: Vec<Split>,
     /// The places to keep (cities, or INTERACTION's locations); empty: all.
     #[serde(default)]
+    #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
     /// Observed timesteps of a scene; default: the dataset's (INTERACTION 10, Argoverse 1 20, Argoverse 2 50).
     #[serde(default)]
@@ -179,7 +180,8 @@ fn dataset_schema(_: &mut SchemaGenerator) -> Schema {
 }
 
 fn splits_schema(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "array", "items": { "type": "string", "enum": Split::ALL.map(Split::name) } })
+    let names = Split::ALL.map(Split::name);
+    json_schema!({ "type": "array", "items": { "type": "string", "enum": names }, "uniqueItems": true })
 }
 
 #[cfg(test)]
