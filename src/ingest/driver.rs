@@ -8,7 +8,7 @@ use super::error::{BoxError, Error};
 use super::files::{is_archive, is_copy, passed_over};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
-use super::places::Places;
+use super::places::{Places, flaw_of};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
@@ -320,6 +320,12 @@ impl UnitParser<'_> {
         };
         if !self.config.wants_split(scene.source.split) {
             return UnitOutcome::Unwanted(OTHER_SPLITS);
+        }
+        if let Some(flaw) = flaw_of(&scene.source.place) {
+            return UnitOutcome::Rejected(Reject {
+                reason: "bad_place",
+                detail: format!("{}: {flaw}", scene.source.file),
+            });
         }
         self.places.note(Some(&scene.source.place));
         if !self.config.wants_place(&scene.source.place) {

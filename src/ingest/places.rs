@@ -45,6 +45,20 @@ impl<'a> Places<'a> {
     }
 }
 
+/// Why nothing can be stored of a place: what has its name, such as a folder of a corpus, has at most 255 bytes, and
+/// all but letters and digits take three of them.
+pub(super) fn flaw_of(place: &str) -> Option<String> {
+    const MAX_BYTES: usize = 240;
+    let n_bytes: usize = place.bytes().map(|byte| if byte.is_ascii_alphanumeric() { 1 } else { 3 }).sum();
+    match place.chars().find(|c| c.is_control()) {
+        Some(c) => Some(format!("its place has the control character {}, expected a name", c.escape_default())),
+        None if n_bytes > MAX_BYTES => {
+            Some(format!("its place has {} bytes, expected a name of at most {}", place.len(), MAX_BYTES / 3))
+        }
+        None => None,
+    }
+}
+
 fn listed<'s>(places: impl Iterator<Item = &'s String>) -> String {
     places.map(String::as_str).collect::<Vec<_>>().join(", ")
 }

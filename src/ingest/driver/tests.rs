@@ -237,6 +237,19 @@ fn places_that_are_not_there_are_named_with_those_that_are() {
 }
 
 #[test]
+fn places_that_name_no_folder_are_rejected() {
+    let folder = folder(2);
+    let text = csv_text(50).replace("PIT", &"long ".repeat(40));
+    fs_err::write(folder.path().join("train/data/0001.csv"), text).expect("writable");
+    let without = IngestConfig { maps: MapsConfig::None, ..config(folder.path()) };
+    let (_, report) = run(&without, None).expect("the other is whole");
+    let expected = "train/data/0001.csv: its place has 199 bytes, expected a name of at most 80";
+    assert_eq!(report.rejects["bad_place"].examples, [expected]);
+    assert_eq!(flaw_of("a\u{1b}b").as_deref(), Some("its place has the control character \\u{1b}, expected a name"));
+    assert_eq!(flaw_of(&"a".repeat(240)), None);
+}
+
+#[test]
 fn faults_of_the_whole_input_end_the_ingest() {
     let folder = folder(3);
     assert!(matches!(run(&config(&folder.path().join("nowhere")), None), Err(Error::Io(_))));
