@@ -179,7 +179,7 @@ impl ObserveConfig {
         };
         match (0..scene.tracks.len()).any(|agent| (0..scene.n_timesteps).any(|timestep| is_given(agent, timestep))) {
             true => Ok(mask),
-            false => Err(UnfitScene("has no observed state".to_owned())),
+            false => Err(UnfitScene("has no observed state; change the rules of `observe`".to_owned())),
         }
     }
 }
