@@ -147,6 +147,7 @@ fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
         let is_said =
             matches!(&error, Error::DuplicateScene { id, files } if *id == scenes[1].id.0 && *files == expected);
         assert!(is_said, "{error}");
+        assert!(error.to_string().contains("from train/data/1.csv and from day2/again.csv"), "{error}");
     }
 }
 
