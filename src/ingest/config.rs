@@ -22,7 +22,8 @@ pub struct IngestConfig {
     /// Whether scenes must have maps.
     #[serde(default)]
     pub maps: MapsConfig,
-    /// Where to look for maps; empty: among `inputs`.
+    /// Where to look for maps; empty: among `inputs`. Lanelet2 maps that have latitude and longitude alone have their
+    /// origin at the southwest corner of their lanes.
     #[serde(default, serialize_with = "paths_as_text")]
     pub map_inputs: Vec<PathBuf>,
     /// The splits to keep; empty: all.

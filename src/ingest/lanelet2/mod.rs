@@ -18,7 +18,7 @@ use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::map_text::read_text;
 use crate::ingest::plausible_lanes::plausible;
-use crate::scene::LaneGraph;
+use crate::scene::{Lane, LaneGraph};
 use lanelet::Lanelet;
 use osm::{NodePosition, Osm, Relation};
 use projection::{GeoPoint, LocalUtm};
@@ -44,12 +44,16 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
     let error = |what: String| Error::map(file, "", what);
     let text = read_text(reader, MAX_MAP_BYTES, file)?;
 
-    let mut report = MapReport::default();
-    let osm = osm::parse(&text, file, &mut report)?;
-    let lanelets = lanelets(&osm, &mut report).map_err(|what| Error::map(file, "", what))?;
-    let lanes = topology::connect(lanelets)
-        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes")))?;
-    let lanes = plausible(lanes, &mut report);
+    let mut of_document = MapReport::default();
+    let osm = osm::parse(&text, file, &mut of_document)?;
+    let corner = corner_of(&osm, relations_of_lanes(&osm));
+    let (mut lanes, mut report) = lanes_within(&osm, corner, of_document.clone(), file)?;
+    // One node far away, for which a lane is left out, must not move the others.
+    let kept: BTreeSet<i64> = lanes.iter().map(|lane| lane.id.0).collect();
+    let of_kept = corner_of(&osm, relations_of_lanes(&osm).filter(|(id, _)| kept.contains(id)));
+    if of_kept != corner && !kept.is_empty() {
+        (lanes, report) = lanes_within(&osm, of_kept, of_document, file)?;
+    }
     if lanes.is_empty() {
         let detail = format!(
             "has no vehicle lane: {} lanelets, {} of them not for vehicles; {}",
@@ -63,8 +67,23 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
     Ok((LaneGraph::new(lanes), report))
 }
 
-fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, Malformed> {
-    let positions = positions(osm, report);
+/// The lanes of a map in the frame with its origin at `corner`, and the report so far with what is left out of them.
+fn lanes_within(
+    osm: &Osm,
+    corner: Option<GeoPoint>,
+    mut report: MapReport,
+    file: &str,
+) -> Result<(Vec<Lane>, MapReport), Error> {
+    let error = |what: Malformed| Error::map(file, "", what);
+    let lanelets = lanelets(osm, corner, &mut report).map_err(error)?;
+    let lanes = topology::connect(lanelets)
+        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes").into()))?;
+    let lanes = plausible(lanes, &mut report);
+    Ok((lanes, report))
+}
+
+fn lanelets(osm: &Osm, corner: Option<GeoPoint>, report: &mut MapReport) -> Result<Vec<Lanelet>, Malformed> {
+    let positions = positions(osm, corner, report);
     let mut lanelets = Vec::new();
     let (mut n_points, mut n_tag_bytes) = (0, 0);
     for (id, relation) in relations_of_lanelets(osm) {
@@ -96,11 +115,11 @@ fn relations_of_lanelets(osm: &Osm) -> impl Iterator<Item = (&i64, &Relation)> {
 }
 
 /// Where the nodes lie in the frame of the map, meters.
-fn positions(osm: &Osm, report: &mut MapReport) -> BTreeMap<i64, Vec2> {
+fn positions(osm: &Osm, corner: Option<GeoPoint>, report: &mut MapReport) -> BTreeMap<i64, Vec2> {
     if osm.is_local {
         return osm.local.clone();
     }
-    let corner = corner_of_lanes(osm).unwrap_or(GeoPoint::NOWHERE);
+    let corner = corner.unwrap_or(GeoPoint::NOWHERE);
     let (projection, is_assumed) = LocalUtm::for_map(corner);
     if is_assumed {
         let GeoPoint { latitude_deg, longitude_deg } = corner;
@@ -119,10 +138,13 @@ fn positions(osm: &Osm, report: &mut MapReport) -> BTreeMap<i64, Vec2> {
         .collect()
 }
 
-/// The southwest corner of the nodes that bound lanes. Neither the order of a document nor what is no lane has a part
-/// in it: editors change both.
-fn corner_of_lanes(osm: &Osm) -> Option<GeoPoint> {
-    let lanes = relations_of_lanelets(osm).filter(|(_, relation)| lanelet::is_drivable(relation));
+fn relations_of_lanes(osm: &Osm) -> impl Iterator<Item = (&i64, &Relation)> {
+    relations_of_lanelets(osm).filter(|(_, relation)| lanelet::is_drivable(relation))
+}
+
+/// The southwest corner of the nodes that bound these lanes. Neither the order of a document nor what is no lane has a
+/// part in it: editors change both.
+fn corner_of<'a>(osm: &Osm, lanes: impl Iterator<Item = (&'a i64, &'a Relation)>) -> Option<GeoPoint> {
     let members = lanes.flat_map(|(_, relation)| &relation.members);
     let bounds = members.filter(|member| member.kind == "way" && matches!(member.role.as_str(), "left" | "right"));
     // Many lanelets may name one way.

@@ -262,8 +262,16 @@ fn the_frame_of_real_coordinates_is_that_of_the_lanes() {
         format!("{}{whole}", far.replace("<node", "<node action=\"delete\"")),
         format!("{far}{foot}{whole}"),
         format!("<node id=\"91\" lat=\"0\" lon=\"0\"/>{whole}"),
+        // A lane that is left out, as one of its nodes is in another country.
+        format!(
+            "<node id=\"92\" lat=\"4.81\" lon=\"1.15\"/><way id=\"92\"><nd ref=\"92\"/><nd ref=\"2\"/></way>{}{whole}",
+            r#"<relation id="92"><member type="way" role="left" ref="92"/><member type="way" role="right" ref="11"/>
+            <tag k="type" v="lanelet"/></relation>"#
+        ),
     ] {
-        assert_eq!(read_valid(&[&nodes, WAYS, RELATIONS].concat()).0, graph, "{nodes}");
+        let (found, report) = read_valid(&[&nodes, WAYS, RELATIONS].concat());
+        assert_eq!(found, graph, "{nodes}");
+        assert!(report.summary().contains("latitude 48.1 and longitude 11.5"), "{}", report.summary());
     }
 }
 
