@@ -145,6 +145,7 @@ impl PipelineConfig {
         if self.run.output.as_os_str().is_empty() {
             return Err(Issue::new("run.output", "is empty, expected a folder such as output"));
         }
+        settings::printable("run.output", &self.run.output.to_string_lossy())?;
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
     }
