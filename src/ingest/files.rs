@@ -34,9 +34,12 @@ pub(super) fn is_archive(path: &str) -> bool {
 pub(super) fn passed_over(path: &str, reader: &mut dyn BufRead) -> Reject {
     let why = reader.fill_buf().map_or_else(
         |error| error.to_string(),
-        |_| "it is within another archive, or of a kind that is not read (.zip, .tar, .tar.gz and .tgz are)".to_owned(),
+        |_| {
+            let kinds = "of a kind that is not read (.zip, .tar, .tar.gz and .tgz are)";
+            format!("it is within another archive, or {kinds}; unpack it if it is needed")
+        },
     );
-    Reject { reason: "archive_passed_over", detail: format!("{path}: {why}; unpack it if it is needed") }
+    Reject { reason: "archive_passed_over", detail: format!("{path}: {why}") }
 }
 
 /// Whether a file is named as the copy that a browser or a file manager makes beside a file: `x (1).csv`,
