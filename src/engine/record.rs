@@ -8,7 +8,7 @@ use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
 use super::kind::StageKind;
 use super::stage::{Stage, StageInput};
-use crate::files::stays_below;
+use crate::files::{path_as_text, stays_below};
 use crate::store::{Error, read_record, write_record};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -60,6 +60,7 @@ pub enum InputRecord {
     /// A file or folder from outside.
     Path {
         /// Where it was, as given.
+        #[serde(serialize_with = "path_as_text")]
         path: PathBuf,
         /// Its content.
         content: PathFingerprint,

@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 #[serde(deny_unknown_fields, default)]
 pub struct EvaluateConfig {
     /// The metrics, by name; empty: all.
+    #[schemars(extend("uniqueItems" = true))]
     pub metrics: Vec<String>,
     /// Reduces many samples to a few modes, as in benchmarks, and reports their metrics beside those of all samples,
     /// under names that begin with `modes6_` (or another number). Left out: no reduction.
@@ -21,6 +22,7 @@ pub struct EvaluateConfig {
     /// The datasets for which predictions are written into `predictions/`, in the format of their benchmark:
     /// INTERACTION's CSVs, Argoverse's Parquet. The first unguided samples of each scene count, reduced to modes if
     /// there are more (as in `modes`, or to six means).
+    #[schemars(extend("uniqueItems" = true))]
     pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
     pub keep: Keep,

@@ -8,6 +8,7 @@
 //! not at all; `regular` rejects what is neither a file nor a folder before it is opened. A `Mirror` is notified of
 //! changes in a folder that others see elsewhere.
 
+mod as_text;
 mod atomic;
 mod error;
 mod exchange;
@@ -20,6 +21,7 @@ mod regular;
 mod tests;
 mod written;
 
+pub use as_text::{path_as_text, paths_as_text};
 pub use atomic::{
     AtomicFile, FileStamp, PARTIAL_SUFFIX, is_partial_of, link_or_copy, remove_if_present, unique_partial,
     write_atomically,

@@ -27,6 +27,7 @@ pub struct ClassifierFreeConfig {
     /// needs to follow: 20 steps suffice up to about 1.5, 50 up to 4. A sweep varies either its strengths or its
     /// weights. Weights other than 0 and 1 take two evaluations of the network a step.
     #[serde(default = "one_weight")]
+    #[schemars(inner(range(min = -1e6, max = 1e6)))]
     pub weights: Vec<f64>,
     /// Standard deviation of the noise on wanted positions, meters in each direction; drawn once for each agent and
     /// sample.

@@ -19,8 +19,10 @@ const DEFAULT_VALIDITY_STRENGTH: f64 = 200.0;
 #[serde(deny_unknown_fields, default)]
 pub struct GenerateConfig {
     /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split.
+    #[schemars(extend("uniqueItems" = true))]
     pub splits: Vec<Split>,
     /// Places whose scenes are continued. Empty: all.
+    #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
     /// The sampler of sweeps that set none.
     pub sampler: SamplerConfig,

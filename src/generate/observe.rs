@@ -92,8 +92,10 @@ pub struct TimestepRange {
 #[serde(deny_unknown_fields)]
 pub struct SecondRange {
     /// The first time, seconds after the present (negative: before it).
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub from_s: f64,
     /// The last time, seconds after the present.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub to_s: f64,
 }
 
@@ -177,7 +179,7 @@ impl ObserveConfig {
         };
         match (0..scene.tracks.len()).any(|agent| (0..scene.n_timesteps).any(|timestep| is_given(agent, timestep))) {
             true => Ok(mask),
-            false => Err(UnfitScene("has no observed state".to_owned())),
+            false => Err(UnfitScene("has no observed state; change the rules of `observe`".to_owned())),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The `[ingest]` section: which recordings become scenes, and how much of each is kept.
 
 use super::error::Error;
+use crate::files::paths_as_text;
 use crate::scene::{Dataset, Split};
 use crate::settings::{self, Issue};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
@@ -16,12 +17,14 @@ pub struct IngestConfig {
     pub dataset: Dataset,
     /// Folders, archives (`.zip`, `.tar`, `.tar.gz`, `.tgz`) and files (also `.gz`) to read, as downloaded; with the
     /// feature `cloud`, also such in object stores (`s3://bucket/x.zip`, `gs://bucket/folder`).
+    #[serde(serialize_with = "paths_as_text")]
     pub inputs: Vec<PathBuf>,
     /// Whether scenes must have maps.
     #[serde(default)]
     pub maps: MapsConfig,
-    /// Where to look for maps; empty: among `inputs`.
-    #[serde(default)]
+    /// Where to look for maps; empty: among `inputs`. Lanelet2 maps that have latitude and longitude alone have their
+    /// origin at the southwest corner of their lanes.
+    #[serde(default, serialize_with = "paths_as_text")]
     pub map_inputs: Vec<PathBuf>,
     /// The splits to keep; empty: all.
     #[serde(default)]
@@ -29,6 +32,7 @@ pub struct IngestConfig {
     pub splits: Vec<Split>,
     /// The places to keep (cities, or INTERACTION's locations); empty: all.
     #[serde(default)]
+    #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
     /// Observed timesteps of a scene; default: the dataset's (INTERACTION 10, Argoverse 1 20, Argoverse 2 50).
     #[serde(default)]
@@ -177,7 +181,8 @@ fn dataset_schema(_: &mut SchemaGenerator) -> Schema {
 }
 
 fn splits_schema(_: &mut SchemaGenerator) -> Schema {
-    json_schema!({ "type": "array", "items": { "type": "string", "enum": Split::ALL.map(Split::name) } })
+    let names = Split::ALL.map(Split::name);
+    json_schema!({ "type": "array", "items": { "type": "string", "enum": names }, "uniqueItems": true })
 }
 
 #[cfg(test)]

@@ -5,9 +5,10 @@ use super::assemble::assemble;
 use super::batches::{Batch, BatchSender};
 use super::config::IngestConfig;
 use super::error::{BoxError, Error};
-use super::files::{PassedOver, is_copy};
+use super::files::{is_archive, is_copy, passed_over};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
+use super::places::{Places, flaw_of};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
@@ -52,20 +53,21 @@ pub fn ingest(
     let source = super::source_of(config)?;
     let source = &*source;
     let mut total = done.cloned().unwrap_or_default();
+    let places = &Places::of(config);
+    let maps = MapCatalog::read(config, source, places, progress)?;
     if config.limit.is_some_and(|limit| total.n_scenes >= limit) {
+        maps.findings.into_iter().for_each(|finding| total.count_warning(finding));
         return Ok(total);
     }
-    let passed_over = PassedOver::new(progress);
-    let maps = MapCatalog::read(config, source, &passed_over, progress)?;
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
-    let parser = UnitParser { config, source, maps: &maps };
+    let parser = UnitParser { config, source, maps: &maps, places };
     // Units are read, parsed and stored at the same time; parsing is what takes all threads.
     let seen = std::thread::scope(|scope| {
         // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
-        let reader = scope.spawn(|| read_batches(config, source, &passed_over, unit_sender));
+        let reader = scope.spawn(|| read_batches(config, source, places, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
         let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
@@ -82,8 +84,14 @@ pub fn ingest(
         progress.warn(&format!("{} rejected as {reason}, the first: {first}", rejects.count));
     }
     total.warnings().for_each(|warning| progress.warn(&warning));
+    // These were said when the maps were read. No batch has them: which one would, depends on what was done before.
+    maps.findings.into_iter().for_each(|finding| total.count_warning(finding));
     if total.n_scenes == 0 {
-        return Err(Error::NoScenes { files: seen.summary(config), report: Box::new(total) });
+        let none = || Error::NoScenes { files: seen.summary(config), report: Box::new(total) };
+        return Err(places.error().unwrap_or_else(none));
+    }
+    if config.limit.is_none_or(|limit| total.n_scenes < limit) {
+        places.warning().into_iter().for_each(|warning| progress.warn(&warning));
     }
     Ok(total)
 }
@@ -114,12 +122,12 @@ impl SeenFiles {
 fn read_batches(
     config: &IngestConfig,
     source: &dyn RecordingSource,
-    passed_over: &PassedOver<'_>,
+    places: &Places<'_>,
     mut sender: BatchSender,
 ) -> SeenFiles {
     let seen = std::cell::RefCell::new(SeenFiles::default());
     let is_wanted = |path: &str| {
-        passed_over.note(path);
+        places.note(source.place_at(path).as_deref());
         let is_recording = source.is_recording(path);
         let seen = &mut *seen.borrow_mut();
         if is_recording {
@@ -128,7 +136,7 @@ fn read_batches(
             seen.n_others += 1;
             seen.example_of_others.get_or_insert_with(|| path.to_owned());
         }
-        is_recording
+        is_recording || is_archive(path)
     };
     let mut units = source.unit_reader();
     let mut emit = |unit: Result<RawUnit, Reject>| {
@@ -140,10 +148,14 @@ fn read_batches(
             seen.take();
             let mut is_stopped = false;
             visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| {
-                let flow = match is_copy(&entry.path) {
-                    true if pass == 0 => emit(Err(copy(&entry.path))),
-                    true => ControlFlow::Continue(()),
-                    false => units.read(entry, reader, &mut emit)?,
+                let reject = match &entry.path {
+                    path if is_archive(path) => Some(passed_over(path, reader)),
+                    path => is_copy(path).then(|| copy(path)),
+                };
+                let flow = match reject {
+                    Some(reject) if pass == 0 => emit(Err(reject)),
+                    Some(_) => ControlFlow::Continue(()),
+                    None => units.read(entry, reader, &mut emit)?,
                 };
                 is_stopped = flow.is_break();
                 Ok(flow)
@@ -194,6 +206,7 @@ struct UnitParser<'a> {
     config: &'a IngestConfig,
     source: &'a dyn RecordingSource,
     maps: &'a MapCatalog,
+    places: &'a Places<'a>,
 }
 
 impl UnitParser<'_> {
@@ -257,6 +270,7 @@ impl UnitParser<'_> {
         {
             return Some(OTHER_SPLITS);
         }
+        self.places.note(Some(&unit.place));
         (!unit.place.is_empty() && !self.config.wants_place(&unit.place)).then_some(OTHER_PLACES)
     }
 
@@ -307,6 +321,13 @@ impl UnitParser<'_> {
         if !self.config.wants_split(scene.source.split) {
             return UnitOutcome::Unwanted(OTHER_SPLITS);
         }
+        if let Some(flaw) = flaw_of(&scene.source.place) {
+            return UnitOutcome::Rejected(Reject {
+                reason: "bad_place",
+                detail: format!("{}: {flaw}", scene.source.file),
+            });
+        }
+        self.places.note(Some(&scene.source.place));
         if !self.config.wants_place(&scene.source.place) {
             return UnitOutcome::Unwanted(OTHER_PLACES);
         }

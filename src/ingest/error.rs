@@ -72,25 +72,30 @@ pub enum Error {
     },
     /// Maps are required and none was found.
     #[error(
-        "no {dataset} map found among {searched}; add the map files to `ingest.map_inputs`, or set \
-         `ingest.maps = \"none\"`"
+        "no {dataset} map found among {searched}{}; add the map files to `ingest.map_inputs`, or set \
+         `ingest.maps = \"none\"`", passed_over_in_words(.passed_over)
     )]
     NoMaps {
         /// The dataset.
         dataset: &'static str,
         /// The inputs that were searched.
         searched: String,
+        /// Archives among them that are not read.
+        passed_over: Vec<String>,
     },
     /// Maps are required and some places lack one.
     #[error(
-        "no map for {}: the maps found are for {}; add the missing ones to `ingest.map_inputs`, restrict \
-         `ingest.places`, or set `ingest.maps = \"none\"`", .missing.join(", "), .found.join(", ")
+        "no map for {}: the maps found are for {}{}; add the missing ones to `ingest.map_inputs`, restrict \
+         `ingest.places`, or set `ingest.maps = \"none\"`", .missing.join(", "), .found.join(", "),
+        passed_over_in_words(.passed_over)
     )]
     MissingMaps {
         /// Places without a map.
         missing: Vec<String>,
         /// Maps that were found.
         found: Vec<String>,
+        /// Archives that are not read.
+        passed_over: Vec<String>,
     },
     /// Everything was read, but there are no scenes.
     #[error("no scenes: {files}; {}", .report.summary())]
@@ -117,4 +122,14 @@ fn in_container(file: &str) -> String {
 
 fn at_place(place: &str) -> String {
     if place.is_empty() { String::new() } else { format!(", {place}") }
+}
+
+fn passed_over_in_words(archives: &[String]) -> String {
+    const N_SHOWN: usize = 3;
+    let shown = archives.iter().take(N_SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match archives.len() {
+        0 => String::new(),
+        n if n <= N_SHOWN => format!(", where {shown} cannot be read; unpack it"),
+        n => format!(", where {n} archives cannot be read, such as {shown}; unpack them"),
+    }
 }

@@ -2,12 +2,9 @@
 
 use super::archive::Entry;
 use super::raw::Reject;
-use crate::progress::Progress;
 use crate::scene::Split;
-use std::collections::BTreeSet;
 use std::io::{BufRead, Read};
 use std::path::Path;
-use std::sync::{Mutex, PoisonError};
 
 /// Maximum size of a recording or map that is read as a whole; a larger file is not one.
 pub(super) const MAX_WHOLE_FILE_BYTES: u64 = 64 << 20;
@@ -23,31 +20,26 @@ pub(super) fn file_stem(path: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// Says once of each archive that it is passed over: one of another kind, within an archive, or damaged.
-pub(super) struct PassedOver<'a> {
-    progress: &'a dyn Progress,
-    said: Mutex<BTreeSet<String>>,
+/// Whether a file is an archive by its name. Those that are read are entered; what comes as a file is one of another
+/// kind, within an archive, or damaged.
+pub(super) fn is_archive(path: &str) -> bool {
+    const ARCHIVES: [&str; 12] =
+        [".zip", ".tar", ".tar.gz", ".tgz", ".7z", ".rar", ".xz", ".txz", ".bz2", ".tbz2", ".zst", ".lz4"];
+    let lower = path.to_ascii_lowercase();
+    let part = lower.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('.');
+    ARCHIVES.iter().any(|suffix| lower.ends_with(suffix) || part.ends_with(suffix))
 }
 
-impl<'a> PassedOver<'a> {
-    pub(super) fn new(progress: &'a dyn Progress) -> Self {
-        Self { progress, said: Mutex::default() }
-    }
-
-    /// Looks at the path of a file that may be read.
-    pub(super) fn note(&self, path: &str) {
-        const ARCHIVES: [&str; 12] =
-            [".zip", ".tar", ".tar.gz", ".tgz", ".7z", ".rar", ".xz", ".txz", ".bz2", ".tbz2", ".zst", ".lz4"];
-        let lower = path.to_ascii_lowercase();
-        let part = lower.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('.');
-        let is_archive = ARCHIVES.iter().any(|suffix| lower.ends_with(suffix) || part.ends_with(suffix));
-        if is_archive && self.said.lock().unwrap_or_else(PoisonError::into_inner).insert(path.to_owned()) {
-            self.progress.warn(&format!(
-                "{path} is passed over: it is damaged, within another archive, or of a kind that is not read (.zip, \
-                 .tar, .tar.gz and .tgz are); unpack it if it is needed"
-            ));
-        }
-    }
+/// The reject of an archive that comes as a file: what it holds is not read.
+pub(super) fn passed_over(path: &str, reader: &mut dyn BufRead) -> Reject {
+    let why = reader.fill_buf().map_or_else(
+        |error| error.to_string(),
+        |_| {
+            let kinds = "of a kind that is not read (.zip, .tar, .tar.gz and .tgz are)";
+            format!("it is within another archive, or {kinds}; unpack it if it is needed")
+        },
+    );
+    Reject { reason: "archive_passed_over", detail: format!("{path}: {why}") }
 }
 
 /// Whether a file is named as the copy that a browser or a file manager makes beside a file: `x (1).csv`,
@@ -125,22 +117,13 @@ mod tests {
     }
 
     #[test]
-    fn archives_that_are_passed_over_are_named_once() {
-        #[derive(Default)]
-        struct Told(Mutex<Vec<String>>);
-        impl Progress for Told {
-            fn warn(&self, message: &str) {
-                self.0.lock().unwrap().push(message.to_owned());
-            }
+    fn archives_are_told_by_name() {
+        for archive in ["x/inner.zip", "a.tar.xz", "b.zip.001", "c.7Z"] {
+            assert!(is_archive(archive), "{archive}");
         }
-        let told = Told::default();
-        let passed_over = PassedOver::new(&told);
-        let archives = ["x/inner.zip", "a.tar.xz", "b.zip.001", "c.7Z"];
-        for path in archives.iter().chain(&archives).chain(&["a.csv", "zip.csv", "b.osm_xy", "x.zip/a.csv"]) {
-            passed_over.note(path);
+        for file in ["a.csv", "zip.csv", "b.osm_xy", "x.zip/a.csv"] {
+            assert!(!is_archive(file), "{file}");
         }
-        let told = told.0.into_inner().unwrap();
-        assert_eq!(told.iter().map(|text| text.split(' ').next().unwrap()).collect::<Vec<_>>(), archives);
     }
 
     #[test]

@@ -3,16 +3,20 @@
 use super::archive::{Entry, visit_entries};
 use super::config::IngestConfig;
 use super::error::Error;
-use super::files::PassedOver;
+use super::files::is_archive;
 use super::lane_index::LaneIndex;
+use super::map_report::MapReport;
+use super::places::Places;
+use super::raw::Finding;
 use super::source::{MapFile, RecordingSource};
 use crate::progress::Progress;
 use crate::scene::{Lane, LaneGraph, MapId};
+use std::cell::RefCell;
 use std::collections::btree_map::Entry as MapEntry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufRead;
 use std::ops::ControlFlow;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// The maps of places and cities by id. Empty if maps are not read, or scenes bring their own.
 #[derive(Debug, Default)]
@@ -20,6 +24,10 @@ pub(super) struct MapCatalog {
     maps: BTreeMap<MapId, Listed>,
     /// Maps that cannot be read, which is an error only for recordings that need them.
     broken: BTreeMap<MapId, Broken>,
+    /// Archives among the inputs that are not read.
+    passed_over: BTreeSet<String>,
+    /// What is doubtful in the maps and was left out of them, for the report; it has been said.
+    pub(super) findings: Vec<Finding>,
 }
 
 /// The file of a map that cannot be read, the place in it, and the fault.
@@ -39,7 +47,7 @@ struct Listed {
     lanes: LaneIndex,
     rank: u8,
     path: String,
-    warnings: String,
+    report: MapReport,
 }
 
 impl MapCatalog {
@@ -50,19 +58,22 @@ impl MapCatalog {
     pub(super) fn read(
         config: &IngestConfig,
         source: &dyn RecordingSource,
-        passed_over: &PassedOver<'_>,
+        places: &Places<'_>,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         if !config.wants_maps() || source.has_own_maps() {
             return Ok(Self::default());
         }
         let inputs = if config.map_inputs.is_empty() { &config.inputs } else { &config.map_inputs };
-        let needed = Mutex::new(BTreeSet::new());
+        let (needed, passed_over) = (RefCell::new(BTreeSet::new()), RefCell::new(BTreeSet::new()));
         let is_wanted = |path: &str| {
+            places.note(source.place_at(path).as_deref());
             if source.is_recording(path) {
-                needed.lock().unwrap_or_else(PoisonError::into_inner).extend(source.map_of(path));
+                needed.borrow_mut().extend(source.map_of(path));
             }
-            passed_over.note(path);
+            if is_archive(path) {
+                passed_over.borrow_mut().insert(path.to_owned());
+            }
             source.map_at(path).is_some()
         };
         let mut catalog = Self::default();
@@ -70,19 +81,45 @@ impl MapCatalog {
             catalog.add(entry, reader, source, progress)?;
             Ok(ControlFlow::Continue(()))
         })?;
+        catalog.passed_over = passed_over.into_inner();
         if catalog.maps.is_empty() && catalog.broken.is_empty() {
+            if let Some(error) = places.error() {
+                return Err(error);
+            }
             let searched: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
-            return Err(Error::NoMaps { dataset: config.dataset.name(), searched: searched.join(", ") });
+            let passed_over = catalog.passed_over.into_iter().collect();
+            return Err(Error::NoMaps { dataset: config.dataset.name(), searched: searched.join(", "), passed_over });
         }
-        let needed = needed.into_inner().unwrap_or_else(PoisonError::into_inner);
-        catalog.require(needed.into_iter().filter(|id| !catalog.maps.contains_key(id)))?;
-        for broken in catalog.broken.values() {
-            progress.warn(&format!("{}; it is passed over, as no recording is known to need it", broken.error()));
+        catalog.require(needed.into_inner().into_iter().filter(|id| !catalog.maps.contains_key(id)))?;
+        let broken = catalog.broken.values();
+        let broken =
+            broken.map(|map| format!("{}; it is passed over, as no recording is known to need it", map.error()));
+        for detail in broken.collect::<Vec<_>>() {
+            catalog.say("maps_passed_over", detail, progress);
         }
-        for listed in catalog.maps.values().filter(|listed| !listed.warnings.is_empty()) {
-            progress.warn(&format!("{}: {}", listed.path, listed.warnings));
+        // Among the recordings, they are rejects.
+        if !config.map_inputs.is_empty() {
+            for path in catalog.passed_over.clone() {
+                catalog.say(
+                    "archives_passed_over",
+                    format!("{path} is passed over: it cannot be read; unpack it"),
+                    progress,
+                );
+            }
+        }
+        for Listed { path, report, .. } in catalog.maps.values() {
+            let findings = report.findings(path);
+            if !findings.is_empty() {
+                progress.warn(&format!("{path}: {}", report.summary()));
+            }
+            catalog.findings.extend(findings);
         }
         Ok(catalog)
+    }
+
+    fn say(&mut self, what: &'static str, detail: String, progress: &dyn Progress) {
+        progress.warn(&detail);
+        self.findings.push(Finding { what, n: 1, detail });
     }
 
     fn add(
@@ -93,27 +130,29 @@ impl MapCatalog {
         progress: &dyn Progress,
     ) -> Result<(), Error> {
         let Some(id) = source.map_at(&entry.path) else { return Ok(()) };
-        let MapFile { graph, rank, warnings } = match source.read_map(entry, reader) {
+        let MapFile { graph, rank, report } = match source.read_map(entry, reader) {
             Err(Error::Map { file, place, detail }) => {
                 self.broken.insert(id, Broken(file, place, detail));
                 return Ok(());
             }
             map => map?,
         };
-        let listed = Listed { lanes: LaneIndex::new(Arc::new(graph)), rank, path: entry.path.clone(), warnings };
+        let listed = Listed { lanes: LaneIndex::new(Arc::new(graph)), rank, path: entry.path.clone(), report };
         match self.maps.entry(id) {
             MapEntry::Vacant(place) => drop(place.insert(listed)),
             MapEntry::Occupied(mut place) => {
                 let is_better = rank < place.get().rank;
                 let other = if is_better { place.insert(listed) } else { listed };
                 let (id, taken) = (place.key(), place.get());
-                match are_alike(taken.lanes.graph(), other.lanes.graph()) {
-                    true => progress.note(&format!("skipped {}: map {id} is also in {}", other.path, taken.path)),
-                    false => progress.warn(&format!(
-                        "{} and {} are different maps of {id}: the first is taken; remove the one that is out of date",
-                        taken.path, other.path
-                    )),
+                if are_alike(taken.lanes.graph(), other.lanes.graph()) {
+                    progress.note(&format!("skipped {}: map {id} is also in {}", other.path, taken.path));
+                    return Ok(());
                 }
+                let detail = format!(
+                    "{} and {} are different maps of {id}: the first is taken; remove the one that is out of date",
+                    taken.path, other.path
+                );
+                self.say("maps_that_differ", detail, progress);
             }
         }
         Ok(())
@@ -137,7 +176,8 @@ impl MapCatalog {
         if missing.is_empty() {
             return Ok(());
         }
-        Err(Error::MissingMaps { missing, found: self.maps.keys().map(|id| id.0.clone()).collect() })
+        let found = self.maps.keys().map(|id| id.0.clone()).collect();
+        Err(Error::MissingMaps { missing, found, passed_over: self.passed_over.iter().cloned().collect() })
     }
 }
 
@@ -158,6 +198,7 @@ mod tests {
     use crate::ingest::interaction::Interaction;
     use crate::progress::Silent;
     use crate::scene::Dataset;
+    use std::sync::Mutex;
 
     /// Keeps what the user is told.
     #[derive(Default)]
@@ -177,7 +218,7 @@ mod tests {
         let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
         let told = || {
             let told = Told::default();
-            MapCatalog::read(&config, &Interaction::new(&config), &PassedOver::new(&told), &told).unwrap();
+            MapCatalog::read(&config, &Interaction::new(&config), &Places::of(&config), &told).unwrap();
             told.0.into_inner().unwrap()
         };
         for folder in [folder.path().join("maps"), folder.path().join("archive")] {
@@ -203,7 +244,7 @@ mod tests {
         fs_err::create_dir_all(folder.path().join("maps")).unwrap();
         fs_err::copy(map, folder.path().join("maps/FIX_Intersection.osm")).unwrap();
         let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
-        let read = || MapCatalog::read(&config, &Interaction::new(&config), &PassedOver::new(&Silent), &Silent);
+        let read = || MapCatalog::read(&config, &Interaction::new(&config), &Places::of(&config), &Silent);
         // A map that nobody needs may be broken.
         fs_err::write(folder.path().join("maps/FIX_Nowhere.osm"), "<osm>").unwrap();
         assert_eq!(read().unwrap().maps.len(), 1);
@@ -216,7 +257,7 @@ mod tests {
         let broken = read().unwrap_err().to_string();
         assert!(broken.starts_with("map maps/FIX_Elsewhere.osm, line 1: "), "{broken}");
         fs_err::remove_file(folder.path().join("maps/FIX_Elsewhere.osm")).unwrap();
-        let Err(Error::MissingMaps { missing, found }) = read() else { panic!("a map is missing") };
+        let Err(Error::MissingMaps { missing, found, .. }) = read() else { panic!("a map is missing") };
         assert_eq!((missing.len(), found.len()), (1, 1));
         assert!(missing[0].contains("FIX_Elsewhere") && found[0].contains("FIX_Intersection"), "{missing:?} {found:?}");
     }

@@ -3,6 +3,7 @@
 use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
+use super::map_report::MapReport;
 use super::raw::{RawScene, RawUnit, Reject};
 use crate::scene::{LaneGraph, MapId};
 use std::io::BufRead;
@@ -44,6 +45,11 @@ pub trait RecordingSource: Sync {
     /// [`Error::Map`] when the map is not whole.
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error>;
 
+    /// The place that the path of a recording or a map names, whether or not it is one to keep.
+    fn place_at(&self, _path: &str) -> Option<String> {
+        None
+    }
+
     /// The map that the recordings at `path` need, if the path names it, so that a missing map is reported before
     /// reading.
     fn map_of(&self, _path: &str) -> Option<MapId> {
@@ -61,8 +67,8 @@ pub struct MapFile {
     pub graph: LaneGraph,
     /// If several files contain one map, the one of the lowest rank counts; the first of equals.
     pub rank: u8,
-    /// Its defects, for messages; empty if there are none.
-    pub warnings: String,
+    /// Its defects.
+    pub report: MapReport,
 }
 
 /// Receives units and rejects; each counts as one unit. `Break` ends reading.

@@ -26,6 +26,7 @@ pub(super) fn check_layers(key: &str, layers: &str) -> settings::Result {
             let expected = "expected the letters T (time), A (agents) and M (map), one a layer";
             Err(Issue::new(key, format_args!("is \"{layers}\", but {letter} is not a layer; {expected}")))
         }
+        None if layers.trim().is_empty() => Err(Issue::new(key, "is empty, expected at least one layer")),
         None => Ok(()),
     }
 }

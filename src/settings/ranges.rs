@@ -1,16 +1,16 @@
 //! Does every number lie in the range that its JSON schema states?
 //!
 //! One statement serves editors, readers and this check. Of JSON Schema it knows what our types become: references,
-//! properties, items, alternatives, and the bounds of numbers.
+//! properties, items, alternatives, the bounds of numbers, and lists without repetitions.
 
-use super::{Issue, Result};
+use super::{Issue, Result, distinct};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value as Schema;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::{DeArray, DeTable, DeValue};
 
 /// The keywords that bound a number.
 const BOUNDS: [&str; 5] = ["minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum", "multipleOf"];
@@ -82,10 +82,13 @@ impl Walk<'_> {
                 let number = float(number.as_str());
                 check_number(schema, number, &number.to_string(), key)
             }
-            DeValue::Array(items) => items
-                .iter()
-                .enumerate()
-                .try_for_each(|(i, item)| self.check(&schema["items"], item.get_ref(), &below(key, i))),
+            DeValue::Array(items) => {
+                check_unique(schema, items, key)?;
+                items
+                    .iter()
+                    .enumerate()
+                    .try_for_each(|(i, item)| self.check(&schema["items"], item.get_ref(), &below(key, i)))
+            }
             DeValue::Table(table) => table.iter().try_for_each(|(name, entry)| {
                 let name = name.get_ref().as_ref();
                 let known = &schema["properties"][name];
@@ -138,6 +141,15 @@ fn text_of<'v>(value: &'v DeValue<'_>) -> Option<&'v str> {
 
 fn entry_of<'v, 'i>(value: &'v DeValue<'i>, name: &str) -> Option<&'v DeValue<'i>> {
     if let DeValue::Table(table) = value { table.get(name).map(Spanned::get_ref) } else { None }
+}
+
+/// Refuses a text that a list has twice, where each may be in it once.
+fn check_unique(schema: &Schema, items: &DeArray<'_>, key: &str) -> Result {
+    let texts: Vec<&str> = items.iter().filter_map(|item| text_of(item.get_ref())).collect();
+    match schema["uniqueItems"] == true {
+        true => distinct(key, &texts),
+        false => Ok(()),
+    }
 }
 
 fn check_number(schema: &Schema, number: f64, written: &str, key: &str) -> Result {

@@ -153,7 +153,7 @@ import numpy as np
 import polars as pl
 
 tracks = pl.read_parquet("tracks/**/*.parquet")
-one = tracks.filter(pl.col("scenario_id") == tracks["scenario_id"][0])
+one = tracks.filter(pl.col("scenario_id") == tracks["scenario_id"].first())
 wide = lambda column: one.pivot("timestep", index="track_id", values=column, sort_columns=True).drop("track_id")
 states = np.stack([wide(column).to_numpy() for column in ("x_m", "y_m", "heading_rad")], axis=-1)
 ```

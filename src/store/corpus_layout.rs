@@ -13,6 +13,10 @@ use std::fmt::Write;
 
 /// The value of `behavior` for scenarios without a requested behavior.
 pub(crate) const NO_BEHAVIOR: &str = "none";
+/// The value of `place` for a file without rows.
+const NO_PLACE: &str = "none";
+/// Words that readers take for truth values, numbers, times or nothing.
+const WORDS: [&str; 8] = ["true", "false", "nan", "inf", "infinity", "epoch", "null", "nat"];
 /// Hive's name for a missing value, which readers turn into one.
 const MISSING: &str = "__HIVE_DEFAULT_PARTITION__";
 
@@ -106,6 +110,11 @@ impl CorpusTable {
         format!("{path}/part-{number:05}.parquet")
     }
 
+    /// The partition of a file without rows.
+    pub(crate) fn partition_without_rows(self) -> Partition {
+        self.partition(None, NO_PLACE)
+    }
+
     /// The partition of this table for `behavior` and `place`.
     pub(crate) fn partition(self, behavior: Option<&str>, place: &str) -> Partition {
         let has = |key: &str| self.keys().contains(&key);
@@ -128,6 +137,13 @@ pub struct Partition {
 }
 
 impl Partition {
+    /// Whether its place is text to everybody. Readers guess the type of what folders are named for from all of these
+    /// names: a corpus of place `001` alone would have the place 1, and one of place `2024-01-01` a day.
+    pub(crate) fn has_place_in_words(&self) -> bool {
+        let is_word = |place: &str| place.starts_with(char::is_alphabetic) && !WORDS.contains(&&*place.to_lowercase());
+        self.place.as_deref().is_none_or(is_word)
+    }
+
     /// The value of a partition column; empty if there is none.
     pub(crate) fn value(&self, key: &str) -> &str {
         let value = match key {

@@ -157,17 +157,17 @@ impl CorpusSink {
         Ok(())
     }
 
-    /// Finishes the files, and writes the card and, last, the manifest. A table without rows is one empty file, so that
-    /// queries find its columns.
+    /// Finishes the files, and writes the card and, last, the manifest. A table without rows has an empty file, so that
+    /// queries find its columns; and so has one that readers could take for one of places that are no text.
     pub(crate) fn finish(mut self, about: &CorpusNotes, history: &[String]) -> Result<CorpusManifest> {
         for table in CorpusTable::ALL {
-            if !self.parts.keys().any(|(other, _)| *other == table) {
+            if !self.parts.keys().any(|(other, partition)| *other == table && partition.has_place_in_words()) {
                 let schema = match table {
                     CorpusTable::Scenarios => Arc::clone(&self.scenario_schema),
                     _ => table.schema().arrow(),
                 };
                 let empty = RecordBatch::new_empty(schema);
-                self.write(table, &table.partition(None, ""), &empty)?;
+                self.write(table, &table.partition_without_rows(), &empty)?;
             }
         }
         for ((table, partition), part) in self.parts {

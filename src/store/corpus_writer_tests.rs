@@ -208,6 +208,45 @@ fn a_corpus_without_scenarios_has_its_columns() {
     let manifest = CorpusWriter::create(dir.path(), &store).unwrap().finish(&CorpusNotes::default()).unwrap();
     assert_eq!((manifest.n_scenarios, manifest.all_files().count()), (0, 5));
     assert!(CorpusReader::open(dir.path()).unwrap().is_empty());
+    // pyarrow and pandas cannot read a table of which no partition has a value.
+    let scenarios = &manifest.files(CorpusTable::Scenarios)[0];
+    assert_eq!(scenarios.path, "scenarios/behavior=none/place=none/part-00000.parquet");
+}
+
+#[test]
+fn places_that_readers_take_for_something_else_stand_beside_a_word() {
+    let (store_dir, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (store, mut records) = store_and_records(store_dir.path());
+    let files_of = |manifest: &CorpusManifest, table: CorpusTable| -> Vec<(Option<String>, u64)> {
+        manifest.files(table).iter().map(|file| (file.partition.place.clone(), file.n_rows)).collect()
+    };
+    for (places, has_word) in [(["001", "2024-01-01"], false), (["1e5", "True"], false), (["001", "MIA"], true)] {
+        for (i, record) in records.iter_mut().enumerate() {
+            places[i % 2].clone_into(&mut record.scenario.scene.source.place);
+        }
+        let path = dir.path().join(places[1]);
+        let mut writer = CorpusWriter::create(&path, &store).unwrap();
+        writer.write_scenarios(&records).unwrap();
+        let manifest = writer.finish(&CorpusNotes::default()).unwrap();
+        for table in [CorpusTable::Scenarios, CorpusTable::Tracks] {
+            let without_rows = files_of(&manifest, table).into_iter().filter(|(_, n_rows)| *n_rows == 0);
+            let expected = if has_word { vec![] } else { vec![(Some("none".to_owned()), 0)] };
+            assert_eq!(without_rows.collect::<Vec<_>>(), expected, "{places:?}");
+        }
+        let columns: BTreeSet<String> = manifest
+            .files(CorpusTable::Scenarios)
+            .iter()
+            .map(|file| {
+                let (content, _) = fs_err::File::open(path.join(&file.path)).unwrap().into_parts();
+                let reader = parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder::try_new(content).unwrap();
+                format!("{:?}", reader.schema())
+            })
+            .collect();
+        assert_eq!(columns.len(), 1, "all files have the same columns, those of parameters, too");
+        let read = CorpusReader::open(&path).unwrap();
+        assert_eq!(read.len(), records.len());
+        assert!(places.contains(&read.scenario(0).unwrap().scenario.scene.source.place.as_str()));
+    }
 }
 
 #[test]

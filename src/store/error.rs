@@ -74,12 +74,14 @@ pub enum Error {
     },
     /// A scene that was added twice.
     #[error(
-        "scene {id} was read twice; check whether the inputs overlap, such as a folder and the archive it was unpacked \
-         from"
+        "scene {id} was read twice, {}; check whether the inputs overlap, such as a folder and the archive it was \
+         unpacked from", from_both(.files)
     )]
     DuplicateScene {
         /// The scene.
         id: String,
+        /// The recordings within their folders or archives, the earlier one first.
+        files: [String; 2],
     },
     /// A map that is in no table.
     #[error("map {map_id} is not among the maps of {}", .path.display())]
@@ -138,6 +140,11 @@ impl From<files::Error> for Error {
             error => Self::Files(error),
         }
     }
+}
+
+/// Files are named within their inputs, and two inputs may hold the same.
+fn from_both([one, other]: &[String; 2]) -> String {
+    if one == other { format!("from {one} in two of the inputs") } else { format!("from {one} and from {other}") }
 }
 
 fn what_to_name(inside: Option<&Path>) -> String {

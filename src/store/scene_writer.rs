@@ -11,7 +11,7 @@ use crate::files::{FileStamp, remove_if_present};
 use crate::scene::{LaneGraph, MapId, Scene};
 use fs_err as fs;
 use serde_json::Value;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// How scenes are put into shards.
@@ -48,6 +48,8 @@ pub struct SceneWriter {
 #[derive(Default)]
 struct OpenShard {
     scenes: Option<IpcFile>,
+    /// The recordings of its scenes, by the hashes of their ids.
+    files: BTreeMap<u128, String>,
     n_scenes: u64,
     n_agents: u64,
     maps: Option<IpcFile>,
@@ -101,14 +103,9 @@ impl SceneWriter {
         }
         let mut known_scenes = BTreeSet::new();
         for sidecar in &finished {
-            let path = dir.join(&sidecar.shard.file);
-            for batch in MappedTable::open(&path, &scene::schema(), &sidecar.shard.stamp)?.batches() {
-                let batch = batch?;
-                let columns = Columns::of_batch(&batch, &path);
-                for row in 0..batch.num_rows() {
-                    known_scenes.insert(hash_of(columns.text("scene_id", row)?));
-                }
-            }
+            for_each_scene(dir, &sidecar.shard, |id, _| {
+                known_scenes.insert(hash_of(id));
+            })?;
         }
         let last = finished.last().cloned();
         let writer = Self {
@@ -143,8 +140,13 @@ impl SceneWriter {
         if let Some(scene) = scenes.iter().find(|scene| !self.has_map_of(scene)) {
             return Err(Error::invalid(&scene.id, "its map was not added before it"));
         }
-        if let Some(scene) = scenes.iter().find(|scene| !self.known_scenes.insert(hash_of(&scene.id.0))) {
-            return Err(Error::DuplicateScene { id: scene.id.to_string() });
+        for Scene { id, source, .. } in scenes {
+            let hash = hash_of(&id.0);
+            if !self.known_scenes.insert(hash) {
+                let files = [self.file_of(hash)?, source.file.clone()];
+                return Err(Error::DuplicateScene { id: id.to_string(), files });
+            }
+            self.current.files.insert(hash, source.file.clone());
         }
         if !scenes.is_empty() {
             let path = self.path_of("scenes", "arrow");
@@ -197,10 +199,24 @@ impl SceneWriter {
         scene.lanes.is_empty() || scene.map_id.as_ref().is_some_and(|id| self.known_maps.contains(&id.0))
     }
 
+    /// The recording of a scene that was added.
+    fn file_of(&self, hash: u128) -> Result<String> {
+        let mut found = self.current.files.get(&hash).cloned();
+        for shard in &self.shards {
+            for_each_scene(&self.dir, shard, |id, file| {
+                if hash_of(id) == hash {
+                    found = Some(file.to_owned());
+                }
+            })?;
+        }
+        Ok(found.unwrap_or_default())
+    }
+
     /// Gives the shard's files their names, the sidecar last. Maps without scenes are dropped; they can only come after
     /// the last scene.
     fn finish_shard(&mut self) -> Result<()> {
-        let OpenShard { scenes, n_scenes, n_agents, maps, n_maps, n_lanes } = std::mem::take(&mut self.current);
+        let OpenShard { scenes, files: _, n_scenes, n_agents, maps, n_maps, n_lanes } =
+            std::mem::take(&mut self.current);
         let Some(scenes) = scenes else { return Ok(()) };
         let maps = match maps {
             Some(maps) => {
@@ -228,6 +244,19 @@ impl SceneWriter {
     fn path_of(&self, kind: &str, extension: &str) -> PathBuf {
         self.dir.join(self.name_of(kind, extension))
     }
+}
+
+/// Calls `visit` with the id and the recording of every scene of a shard.
+fn for_each_scene(dir: &Path, shard: &ShardEntry, mut visit: impl FnMut(&str, &str)) -> Result<()> {
+    let path = dir.join(&shard.file);
+    for batch in MappedTable::open(&path, &scene::schema(), &shard.stamp)?.batches() {
+        let batch = batch?;
+        let columns = Columns::of_batch(&batch, &path);
+        for row in 0..batch.num_rows() {
+            visit(columns.text("scene_id", row)?, columns.text("file", row)?);
+        }
+    }
+    Ok(())
 }
 
 fn open_or_create(file: &mut Option<IpcFile>, create: impl FnOnce() -> Result<IpcFile>) -> Result<&mut IpcFile> {

@@ -30,25 +30,25 @@ pub enum MaskTask {
 #[serde(deny_unknown_fields, default)]
 pub struct TaskWeights {
     /// Weight of observing the history of all agents.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub predictive: f64,
     /// Weight of observing the goals of three agents, too.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub goal_conditioned: f64,
     /// Weight of observing three agents entirely, too.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub agent_conditioned: f64,
     /// Weight of observing the ego agent entirely, too.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub ego_conditioned: f64,
     /// Weight of hiding one window.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub windowed: f64,
     /// Weight of observing states at regular intervals.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub upsampling: f64,
     /// Weight of observing states at random.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub imputation: f64,
 }
 

@@ -55,7 +55,7 @@ scene_training_section! {
         /// Weight of the squared error of the path to which diffused motion adds up, relative to that of the motion
         /// itself (motion parametrization only). The optimal denoiser is the same at any weight; the weight decides
         /// what a network learns first.
-        #[schemars(range(min = 0.0))]
+        #[schemars(range(min = 0.0, max = 1e6))]
         pub path_loss: Option<f64>,
         /// Objectives for clean estimates at low noise, in addition to the loss: each adds its weight times its cost
         /// beyond that of the recording, √(1 - 2 J) - 1 per scene.

@@ -40,13 +40,15 @@ pub struct MoreScenes {
     pub scenes: PathBuf,
     /// How often a scene is drawn, relative to those of the run itself (`own_weight`) and of other entries.
     #[serde(default = "one")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
     /// Splits to train on, as in the section.
     #[serde(default)]
+    #[schemars(extend("uniqueItems" = true))]
     pub splits: Vec<Split>,
     /// Places to train on, as in the section.
     #[serde(default)]
+    #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
 }
 
@@ -101,8 +103,10 @@ macro_rules! training_section {
         pub struct $name {
             $($own)*
             /// Splits to train on. Empty: `train`, or all unsplit scenes if there is no such split.
+            #[schemars(extend("uniqueItems" = true))]
             pub splits: Vec<crate::scene::Split>,
             /// Places to train on. Empty: all.
+            #[schemars(extend("uniqueItems" = true))]
             pub places: Vec<String>,
             /// Optimizer steps in all.
             #[schemars(range(min = 1, max = 1_000_000_000))]
@@ -111,7 +115,7 @@ macro_rules! training_section {
             #[schemars(range(min = 1, max = 16_384))]
             pub batch_size: $value<usize>,
             /// Learning rate after warm-up.
-            #[schemars(extend("exclusiveMinimum" = 0))]
+            #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1000))]
             pub learning_rate: $value<f64>,
             /// Steps over which the learning rate rises from 0.
             #[schemars(range(max = 1_000_000_000))]
@@ -184,7 +188,7 @@ macro_rules! scene_training_section {
                 pub data: Vec<crate::train::MoreScenes>,
                 /// How often one of the run's own scenes is drawn relative to those of `data` (default 1); 0: never.
                 #[serde(skip_serializing_if = "Option::is_none")]
-                #[schemars(range(min = 0.0))]
+                #[schemars(range(min = 0.0, max = 1e6))]
                 pub own_weight: Option<f64>,
             }
         }

@@ -1,7 +1,11 @@
 //! What do people and scripts see of the program: help, exit codes, streams?
 
+use crate::skipped::skipped;
 use crate::support::{Workspace, command, djinn};
+use std::ffi::OsStr;
 use std::io::Read;
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
 use std::process::Stdio;
 
 #[test]
@@ -142,6 +146,30 @@ fn names_of_files_do_not_speak_to_the_terminal() {
         let said = djinn(&args).expect(1).stderr;
         assert!(said.chars().all(|c| c == '\n' || !c.is_control()), "{said:?}");
         assert!(said.contains("[31m"), "{said}");
+    }
+}
+
+#[test]
+fn recordings_are_read_wherever_they_lie() {
+    let workspace = Workspace::new();
+    let output = workspace.arg("out");
+    // Both are the same text once what is no UTF-8 is replaced.
+    let folders = [b"Stra\xdfe", b"Stra\xe4e"].map(|name| workspace.path("").join(OsStr::from_bytes(name)));
+    for (i, folder) in folders.iter().enumerate() {
+        if let Err(error) = fs_err::create_dir_all(folder) {
+            return skipped("a file system whose names need not be UTF-8", &error.to_string());
+        }
+        let recording = format!("tests/fixtures/recordings/argoverse1/train/data/{}.csv", i + 1);
+        fs_err::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(recording), folder.join(format!("{i}.csv"))).unwrap();
+    }
+    let args = ["ingest", "--dataset", "argoverse1", "--set", "ingest.maps=none", "--output", &output];
+    let ingest = || command(&args).args(&folders).output().unwrap();
+    // The second time, they are known.
+    for n_scenes in [Some("ingest: 2 scenes"), None] {
+        let outcome = ingest();
+        let stderr = String::from_utf8(outcome.stderr).unwrap();
+        assert_eq!((outcome.status.code(), stderr.is_empty()), (Some(0), n_scenes.is_none()), "{stderr}");
+        assert!(stderr.contains(n_scenes.unwrap_or_default()), "{stderr}");
     }
 }
 

@@ -13,15 +13,19 @@ use crate::engine::{Failure, Result};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{KINDS, StageId, stages};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let Some(request) = Request::from_command(command) else {
         return Err(Failure::fault(anyhow::anyhow!("this command runs no stage")));
     };
-    let Request { id, args, mut layout, overrides, reads } = request;
+    let Request { id, args, mut layout, overrides, inputs, reads } = request;
     let overrides = [overrides, args.set.clone()].concat();
-    let config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
+    let mut config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
+    if let Some(ingest) = config.ingest.as_mut().filter(|ingest| ingest.inputs == in_text(inputs)) {
+        ingest.inputs = inputs.to_vec();
+    }
     use_threads(output, config.run.threads)?;
     let place = Place::open(&args.output, if args.dry_run { Access::Read } else { Access::Write })?;
     let other = reads.map(|folder| Place::open(folder, Access::Read)).transpose()?;
@@ -65,20 +69,26 @@ struct Request<'a> {
     layout: Layout,
     /// The command's own arguments, as overrides of the configuration.
     overrides: Vec<String>,
+    /// The recordings that it names, of which the overrides have the text alone.
+    inputs: &'a [PathBuf],
     /// A run folder that it reads, other than the one it writes.
     reads: Option<&'a Path>,
 }
 
 impl<'a> Request<'a> {
     fn new(id: StageId, args: &'a StageArgs) -> Self {
-        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new(), reads: None }
+        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new(), inputs: &[], reads: None }
     }
 
     fn ingest(args: &'a IngestArgs) -> Self {
         let mut request = Self::new(StageId::Ingest, &args.stage);
         if !args.inputs.is_empty() {
-            let inputs = args.inputs.iter().map(|path| quoted(path)).collect::<Vec<_>>().join(", ");
-            request.overrides.push(format!("ingest.inputs=[{inputs}]"));
+            let texts = in_text(&args.inputs)
+                .iter()
+                .map(|path| toml::Value::String(path.to_string_lossy().into_owned()))
+                .collect();
+            request.overrides.push(format!("ingest.inputs={}", toml::Value::Array(texts)));
+            request.inputs = &args.inputs;
         }
         request.overrides.extend(args.dataset.iter().map(|dataset| format!("ingest.dataset={dataset}")));
         request
@@ -153,7 +163,8 @@ fn replace(place: &mut PathBuf, path: &Option<PathBuf>) {
     }
 }
 
-/// The path as a TOML string.
-fn quoted(path: &Path) -> String {
-    toml::Value::String(path.to_string_lossy().into_owned()).to_string()
+/// Paths as settings hold them, once each. Settings are UTF-8, and a path need not be.
+fn in_text(paths: &[PathBuf]) -> Vec<PathBuf> {
+    let texts: BTreeSet<_> = paths.iter().map(|path| path.to_string_lossy()).collect();
+    texts.into_iter().map(|text| PathBuf::from(text.into_owned())).collect()
 }

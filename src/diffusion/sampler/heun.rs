@@ -15,7 +15,7 @@ pub struct HeunConfig {
     pub n_steps: usize,
     /// Amount S_churn of noise added anew over all steps, so much at each that the marginals stay what they are; 0 for
     /// none.
-    #[schemars(range(min = 0.0))]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub s_churn: f64,
     /// The grid of noise levels, if it is not the denoiser's.
     pub grid: StepGrid,

@@ -54,6 +54,7 @@ pub struct SweepConfig {
     /// Strengths α of guidance, which multiply classifier and objectives alike; 0 is unguided sampling of the same
     /// scenes, pairs and noise, for comparison. `validity_strength` acts at all of them. Left out: 0 alone.
     #[serde(default = "unguided")]
+    #[schemars(inner(range(min = -1e6, max = 1e6)))]
     pub strengths: Vec<f64>,
     /// When guidance acts and how far it may go.
     #[serde(default)]

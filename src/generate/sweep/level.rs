@@ -28,13 +28,10 @@ impl SweepConfig {
     }
 }
 
-/// Refuses a list that is empty, has duplicates, or has a number that is not finite.
+/// Refuses a list that is empty or has duplicates.
 fn numbers<'a>(key: &str, numbers: &'a [f64]) -> Result<&'a [f64]> {
     if numbers.is_empty() {
         return Err(Issue::new(key, "is empty, expected at least one number"));
-    }
-    if let Some(i) = numbers.iter().position(|number| !number.is_finite()) {
-        return Err(Issue::new(format!("{key}.{i}"), format_args!("is {}, expected a finite number", numbers[i])));
     }
     settings::distinct(key, numbers).map(|()| numbers)
 }

@@ -67,6 +67,10 @@ impl SweepConfig {
             let kinds: Vec<&str> = objectives.iter().map(|objective| objective.kind()).collect();
             let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1);
             select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
+            if let Some(best) = select.best.filter(|best| *best > self.n_samples) {
+                let expected = format!("is {best}, expected at most n_samples, which is {}", self.n_samples);
+                return Err(Issue::new("select.best", expected));
+            }
         }
         Ok(sweep)
     }

@@ -228,7 +228,10 @@ fn guidance_that_makes_no_sense_is_refused() {
     let guided = |rest: &str| sweep(&format!("strengths = [1.0]\n{rest}"));
     let cut_in = |rest: &str| guided(&format!("behavior = 'cut_in'\n{rest}"));
     for (toml, part) in [
-        (guided(&speed(", weight = -1.0")), "generate.sweeps.0.objectives.0.weight is -1, expected a positive number"),
+        (
+            guided(&speed(", weight = -1.0")),
+            "generate.sweeps.0.objectives.0.weight is -1, expected more than 0 and at most 1000000",
+        ),
         (guided(&speed(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
         (cut_in(&speed(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
         (sweep("template = true"), "template is true, but no behavior is requested"),

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 pub struct AccelerationLimit {
     /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
     /// Whose acceleration: `all`, `ego` or a role.
     #[serde(default)]

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub struct SlipLimit {
     /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
     /// Whose slip: `all`, `ego` or a role.
     #[serde(default)]

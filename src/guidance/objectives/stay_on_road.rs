@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 pub struct StayOnRoad {
     /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
     /// The agents that must stay on the road: `all`, `ego` or a role.
     #[serde(default)]

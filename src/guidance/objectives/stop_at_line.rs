@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub struct StopAtLine {
     /// Weight of this objective relative to others.
     #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
     /// The agents that must stop: `all`, `ego` or a role.
     #[serde(default = "ego")]

@@ -1,6 +1,6 @@
 //! Which files lie in a folder and the folders below it, in order of their names?
 
-use super::{Visitor, is_hidden, visit_file};
+use super::{Entry, Unopened, Visitor, clean_name, is_hidden, visit_file};
 use crate::ingest::Error;
 use std::ffi::OsString;
 use std::io;
@@ -52,8 +52,8 @@ fn visit_folder(
     Ok(ControlFlow::Continue(()))
 }
 
-/// Visits a file. An archive that breaks off before anything that is wanted has come is a file that may be wanted by
-/// its name, as any other: it may be of something else.
+/// Visits a file. An archive that breaks off before anything that is wanted has come is a file that cannot be read, and
+/// that may be wanted by its name, as any other: it may be of something else.
 fn visit_file_or_pass(
     root: &Path,
     name: &str,
@@ -68,6 +68,10 @@ fn visit_file_or_pass(
     });
     match result {
         Err(Error::Container { .. }) if is_untouched && !wanted(name) => Ok(ControlFlow::Continue(())),
+        Err(Error::Container { detail, .. }) if is_untouched => {
+            let entry = Entry { path: clean_name(name), container: root.to_owned(), size: None };
+            visit(&entry, &mut Unopened::because(io::Error::other(detail)))
+        }
         result => result,
     }
 }

@@ -58,9 +58,13 @@ impl RecordingSource for Argoverse1<'_> {
         vector_map::city_of(file_name(path)).map(|city| map_id(Dataset::Argoverse1, city))
     }
 
+    fn place_at(&self, path: &str) -> Option<String> {
+        vector_map::city_of(file_name(path)).map(str::to_owned)
+    }
+
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         let (graph, report) = vector_map::read(&entry.path, reader)?;
-        Ok(MapFile { graph, rank: 0, warnings: report.summary() })
+        Ok(MapFile { graph, rank: 0, report })
     }
 }
 

@@ -7,6 +7,7 @@ use crate::geometry::Vec2;
 use crate::ingest::cells::split_cells;
 use crate::ingest::csv_rows::lines_of;
 use crate::ingest::decimal;
+use crate::ingest::ids;
 use crate::ingest::quotes::{printable, without_quotes};
 use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
@@ -120,6 +121,9 @@ impl Table {
                 return Err(unit.reject_at("malformed_row", number, detail));
             }
             table.push(unit, number, columns.map(|column| cells[column].trim_ascii()), &mut known)?;
+        }
+        if let Some(pair) = ids::ambiguous(table.tracks.iter().map(|track| track.id.as_bytes())).next() {
+            return Err(unit.reject(ids::AMBIGUOUS, ids::in_words("track", pair)));
         }
         let n_focal = table.tracks.iter().filter(|track| track.role == TrackRole::Focal).count();
         match n_focal {

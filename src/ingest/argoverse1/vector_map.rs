@@ -8,13 +8,14 @@ use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::lane_topology::connect;
 use crate::ingest::map_report::MapReport;
+use crate::ingest::map_text::read_text;
 use crate::ingest::plausible_lanes::plausible;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 use std::collections::HashMap;
-use std::io::{BufRead, Read};
+use std::io::BufRead;
 
 /// The map stores no widths; the official reader assumes this one.
 const ASSUMED_LANE_WIDTH_M: f64 = 3.8;
@@ -30,18 +31,17 @@ pub(super) fn city_of(file_name: &str) -> Option<&str> {
 
 /// Reads a vector map and reports the lanes that it leaves out.
 pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<(LaneGraph, MapReport), Error> {
-    let mut xml = Reader::from_reader(reader.take(MAX_MAP_BYTES));
+    let text = read_text(reader, MAX_MAP_BYTES, file)?;
+    let mut xml = Reader::from_str(&text);
     let mut map = VectorMap::default();
-    let mut buffer = Vec::new();
     loop {
-        let event = xml.read_event_into(&mut buffer);
+        let event = xml.read_event();
         let done = event.map_err(Malformed::from).and_then(|event| map.take(&event)).map_err(|malformed| {
             Error::map(file, format!("byte {}", xml.error_position().max(xml.buffer_position())), malformed)
         })?;
         if done {
             break;
         }
-        buffer.clear();
     }
     let mut report = map.report;
     let mut lanes = plausible(map.lanes, &mut report);
@@ -263,12 +263,12 @@ mod tests {
         <way lane_id="101"><nd ref="1"/><nd ref="2"/><tag k="r_neighbor_id" v="777"/></way>
         <way lane_id="102"><nd ref="3"/><nd ref="4"/><tag k="l_neighbor_id" v="100"/></way>"#;
 
-    fn read_text(text: &str) -> Result<(LaneGraph, MapReport), Error> {
+    fn read_whole(text: &str) -> Result<(LaneGraph, MapReport), Error> {
         read("m_MIA_1_vector_map.xml", &mut text.as_bytes())
     }
 
     fn read_ways(ways: &str) -> Result<(LaneGraph, MapReport), Error> {
-        read_text(&format!("<ArgoverseVectorMap>{ways}</ArgoverseVectorMap>"))
+        read_whole(&format!("<ArgoverseVectorMap>{ways}</ArgoverseVectorMap>"))
     }
 
     fn message(ways: &str) -> String {
@@ -337,18 +337,33 @@ mod tests {
     fn cut_or_foreign_files_are_refused() {
         let whole = format!("<ArgoverseVectorMap>{WAYS}</ArgoverseVectorMap>");
         for cut in [whole.len() - 5, whole.len() / 2, 30] {
-            assert!(read_text(&whole[..cut]).is_err(), "cut at {cut}");
+            assert!(read_whole(&whole[..cut]).is_err(), "cut at {cut}");
         }
-        assert!(read_text("<osm/>").expect_err("foreign").to_string().contains("<osm>"));
-        assert!(read_text("").is_err());
-        assert!(read_text("no map at all").is_err());
+        assert!(read_whole("<osm/>").expect_err("foreign").to_string().contains("<osm>"));
+        assert!(read_whole("").is_err());
+        assert!(read_whole("no map at all").is_err());
+    }
+
+    #[test]
+    fn maps_are_read_in_the_encoding_they_declare() {
+        let ways = WAYS.replace("gravel", "Stra\u{df}e");
+        let whole = |declaration: &str| format!("{declaration}<ArgoverseVectorMap>{ways}</ArgoverseVectorMap>");
+        let (expected, _) = read_whole(&whole("")).expect("in UTF-8");
+        assert_eq!(expected.get(LaneId(100)).expect("listed").attributes.tags["surface"], "Stra\u{df}e");
+        assert_eq!(read_whole(&whole("\u{feff}")).expect("with a byte order mark").0, expected);
+        let latin1 = |declaration: &str| {
+            let bytes: Vec<u8> = whole(declaration).chars().map(|c| c as u8).collect();
+            read("m_MIA_1_vector_map.xml", &mut bytes.as_slice())
+        };
+        assert_eq!(latin1(r#"<?xml version="1.0" encoding="ISO-8859-1"?>"#).expect("declared").0, expected);
+        assert!(latin1("").expect_err("no UTF-8").to_string().contains("does not declare to be ISO-8859-1"));
     }
 
     #[test]
     fn entities_are_refused_before_they_grow() {
         let bomb =
             r#"<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><ArgoverseVectorMap>&b;</ArgoverseVectorMap>"#;
-        assert!(read_text(bomb).expect_err("bomb").to_string().contains("document type"));
+        assert!(read_whole(bomb).expect_err("bomb").to_string().contains("document type"));
         assert!(message(r#"<node id="&b;" x="0" y="0"/>"#).contains("byte"));
     }
 }

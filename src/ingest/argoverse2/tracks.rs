@@ -3,6 +3,7 @@
 use super::RECORDED;
 use super::columns::Table;
 use crate::geometry::Vec2;
+use crate::ingest::ids;
 use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
@@ -159,6 +160,9 @@ fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<(
             let detail = format!("row {row}: track {id} has a second row at timestep {timestep}");
             return Err(unit.reject("duplicate_frame", detail));
         }
+    }
+    if let Some(pair) = ids::ambiguous(heads.iter().map(|(id, ..)| id.0.as_bytes())).next() {
+        return Err(unit.reject(ids::AMBIGUOUS, ids::in_words("track", pair)));
     }
     let tracks = heads.into_iter().zip(states).map(|((id, class, role), states)| Track {
         id,

@@ -10,6 +10,16 @@ use flate2::write::GzEncoder;
 use std::io::Write;
 use std::path::Path;
 
+/// Keeps what the user is told.
+#[derive(Default)]
+struct Told(std::sync::Mutex<Vec<String>>);
+
+impl Progress for Told {
+    fn warn(&self, message: &str) {
+        self.0.lock().unwrap().push(message.to_owned());
+    }
+}
+
 const MAP: &str = r#"<ArgoverseVectorMap><node id="0" x="900" y="2000"/><node id="1" x="1200" y="2000"/>
     <way lane_id="5"><nd ref="0"/><nd ref="1"/></way></ArgoverseVectorMap>"#;
 
@@ -143,6 +153,33 @@ fn copies_of_recordings_are_rejected() {
 }
 
 #[test]
+fn what_is_not_read_is_counted_once() {
+    let folder = folder(70);
+    let write = |name: &str, text: &str| fs_err::write(folder.path().join(name), text).expect("writable");
+    write("train/data/0001.7z", "of another kind");
+    write("train/data/broken.zip", "of a kind that is read");
+    let broken_lane = r#"<way lane_id="6"><nd ref="9"/></way></ArgoverseVectorMap>"#;
+    write("pruned_argoverse_PIT_10314_vector_map.xml", &MAP.replace("</ArgoverseVectorMap>", broken_lane));
+    let config = config(folder.path());
+    let (batches, report) = run(&config, None).expect("the others are whole");
+    assert_eq!((report.n_units, report.n_scenes), (72, 63));
+    let archives = &report.rejects["archive_passed_over"];
+    assert_eq!(archives.count, 2);
+    assert!(archives.examples[0].contains("0001.7z: it is within another archive, or of a kind that is not read"));
+    assert!(archives.examples[1].contains("broken.zip: invalid Zip archive"), "{archives:?}");
+    let lanes = &report.warnings["broken_lanes"];
+    assert_eq!(lanes.count, 1);
+    assert!(lanes.examples[0].ends_with("vector_map.xml: way 6: refers to missing node 9"), "{lanes:?}");
+    assert_eq!(run(&config, Some(&batches[0].report)).expect("whole").1, report);
+    // Archives among the maps alone are no recordings.
+    let maps = tempfile::tempdir().expect("a temporary folder");
+    fs_err::write(maps.path().join("more.rar"), "x").expect("writable");
+    let map_inputs = vec![folder.path().to_owned(), maps.path().to_owned()];
+    let (_, report) = run(&IngestConfig { map_inputs, ..config }, None).expect("the others are whole");
+    assert_eq!((report.rejects["archive_passed_over"].count, report.warnings["archives_passed_over"].count), (2, 3));
+}
+
+#[test]
 fn missing_maps_are_errors_that_say_what_to_do() {
     let folder = folder(3);
     let message = |config: &IngestConfig| run(config, None).expect_err("no map").to_string();
@@ -153,6 +190,9 @@ fn missing_maps_are_errors_that_say_what_to_do() {
     assert!(text.contains("no map for argoverse1/PIT") && text.contains("argoverse1/MIA"), "{text}");
     fs_err::remove_file(other).expect("writable");
     assert!(message(&config(folder.path())).contains("ingest.maps = \"none\""));
+    fs_err::write(folder.path().join("maps.tar.xz"), "x").expect("writable");
+    let text = message(&config(folder.path()));
+    assert!(text.contains(", where maps.tar.xz cannot be read; unpack it; add the map files"), "{text}");
     let without = IngestConfig { maps: MapsConfig::None, ..config(folder.path()) };
     let (batches, report) = run(&without, None).expect("maps are not needed");
     assert!(batches[0].maps.is_empty() && scenes(&batches)[0].map_id.is_none());
@@ -165,15 +205,48 @@ fn no_scenes_is_an_error_that_says_what_was_seen() {
     fs_err::write(folder.path().join("train/data/notes.txt"), "hello").expect("writable");
     let message = |config: &IngestConfig| run(config, None).expect_err("no scenes").to_string();
     let text = message(&IngestConfig { places: vec!["MIA".to_owned()], ..config(folder.path()) });
-    assert!(text.contains("3 files named like argoverse1 recordings") && text.contains("3 units read"), "{text}");
-    assert!(text.contains("3 units of other places dropped"), "{text}");
+    assert_eq!(text, "ingest.places: names MIA, of which there is nothing; there are recordings or maps of PIT");
     for i in 0..3 {
         fs_err::write(folder.path().join(format!("train/data/{i:04}.csv")), "a;b\n1;2\n").expect("writable");
     }
     let text = message(&config(folder.path()));
     assert!(text.contains("3 rejected as bad_header (first: train/data/0000.csv:1: no column"), "{text}");
+    assert!(text.contains("3 files named like argoverse1 recordings") && text.contains("3 units read"), "{text}");
     let text = message(&IngestConfig { splits: vec![crate::scene::Split::Val], ..config(folder.path()) });
     assert!(text.contains("0 files named like"), "{text}");
+}
+
+#[test]
+fn places_that_are_not_there_are_named_with_those_that_are() {
+    let recordings = vec!["tests/fixtures/recordings/interaction_v1_1".into()];
+    let at = |places: &[&str], maps: MapsConfig| IngestConfig {
+        places: places.iter().map(|place| (*place).to_owned()).collect(),
+        maps,
+        ..IngestConfig::new(Dataset::Interaction, recordings.clone())
+    };
+    for maps in [MapsConfig::Required, MapsConfig::None] {
+        let text = run(&at(&["Nowhere", "FIX_intersection"], maps), None).expect_err("none is there").to_string();
+        let expected = "ingest.places: names Nowhere, FIX_intersection, of which there is nothing; there are \
+                        recordings or maps of FIX_Intersection";
+        assert_eq!(text, expected, "{maps:?}");
+    }
+    let config = at(&["Nowhere", "FIX_Intersection"], MapsConfig::None);
+    let told = Told::default();
+    assert!(ingest(&config, None, &told, &mut |_| Ok(())).expect("one is there").n_scenes > 0);
+    assert_eq!(told.0.into_inner().unwrap(), ["ingest.places names Nowhere, of which there is nothing"]);
+}
+
+#[test]
+fn places_that_name_no_folder_are_rejected() {
+    let folder = folder(2);
+    let text = csv_text(50).replace("PIT", &"long ".repeat(40));
+    fs_err::write(folder.path().join("train/data/0001.csv"), text).expect("writable");
+    let without = IngestConfig { maps: MapsConfig::None, ..config(folder.path()) };
+    let (_, report) = run(&without, None).expect("the other is whole");
+    let expected = "train/data/0001.csv: its place has 199 bytes, expected a name of at most 80";
+    assert_eq!(report.rejects["bad_place"].examples, [expected]);
+    assert_eq!(flaw_of("a\u{1b}b").as_deref(), Some("its place has the control character \\u{1b}, expected a name"));
+    assert_eq!(flaw_of(&"a".repeat(240)), None);
 }
 
 #[test]

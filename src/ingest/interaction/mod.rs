@@ -16,6 +16,7 @@
 //! - `duplicate_frame`: a track is twice at the same frame;
 //! - `too_many_tracks`: more than 100,000 tracks, which no recording has;
 //! - `unknown_agent_type`, `inconsistent_agent_type`: not a type of the format; two types in one track;
+//! - `ambiguous_id`: two ids that may be one, `7` and `07`, of tracks in a case or recording, or of cases in a file;
 //! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
 //!   after a second header;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
@@ -103,11 +104,15 @@ impl RecordingSource for Interaction<'_> {
         Some(map_id(Dataset::Interaction, place))
     }
 
+    fn place_at(&self, path: &str) -> Option<String> {
+        path::place_of_map(path).map(str::to_owned).or_else(|| TrackFile::of_path(path).map(|file| file.place))
+    }
+
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
         // v1.2 has each map in both forms; Lanelet2 itself reads `.osm`.
         let rank = u8::from(!entry.path.to_ascii_lowercase().ends_with(".osm"));
-        Ok(MapFile { graph, rank, warnings: report.summary() })
+        Ok(MapFile { graph, rank, report })
     }
 
     fn map_of(&self, path: &str) -> Option<MapId> {

@@ -7,6 +7,7 @@
 use super::cases::{Case, End, MAX_CASE_BYTES, cut_cases, plain_case_id};
 use super::columns::TrackColumns;
 use crate::ingest::csv_rows::Lines;
+use crate::ingest::ids;
 use crate::ingest::{EmitUnit, RawUnit, Reject};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -22,6 +23,8 @@ pub(super) struct Survey {
     scattered: BTreeMap<String, Fate>,
     /// Passes in which cases are gathered.
     pub(super) n_gathering_passes: usize,
+    /// The cases that may be one with another, by their plain ids, and what is said of them.
+    ambiguous: BTreeMap<String, String>,
 }
 
 /// The plan for a scattered case.
@@ -64,9 +67,14 @@ impl Survey {
             }
             ControlFlow::Continue(())
         });
+        let mut survey = Self::default();
+        for pair in ids::ambiguous(found.keys().map(String::as_bytes)) {
+            let detail = ids::in_words("case", pair);
+            survey.ambiguous.extend(pair.map(|id| (String::from_utf8_lossy(id).into_owned(), detail.clone())));
+        }
+        found.retain(|id, _| !survey.ambiguous.contains_key(id));
         let mut scattered: Vec<(String, Found)> = found.into_iter().filter(|(_, found)| found.n_parts > 1).collect();
         scattered.sort_by_key(|(_, found)| found.first_line);
-        let mut survey = Self::default();
         let mut n_bytes = 0;
         for (id, found) in scattered {
             let fate = match end {
@@ -101,6 +109,12 @@ impl Survey {
         let mut rejected = BTreeMap::new();
         let end = cut_cases(lines, columns, true, &mut |case| {
             let id = plain_case_id(&case.id);
+            if let Some(detail) = self.ambiguous.get(&id) {
+                return match is_first_pass && rejected.insert(id, ()).is_none() {
+                    true => emit(Err(table.reject_at(ids::AMBIGUOUS, case.first_line, detail))),
+                    false => ControlFlow::Continue(()),
+                };
+            }
             match self.scattered.get(&id) {
                 None if is_first_pass => emit(unit_of(case, Vec::new(), table)),
                 Some(Fate::Gathered(of_pass)) if *of_pass == pass => {
@@ -235,6 +249,14 @@ mod tests {
     fn consecutive_rows_of_equal_id_are_a_case() {
         let text = [HEADER, &row("1.0", 1), &row("1.0", 2), &row("3.0", 1)].concat();
         assert_eq!(split(text.trim_end()), [whole("1.0", 2, 2), whole("3.0", 4, 1)]);
+    }
+
+    #[test]
+    fn cases_that_may_be_one_are_rejected() {
+        let text = [HEADER, &row("7.0", 1), &row("8.0", 1), &row("07.0", 1), &row("7", 2)].concat();
+        let said = "ambiguous_id :{line}: case 07 is also written 7; write each id in one way";
+        let at = |line: &str| Err(said.replace("{line}", line));
+        assert_eq!(split(&text), [at("2"), whole("8.0", 3, 1), at("4")]);
     }
 
     #[test]

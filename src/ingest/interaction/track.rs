@@ -6,6 +6,7 @@ use super::{CASE_HORIZON, DT_S};
 use crate::geometry::Vec2;
 use crate::ingest::Reject;
 use crate::ingest::csv_rows::lines_of;
+use crate::ingest::ids;
 use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::quotes::printable;
 use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory, velocity_at};
@@ -79,6 +80,10 @@ pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Re
             builders[index].add(&row, table.file, number).map_err(reject)?;
             current = Some(index);
         }
+    }
+    if let Some(pair) = ids::ambiguous(builders.iter().map(|builder| builder.id)).next() {
+        let file = tables.first().map_or("", |table| table.file);
+        return Err(Reject { reason: ids::AMBIGUOUS, detail: format!("{file}: {}", ids::in_words("track", pair)) });
     }
     builders.into_iter().map(Builder::finish).collect()
 }
@@ -345,6 +350,7 @@ mod tests {
             (format!("{good}1,2,200,car,0,0,0,0,,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             (format!("{good}1,2,200,pedestrian,0,0,0,0,0,4,2"), "inconsistent_agent_type", "t.csv:3:"),
             (format!("{good}1,2,200,car,0,0,0,0,NaN,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
+            (format!("{good}01,2,200,car,0,0,0,0,0,4,2"), "ambiguous_id", "t.csv: track 1 is also written 01; write"),
             ("1,1,100,tank,0,0,0,0,0,4,2".to_owned(), "unknown_agent_type", "t.csv:2: column agent_type is \\\"tank"),
         ] {
             let reject = read(&rows).unwrap_err();

@@ -3,8 +3,8 @@
 //! Lanelet2 maps are OSM XML: nodes, ways (polylines of nodes), and relations. A relation of type `lanelet` has a left
 //! and a right bound. Coordinates are meters on the plane (`.osm_xy`), meters encoded as latitude and longitude near
 //! (0°, 0°) (INTERACTION's `.osm`), Autoware's `local_x` and `local_y` (if latitude and longitude are missing or zero),
-//! or true WGS84 coordinates. For the last, the frame of the map is the UTM zone of its first node, with the origin at
-//! that node. x points east and y north.
+//! or true WGS84 coordinates. For the last, the frame of the map is the UTM zone of the southwest corner of its lanes,
+//! with the origin at that corner, and the report says so: the file does not tell. x points east and y north.
 
 mod bound;
 mod lanelet;
@@ -16,14 +16,14 @@ pub use super::map_report::MapReport;
 
 use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
+use crate::ingest::map_text::read_text;
 use crate::ingest::plausible_lanes::plausible;
-use crate::scene::LaneGraph;
+use crate::scene::{Lane, LaneGraph};
 use lanelet::Lanelet;
-use osm::{NodePosition, Osm};
-use projection::LocalUtm;
-use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::io::{BufRead, Read};
+use osm::{NodePosition, Osm, Relation};
+use projection::{GeoPoint, LocalUtm};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::BufRead;
 
 /// Maximum size of a map. INTERACTION's largest are below 2 MB.
 const MAX_MAP_BYTES: u64 = 64 * 1024 * 1024;
@@ -42,24 +42,18 @@ const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
 /// bounds, or when no lane remains.
 pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
     let error = |what: String| Error::map(file, "", what);
-    let mut bytes = Vec::new();
-    reader
-        .take(MAX_MAP_BYTES + 1)
-        .read_to_end(&mut bytes)
-        .map_err(|source| error(format!("cannot be read: {source}")))?;
-    if bytes.len() as u64 > MAX_MAP_BYTES {
-        return Err(error(format!("is larger than {} MiB", MAX_MAP_BYTES >> 20)));
-    }
-    let text = decoded(&bytes).map_err(|at| {
-        Error::map(file, format!("byte {at}"), "is not UTF-8 text, and does not declare to be ISO-8859-1")
-    })?;
+    let text = read_text(reader, MAX_MAP_BYTES, file)?;
 
-    let mut report = MapReport::default();
-    let osm = osm::parse(&text, file, &mut report)?;
-    let lanelets = lanelets(&osm, &mut report).map_err(|what| Error::map(file, "", what))?;
-    let lanes = topology::connect(lanelets)
-        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes")))?;
-    let lanes = plausible(lanes, &mut report);
+    let mut of_document = MapReport::default();
+    let osm = osm::parse(&text, file, &mut of_document)?;
+    let corner = corner_of(&osm, relations_of_lanes(&osm));
+    let (mut lanes, mut report) = lanes_within(&osm, corner, of_document.clone(), file)?;
+    // One node far away, for which a lane is left out, must not move the others.
+    let kept: BTreeSet<i64> = lanes.iter().map(|lane| lane.id.0).collect();
+    let of_kept = corner_of(&osm, relations_of_lanes(&osm).filter(|(id, _)| kept.contains(id)));
+    if of_kept != corner && !kept.is_empty() {
+        (lanes, report) = lanes_within(&osm, of_kept, of_document, file)?;
+    }
     if lanes.is_empty() {
         let detail = format!(
             "has no vehicle lane: {} lanelets, {} of them not for vehicles; {}",
@@ -73,37 +67,26 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
     Ok((LaneGraph::new(lanes), report))
 }
 
-/// The text of a document in UTF-8, in UTF-16 with a byte order mark, or in ISO-8859-1 if it says so; or the first byte
-/// that is none.
-fn decoded(bytes: &[u8]) -> Result<Cow<'_, str>, usize> {
-    let utf8 = match std::str::from_utf8(bytes) {
-        Ok(text) => return Ok(text.into()),
-        Err(utf8) => utf8,
-    };
-    let units = |bytes: &[u8], unit: fn([u8; 2]) -> u16| -> Vec<u16> {
-        bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]])).collect()
-    };
-    match bytes {
-        [0xff, 0xfe, rest @ ..] => Ok(String::from_utf16_lossy(&units(rest, u16::from_le_bytes)).into()),
-        [0xfe, 0xff, rest @ ..] => Ok(String::from_utf16_lossy(&units(rest, u16::from_be_bytes)).into()),
-        _ => {
-            let declaration = bytes.split(|byte| *byte == b'>').next().unwrap_or_default().to_ascii_lowercase();
-            let declaration = String::from_utf8_lossy(&declaration);
-            let is_declared = ["iso-8859-1", "latin1", "windows-1252"].iter().any(|name| declaration.contains(name));
-            let text = || bytes.iter().copied().map(char::from).collect::<String>().into();
-            if is_declared { Ok(text()) } else { Err(utf8.valid_up_to()) }
-        }
-    }
+/// The lanes of a map in the frame with its origin at `corner`, and the report so far with what is left out of them.
+fn lanes_within(
+    osm: &Osm,
+    corner: Option<GeoPoint>,
+    mut report: MapReport,
+    file: &str,
+) -> Result<(Vec<Lane>, MapReport), Error> {
+    let error = |what: Malformed| Error::map(file, "", what);
+    let lanelets = lanelets(osm, corner, &mut report).map_err(error)?;
+    let lanes = topology::connect(lanelets)
+        .map_err(|n| error(format!("has {n} lane connections; its lanelets share too many end nodes").into()))?;
+    let lanes = plausible(lanes, &mut report);
+    Ok((lanes, report))
 }
 
-fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, Malformed> {
-    let positions = positions(osm);
+fn lanelets(osm: &Osm, corner: Option<GeoPoint>, report: &mut MapReport) -> Result<Vec<Lanelet>, Malformed> {
+    let positions = positions(osm, corner, report);
     let mut lanelets = Vec::new();
     let (mut n_points, mut n_tag_bytes) = (0, 0);
-    for (id, relation) in &osm.relations {
-        if relation.tags.get("type").is_none_or(|kind| kind != "lanelet") {
-            continue;
-        }
+    for (id, relation) in relations_of_lanelets(osm) {
         report.n_lanelets += 1;
         if !lanelet::is_drivable(relation) {
             report.n_not_drivable += 1;
@@ -127,19 +110,50 @@ fn lanelets(osm: &Osm, report: &mut MapReport) -> Result<Vec<Lanelet>, Malformed
     Ok(lanelets)
 }
 
+fn relations_of_lanelets(osm: &Osm) -> impl Iterator<Item = (&i64, &Relation)> {
+    osm.relations.iter().filter(|(_, relation)| relation.tags.get("type").is_some_and(|kind| kind == "lanelet"))
+}
+
 /// Where the nodes lie in the frame of the map, meters.
-fn positions(osm: &Osm) -> BTreeMap<i64, Vec2> {
+fn positions(osm: &Osm, corner: Option<GeoPoint>, report: &mut MapReport) -> BTreeMap<i64, Vec2> {
     if osm.is_local {
         return osm.local.clone();
     }
-    let projection = osm.first_geo.map(LocalUtm::for_map);
+    let corner = corner.unwrap_or(GeoPoint::NOWHERE);
+    let (projection, is_assumed) = LocalUtm::for_map(corner);
+    if is_assumed {
+        let GeoPoint { latitude_deg, longitude_deg } = corner;
+        let detail = format!(
+            "latitude {latitude_deg} and longitude {longitude_deg}, the southwest corner of its lanes, are taken for \
+             (0, 0); tracks must be given from there"
+        );
+        report.warn("maps_of_assumed_origin", detail);
+    }
     osm.nodes
         .iter()
-        .filter_map(|(id, position)| match position {
-            NodePosition::Plane(point) => Some((*id, *point)),
-            NodePosition::Geo(geo) => projection.map(|projection| (*id, projection.project(*geo))),
+        .map(|(id, position)| match position {
+            NodePosition::Plane(point) => (*id, *point),
+            NodePosition::Geo(geo) => (*id, projection.project(*geo)),
         })
         .collect()
+}
+
+fn relations_of_lanes(osm: &Osm) -> impl Iterator<Item = (&i64, &Relation)> {
+    relations_of_lanelets(osm).filter(|(_, relation)| lanelet::is_drivable(relation))
+}
+
+/// The southwest corner of the nodes that bound these lanes. Neither the order of a document nor what is no lane has a
+/// part in it: editors change both.
+fn corner_of<'a>(osm: &Osm, lanes: impl Iterator<Item = (&'a i64, &'a Relation)>) -> Option<GeoPoint> {
+    let members = lanes.flat_map(|(_, relation)| &relation.members);
+    let bounds = members.filter(|member| member.kind == "way" && matches!(member.role.as_str(), "left" | "right"));
+    // Many lanelets may name one way.
+    let ways: BTreeSet<i64> = bounds.map(|member| member.id).collect();
+    let nodes = ways.iter().filter_map(|id| osm.ways.get(id)).flatten().filter_map(|id| osm.nodes.get(id));
+    GeoPoint::southwest_of(nodes.filter_map(|position| match position {
+        NodePosition::Geo(geo) if *geo != GeoPoint::NOWHERE => Some(*geo),
+        _ => None,
+    }))
 }
 
 #[cfg(test)]

@@ -29,8 +29,6 @@ pub(super) struct Osm {
     pub(super) local: BTreeMap<i64, Vec2>,
     /// Whether that is where they lie: a node has no other position.
     pub(super) is_local: bool,
-    /// The first node with latitude and longitude, in the order of the document.
-    pub(super) first_geo: Option<GeoPoint>,
     /// Polylines: the nodes in order.
     pub(super) ways: BTreeMap<i64, Vec<i64>>,
     /// Lanelets, regulatory elements, areas.
@@ -38,7 +36,7 @@ pub(super) struct Osm {
 }
 
 /// A node is given on the ellipsoid (`.osm`) or on the plane (`.osm_xy`).
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum NodePosition {
     Geo(GeoPoint),
     Plane(Vec2),
@@ -60,7 +58,6 @@ pub(super) struct Member {
 
 /// Reads the document in `file`; nodes without a usable position are left out and reported.
 pub(super) fn parse(text: &str, file: &str, report: &mut MapReport) -> Result<Osm, Error> {
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut reader = quick_xml::Reader::from_str(text);
     let mut document = Document { osm: Osm::default(), open: Open::Nothing, report };
     let mut depth = 0;
@@ -193,20 +190,15 @@ impl Document<'_> {
     /// Adds a node, and returns whether there is one of this id.
     fn add_node(&mut self, id: i64, position: Result<NodePosition, Malformed>, local: [Option<f64>; 2]) -> bool {
         let is_nowhere = match &position {
-            Ok(NodePosition::Geo(geo)) => geo.latitude_deg == 0.0 && geo.longitude_deg == 0.0,
-            position => position.is_err(),
+            Ok(position) => *position == NodePosition::Geo(GeoPoint::NOWHERE),
+            Err(_) => true,
         };
         if let [Some(x), Some(y)] = local {
             self.osm.local.entry(id).or_insert(Vec2::new(x, y));
             self.osm.is_local |= is_nowhere;
         }
         match position {
-            Ok(position) => {
-                if let (NodePosition::Geo(geo), None) = (position, self.osm.first_geo) {
-                    self.osm.first_geo = Some(geo);
-                }
-                insert_new(&mut self.osm.nodes, id, position)
-            }
+            Ok(position) => insert_new(&mut self.osm.nodes, id, position),
             Err(_) if self.osm.local.contains_key(&id) => false,
             Err(what) => {
                 self.report.warn("node_without_position", format!("node {id}: {what}"));

@@ -34,6 +34,19 @@ pub(super) struct GeoPoint {
     pub(super) longitude_deg: f64,
 }
 
+impl GeoPoint {
+    /// Where no road lies: the place of nodes whose position is unknown, and the origin of maps that encode meters.
+    pub(super) const NOWHERE: Self = Self { latitude_deg: 0.0, longitude_deg: 0.0 };
+
+    /// The southwest corner of a box around points; `None` for no points.
+    pub(super) fn southwest_of(points: impl Iterator<Item = Self>) -> Option<Self> {
+        points.reduce(|one, other| Self {
+            latitude_deg: one.latitude_deg.min(other.latitude_deg),
+            longitude_deg: one.longitude_deg.min(other.longitude_deg),
+        })
+    }
+}
+
 /// From latitude and longitude to meters in one UTM zone, relative to an origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LocalUtm {
@@ -51,12 +64,12 @@ impl LocalUtm {
         projection
     }
 
-    /// The projection for a map whose first node is `first_node`: around (0°, 0°), hence zone 31, for maps that encode
-    /// meters (all of INTERACTION), else around the first node itself.
-    pub(super) fn for_map(first_node: GeoPoint) -> Self {
-        let disguised =
-            first_node.latitude_deg.abs() < DISGUISE_LIMIT_DEG && first_node.longitude_deg.abs() < DISGUISE_LIMIT_DEG;
-        Self::around(if disguised { GeoPoint { latitude_deg: 0.0, longitude_deg: 0.0 } } else { first_node })
+    /// The projection for a map whose lanes have their southwest corner at `corner`, and whether its origin is that
+    /// corner. Maps that encode meters (all of INTERACTION) are projected around (0°, 0°), hence in zone 31.
+    pub(super) fn for_map(corner: GeoPoint) -> (Self, bool) {
+        let is_real =
+            corner.latitude_deg.abs() >= DISGUISE_LIMIT_DEG || corner.longitude_deg.abs() >= DISGUISE_LIMIT_DEG;
+        (Self::around(if is_real { corner } else { GeoPoint::NOWHERE }), is_real)
     }
 
     /// Meters east and north of the origin.
@@ -121,7 +134,7 @@ mod tests {
     #[test]
     fn disguised_meters_are_found_again() {
         // Reference values of UTM zone 31, given to 1e-8 m.
-        let projection = LocalUtm::for_map(geo(0.009, 0.009));
+        let projection = LocalUtm::for_map(geo(0.009, 0.009)).0;
         let near = |lat, lon, x, y| projection.project(geo(lat, lon)).distance(Vec2::new(x, y)) < 2e-8;
         assert!(near(0.009_192_329_24, 0.008_977_405_19, 1_000.340_741_98, 1_017.423_935_80));
         assert!(near(0.008, 0.01, 1_114.285_124_67, 885.453_907_63));
@@ -139,13 +152,14 @@ mod tests {
     }
 
     #[test]
-    fn real_coordinates_are_local_to_the_first_node() {
-        let first = geo(49.003_456_543_51, 8.424_275_907_07);
-        let projection = LocalUtm::for_map(first);
-        assert_eq!(projection.project(first), Vec2::ZERO);
+    fn real_coordinates_are_local_to_the_corner() {
+        let corner = geo(49.003_456_543_51, 8.424_275_907_07);
+        let (projection, is_real) = LocalUtm::for_map(corner);
+        assert!(is_real);
+        assert_eq!(projection.project(corner), Vec2::ZERO);
         // One second of latitude is about 30.9 m anywhere; at this latitude one of longitude is about 20.3 m.
-        let north = projection.project(geo(first.latitude_deg + 1.0 / 3600.0, first.longitude_deg));
-        let east = projection.project(geo(first.latitude_deg, first.longitude_deg + 1.0 / 3600.0));
+        let north = projection.project(geo(corner.latitude_deg + 1.0 / 3600.0, corner.longitude_deg));
+        let east = projection.project(geo(corner.latitude_deg, corner.longitude_deg + 1.0 / 3600.0));
         assert!((north.norm() - 30.88).abs() < 0.05 && (east.norm() - 20.33).abs() < 0.05);
     }
 }

@@ -238,6 +238,44 @@ fn positions_of_autoware_count_where_there_are_no_others() {
 }
 
 #[test]
+fn the_frame_of_real_coordinates_is_that_of_the_lanes() {
+    let node = |(id, x, y): (i64, f64, f64)| {
+        format!("<node id=\"{id}\" lat=\"{}\" lon=\"{}\"/>", 48.1 + y / 1e5, 11.5 + x / 1e5)
+    };
+    let in_order: Vec<String> = NODES.map(node).to_vec();
+    let (graph, report) = read_valid(&[&in_order.concat(), WAYS, RELATIONS].concat());
+    let corner = graph.get(LaneId(1)).unwrap().right.0.iter().map(|point| point.norm()).fold(f64::INFINITY, f64::min);
+    assert!(corner < 1e-6, "node 1 is the corner: {corner}");
+    assert_eq!(
+        report.summary(),
+        "1 maps_of_assumed_origin (latitude 48.1 and longitude 11.5, the southwest corner of its lanes, are taken for \
+         (0, 0); tracks must be given from there)"
+    );
+    let reversed: String = in_order.iter().rev().map(String::as_str).collect();
+    let whole = in_order.concat();
+    let far = node((90, -3000.0, -3000.0));
+    let foot = r#"<way id="90"><nd ref="90"/><nd ref="1"/></way><relation id="90"><member type="way" role="left" ref="90"/>
+        <member type="way" role="right" ref="90"/><tag k="type" v="lanelet"/><tag k="subtype" v="walkway"/></relation>"#;
+    for nodes in [
+        reversed,
+        format!("{far}{whole}"),
+        format!("{}{whole}", far.replace("<node", "<node action=\"delete\"")),
+        format!("{far}{foot}{whole}"),
+        format!("<node id=\"91\" lat=\"0\" lon=\"0\"/>{whole}"),
+        // A lane that is left out, as one of its nodes is in another country.
+        format!(
+            "<node id=\"92\" lat=\"4.81\" lon=\"1.15\"/><way id=\"92\"><nd ref=\"92\"/><nd ref=\"2\"/></way>{}{whole}",
+            r#"<relation id="92"><member type="way" role="left" ref="92"/><member type="way" role="right" ref="11"/>
+            <tag k="type" v="lanelet"/></relation>"#
+        ),
+    ] {
+        let (found, report) = read_valid(&[&nodes, WAYS, RELATIONS].concat());
+        assert_eq!(found, graph, "{nodes}");
+        assert!(report.summary().contains("latitude 48.1 and longitude 11.5"), "{}", report.summary());
+    }
+}
+
+#[test]
 fn maps_are_read_in_the_encoding_they_declare() {
     let (expected, _) = read_valid(&[&nodes(), WAYS, RELATIONS].concat());
     let text = osm(&[&nodes(), WAYS, RELATIONS].concat()).replace("<osm ", "<!-- Stra\u{df}e --><osm ");

@@ -4,6 +4,7 @@
 //! The file is parsed into a tree that knows the place of every value, the overrides are applied to the tree, and the
 //! tree is deserialized once; so both kinds of mistakes are reported by the same code, each with its place.
 
+use super::kinds::check_kinds;
 use super::{Override, PipelineConfig};
 use crate::settings::{Issue, Unreadable};
 use serde::Deserialize;
@@ -76,6 +77,7 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
     };
     let read = |table| PipelineConfig::deserialize(toml::de::Deserializer::from(table));
     let whole = table(overrides.len())?;
+    check_kinds(whole.get_ref()).map_err(|issue| source.issue(whole.get_ref(), &issue))?;
     match read(whole.clone()) {
         Ok(config) => match config.check() {
             Ok(()) => Ok(config),
@@ -249,9 +251,14 @@ mod tests {
         assert!(error("[run]\nseed = \"x\"\n", &[]).to_string().contains("p.toml:2:8"));
         assert!(error("[run\n", &[]).to_string().contains("p.toml:1:"));
         for (text, expected) in [
+            ("[evaluate]\ncareful_driver = [1.0, 2.0]", "evaluate.careful_driver is a list, expected a table"),
+            ("[generate]\nsampler = [[]]", "generate.sampler is a list, expected a table"),
+            ("[[generate.sweeps]]\nname = 'a'\nobjectives = [[1]]", "objectives.0 is a list, expected a table"),
             ("generate = 1", "invalid type: integer `1`, expected a table"),
             ("[generate]\nsampler = 3", "invalid type: integer `3`, expected a table with a `kind`"),
             ("[run]\nseed = 18446744073709551616", "expected a whole number of at least 0"),
+            ("[run]\nname = 2024-01-01", "run.name is the date 2024-01-01, and no setting is a date"),
+            ("[ingest]\nplaces = [\"a\", 07:32:00]", "ingest.places.1 is the date 07:32:00, and"),
             ("[run]\nseed = -1", "expected a whole number of at least 0"),
         ] {
             let said = error(text, &[]).to_string();

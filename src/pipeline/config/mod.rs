@@ -5,6 +5,7 @@
 //! types, `--set` overrides single values, and relative paths are relative to the current directory (not to the file:
 //! the same pipeline file serves many data folders).
 
+mod kinds;
 mod load;
 mod overrides;
 mod remarks;
@@ -25,7 +26,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::cluster::ClusterConfig;
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
-use crate::settings;
+use crate::settings::{self, Issue};
 use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -141,6 +142,10 @@ impl PipelineConfig {
         urls::check_urls(self)?;
         self.run.compute().check().map_err(|issue| issue.within("run"))?;
         settings::printable("run.name", &self.run.name)?;
+        if self.run.output.as_os_str().is_empty() {
+            return Err(Issue::new("run.output", "is empty, expected a folder such as output"));
+        }
+        settings::printable("run.output", &self.run.output.to_string_lossy())?;
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
         self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
     }

@@ -39,9 +39,13 @@ impl Override {
         for part in parents {
             place = place.enter(part, span)?;
         }
-        // A value that is not TOML is taken as text, so that strings need no quotes: `--set run.name=night`.
-        let value = DeValue::parse(&self.value)
-            .map_or_else(|_| DeValue::String(DeString::Borrowed(&self.value)), Spanned::into_inner);
+        // A value that is not TOML is taken as text, so that strings need no quotes: `--set run.name=night`. So is a
+        // date, as no setting is one.
+        let text = || DeValue::String(DeString::Borrowed(&self.value));
+        let value = match DeValue::parse(&self.value).map(Spanned::into_inner) {
+            Err(_) | Ok(DeValue::Datetime(_)) => text(),
+            Ok(value) => value,
+        };
         place.set(last, relocate(value, span), span)
     }
 }

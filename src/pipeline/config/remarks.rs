@@ -1,6 +1,7 @@
 //! Settings that have no effect.
 
 use super::{PipelineConfig, TrainConfig};
+use crate::generate::{GenerateConfig, SweepConfig};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -19,7 +20,12 @@ impl PipelineConfig {
                 format!("train.{section}.checkpoint is used as it is: the other settings of the section have no effect")
             })
         };
-        sections.into_iter().filter_map(remark).collect()
+        let of_sections = sections.into_iter().filter_map(remark);
+        let arms = self.generate.iter().flat_map(|GenerateConfig { arms, requests, .. }| {
+            let is_idle = |arm: &&SweepConfig| !requests.iter().any(|request| request.arms.contains(&arm.name));
+            arms.iter().filter(is_idle).map(|arm| format!("generate.arms has {}, which no request names", arm.name))
+        });
+        of_sections.chain(arms).collect()
     }
 }
 
@@ -45,6 +51,8 @@ mod tests {
             let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
             PipelineConfig::load(None, &overrides).unwrap().remarks()
         };
+        let found = remarks(&["generate.arms=[{ name = \"idle\" }]"]);
+        assert_eq!(found, ["generate.arms has idle, which no request names"]);
         assert!(remarks(&["train.denoiser.checkpoint=\"a\"", "train.distill.steps=7"]).is_empty());
         let found = remarks(&["train.denoiser.checkpoint=\"a\"", "train.denoiser.steps=7"]);
         assert!(found.len() == 1 && found[0].starts_with("train.denoiser.checkpoint is used as it is"), "{found:?}");

@@ -21,11 +21,20 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn check(&self) -> Result<()> {
-        Ok(self.config.validate()?)
+        self.config.validate()?;
+        // Those that are not there are found among the inputs.
+        let real: Vec<_> = self.config.inputs.iter().map(|path| fs_err::canonicalize(path).ok()).collect();
+        match (1..real.len()).find(|i| real[*i].is_some() && real[..*i].contains(&real[*i])) {
+            Some(i) => {
+                let detail = format!("is {}, which is named in other words before", self.config.inputs[i].display());
+                Err(crate::ingest::Error::Config { key: format!("inputs.{i}"), detail }.into())
+            }
+            None => Ok(()),
+        }
     }
 
     fn config(&self) -> anyhow::Result<Value> {

@@ -28,7 +28,6 @@ pub use train::{Recipe, Train};
 use super::StageId;
 use super::config::PipelineConfig;
 use super::layout::Layout;
-use crate::behavior::BehaviorEntry;
 use crate::engine::Stage;
 use crate::engine::StageRecord;
 use crate::engine::{Failure, Result};
@@ -54,8 +53,7 @@ fn check_learned_behavior(config: &PipelineConfig) -> Result<()> {
     let Some(mine) = &config.mine else { return Ok(()) };
     let mined: Vec<&str> = mine.build()?.iter().map(|behavior| behavior.id()).collect();
     let classifier = config.train.classifier.as_ref().filter(|classifier| classifier.checkpoint.is_none());
-    // Names that no behavior has are refused by the section itself.
-    let is_unmined = |id: &&String| BehaviorEntry::of(id).is_some() && !mined.contains(&id.as_str());
+    let is_unmined = |id: &&String| !mined.contains(&id.as_str());
     match classifier.map(|classifier| &classifier.behavior).filter(is_unmined) {
         Some(id) => Err(Failure::input_message(format_args!(
             "train.classifier.behavior is \"{id}\", expected one of mine.behaviors, which are {}",

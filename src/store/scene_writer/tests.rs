@@ -140,8 +140,14 @@ fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
     let (scenes, maps, units) = &batches[0];
     writer.write_batch(scenes, maps, Some(*units), &json!({})).unwrap();
     for mut writer in [writer, SceneWriter::resume(dir.path(), options).unwrap().0] {
-        let error = writer.write_batch(&scenes[1..2], &[], Some(units + 1), &json!({})).unwrap_err();
-        assert!(matches!(&error, Error::DuplicateScene { id } if *id == scenes[1].id.0), "{error}");
+        let mut again = scenes[1].clone();
+        again.source.file = "day2/again.csv".into();
+        let error = writer.write_batch(&[again], &[], Some(units + 1), &json!({})).unwrap_err();
+        let expected = [scenes[1].source.file.clone(), "day2/again.csv".to_owned()];
+        let is_said =
+            matches!(&error, Error::DuplicateScene { id, files } if *id == scenes[1].id.0 && *files == expected);
+        assert!(is_said, "{error}");
+        assert!(error.to_string().contains("from train/data/1.csv and from day2/again.csv"), "{error}");
     }
 }
 

@@ -141,6 +141,8 @@ fn malformed_rows_are_rejected_with_their_line() {
     assert_eq!(reject(&at_line_3("2000.0", "1e999")), ("non_finite", place()));
     assert_eq!(reject(&at_line_3("agent", "av")), ("duplicate_frame", place()));
     assert_eq!(reject(&at_line_3("agent", "\"agent")).0, "several_agent_tracks");
+    let twice = text.replace(",av,", ",7,").replace(",parked,", ",007,");
+    assert_eq!(reject(&twice).0, "ambiguous_id");
     let truncated = &text[..text.len() - 20];
     assert_eq!(reject(truncated), ("malformed_row", "train/data/7.csv:151".to_owned()));
 }

@@ -170,6 +170,11 @@ fn malformed_tables_are_rejected() {
     assert_eq!(reason(replaced("timestep", integers(110))), "malformed_row");
     assert_eq!(reason(replaced("track_id", texts("7"))), "duplicate_frame");
     assert_eq!(reason(replaced("focal_track_id", texts("8"))), "no_focal_track");
+    let two_spellings = |column: &ArrayRef| {
+        let ids = (0..column.len()).map(|i| ["7", "07"][i % 2]);
+        Arc::new(StringArray::from_iter_values(ids)) as ArrayRef
+    };
+    assert_eq!(reason(replaced("track_id", two_spellings)), "ambiguous_id");
     assert_eq!(reason(columns(0)), "bad_parquet");
 }
 

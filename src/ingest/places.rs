@@ -1,0 +1,64 @@
+//! Are the places that a user names among those that there are?
+
+use super::config::IngestConfig;
+use super::error::Error;
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
+/// The places that files and recordings name, while the configuration names some.
+pub(super) struct Places<'a> {
+    config: &'a IngestConfig,
+    found: Mutex<BTreeSet<String>>,
+}
+
+impl<'a> Places<'a> {
+    pub(super) fn of(config: &'a IngestConfig) -> Self {
+        Self { config, found: Mutex::default() }
+    }
+
+    /// A file or a recording is of this place, if it says so.
+    pub(super) fn note(&self, place: Option<&str>) {
+        if let Some(place) = place.filter(|place| !place.is_empty() && !self.config.places.is_empty()) {
+            let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+            if !found.contains(place) {
+                found.insert(place.to_owned());
+            }
+        }
+    }
+
+    /// The error that none of the places that the configuration names is there, if that is so and others are.
+    pub(super) fn error(&self) -> Option<Error> {
+        let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_there = found.iter().any(|place| self.config.wants_place(place));
+        (!is_there && !found.is_empty()).then(|| {
+            let [wanted, found] = [listed(self.config.places.iter()), listed(found.iter())];
+            let detail = format!("names {wanted}, of which there is nothing; there are recordings or maps of {found}");
+            Error::Config { key: "places".to_owned(), detail }
+        })
+    }
+
+    /// A warning about those that the configuration names and that are not there, while others are.
+    pub(super) fn warning(&self) -> Option<String> {
+        let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        let missing = listed(self.config.places.iter().filter(|place| !found.contains(*place)));
+        (!missing.is_empty()).then(|| format!("ingest.places names {missing}, of which there is nothing"))
+    }
+}
+
+/// Why nothing can be stored of a place: what has its name, such as a folder of a corpus, has at most 255 bytes, and
+/// all but letters and digits take three of them.
+pub(super) fn flaw_of(place: &str) -> Option<String> {
+    const MAX_BYTES: usize = 240;
+    let n_bytes: usize = place.bytes().map(|byte| if byte.is_ascii_alphanumeric() { 1 } else { 3 }).sum();
+    match place.chars().find(|c| c.is_control()) {
+        Some(c) => Some(format!("its place has the control character {}, expected a name", c.escape_default())),
+        None if n_bytes > MAX_BYTES => {
+            Some(format!("its place has {} bytes, expected a name of at most {}", place.len(), MAX_BYTES / 3))
+        }
+        None => None,
+    }
+}
+
+fn listed<'s>(places: impl Iterator<Item = &'s String>) -> String {
+    places.map(String::as_str).collect::<Vec<_>>().join(", ")
+}
