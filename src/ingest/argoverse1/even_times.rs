@@ -29,7 +29,7 @@ const SAME_S: f64 = 1e-6;
 
 /// A row of the track.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Row {
+pub(super) struct TimedRow {
     /// Index of the time among those of the file.
     pub(super) time_idx: usize,
     /// Seconds after the present.
@@ -40,7 +40,7 @@ pub(super) struct Row {
 
 /// The states of one track at timesteps 0 to `n_timesteps`; `rows` by ascending time, of the `n_times` times of the
 /// file.
-pub(super) fn smoothed_states(rows: &[Row], n_times: usize, n_timesteps: usize) -> DerivedStates {
+pub(super) fn smoothed_states(rows: &[TimedRow], n_times: usize, n_timesteps: usize) -> DerivedStates {
     let n_past = rows.partition_point(|row| row.time_idx < RECORDED.n_history);
     let (past, future) = rows.split_at(n_past);
     let past_nodes = nodes(past, past, RECORDED.n_history, 0..RECORDED.n_history.min(n_timesteps));
@@ -57,7 +57,7 @@ pub(super) fn smoothed_states(rows: &[Row], n_times: usize, n_timesteps: usize) 
         }
         only_nodes.last().zip(smoothed.last()).map(|(node, estimate)| (node.time_s, estimate.for_certain()))
     };
-    let recorded = |rows: &[Row]| -> Vec<Node> {
+    let recorded = |rows: &[TimedRow]| -> Vec<Node> {
         rows.iter().map(|row| Node { time_s: row.time_s, recorded: Some(row.position) }).collect()
     };
     let present = fill(&past_nodes, &recorded(past), None);
@@ -69,7 +69,12 @@ pub(super) fn smoothed_states(rows: &[Row], n_times: usize, n_timesteps: usize) 
 }
 
 /// The rows, and those of `timesteps` at which the track exists, by the first `n_times` times of the file.
-fn nodes(rows: &[Row], known: &[Row], n_times: usize, timesteps: std::ops::Range<usize>) -> Vec<(Node, Option<usize>)> {
+fn nodes(
+    rows: &[TimedRow],
+    known: &[TimedRow],
+    n_times: usize,
+    timesteps: std::ops::Range<usize>,
+) -> Vec<(Node, Option<usize>)> {
     let mut nodes: Vec<(Node, Option<usize>)> =
         rows.iter().map(|row| (Node { time_s: row.time_s, recorded: Some(row.position) }, None)).collect();
     for timestep in timesteps {
@@ -86,10 +91,10 @@ fn nodes(rows: &[Row], known: &[Row], n_times: usize, timesteps: std::ops::Range
     nodes
 }
 
-fn is_tracked(rows: &[Row], n_times: usize, time_s: f64) -> bool {
+fn is_tracked(rows: &[TimedRow], n_times: usize, time_s: f64) -> bool {
     let after = rows.partition_point(|row| row.time_s < time_s);
     let (before, after) = (after.checked_sub(1).and_then(|before| rows.get(before)), rows.get(after));
-    let is_near = |row: &Row, is_at_end: bool| {
+    let is_near = |row: &TimedRow, is_at_end: bool| {
         (row.time_s - time_s).abs() <= SAME_S + if is_at_end { NEAR_END_S } else { NEAR_S }
     };
     before.zip(after).is_some_and(|(before, after)| after.time_idx == before.time_idx + 1)
@@ -139,12 +144,12 @@ mod tests {
     use crate::seed::Seed;
 
     /// Rows of somebody who is at `path(time)`, at uneven times, with noise of this standard deviation.
-    fn rows(noise_m: f64, path: impl Fn(f64) -> Vec2) -> Vec<Row> {
+    fn rows(noise_m: f64, path: impl Fn(f64) -> Vec2) -> Vec<TimedRow> {
         let mut rng = Seed(11).rng();
         let times: Vec<f64> = (0..50).map(|i| 0.1 * f64::from(i - 19) + 0.03 * (rng.uniform() - 0.5)).collect();
         let row = |(time_idx, time_s): (usize, f64)| {
             let time_s = time_s - times[19];
-            Row { time_idx, time_s, position: path(time_s) + Vec2::new(rng.normal(), rng.normal()) * noise_m }
+            TimedRow { time_idx, time_s, position: path(time_s) + Vec2::new(rng.normal(), rng.normal()) * noise_m }
         };
         times.iter().copied().enumerate().map(row).collect()
     }
@@ -178,9 +183,9 @@ mod tests {
     #[test]
     fn the_past_does_not_see_the_future() {
         let straight = rows(0.1, |t| Vec2::new(8.0 * t, 0.0));
-        let turning: Vec<Row> = straight
+        let turning: Vec<TimedRow> = straight
             .iter()
-            .map(|row| Row { position: row.position + Vec2::new(0.0, 3.0 * row.time_s.max(0.0)), ..*row })
+            .map(|row| TimedRow { position: row.position + Vec2::new(0.0, 3.0 * row.time_s.max(0.0)), ..*row })
             .collect();
         let [a, b, alone] = [(&straight[..], 50, 50), (&turning[..], 50, 50), (&straight[..20], 20, 20)]
             .map(|(rows, n_times, n_timesteps)| smoothed_states(rows, n_times, n_timesteps).states);
@@ -204,7 +209,7 @@ mod tests {
     #[test]
     fn timesteps_are_tracked_where_rows_are() {
         let all = rows(0.0, |t| Vec2::new(t, 0.0));
-        let tracked = |rows: &[Row]| -> Vec<usize> {
+        let tracked = |rows: &[TimedRow]| -> Vec<usize> {
             let states = smoothed_states(rows, 50, 50).states;
             (0..50).filter(|timestep| states[*timestep].is_some()).collect()
         };
@@ -212,7 +217,7 @@ mod tests {
         let gap = [&all[..5], &all[8..]].concat();
         assert_eq!(tracked(&gap), (0..5).chain(8..50).collect::<Vec<_>>());
         // Rows of a file that skipped its times still follow each other.
-        let slow: Vec<Row> = (0..50).map(|i| Row { time_s: 3.0 * at(i), ..all[i] }).collect();
+        let slow: Vec<TimedRow> = (0..50).map(|i| TimedRow { time_s: 3.0 * at(i), ..all[i] }).collect();
         assert_eq!(tracked(&slow), (0..50).collect::<Vec<_>>());
         assert_eq!(tracked(&all[25..26]), [25]);
         assert!(tracked(&[]).is_empty());

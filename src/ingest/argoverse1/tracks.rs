@@ -1,6 +1,6 @@
 //! Argoverse 1 recordings: from the rows of a CSV file to the tracks of a scene.
 
-use super::even_times::{Row, smoothed_states};
+use super::even_times::{TimedRow, smoothed_states};
 use super::kinematics::{DerivedStates, derive_states};
 use super::{DT_S, RECORDED};
 use crate::geometry::Vec2;
@@ -24,7 +24,7 @@ const MAX_TRACKS: usize = 10_000;
 /// The scene of a file, cut to `horizon` around the present of the dataset, its tracks smoothed or as they were
 /// recorded. Unsmoothed tracks have one row a timestep, whatever its time.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<RawScene, Reject> {
-    let table = Table::read(unit)?;
+    let table = TrackTable::read(unit)?;
     let split = match unit.split {
         UnitSplit::All(split) => split,
         UnitSplit::Divided => Split::Unsplit,
@@ -79,13 +79,13 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
 fn smoothed(positions: &[Option<Vec2>], timestamps_s: &[f64]) -> DerivedStates {
     let present_s = timestamps_s[RECORDED.n_history - 1];
     let row = |(time_idx, position): (usize, &Option<Vec2>)| {
-        Some(Row { time_idx, time_s: timestamps_s[time_idx] - present_s, position: (*position)? })
+        Some(TimedRow { time_idx, time_s: timestamps_s[time_idx] - present_s, position: (*position)? })
     };
-    let rows: Vec<Row> = positions.iter().enumerate().filter_map(row).collect();
+    let rows: Vec<TimedRow> = positions.iter().enumerate().filter_map(row).collect();
     smoothed_states(&rows, timestamps_s.len(), timestamps_s.len())
 }
 
-struct Table {
+struct TrackTable {
     rows: Vec<TableRow>,
     tracks: Vec<TrackHead>,
     city: String,
@@ -103,7 +103,7 @@ struct TrackHead {
     role: TrackRole,
 }
 
-impl Table {
+impl TrackTable {
     fn read(unit: &RawUnit) -> Result<Self, Reject> {
         let bytes = unit.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&unit.bytes);
         let bytes = &without_quotes(bytes);
@@ -226,7 +226,7 @@ fn timestamps(unit: &RawUnit, rows: &[TableRow], split: Split) -> Result<Vec<f64
 }
 
 /// The positions of each track, one entry a timestep.
-fn positions(unit: &RawUnit, table: &Table, timestamps_s: &[f64]) -> Result<Vec<Vec<Option<Vec2>>>, Reject> {
+fn positions(unit: &RawUnit, table: &TrackTable, timestamps_s: &[f64]) -> Result<Vec<Vec<Option<Vec2>>>, Reject> {
     let mut positions = vec![vec![None; timestamps_s.len()]; table.tracks.len()];
     for row in &table.rows {
         let timestep = timestamps_s.partition_point(|timestamp_s| *timestamp_s < row.timestamp_s);

@@ -19,9 +19,9 @@ const MAX_ROWS: usize = 1 << 17;
 const MAX_BYTES: usize = 64 << 20;
 
 /// Some columns of a file in memory.
-pub(super) struct Table(RecordBatch);
+pub(super) struct Columns(RecordBatch);
 
-impl Table {
+impl Columns {
     /// Decodes the columns of a Parquet file with these `names`, and with those `numbers` that are numbers.
     pub(super) fn read(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<Self, Malformed> {
         let damaged = || Err("the file is damaged beyond decoding".into());

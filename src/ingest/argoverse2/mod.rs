@@ -44,8 +44,8 @@ impl RecordingSource for Argoverse2<'_> {
 
     fn is_recording(&self, path: &str) -> bool {
         let wanted = match pairing::part_of(path) {
-            Some((_, pairing::Part::Scenario)) => true,
-            Some((_, pairing::Part::Map)) => self.config.wants_maps(),
+            Some((_, pairing::ScenarioFile::Scenario)) => true,
+            Some((_, pairing::ScenarioFile::Map)) => self.config.wants_maps(),
             None => false,
         };
         wanted && split_of_path(path).is_none_or(|split| self.config.wants_split(split))

@@ -14,19 +14,19 @@ const MAX_WAITING_BYTES: usize = 128 << 20;
 
 /// The kind of a file of a scenario.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
+pub(super) enum ScenarioFile {
     Scenario,
     Map,
 }
 
 /// The scenario and the kind of a file: `scenario_<id>.parquet`, `log_map_archive_<id>.json`.
-pub(super) fn part_of(path: &str) -> Option<(&str, Part)> {
+pub(super) fn part_of(path: &str) -> Option<(&str, ScenarioFile)> {
     let name = file_name(path);
     let within = |prefix: &str, suffix: &str| name.strip_prefix(prefix)?.strip_suffix(suffix);
     if let Some(id) = within("scenario_", ".parquet") {
-        return Some((id, Part::Scenario));
+        return Some((id, ScenarioFile::Scenario));
     }
-    within("log_map_archive_", ".json").map(|id| (id, Part::Map))
+    within("log_map_archive_", ".json").map(|id| (id, ScenarioFile::Map))
 }
 
 /// Emits a scenario as soon as its map has come, or at once if maps are not read.
@@ -88,8 +88,8 @@ impl UnitReader for PairReader {
         let folder = entry.path.rsplit_once('/').map_or("", |(folder, _)| folder);
         let key = format!("{}/{folder}/{id}", entry.container.display());
         let flow = match part {
-            Part::Map => self.map(key, Companion { file: entry.path.clone(), bytes }, emit),
-            Part::Scenario => {
+            ScenarioFile::Map => self.map(key, Companion { file: entry.path.clone(), bytes }, emit),
+            ScenarioFile::Scenario => {
                 let unit = RawUnit {
                     file: entry.path.clone(),
                     container: entry.container.clone(),
@@ -169,8 +169,8 @@ mod tests {
 
     #[test]
     fn parts_are_told_by_name() {
-        assert_eq!(part_of("x/scenario_1-2.parquet"), Some(("1-2", Part::Scenario)));
-        assert_eq!(part_of("log_map_archive_1-2.json"), Some(("1-2", Part::Map)));
+        assert_eq!(part_of("x/scenario_1-2.parquet"), Some(("1-2", ScenarioFile::Scenario)));
+        assert_eq!(part_of("log_map_archive_1-2.json"), Some(("1-2", ScenarioFile::Map)));
         assert_eq!(part_of("x/1-2.parquet"), None);
     }
 }

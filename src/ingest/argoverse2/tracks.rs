@@ -1,7 +1,7 @@
 //! Argoverse 2 recordings: from the rows of a parquet file to the tracks of a scene.
 
 use super::RECORDED;
-use super::columns::Table;
+use super::columns::Columns;
 use crate::geometry::Vec2;
 use crate::ingest::ids;
 use crate::ingest::plausible_tracks::recorded_heading;
@@ -32,7 +32,7 @@ const DT_S: f64 = 0.1;
 
 /// The scene of a file, cut to `horizon` around the present of the dataset. Rows are counted from 0.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let table = Table::read(&unit.bytes, &COLUMNS, &[START]).map_err(|detail| unit.reject("bad_parquet", detail))?;
+    let table = Columns::read(&unit.bytes, &COLUMNS, &[START]).map_err(|detail| unit.reject("bad_parquet", detail))?;
     let missing = table.missing(&COLUMNS);
     if !missing.is_empty() {
         return Err(unit.reject("missing_column", format!("no column {}", missing.join(", "))));
@@ -85,7 +85,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
 }
 
 /// The time of timestep `first` in nanoseconds; without `start_timestamp`, the timestep itself.
-fn first_frame(table: &Table, first: usize) -> String {
+fn first_frame(table: &Columns, first: usize) -> String {
     const DT_NS: i64 = 100_000_000;
     match table.integer(START) {
         Ok(start_ns) => start_ns.value(0).saturating_add(first as i64 * DT_NS).to_string(),
@@ -99,7 +99,7 @@ struct Timesteps {
 }
 
 /// The timestep of each row, and the number of timesteps: all, or (not in train and val) those up to the present.
-fn timesteps(unit: &RawUnit, table: &Table, split: Split) -> Result<Timesteps, Reject> {
+fn timesteps(unit: &RawUnit, table: &Columns, split: Split) -> Result<Timesteps, Reject> {
     let column = table.integer("timestep").map_err(|detail| unit.reject("malformed_row", detail))?;
     let mut of_row = Vec::with_capacity(column.len());
     let mut is_used = vec![false; RECORDED.n_timesteps()];
@@ -123,7 +123,7 @@ fn timesteps(unit: &RawUnit, table: &Table, split: Split) -> Result<Timesteps, R
     Err(unit.reject("wrong_timestamp_count", detail))
 }
 
-fn read_tracks(unit: &RawUnit, table: &Table, timesteps: &Timesteps) -> Result<(Vec<Track>, Vec<Finding>), Reject> {
+fn read_tracks(unit: &RawUnit, table: &Columns, timesteps: &Timesteps) -> Result<(Vec<Track>, Vec<Finding>), Reject> {
     let malformed = |detail| unit.reject("malformed_row", detail);
     let float = |name| table.float(name).map_err(malformed);
     let text = |name| table.text(name).map_err(malformed);

@@ -21,7 +21,7 @@ const MIN_SIZE_M: f64 = 1e-3;
 
 /// One agent at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Row<'a> {
+pub(super) struct TrackRow<'a> {
     /// As written, but `1` for `1.0`.
     pub(super) track_id: &'a [u8],
     pub(super) frame_id: i64,
@@ -40,7 +40,7 @@ pub(super) struct Row<'a> {
 /// Why a row cannot be read: reason and detail.
 pub(super) type Flaw = (&'static str, String);
 
-impl<'a> Row<'a> {
+impl<'a> TrackRow<'a> {
     /// Reads `line`; `cells` is a buffer.
     pub(super) fn parse(line: &'a [u8], columns: &TrackColumns, cells: &mut Vec<&'a [u8]>) -> Result<Self, Flaw> {
         split_cells(line, cells);
@@ -155,10 +155,10 @@ fn malformed(column: &str, cell: &[u8], expected: &str) -> Flaw {
 mod tests {
     use super::*;
 
-    fn parse(line: &str) -> Result<Row<'_>, Flaw> {
+    fn parse(line: &str) -> Result<TrackRow<'_>, Flaw> {
         let header = b"track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width,\
             track_to_predict,interesting_agent";
-        Row::parse(line.as_bytes(), &TrackColumns::of(header, false).unwrap(), &mut Vec::new())
+        TrackRow::parse(line.as_bytes(), &TrackColumns::of(header, false).unwrap(), &mut Vec::new())
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::cases::plain_case_id;
 use super::columns::TrackColumns;
 use super::path::TrackFile;
-use super::track::{RecordedTrack, Table, read_tracks};
+use super::track::{RecordedTrack, TrackTable, read_tracks};
 use super::{CASE_HORIZON, DT_S};
 use crate::ingest::csv_rows::without_end;
 use crate::ingest::{Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject, UnitSplit, map_id};
@@ -19,7 +19,8 @@ const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 /// present, as in test sets, has only the history.
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
     let columns = TrackColumns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
-    let table = Table { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line, lines: &unit.lines };
+    let table =
+        TrackTable { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line, lines: &unit.lines };
     let tracks = read_tracks(&[table])?;
     let Some((min_frame, max_frame)) = frames(&tracks) else {
         return Err(unit.reject_at("no_rows", unit.first_line, format!("case {} has no rows", unit.case_id)));
@@ -124,7 +125,7 @@ impl Recording {
 }
 
 /// The vehicles' and the pedestrians' tables of a recording.
-fn recording_tables(unit: &RawUnit) -> Result<Vec<Table<'_>>, Reject> {
+fn recording_tables(unit: &RawUnit) -> Result<Vec<TrackTable<'_>>, Reject> {
     let companion = unit.companion.iter().map(|companion| (companion.file.as_str(), companion.bytes.as_slice()));
     std::iter::once((unit.file.as_str(), unit.bytes.as_slice()))
         .chain(companion)
@@ -134,7 +135,7 @@ fn recording_tables(unit: &RawUnit) -> Result<Vec<Table<'_>>, Reject> {
             // The headers were checked when the files were read, with the name of the file in mind.
             let columns = TrackColumns::of(without_end(header), true)
                 .map_err(|detail| Reject { reason: "bad_header", detail: format!("{file}: {detail}") })?;
-            Ok(Table { file, columns, rows, first_line: 2, lines: &[] })
+            Ok(TrackTable { file, columns, rows, first_line: 2, lines: &[] })
         })
         .collect()
 }

@@ -1,7 +1,7 @@
 //! The tracks of a table, in the frames of the recording.
 
 use super::columns::TrackColumns;
-use super::row::{Flaw, Row};
+use super::row::{Flaw, TrackRow};
 use super::{CASE_HORIZON, DT_S};
 use crate::geometry::Vec2;
 use crate::ingest::Reject;
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 
 /// Rows of one file.
-pub(super) struct Table<'a> {
+pub(super) struct TrackTable<'a> {
     /// The file, as rejects name it.
     pub(super) file: &'a str,
     pub(super) columns: TrackColumns,
@@ -53,7 +53,7 @@ enum HeadingSource {
 /// Reads the tracks of all tables in order of their first rows.
 ///
 /// A track has one type. Its size is that of its first row with a size, because sizes are not measured in every frame.
-pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Reject> {
+pub(super) fn read_tracks(tables: &[TrackTable<'_>]) -> Result<Vec<RecordedTrack>, Reject> {
     let mut builders: Vec<Builder<'_>> = Vec::new();
     let mut by_id: BTreeMap<&[u8], usize> = BTreeMap::new();
     let mut cells = Vec::new();
@@ -65,7 +65,7 @@ pub(super) fn read_tracks(tables: &[Table<'_>]) -> Result<Vec<RecordedTrack>, Re
                 continue;
             }
             let reject = |flaw: Flaw| reject_at(table.file, number, flaw);
-            let row = Row::parse(line, &table.columns, &mut cells).map_err(reject)?;
+            let row = TrackRow::parse(line, &table.columns, &mut cells).map_err(reject)?;
             // Rows of a track usually stand together.
             let index = match current.filter(|index| builders[*index].id == row.track_id) {
                 Some(index) => index,
@@ -130,7 +130,7 @@ struct Observation<'a> {
 }
 
 impl<'a> Builder<'a> {
-    fn new(row: &Row<'a>) -> Result<Self, Flaw> {
+    fn new(row: &TrackRow<'a>) -> Result<Self, Flaw> {
         let class = class_of(row.agent_type)
             .ok_or_else(|| ("unknown_agent_type", format!("column agent_type is \"{}\"", printable(row.agent_type))))?;
         Ok(Self {
@@ -144,7 +144,7 @@ impl<'a> Builder<'a> {
         })
     }
 
-    fn add(&mut self, row: &Row<'a>, file: &'a str, line: u64) -> Result<(), Flaw> {
+    fn add(&mut self, row: &TrackRow<'a>, file: &'a str, line: u64) -> Result<(), Flaw> {
         if row.heading_rad.is_none() && self.class.is_motorized() {
             let detail = format!(
                 "column psi_rad is blank or missing, expected the heading of a {} in radians",
@@ -160,7 +160,7 @@ impl<'a> Builder<'a> {
         self.extent = self.extent.or(row.extent);
         self.is_interesting |= row.is_interesting;
         self.is_to_predict |= row.is_to_predict;
-        let Row { frame_id, position, velocity, heading_rad, .. } = *row;
+        let TrackRow { frame_id, position, velocity, heading_rad, .. } = *row;
         self.observations.push(Observation { frame_id, position, velocity, heading_rad, file, line });
         Ok(())
     }
@@ -268,7 +268,7 @@ mod tests {
 
     fn read(rows: &str) -> Result<Vec<RecordedTrack>, Reject> {
         let columns = TrackColumns::of(HEADER.as_bytes(), false).unwrap();
-        read_tracks(&[Table { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2, lines: &[] }])
+        read_tracks(&[TrackTable { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2, lines: &[] }])
     }
 
     /// The headings of a track in degrees.
