@@ -4,6 +4,7 @@ use super::ways::{Way, ways};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
+use crate::behavior::template::observed_acceleration;
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene, State};
 
@@ -19,6 +20,8 @@ const PEDAL_S: f64 = 0.3;
 const ACROSS_MPS2: f64 = 3.0;
 const EASES_MPS2: f64 = 2.0;
 const BRAKES_MPS2: f64 = 3.5;
+/// The fastest change of acceleration, m/s³: from gas to full braking in a second.
+const MOST_JERK_MPS3: f64 = 10.0;
 /// The curvature of a bend is taken over this many places on either side.
 const BEND_PLACES: usize = 4;
 /// Integration steps per timestep.
@@ -38,6 +41,8 @@ pub(in crate::behavior) struct Pace {
 pub(in crate::behavior) struct Driver {
     pub(in crate::behavior) state: State,
     pub(in crate::behavior) rails: Vec<Rail>,
+    /// Its acceleration at present along its motion, m/s², from which it goes over to that of its pace.
+    observed_mps2: f64,
     dt_s: f64,
     n_steps: usize,
 }
@@ -107,19 +112,25 @@ impl Driver {
                 rails.push(rail);
             }
         }
-        Some(Self { state, rails, dt_s: scene.dt_s, n_steps })
+        let forward = state.velocity * (1.0 / state.speed_mps().max(f64::MIN_POSITIVE));
+        let observed_mps2 = observed_acceleration(scene, agent_idx).map_or(0.0, |observed| observed.dot(forward));
+        let observed_mps2 = observed_mps2.clamp(-BRAKES_MPS2, BRAKES_MPS2);
+        Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 
-    /// Its travel along a rail at this pace. It never reverses, and it brakes for bends.
+    /// Its travel along a rail at this pace, which it takes up from the observed acceleration as quickly as a foot moves. It
+    /// never reverses, and it brakes for bends.
     pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
+        let (mut mps2, change_mps2) = (self.observed_mps2, MOST_JERK_MPS3 * step_s);
         let mut travel =
             Travel { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
         for step in 0..self.n_steps * N_STEPS {
-            let least_mps = speed_mps - BRAKES_MPS2 * step_s;
-            let allowed_mps = (pace.briskness * self.rails[rail].allowed_mps(driven_m)).max(least_mps);
-            let wanted_mps2 = pace.at(step as f64 * step_s).max(-speed_mps / PEDAL_S);
-            let then_mps = (speed_mps + wanted_mps2 * step_s).min(allowed_mps).max(0.0);
+            let allowed_mps = pace.briskness * self.rails[rail].allowed_mps(driven_m);
+            let for_bends_mps2 = ((allowed_mps - speed_mps) / PEDAL_S).max(-BRAKES_MPS2);
+            let wanted_mps2 = pace.at(step as f64 * step_s).min(for_bends_mps2).max(-speed_mps / PEDAL_S);
+            mps2 = wanted_mps2.clamp(mps2 - change_mps2, mps2 + change_mps2);
+            let then_mps = (speed_mps + mps2 * step_s).max(0.0);
             driven_m += f64::midpoint(speed_mps, then_mps) * step_s;
             speed_mps = then_mps;
             if step % N_STEPS == N_STEPS - 1 {

@@ -10,20 +10,20 @@ pub(super) use checks::{InTheWay, distinct, follows};
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory, velocity_at};
 
-/// The difference between the recorded motion at present and the template, such as a lateral drift, fades within this
-/// time, seconds.
-const FADE_S: f64 = 1.0;
-/// The difference in acceleration fades within this time, seconds: as long as a foot takes from one pedal to the other.
-const PEDAL_S: f64 = 0.5;
-/// The largest difference in acceleration that is made up for, m/s²: beyond, one of the two is no motion of a vehicle.
-const MOST_SURPLUS_MPS2: f64 = 5.0;
+/// Within this time an agent comes from its observed motion over to the template, seconds.
+const FADE_S: f64 = 1.5;
+/// Corners of center lines are rounded off: motion above this frequency is damped, Hz.
+const CUTOFF_HZ: f64 = 1.0;
+/// How much stiffer a course is where it goes on from the observed motion, and how long that lasts, seconds.
+const SEAM_STIFFNESS: f64 = 20.0;
+const SEAM_S: f64 = 0.4;
+/// The largest observed acceleration that is gone on from, m/s²: beyond, it is no motion of a vehicle.
+const MOST_OBSERVED_MPS2: f64 = 5.0;
 /// The observed acceleration is taken over at most, and at least, so many timesteps.
 const N_OBSERVED: usize = 6;
 const LEAST_OBSERVED: usize = 4;
 /// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
-/// Passes of the filter that rounds off the corners of center lines.
-const N_ROUNDINGS: usize = 3;
 
 /// The futures of the agents that take part.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,40 +51,24 @@ impl Template {
     /// not tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
-        let (start, soon) = (place(0.0)?, place(scene.dt_s / 2.0)?);
+        let start = place(0.0)?;
         let missing = state.position - start;
-        let velocity = (soon - start) * (2.0 / scene.dt_s);
-        let drift = state.velocity - velocity;
-        let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
-        let past: Vec<Vec2> = past.map(|state| state.position).collect();
-        let observed = acceleration(&past, scene.dt_s).filter(|_| state.speed_mps() > STANDING_MPS);
-        let at = |step: usize| place(step as f64 * scene.dt_s);
-        let bend = |step: usize| Some(at(step)? - at(step + 1)? * 2.0 + at(step + 2)?);
-        // Extrapolated to the present.
-        let planned = bend(0).zip(bend(1)).map(|(first, next)| (first * 2.0 - next) * (1.0 / scene.dt_s.powi(2)));
-        let surplus = observed.map_or(Vec2::ZERO, |observed| {
-            // The fading of position and velocity accelerates, too.
-            let fades = (drift * 2.0 + missing * (1.0 / FADE_S)) * (1.0 / FADE_S);
-            let surplus = observed - planned.unwrap_or(Vec2::ZERO) + fades;
-            surplus * (MOST_SURPLUS_MPS2 / surplus.norm().max(MOST_SURPLUS_MPS2))
-        });
-        let joins =
-            |elapsed_s: f64| (missing + (drift + missing * (1.0 / FADE_S)) * elapsed_s) * (-elapsed_s / FADE_S).exp();
-        let eases = |elapsed_s: f64| surplus * (elapsed_s * elapsed_s / 2.0 * (-elapsed_s / PEDAL_S).exp());
-        let speed_mps = velocity.norm();
         let (mut before, mut driven_m) = (start, 0.0);
-        let position = |step: usize| {
+        let speed_mps = state.speed_mps();
+        let planned = |step: usize| {
             let (elapsed_s, at) = (step as f64 * scene.dt_s, place(step as f64 * scene.dt_s)?);
             driven_m += at.distance(before);
             before = at;
-            // The difference fades over the way, so that an agent that stops does not slide aside.
+            // What is missing fades over the way, so that an agent that stops does not slide aside.
             let moved_s = if speed_mps > STANDING_MPS { elapsed_s.min(driven_m / speed_mps) } else { elapsed_s };
-            Some((at + joins(moved_s), eases(moved_s)))
+            Some(at + missing * (1.0 + moved_s / FADE_S) * (-moved_s / FADE_S).exp())
         };
-        let future: Option<Vec<(Vec2, Vec2)>> =
-            (1..scene.n_timesteps - scene.current_timestep()).map(position).collect();
-        let (future, eased): (Vec<Vec2>, Vec<Vec2>) = future?.into_iter().unzip();
-        let positions: Vec<Vec2> = rounded(&past, future).into_iter().zip(eased).map(|(at, by)| at + by).collect();
+        let planned: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(planned).collect();
+        let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
+        let past: Vec<Vec2> = past.map(|state| state.position).collect();
+        let observed = observed_acceleration(scene, agent_idx).unwrap_or_default();
+        let observed = observed * (MOST_OBSERVED_MPS2 / observed.norm().max(MOST_OBSERVED_MPS2));
+        let positions = joined(state, observed, &planned?, scene.dt_s);
         let states = states(state, scene.dt_s, &past, &positions);
         self.motions.push(Motion { agent_idx, states });
         Some(self)
@@ -104,6 +88,14 @@ impl Template {
             *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
         }
     }
+}
+
+/// The acceleration of an agent at present, m/s². `None` if it stands, or was hardly observed.
+pub(super) fn observed_acceleration(scene: &Scene, agent_idx: usize) -> Option<Vec2> {
+    let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
+    let past: Vec<Vec2> = past.map(|state| state.position).collect();
+    let is_moving = scene.state(agent_idx, scene.current_timestep())?.speed_mps() > STANDING_MPS;
+    acceleration(&past, scene.dt_s).filter(|_| is_moving)
 }
 
 /// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if they are
@@ -163,31 +155,69 @@ pub(super) fn quintic_inverse(value: f64) -> f64 {
     high
 }
 
-/// The course after `past` with its corners rounded off, by a binomial filter over half a second that leaves the past
-/// as it is.
-fn rounded(past: &[Vec2], future: Vec<Vec2>) -> Vec<Vec2> {
-    let n_past = past.len();
-    let mut course: Vec<Vec2> = past.iter().copied().chain(future).collect();
-    for _ in 0..N_ROUNDINGS {
-        // Beyond its ends the course goes straight on.
-        let at = |i: isize| {
-            let last = course.len() - 1;
-            let beyond = |end: Vec2, inner: Vec2, by: f64| end + (end - inner) * by;
-            match usize::try_from(i) {
-                Err(_) => beyond(course[0], course[1.min(last)], -i as f64),
-                Ok(i) if i > last => beyond(course[last], course[last.saturating_sub(1)], (i - last) as f64),
-                Ok(i) => course[i],
-            }
-        };
-        let smooth = |i: usize| {
-            let i = i as isize;
-            (at(i - 2) + at(i + 2)) * (1.0 / 16.0) + (at(i - 1) + at(i + 1)) * 0.25 + at(i) * 0.375
-        };
-        let next: Vec<Vec2> = (n_past..course.len()).map(smooth).collect();
-        course.truncate(n_past);
-        course.extend(next);
+/// The course of an agent that is `now` somewhere, with an `observed` acceleration, and comes over to the `planned`
+/// positions: x minimizes Σ w (x - planned)² + Σ λ (Δ³x)², where w grows to 1 within [`FADE_S`], λ is largest at the
+/// start, and what is before x is the observed motion.
+fn joined(now: &State, observed: Vec2, planned: &[Vec2], dt_s: f64) -> Vec<Vec2> {
+    const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
+    let n = planned.len();
+    let stiffness = (2.0 * (std::f64::consts::PI * (CUTOFF_HZ * dt_s).min(0.5)).sin()).powi(-6);
+    // At two, one and no timesteps before the present.
+    let before: [Vec2; 3] = std::array::from_fn(|i| {
+        let t_s = (i as f64 - 2.0) * dt_s;
+        now.velocity * t_s + observed * (t_s * t_s / 2.0)
+    });
+    // The normal equations: a symmetric matrix of bandwidth 3, its diagonal first.
+    let (mut matrix, mut values) = (vec![[0.0; 4]; n], vec![Vec2::ZERO; n]);
+    for (i, at) in planned.iter().enumerate() {
+        let weight = ((i + 1) as f64 * dt_s / FADE_S).min(1.0).powi(4);
+        matrix[i][0] += weight;
+        values[i] = values[i] + (*at - now.position) * weight;
     }
-    course.split_off(n_past)
+    // The difference that ends at x[last] takes x[last - 3] to x[last], of which the first may be before the present.
+    for last in 0..n {
+        let stiffness = stiffness * (1.0 + SEAM_STIFFNESS * (-(last as f64) * dt_s / SEAM_S).exp());
+        for (a, of_a) in THIRD.iter().enumerate() {
+            let Some(row) = (last + a).checked_sub(3) else { continue };
+            for (b, of_b) in THIRD.iter().enumerate() {
+                match (last + b).checked_sub(3) {
+                    Some(column) if column <= row => matrix[row][row - column] += stiffness * of_a * of_b,
+                    Some(_) => {}
+                    None => values[row] = values[row] - before[last + b] * (stiffness * of_a * of_b),
+                }
+            }
+        }
+    }
+    solved(matrix, values).into_iter().map(|moved| now.position + moved).collect()
+}
+
+/// The solution of M x = `values` for a positive definite M of bandwidth 3, by M = L D Lᵀ; `matrix[i][k]` is
+/// M(i, i - k), and L(i, i - k) afterwards.
+fn solved(mut matrix: Vec<[f64; 4]>, mut values: Vec<Vec2>) -> Vec<Vec2> {
+    let n = matrix.len();
+    for i in 0..n {
+        for j in i.saturating_sub(3)..=i {
+            let shared = i.saturating_sub(3)..j;
+            let known: f64 =
+                shared.map(|k| matrix[i][i - k] * matrix[j].get(j - k).unwrap_or(&0.0) * matrix[k][0]).sum();
+            matrix[i][i - j] -= known;
+            if j < i {
+                matrix[i][i - j] /= matrix[j][0];
+            }
+        }
+    }
+    for i in 0..n {
+        for k in 1..=i.min(3) {
+            values[i] = values[i] - values[i - k] * matrix[i][k];
+        }
+    }
+    for i in (0..n).rev() {
+        values[i] = values[i] * (1.0 / matrix[i][0]);
+        for k in 1..=3.min(n - 1 - i) {
+            values[i] = values[i] - values[i + k] * matrix[i + k][k];
+        }
+    }
+    values
 }
 
 #[cfg(test)]
@@ -204,6 +234,39 @@ mod tests {
         assert!((peak - QUINTIC_PEAK).abs() < 1e-3, "{peak}");
         for value in [0.0, 0.1, 0.5, 0.97] {
             assert!((quintic(quintic_inverse(value)) - value).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_course_that_goes_on_as_observed_stays_and_any_other_is_the_smoothest_near_its_plan() {
+        let now = State { position: Vec2::new(3.0, -1.0), velocity: Vec2::new(8.0, 1.0), ..State::default() };
+        let (observed, dt_s) = (Vec2::new(-2.0, 0.5), 0.1);
+        let steady = |t_s: f64| now.position + now.velocity * t_s + observed * (t_s * t_s / 2.0);
+        let planned: Vec<Vec2> = (1..=25).map(|i| steady(f64::from(i) * dt_s)).collect();
+        let found = joined(&now, observed, &planned, dt_s);
+        assert!(found.iter().zip(&planned).all(|(a, b)| a.distance(*b) < 1e-9));
+        // Toward a plan that is aside and slower, no small change lowers what is minimized.
+        let planned: Vec<Vec2> = (1..=25).map(|i| Vec2::new(3.0 + 0.6 * f64::from(i), 0.5)).collect();
+        let found = joined(&now, observed, &planned, dt_s);
+        let cost = |course: &[Vec2]| {
+            let all: Vec<Vec2> = [-0.2, -0.1, 0.0].map(steady).into_iter().chain(course.iter().copied()).collect();
+            let bends = all.windows(4).enumerate().map(|(i, w)| {
+                let third = w[3] - w[2] * 3.0 + w[1] * 3.0 - w[0];
+                let stiffness = (2.0 * (std::f64::consts::PI * CUTOFF_HZ * dt_s).sin()).powi(-6);
+                stiffness * (1.0 + SEAM_STIFFNESS * (-(i as f64) * dt_s / SEAM_S).exp()) * third.dot(third)
+            });
+            let misses = course.iter().zip(&planned).enumerate().map(|(i, (at, plan))| {
+                ((i + 1) as f64 * dt_s / FADE_S).min(1.0).powi(4) * (*at - *plan).dot(*at - *plan)
+            });
+            bends.sum::<f64>() + misses.sum::<f64>()
+        };
+        let least = cost(&found);
+        for i in 0..found.len() {
+            for by in [Vec2::new(1e-3, 0.0), Vec2::new(-1e-3, 0.0), Vec2::new(0.0, 1e-3), Vec2::new(0.0, -1e-3)] {
+                let mut moved = found.clone();
+                moved[i] = moved[i] + by;
+                assert!(cost(&moved) > least, "{i}");
+            }
         }
     }
 
@@ -243,9 +306,11 @@ mod tests {
         let x = |timestep: usize| braking.state(0, timestep).unwrap().position.x;
         let step = |timestep: usize| (x(timestep + 1) - 2.0 * x(timestep) + x(timestep - 1)) / braking.dt_s.powi(2);
         let n = braking.n_history;
-        assert!((step(n - 1) + 3.0).abs() < 1.0 && (step(n) + 3.0).abs() < 2.0, "{} {}", step(n - 1), step(n));
-        let last = braking.n_timesteps - 1;
-        assert!((x(last) - 10.0 * (last - n + 1) as f64 * braking.dt_s).abs() < 0.3, "it soon follows the plan");
+        assert!((step(n - 1) + 3.0).abs() < 0.6 && (step(n) + 3.0).abs() < 1.1, "{} {}", step(n - 1), step(n));
+        // Braking on, it would be t_s² · 1.5 behind; it comes over to the plan instead.
+        let t_s = (braking.n_timesteps - n) as f64 * braking.dt_s;
+        let behind_m = 10.0 * t_s - x(braking.n_timesteps - 1);
+        assert!(behind_m > 0.0 && behind_m < 0.5 * 1.5 * t_s * t_s, "{behind_m} after {t_s}");
         // Who comes over to where another drives is in its way, unless that one takes part and makes room.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 2.5, 0.0, 10.0)]);
         let over = |t: f64| Some(now.position + Vec2::new(10.0 * t, 2.5 * quintic(t / 0.6)));
