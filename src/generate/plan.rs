@@ -110,7 +110,9 @@ impl Generator<'_> {
             if scenes.is_empty() {
                 let hint = match order.is_empty() {
                     true => "; choose other generate.splits or generate.places",
-                    false => ", but none has a suitable pair of agents; raise pairs.max_distance_m",
+                    false => {
+                        ": no pair of agents in them can still show the behavior; choose other recordings, or raise pairs.max_distance_m"
+                    }
                 };
                 return Err(Error::NoScenes { sweep: sweep.name.clone(), n_considered: order.len(), hint });
             }

@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 /// Do not drive into each other: J = -½ Σ ∫ (max(m - s(t), 0) / τ)² dt over pairs of a chosen agent and any other.
 ///
 /// s is the separation of the two boxes by the separating-axis theorem, made smooth: positive where they are apart,
-/// negative where they overlap. Pairs that already overlap at present do not count: some recordings contain such pairs.
+/// negative where they overlap. For a pair that is closer than m at present, m is its separation there: who stands in a
+/// queue or beside another is not pushed away, and some recorded boxes overlap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoCollision {
@@ -56,12 +57,11 @@ impl SceneObjective for NoCollision {
         let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
         let separation_m = separation_m(&pairs)?;
         let present = context.n_history.saturating_sub(1);
-        let at_present = |tensor: &Tensor| tensor.detach().narrow(1, present, 1);
-        let overlaps = at_present(&separation_m)?.lt(-SMOOTHING_M)?.to_dtype(states.dtype())?;
-        let overlaps = (overlaps * at_present(&pairs.both_valid)?)?;
-        let counts = pairs.counts.broadcast_mul(&(1.0 - overlaps)?)?;
-        let values = penalty(&(self.margin_m - separation_m)?.relu()?, TOLERANCE_M)?;
-        pairs.sum_over_rows(&((values * counts)?.sum(1)? * context.dt_s)?)
+        let at_present = |tensor: &Tensor| tensor.narrow(1, present, 1);
+        let closer_m = ((self.margin_m - at_present(&separation_m)?)?.relu()? * at_present(&pairs.both_valid)?)?;
+        let lack_m = (self.margin_m - separation_m)?.broadcast_sub(&closer_m)?;
+        let values = penalty(&lack_m.relu()?, TOLERANCE_M)?;
+        pairs.sum_over_rows(&((values * &pairs.counts)?.sum(1)? * context.dt_s)?)
     }
 }
 
@@ -99,10 +99,15 @@ mod tests {
     }
 
     #[test]
-    fn pairs_far_apart_or_overlapping_at_present_cost_nothing() {
+    fn pairs_far_apart_or_as_close_as_at_present_cost_nothing() {
         assert_eq!(Traffic::straight(&[(0.0, 0.0, 0.0, 10.0), (60.0, 0.0, 0.0, 10.0)]).potential(&objective()), [0.0]);
-        let parked = Traffic::straight(&[(0.0, 0.0, 0.0, 0.0), (1.0, 0.5, 0.0, 0.0)]);
-        assert_eq!(parked.potential(&objective()), [0.0]);
+        // In a queue, side by side with little between them, and boxes that overlap.
+        for (x, y, speed_mps) in [(4.8, 0.0, 0.0), (0.3, 2.0, 10.0), (1.0, 0.5, 0.0)] {
+            let close = Traffic::straight(&[(0.0, 0.0, 0.0, speed_mps), (x, y, 0.0, speed_mps)]);
+            assert!(close.potential(&objective())[0].abs() < 1e-9, "{x} {y}");
+        }
+        let closing = Traffic::straight(&[(0.0, 0.0, 0.0, 1.0), (4.8, 0.0, 0.0, 0.0)]);
+        assert!(closing.potential(&objective())[0] < -0.1);
     }
 
     #[test]
@@ -110,14 +115,17 @@ mod tests {
         // With a vast tolerance for the filter, the potential is the same.
         let objective = objective();
         for x in [4.0, 6.0, 7.0, 8.0] {
-            let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 0.0), (x, 4.0, 0.7, 0.0)]);
+            let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 3.0), (x, 4.0, 0.7, 0.0)]);
             let pairs = Pairs::gather(
                 traffic.states.as_tensor(),
                 &traffic.context,
                 &PairQuery::of(&objective.agents, &objective.agents),
             );
             let pairs = pairs.unwrap().unwrap();
-            let lack_m = (objective.margin_m - separation_m(&pairs).unwrap()).unwrap().relu().unwrap();
+            let separation_m = separation_m(&pairs).unwrap();
+            let at_present = separation_m.narrow(1, traffic.context.n_history - 1, 1).unwrap();
+            let margin_m = at_present.minimum(objective.margin_m).unwrap();
+            let lack_m = margin_m.broadcast_sub(&separation_m).unwrap().relu().unwrap();
             let cost = (penalty(&lack_m, TOLERANCE_M).unwrap() * &pairs.counts).unwrap();
             let all = cost.sum_all().unwrap().to_scalar::<f64>().unwrap() * traffic.context.dt_s;
             assert!((traffic.potential(&objective)[0] - all).abs() < 1e-12);
