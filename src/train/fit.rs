@@ -50,6 +50,10 @@ pub fn fit(
     let first_step = run.position.step;
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
+    // What training changes shows only beside the figures of what it started from.
+    if run.position.statistics.is_empty() && first_step == 0 && config.steps > 0 {
+        run.evaluate(params, task)?;
+    }
     while run.position.step < config.steps {
         if progress.must_stop() {
             run.save(params)?;
@@ -289,12 +293,12 @@ mod tests {
         let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
         let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &Silent)).unwrap();
         // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose
-        // decay is 2/11, 3/12, 4/13 and 5/14.
+        // decay is 2/11, 3/12, 4/13 and 5/14; before them, where training starts.
         let evaluated: Vec<f64> =
             outcome.statistics.iter().filter_map(|line| line.evaluation.get("x").copied()).collect();
-        let expected = [-0.040_909, -0.111_744, -0.162_706, -0.186_681];
+        let expected = [0.0, -0.040_909, -0.111_744, -0.162_706, -0.186_681];
         assert!(
-            evaluated.len() == 4 && evaluated.iter().zip(expected).all(|(x, expected)| (x - expected).abs() < 2e-6),
+            evaluated.len() == 5 && evaluated.iter().zip(expected).all(|(x, expected)| (x - expected).abs() < 2e-6),
             "{evaluated:?}"
         );
         let last = read_checkpoint::<Position>(&Run::state_path(dir.path()), &Device::Cpu).unwrap();
