@@ -6,7 +6,7 @@ import math
 def last_of_ego(export, scenario):
     """The last timestep at which the ego is moved by the file."""
     about = export.corpus.scenarios[scenario["scenario_id"]]
-    return about["n_history"] - 1 if export.report["ego"] == "free" else about["n_timesteps"] - 1
+    return about["n_history"] - 1 if export.report.get("ego_motion") == "free" else about["n_timesteps"] - 1
 
 
 def compare_trajectories(etree, export, scenario):
