@@ -110,9 +110,7 @@ impl Generator<'_> {
             if scenes.is_empty() {
                 let hint = match order.is_empty() {
                     true => "; choose other generate.splits or generate.places",
-                    false => {
-                        ": no pair of agents in them can still show the behavior; choose other recordings, or raise pairs.max_distance_m"
-                    }
+                    false => ": no pair in them can show the behavior; add recordings, or raise pairs.max_distance_m",
                 };
                 return Err(Error::NoScenes { sweep: sweep.name.clone(), n_considered: order.len(), hint });
             }

@@ -118,8 +118,8 @@ impl Driver {
         Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 
-    /// Its travel along a rail at this pace, which it takes up from the observed acceleration as quickly as a foot moves. It
-    /// never reverses, and it brakes for bends.
+    /// Its travel along a rail at this pace, which it takes up from the observed acceleration as quickly as a foot
+    /// moves. It never reverses, and it brakes for bends.
     pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
         let (mut mps2, change_mps2) = (self.observed_mps2, MOST_JERK_MPS3 * step_s);
