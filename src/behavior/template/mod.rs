@@ -46,9 +46,9 @@ impl Template {
         Self { motions: Vec::new() }
     }
 
-    /// Adds an agent that follows `place`, its position by the seconds after the present. The motion starts at the
-    /// agent's present position, velocity and acceleration and joins `place` within a second. `None` if the agent is
-    /// not tracked at present, or `place` is undefined at some time.
+    /// Adds an agent that follows `place`, its position in the scene frame, meters, by the seconds after the present.
+    /// The motion starts at the agent's present position, velocity and acceleration and comes over to `place` within
+    /// [`FADE_S`]. `None` if the agent is not tracked at present, or `place` is undefined at some time.
     pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let start = place(0.0)?;
@@ -64,12 +64,10 @@ impl Template {
             Some(at + missing * (1.0 + moved_s / FADE_S) * (-moved_s / FADE_S).exp())
         };
         let planned: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(planned).collect();
-        let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
-        let past: Vec<Vec2> = past.map(|state| state.position).collect();
         let observed = observed_acceleration(scene, agent_idx).unwrap_or_default();
         let observed = observed * (MOST_OBSERVED_MPS2 / observed.norm().max(MOST_OBSERVED_MPS2));
         let positions = joined(state, observed, &planned?, scene.dt_s);
-        let states = states(state, scene.dt_s, &past, &positions);
+        let states = states(state, scene.dt_s, &past(scene, agent_idx), &positions);
         self.motions.push(Motion { agent_idx, states });
         Some(self)
     }
@@ -90,12 +88,16 @@ impl Template {
     }
 }
 
-/// The acceleration of an agent at present, m/s². `None` if it stands, or was hardly observed.
+/// The acceleration of an agent at present in the scene frame, m/s². `None` if it stands, or was hardly observed.
 pub(super) fn observed_acceleration(scene: &Scene, agent_idx: usize) -> Option<Vec2> {
-    let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
-    let past: Vec<Vec2> = past.map(|state| state.position).collect();
     let is_moving = scene.state(agent_idx, scene.current_timestep())?.speed_mps() > STANDING_MPS;
-    acceleration(&past, scene.dt_s).filter(|_| is_moving)
+    acceleration(&past(scene, agent_idx), scene.dt_s).filter(|_| is_moving)
+}
+
+/// The positions of an agent up to the present, in the scene frame, meters.
+fn past(scene: &Scene, agent_idx: usize) -> Vec<Vec2> {
+    let past = scene.tracks[agent_idx].trajectory.entries()[..=scene.current_timestep()].iter().flatten();
+    past.map(|state| state.position).collect()
 }
 
 /// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if they are
@@ -155,8 +157,8 @@ pub(super) fn quintic_inverse(value: f64) -> f64 {
     high
 }
 
-/// The course of an agent that is `now` somewhere, with an `observed` acceleration, and comes over to the `planned`
-/// positions: x minimizes Σ w (x - planned)² + Σ λ (Δ³x)², where w grows to 1 within [`FADE_S`], λ is largest at the
+/// The positions, at as many timesteps after the present as are `planned`, of an agent that is `now` somewhere, with an
+/// `observed` acceleration, m/s², and comes over to the `planned` ones: x minimizes Σ w (x - planned)² + Σ λ (Δ³x)², where w grows to 1 within [`FADE_S`], λ is largest at the
 /// start, and what is before x is the observed motion.
 fn joined(now: &State, observed: Vec2, planned: &[Vec2], dt_s: f64) -> Vec<Vec2> {
     const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
