@@ -158,8 +158,8 @@ pub(super) fn quintic_inverse(value: f64) -> f64 {
 }
 
 /// The positions, at as many timesteps after the present as are `planned`, of an agent that is `now` somewhere, with an
-/// `observed` acceleration, m/s², and comes over to the `planned` ones: x minimizes Σ w (x - planned)² + Σ λ (Δ³x)², where w grows to 1 within [`FADE_S`], λ is largest at the
-/// start, and what is before x is the observed motion.
+/// `observed` acceleration, m/s², and comes over to the `planned` ones: x minimizes Σ w (x - planned)² + Σ λ (Δ³x)²,
+/// where w grows to 1 within [`FADE_S`], λ is largest at the start, and what is before x is the observed motion.
 fn joined(now: &State, observed: Vec2, planned: &[Vec2], dt_s: f64) -> Vec<Vec2> {
     const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
     let n = planned.len();
