@@ -80,8 +80,8 @@ impl Template {
         })
     }
 
-    /// Whether no agent accelerates harder along or across its way than vehicles do, or turns tighter than they can. This
-    /// excludes agents that leave a roundabout but would continue around it, and fast bends.
+    /// Whether no agent accelerates harder along or across its way than vehicles do, or turns tighter than they can.
+    /// This excludes agents that leave a roundabout but would continue around it, and fast bends.
     pub(in crate::behavior) fn is_drivable(&self, scene: &Scene) -> bool {
         self.motions.iter().all(|Motion { agent_idx, states }| {
             let now = scene.state(*agent_idx, scene.current_timestep());
