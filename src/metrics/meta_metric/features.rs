@@ -19,7 +19,7 @@ const MAX_TURN_AT_EDGE_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// What is a little, meters.
 const EDGE_M: f64 = 0.5;
 
-/// The series of the judged agents over future timesteps; NaN where one is not defined: speed, acceleration, yaw rate and
+/// The series of the judged agents over future timesteps; NaN where one is not defined: speed, acceleration, yaw rate,
 /// yaw acceleration, distance to the nearest, time to collision, distance to the road's edge.
 pub(super) struct FutureFeatures {
     n_timesteps: usize,

@@ -2,7 +2,7 @@
 //! Challenge (Montali et al. 2023) in its configuration of 2025, on the horizon of the scene.
 //!
 //! Of each agent, the values of a feature in all samples and at all future timesteps fill one histogram, whose bins are
-//! smoothed by a pseudocount. The likelihood of a feature is exp(mean of ln p over the recorded values), over the agents
+//! smoothed by a pseudocount. The likelihood of a feature is exp(mean of ln p over the recorded values), over agents
 //! that are recorded at present and later. Collisions and departures from the road count once for an agent. The
 //! meta-metric is the mean of the likelihoods with the weights of `FEATURES`.
 //!

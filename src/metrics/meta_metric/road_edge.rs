@@ -1,11 +1,12 @@
 //! The edges of the road that lanes make up, and signed distances to them.
 //!
-//! Maps have lanes, not edges: an edge is the part of a lane's boundary beyond which there is no other lane. It runs with
+//! Maps have lanes, not edges: an edge is the part of a lane's outline beyond which there is no other lane. It runs with
 //! the road on its left. Where the map ends there is no edge; the sides continue straight.
 
 use crate::behavior::footprint::Bounds;
 use crate::behavior::lane_relation::is_in_polygon;
-use crate::geometry::{Polyline, Vec2};
+use crate::geometry::Vec2;
+use crate::metrics::road::map_ends;
 use crate::scene::LaneGraph;
 use std::collections::HashMap;
 
@@ -46,8 +47,13 @@ impl RoadEdges {
         };
         let mut edges: Vec<Vec<Vec2>> = Vec::new();
         for lane in lanes.lanes() {
-            let left = Polyline(lane.left.0.iter().rev().copied().collect());
-            [&left, &lane.right].into_iter().for_each(|boundary| edges.extend(edges_along(boundary, &is_road)));
+            let left: Vec<Vec2> = lane.left.0.iter().rev().copied().collect();
+            let across = |from: &[Vec2], to: &[Vec2]| from.last().into_iter().chain(to.first()).copied().collect();
+            let [start, end]: [Vec<Vec2>; 2] = [across(&left, &lane.right.0), across(&lane.right.0, &left)];
+            let [is_start, is_end] = map_ends(lanes, lane);
+            let sides = [(&lane.right.0, true), (&end, !is_end), (&left, true), (&start, !is_start)];
+            let meant = sides.into_iter().filter(|(_, is_known)| *is_known);
+            meant.for_each(|(side, _)| edges.extend(edges_along(side, &is_road)));
         }
         let edges = Self::new(&joined(edges));
         (!edges.segments.is_empty()).then_some(edges)
@@ -137,11 +143,11 @@ fn side(segments: &[Segment], nearest: usize, point: Vec2) -> f64 {
     })
 }
 
-/// The parts of a boundary, with its lane on the left, beyond which there is no road.
-fn edges_along(boundary: &Polyline, is_road: &dyn Fn(Vec2) -> bool) -> Vec<Vec<Vec2>> {
+/// The parts of a side of a lane, which is on its left, beyond which there is no road.
+fn edges_along(side: &[Vec2], is_road: &dyn Fn(Vec2) -> bool) -> Vec<Vec<Vec2>> {
     let mut edges: Vec<Vec<Vec2>> = Vec::new();
     let mut was_edge = false;
-    for ends in boundary.0.windows(2) {
+    for ends in side.windows(2) {
         let along = ends[1] - ends[0];
         let length_m = along.norm();
         let n_pieces = (length_m / PIECE_M).ceil().max(1.0) as usize;
@@ -151,7 +157,7 @@ fn edges_along(boundary: &Polyline, is_road: &dyn Fn(Vec2) -> bool) -> Vec<Vec<V
             let is_edge = !is_road(at(i as f64 + 0.5) + outward);
             match edges.last_mut().filter(|_| was_edge && is_edge) {
                 Some(edge) => {
-                    // Within a segment of the boundary the piece before grows.
+                    // Within a segment of the side the piece before grows.
                     edge.truncate(edge.len() - usize::from(i > 0));
                     edge.push(at(i as f64 + 1.0));
                 }

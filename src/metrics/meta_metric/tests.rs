@@ -1,8 +1,10 @@
+//! The likelihoods against those of the challenge's own program, against values by hand, and the edges of a small map.
+
 use super::*;
 use crate::geometry::{Polyline, Vec2};
 use crate::metrics::constant_velocity;
 use crate::scene::testing::{self, Drive, without_states};
-use crate::scene::{Extent, Lane, LaneGraph, State, Track, TrackId, TrackRole, Trajectory};
+use crate::scene::{Extent, Lane, LaneGraph, LaneId, State, Track, TrackId, TrackRole, Trajectory};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
@@ -138,20 +140,28 @@ fn edges_are_where_no_lane_goes_on() {
         line(&[(20.0, -1.75), (30.0, -3.75), (60.0, -3.75)]),
         [line(&[(20.0, 0.0), (30.0, -2.0), (60.0, -2.0)]), line(&[(20.0, -3.5), (30.0, -5.5), (60.0, -5.5)])],
     );
+    // A lane on the left ends beside them at x = 10.
+    let ending = Lane { right_neighbor: Some(LaneId(1)), ..lane(5, 0.0, 10.0, 3.5, 7.0) };
     let lanes = LaneGraph::new(vec![
-        lane(1, 0.0, 20.0, 0.0, 3.5),
+        Lane { successors: vec![LaneId(2)], ..lane(1, 0.0, 20.0, 0.0, 3.5) },
         lane(2, 20.0, 60.0, 0.0, 3.5),
-        lane(3, 0.0, 20.0, -3.5, -0.1),
+        Lane { successors: vec![LaneId(4)], ..lane(3, 0.0, 20.0, -3.5, -0.1) },
         fork,
+        ending,
     ]);
     let mut edges = RoadEdges::of(&lanes).unwrap();
     for ((x, y), expected_m) in [
-        ((5.0, 3.0), -0.5),
-        ((5.0, 5.0), 1.5),
-        ((5.0, -4.0), 0.5),
+        ((15.0, 3.0), -0.5),
+        ((15.0, 5.0), 1.5),
+        ((15.0, -4.0), 0.5),
         // Beyond the map's end the sides continue.
-        ((-30.0, 5.0), 30.0_f64.hypot(1.5)),
-        // Between the lanes of one road, in the crack, in the median, and ahead of its tip.
+        ((-30.0, 5.0), -30.0_f64.hypot(2.0)),
+        ((-30.0, 9.0), 30.0_f64.hypot(2.0)),
+        // Before the end of the lane, and beyond it.
+        ((8.0, 3.6), -2.0),
+        ((8.0, 5.0), -2.0),
+        ((10.5, 5.0), 0.5),
+        // Between the lanes of one road, in the crack, and in the median.
         ((5.0, 0.0), -3.5),
         ((5.0, -0.05), -3.45),
         ((40.0, -0.7), 0.7),
