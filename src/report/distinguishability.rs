@@ -10,9 +10,9 @@ use crate::metrics::{Likelihoods, MetricRow, SeriesKey};
 const NOTE: &str = "For each series, gradient-boosted trees learn to tell generated from recorded futures of the same \
     tracks, and are asked about scenes that they have not seen. The AUC is the share of pairs, one recorded and one \
     generated track, of which they pick the generated one: 50 % is indistinguishable. In parentheses its interval of \
-    95 % over scenes. How likely recorded futures are among forecasts is the realism meta-metric of the Waymo sim agents \
-    challenge of 2025, without traffic lights and on the horizon of the scenes, with its standard error. The recording \
-    and constant velocity are scored as copies of one sample.";
+    95 % over scenes. How likely recorded futures are among forecasts is the realism meta-metric of the Waymo sim \
+    agents challenge of 2025, without traffic lights and on the horizon of the scenes, with its standard error. The \
+    recording and constant velocity are scored as copies of one sample.";
 
 /// The classifier's input, in words.
 fn title(features: &str) -> String {

@@ -13,9 +13,9 @@
 //! A reference such as the recording itself counts as copies of one sample. `scripts/golden_meta_metric.py` writes what
 //! the challenge's own program finds.
 //!
-//! What differs: maps do not have traffic lights, and some have no boundaries of lanes. The weights of such features are
-//! distributed over the others. The road's edge follows from lanes (`road_edge`). All agents are judged. Differences
-//! of headings are wrapped where the challenge compares raw ones.
+//! What differs: maps do not have traffic lights, and some have no boundaries of lanes. The weights of such features
+//! are distributed over the others. The road's edge follows from lanes (`road_edge`). All agents are judged.
+//! Differences of headings are wrapped where the challenge compares raw ones.
 
 mod estimators;
 mod features;
@@ -189,7 +189,7 @@ impl Likelihoods {
         all.map(|(id, description)| MetricSpec { id, unit: "1", direction: Direction::HigherIsBetter, description })
     }
 
-    /// The likelihood of the recorded future by the samples of each of `groups`, which are repeated as often as it takes
+    /// The likelihood of the recorded future by the samples of each of `groups`, which are repeated as often as needed
     /// for `n_samples` of them. `has_road` says whether the map shows the whole road.
     pub fn of_groups<const N: usize>(
         recorded: &Scene,

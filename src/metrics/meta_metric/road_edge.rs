@@ -1,7 +1,7 @@
 //! The edges of the road that lanes make up, and signed distances to them.
 //!
-//! Maps have lanes, not edges: an edge is the part of a lane's outline beyond which there is no other lane. It runs with
-//! the road on its left. Where the map ends there is no edge; the sides continue straight.
+//! Maps have lanes, not edges: an edge is the part of a lane's outline beyond which there is no other lane. It runs
+//! with the road on its left. Where the map ends there is no edge; the sides continue straight.
 
 use crate::behavior::footprint::Bounds;
 use crate::behavior::lane_relation::is_in_polygon;
