@@ -123,7 +123,8 @@ impl Dataset {
                 has_classes: true,
                 has_headings: true,
                 has_velocities: true,
-                has_clean_motion: true,
+                // Of NGSIM's recordings there, hardly one is within the limits of accelerations and jerks.
+                has_clean_motion: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,

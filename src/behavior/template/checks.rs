@@ -13,6 +13,8 @@ const MOST_ACROSS_MPS2: f64 = 3.6;
 /// m/s².
 const TIGHTEST: f64 = 1.167;
 const NOISE_MPS2: f64 = 0.3;
+/// The largest change of acceleration within two timesteps after the present, m/s²: as validity checks it.
+const MOST_JOLT_MPS2: f64 = 2.0;
 /// How long after the end agents of a template stay clear of each other at constant velocity, seconds.
 const AFTER_END_S: f64 = 0.7;
 /// Templates whose positions differ by less than this on average resemble each other, meters.
@@ -80,10 +82,13 @@ impl Template {
         })
     }
 
-    /// Whether no agent accelerates harder along or across its way than vehicles do, or turns tighter than they can.
-    /// This excludes agents that leave a roundabout but would continue around it, and fast bends.
+    /// Whether no agent accelerates harder along or across its way than vehicles do, turns tighter than they can, or
+    /// begins with a jolt. This excludes agents that leave a roundabout but would continue around it, and fast bends.
     pub(in crate::behavior) fn is_drivable(&self, scene: &Scene) -> bool {
         self.motions.iter().all(|Motion { agent_idx, states }| {
+            if jolt_mps2(scene, *agent_idx, states).is_some_and(|jolt_mps2| jolt_mps2 > MOST_JOLT_MPS2) {
+                return false;
+            }
             let now = scene.state(*agent_idx, scene.current_timestep());
             let velocities: Vec<Vec2> = now.into_iter().chain(states).map(|state| state.velocity).collect();
             let track = &scene.tracks[*agent_idx];
@@ -107,6 +112,19 @@ impl Template {
         let (own, others) = (positions(self), positions(other));
         own.iter().zip(&others).map(|(a, b)| a.distance(*b)).sum::<f64>() / own.len().max(1) as f64
     }
+}
+
+/// How much the acceleration of a vehicle changes from the last three observed positions to the first positions after
+/// them, m/s². `None` if it was not observed so long.
+fn jolt_mps2(scene: &Scene, agent_idx: usize, states: &[State]) -> Option<f64> {
+    let first = scene.n_history.checked_sub(3).filter(|_| scene.tracks[agent_idx].class.is_motorized())?;
+    let observed: Option<Vec<Vec2>> =
+        (first..scene.n_history).map(|t| scene.state(agent_idx, t).map(|state| state.position)).collect();
+    let mut course = observed?;
+    course.extend(states.iter().take(2).map(|state| state.position));
+    let bends: Vec<Vec2> = course.windows(3).map(|at| at[0] - at[1] * 2.0 + at[2]).collect();
+    let changes = bends.iter().skip(1).map(|bend| bend.distance(bends[0]) / (scene.dt_s * scene.dt_s));
+    changes.reduce(f64::max)
 }
 
 /// The templates without those that resemble an earlier one.
