@@ -1,7 +1,6 @@
 //! How is a network wrapped into a denoiser, and how much does each noise level count in its loss? (EDM, table 1.)
 
 use super::karras_schedule;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// σ_data: standard deviation of the diffused data; the normalizer scales every diffused feature to it.
@@ -25,17 +24,6 @@ impl Default for Edm {
     }
 }
 
-/// Weight λ(σ) of a noise level in the training loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum LossWeight {
-    /// EDM's (σ² + σ_data²) / (σ σ_data)², which gives every noise level the same weight at initialization.
-    #[default]
-    Edm,
-    /// 1 at every noise level, as the DJINN paper prints its loss.
-    Unit,
-}
-
 impl Edm {
     /// Weight of the noisy input in the clean estimate: σ_data² / (σ² + σ_data²).
     pub fn c_skip(&self, sigma: f64) -> f64 {
@@ -57,12 +45,10 @@ impl Edm {
         sigma.ln() / 4.0
     }
 
-    /// Weight λ(σ) of the squared error at this noise level.
-    pub fn loss_weight(&self, kind: LossWeight, sigma: f64) -> f64 {
-        match kind {
-            LossWeight::Edm => total_variance(sigma) / (sigma * SIGMA_DATA).powi(2),
-            LossWeight::Unit => 1.0,
-        }
+    /// Weight λ(σ) of the squared error at this noise level: (σ² + σ_data²) / (σ σ_data)², which gives every noise
+    /// level the same weight at initialization. The DJINN paper prints its loss without one.
+    pub fn loss_weight(&self, sigma: f64) -> f64 {
+        total_variance(sigma) / (sigma * SIGMA_DATA).powi(2)
     }
 
     /// The noise levels of `n_steps` sampling steps from `sigma_max`: `n_steps + 1` values, the last of them 0.
@@ -93,8 +79,7 @@ mod tests {
         assert!((edm.c_out(0.5) - 0.25 * 2f64.sqrt()).abs() < 1e-15);
         assert!((edm.c_in(0.5) - 2f64.sqrt()).abs() < 1e-15);
         assert!((edm.c_noise(0.5) + 2f64.ln() / 4.0).abs() < 1e-15);
-        assert!((edm.loss_weight(LossWeight::Edm, 0.5) - 8.0).abs() < 1e-12);
-        assert!((edm.loss_weight(LossWeight::Unit, 0.5) - 1.0).abs() < 1e-15);
+        assert!((edm.loss_weight(0.5) - 8.0).abs() < 1e-12);
     }
 
     #[test]
@@ -102,7 +87,7 @@ mod tests {
         // EDM chooses λ = 1 / c_out² (its equation 144), so that the network's own error counts equally everywhere.
         let edm = Edm::default();
         for sigma in [0.002, 0.1, 1.0, 80.0] {
-            let product = edm.loss_weight(LossWeight::Edm, sigma) * edm.c_out(sigma).powi(2);
+            let product = edm.loss_weight(sigma) * edm.c_out(sigma).powi(2);
             assert!((product - 1.0).abs() < 1e-12, "at σ = {sigma}: {product}");
         }
     }

@@ -15,8 +15,8 @@ pub mod sampler;
 mod schedule;
 
 pub use denoiser::{Denoiser, rows_like, sigma_rows};
-pub use edm::{Edm, LossWeight, SIGMA_DATA};
+pub use edm::{Edm, SIGMA_DATA};
 pub use noise::NoiseSource;
 pub use noise_level::NoiseDistribution;
-pub use sampler::{SamplerConfig, Step};
+pub use sampler::{SamplerConfig, SamplerKind, Step};
 pub use schedule::karras_schedule;

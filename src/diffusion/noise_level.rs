@@ -1,18 +1,14 @@
 //! Which noise levels is a network trained at?
 
 use crate::seed::SeededRng;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The training distribution p_train of noise levels: ln σ is normal (EDM, table 1).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NoiseDistribution {
     /// Mean of ln σ.
-    #[schemars(range(min = -20.0, max = 20.0))]
     pub p_mean: f64,
     /// Standard deviation (not variance) of ln σ.
-    #[schemars(range(min = 0.0, max = 10.0))]
     pub p_std: f64,
 }
 

@@ -4,7 +4,7 @@ use super::device::ComputeChoice;
 use super::failure::{Failure, Result};
 use super::kind::StageKind;
 use super::outdated;
-use super::plan::{Action, PlannedStage};
+use super::plan::{Action, PlannedStage, begun, check_writable};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
 use super::stage::{Stage, StageContext, Work};
@@ -24,7 +24,7 @@ pub(super) fn execute(
     let mut records = Vec::new();
     for mut planned in planned {
         planned.expected.learn_contents(&records);
-        outdated::revise(&mut planned, context)?;
+        revise(&mut planned, context)?;
         let kind = planned.stage.kind();
         let record = if planned.action == Action::Reuse {
             let PlannedStage { expected, .. } = planned;
@@ -47,6 +47,36 @@ pub(super) fn execute(
         records.push(record);
     }
     Ok(records)
+}
+
+/// Takes into account what the stages before wrote, which was not known when `planned` was made: reuses nothing, and
+/// resumes nothing, that was made from other bytes.
+///
+/// # Errors
+/// When it must run again and would overwrite what is not its own.
+fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
+    let kind = planned.stage.kind();
+    let earlier = match planned.action {
+        Action::Reuse => StageRecord::done(context.root, kind)?,
+        Action::Resume => begun(context.root, kind)?,
+        Action::Run(_) => None,
+    };
+    let Some((producer, earlier)) =
+        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?.to_owned(), earlier)))
+    else {
+        return Ok(());
+    };
+    if planned.action == Action::Reuse && (outdated::is_kept(kind, &earlier) || !planned.is_selected) {
+        context.progress.warn(&format!(
+            "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo \
+             {kind}"
+        ));
+        return Ok(());
+    }
+    planned.action = Action::Run(outdated::why(&producer));
+    planned.kept = check_writable(context.root, planned.stage.as_ref(), &planned.expected, &planned.action, false)?;
+    context.progress.note(&format!("{kind} runs again: {}", outdated::why(&producer)));
+    Ok(())
 }
 
 /// When a stage's time is taken.

@@ -4,7 +4,7 @@
 use super::failure::{Failure, Result};
 use super::kind::StageKind;
 use super::record::StageRecord;
-use super::run_folder::seconds_spent;
+use super::timings::seconds_spent;
 use crate::store::write_json_atomically;
 use std::path::Path;
 

@@ -32,6 +32,7 @@ pub mod shards;
 mod stage;
 #[cfg(test)]
 mod testing;
+mod timings;
 mod work_folder;
 
 pub use device::{ComputeChoice, DeviceChoice};

@@ -4,8 +4,8 @@ use super::failure::{Failure, Result};
 use super::kind::StageKind;
 use super::log::LOG_FILE;
 use super::record::{StageRecord, done_path, unreadable};
-use super::run_folder::{CONFIG_FILE, RUN_FILE, TIMINGS_FILE};
 use super::stage::{Stage, StageInput};
+use super::timings::TIMINGS_FILE;
 use crate::cloud::ObjectUrl;
 use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
 use crate::store::{Error as StoreError, read_record};
@@ -13,6 +13,11 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+
+/// Name of the resolved configuration in a run folder.
+pub const CONFIG_FILE: &str = "config.toml";
+/// Name of the run's manifest in a run folder.
+pub const RUN_FILE: &str = "run.json";
 
 /// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or
 /// contains one.

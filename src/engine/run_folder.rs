@@ -4,36 +4,30 @@
 //! input fingerprints, state of every stage), `timings.json` and `log.txt`. Two runs of one pipeline on the same inputs
 //! differ in the last two alone: everything that distinguishes one run from another is kept there.
 
-use super::clock::{peak_memory_bytes, utc_now};
 use super::device::ComputeChoice;
 use super::execute::{Moment, execute};
 use super::failure::{Blame, Failure, Result};
 use super::kind::StageKind;
 use super::log::{LOG_FILE, Logged};
 use super::ownership;
+pub use super::ownership::{CONFIG_FILE, RUN_FILE};
 use super::plan::{Action, PlannedStage};
 use super::record::{InputRecord, StageRecord};
 use super::revision::revision;
 use super::shards::Makers;
 use super::stage::StageContext;
+use super::timings::StageClock;
+pub use super::timings::{StageTiming, TIMINGS_FILE, Timings};
 use super::work_folder::WorkFolder;
 use crate::files::{Lock, mirror_above, name_elsewhere};
 use crate::nn::Compute;
 use crate::progress::Progress;
-use crate::store::{read_json, write_atomically, write_record};
+use crate::store::{write_atomically, write_record};
 use serde::{Deserialize, Serialize};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
-
-/// Name of the resolved configuration in a run folder.
-pub const CONFIG_FILE: &str = "config.toml";
-/// Name of the run's manifest in a run folder.
-pub const RUN_FILE: &str = "run.json";
-/// Name of the file for times and other facts that differ between equal runs.
-pub const TIMINGS_FILE: &str = "timings.json";
 
 /// The content of `run.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -73,32 +67,6 @@ pub enum StageStatus {
     Pending,
     /// Its outputs are whole.
     Done,
-}
-
-/// The content of `timings.json`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Timings {
-    /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
-    pub stages: BTreeMap<String, Vec<StageTiming>>,
-    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and
-    /// times. While these stay, planning does not read them again.
-    #[serde(default)]
-    pub outputs: BTreeMap<String, BTreeMap<String, String>>,
-}
-
-/// One time that a stage was at work.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct StageTiming {
-    /// When it began, UTC.
-    pub started: String,
-    /// When it was done, UTC; `None` if it was interrupted.
-    pub finished: Option<String>,
-    /// How long it took, seconds.
-    pub seconds: Option<f64>,
-    /// Number of worker threads.
-    pub n_threads: usize,
-    /// The most memory that the process had held by then, bytes.
-    pub peak_memory_bytes: Option<u64>,
 }
 
 /// A run's description of itself.
@@ -162,7 +130,8 @@ pub fn run_stages(
     };
     let mut around = |stage: &'static StageKind, moment: Moment| {
         is_new.set(moment == Moment::End);
-        clock.borrow_mut().take(stage, moment)
+        let mut clock = clock.borrow_mut();
+        if moment == Moment::End { clock.end(stage) } else { clock.begin(stage) }
     };
     let outcome = execute(planned, (choice, makers), &context, &mut after, &mut around);
     match &outcome {
@@ -230,67 +199,5 @@ impl RunManifest {
 impl StageState {
     fn done(record: &StageRecord) -> Self {
         Self { fingerprint: record.fingerprint.clone(), status: StageStatus::Done, outputs: record.outputs.clone() }
-    }
-}
-
-/// How long the stage was at work in all in the folder `root`, seconds; `None` where that is not known, as when it was
-/// interrupted.
-pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
-    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
-    timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
-}
-
-/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by
-/// output.
-pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
-    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
-    timings.outputs.get(stage.name).cloned().unwrap_or_default()
-}
-
-/// Keeps `timings.json`.
-struct StageClock<'a> {
-    root: &'a Path,
-    timings: Timings,
-    began: Instant,
-}
-
-impl<'a> StageClock<'a> {
-    fn open(root: &'a Path) -> Self {
-        // Timings inform people and spare reading, and no result depends on them: unreadable ones are begun anew.
-        let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
-        Self { root, timings, began: Instant::now() }
-    }
-
-    fn take(&mut self, stage: &'static StageKind, moment: Moment) -> anyhow::Result<()> {
-        let entries = self.timings.stages.entry(stage.to_string()).or_default();
-        match (moment, entries.last_mut()) {
-            (Moment::End, Some(entry)) => {
-                entry.finished = Some(utc_now());
-                entry.seconds = Some(self.began.elapsed().as_secs_f64());
-                entry.peak_memory_bytes = peak_memory_bytes();
-            }
-            _ => {
-                self.began = Instant::now();
-                entries.push(StageTiming {
-                    started: utc_now(),
-                    finished: None,
-                    seconds: None,
-                    n_threads: rayon::current_num_threads(),
-                    peak_memory_bytes: None,
-                });
-            }
-        }
-        self.save()
-    }
-
-    /// Notes that the outputs of a stage were seen whole.
-    fn keep_times(&mut self, record: &StageRecord) -> anyhow::Result<()> {
-        let before = self.timings.outputs.insert(record.stage.to_string(), record.times.clone());
-        if before.unwrap_or_default() == record.times { Ok(()) } else { self.save() }
-    }
-
-    fn save(&self) -> anyhow::Result<()> {
-        write_record(&self.root.join(TIMINGS_FILE), &self.timings)?;
-        Ok(())
     }
 }

@@ -2,9 +2,7 @@
 
 use super::error::{Error, Result};
 use super::gate_config::GatesConfig;
-use crate::metrics::{
-    ALL, CarefulDriverConfig, DUPLICATE_DISTANCE_M, Likelihoods, MetricSettings, ModesConfig, ValidityConfig,
-};
+use crate::metrics::{ALL, DUPLICATE_DISTANCE_M, Likelihoods, MetricSettings, ModesConfig, ValidityConfig};
 use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
@@ -30,8 +28,6 @@ pub struct EvaluateConfig {
     pub keep: Keep,
     /// The limits for valid scenarios.
     pub validity: ValidityConfig,
-    /// The careful driver in place of the agent that is cut off: could a collision have been prevented?
-    pub careful_driver: CarefulDriverConfig,
     /// A scenario is a near-duplicate of an earlier accepted one if the paths of the requested agents differ by less
     /// than this, meters: the mean over the future, of a position each half second, in the frame of the first of them.
     /// 0 for none. Requests accept no near-duplicates. Default 0.25.
@@ -53,7 +49,6 @@ impl Default for EvaluateConfig {
             predictions: Vec::new(),
             keep: Keep::default(),
             validity: ValidityConfig::default(),
-            careful_driver: CarefulDriverConfig::default(),
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
             terms: BTreeMap::new(),
             gates: GatesConfig::default(),
@@ -78,7 +73,7 @@ pub enum Keep {
 impl EvaluateConfig {
     /// The settings that metrics judge by.
     pub fn metric_settings(&self) -> MetricSettings {
-        MetricSettings { validity: self.validity.clone(), careful_driver: self.careful_driver.clone() }
+        MetricSettings { validity: self.validity.clone() }
     }
 
     /// Rejects settings that cannot work.
@@ -128,7 +123,6 @@ mod tests {
             "[validity]\nwindow_s = 0.0",
             "[validity]\nmax_jerk_mps3 = inf",
             "[validity]\nmax_jerk_mps3 = nan",
-            "[careful_driver]\nramp_s = 0.0",
         ] {
             assert!(check(wrong).is_err(), "{wrong}");
         }

@@ -82,7 +82,7 @@ impl<'a> Judge<'a> {
         let track = |idx: usize| scene.track_idx(&roles.get(idx)?.1);
         let pair = track(0).zip(track(1)).map(|(first, second)| [first, second]);
         let asked = record.requested_behavior.as_deref();
-        let ending = record.ending(&self.config.careful_driver);
+        let ending = record.ending();
         let mut violations = judged.violations(&self.config.validity);
         let is_judged = !self.config.validity.skip.contains(&Check::ContactAfterEnd);
         violations.extend(
@@ -98,7 +98,7 @@ impl<'a> Judge<'a> {
             scene: SceneCriticality::of(scene),
             cut_in: pair
                 .filter(|_| asked.is_some_and(|asked| CUT_INS.contains(&asked)))
-                .and_then(|pair| CutInJudgment::of(scene, pair, &self.config.careful_driver)),
+                .and_then(|pair| CutInJudgment::of(scene, pair)),
             ending: ending.map(|(_, ending)| ending),
             nearest_recorded_event: record
                 .main_event()

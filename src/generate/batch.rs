@@ -145,7 +145,7 @@ impl Generator<'_> {
         let Diffusion { sampler, edit, .. } = guided.diffusion;
         if let Some(edit) = edit.as_ref().filter(|edit| edit.keeps_guide(edm)) {
             let x = noisy_guide(edit, like, &mut noise)?;
-            return Ok(sampler.integrate(&edit.schedule(edm, sampler), denoiser, x, &mut noise, &mut observer)?);
+            return Ok(sampler.integrate(&edit.schedule(edm, sampler), denoiser, x, &mut observer)?);
         }
         Ok(sampler.sample(edm, denoiser, &like.dims()[1..], like, &mut noise, &mut observer)?)
     }

@@ -3,7 +3,6 @@
 use super::testing::*;
 use super::*;
 use crate::diffusion::SamplerConfig;
-use crate::diffusion::sampler::HeunConfig;
 use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, scene};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Scene, State};
@@ -82,7 +81,7 @@ fn goal_distance_m(records: &[ScenarioRecord]) -> f64 {
 fn weights_lead_from_ignoring_goals_to_reaching_them() {
     // Weights between 0 and 1 need small steps at low noise levels.
     let finely = |more: &str| {
-        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
+        let sampler = SamplerConfig::heun(20);
         generate(&GenerateConfig { sampler, ..sweep(more) })
     };
     // An agent that is kept apart from others does not reach its goal to the millimeter.

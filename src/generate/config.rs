@@ -3,7 +3,6 @@
 use super::{Error, RequestConfig, ResolvedGeneration, SweepConfig};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
-use crate::diffusion::sampler::HeunConfig;
 use crate::metrics::Group;
 use crate::scene::Split;
 use crate::settings::{self, Issue};
@@ -53,7 +52,7 @@ impl Default for GenerateConfig {
         Self {
             splits: Vec::new(),
             places: Vec::new(),
-            sampler: SamplerConfig::Heun(HeunConfig::with_steps(20)),
+            sampler: SamplerConfig::heun(20),
             validity_strength: DEFAULT_VALIDITY_STRENGTH,
             batch_size: 12,
             scenes_per_shard: 8,

@@ -9,7 +9,7 @@ use crate::diffusion::Denoiser;
 use crate::guidance::{
     AgentSelector, ClassifierGuidance, ClassifierPotential, CleanGuidedDenoiser, CleanPotential, ContextRow,
     EstimatePotential, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig,
-    ObjectiveGuidanceConfig, ObjectiveSum, RoadPoints, SceneContext, StayOnRoad,
+    ObjectiveGuidanceConfig, ObjectiveSum, SceneContext, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
@@ -33,13 +33,15 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
     let may_collide = may_collide.filter(|_| sweep.asks_for_collision());
     let agents = AgentSelector::default();
     [
-        ObjectiveConfig::NoCollision(NoCollision {
-            weight: 1.0,
-            agents: agents.clone(),
-            except: may_collide.map(|roles| roles.map(AgentSelector::new)),
-            margin_m: 0.3,
-        }),
-        ObjectiveConfig::StayOnRoad(StayOnRoad { weight: 3.0, agents, points: RoadPoints::Center, margin_m: 0.0 }),
+        ObjectiveConfig::new(
+            1.0,
+            NoCollision {
+                agents: agents.clone(),
+                except: may_collide.map(|roles| roles.map(AgentSelector::new)),
+                margin_m: 0.3,
+            },
+        ),
+        ObjectiveConfig::new(3.0, StayOnRoad { agents }),
     ]
 }
 

@@ -278,7 +278,7 @@ mod tests {
         let scenes = [0.0, 10.0].map(at);
         let kept = |skip: &[Check]| -> Vec<usize> {
             let validity = ValidityConfig { skip: skip.to_vec(), ..ValidityConfig::default() };
-            let settings = MetricSettings { validity, ..MetricSettings::default() };
+            let settings = MetricSettings { validity };
             let verdicts =
                 select("limits = { validity_rate = 1.0 }").verdicts(&at(10.0), &candidates(&scenes), &settings);
             (0..2).filter(|i| verdicts[*i].is_none()).collect()

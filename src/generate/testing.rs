@@ -3,7 +3,6 @@
 use super::*;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::diffusion::SamplerConfig;
-use crate::diffusion::sampler::HeunConfig;
 use crate::geometry::Vec2;
 use crate::guidance::testing::{denoiser_spec, scene};
 use crate::metrics::MetricSettings;
@@ -127,7 +126,7 @@ pub(super) fn classifier() -> TrainedClassifier {
 
 pub(super) fn config(toml: &str) -> GenerateConfig {
     let mut config: GenerateConfig = toml::from_str(toml).unwrap();
-    config.sampler = SamplerConfig::Heun(HeunConfig::with_steps(4));
+    config.sampler = SamplerConfig::heun(4);
     config
 }
 

@@ -49,7 +49,6 @@ impl Denoiser for ClassifierFreeDenoiser<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diffusion::sampler::HeunConfig;
     use crate::diffusion::{Edm, NoiseSource, SamplerConfig, sigma_rows};
     use crate::seed::Seed;
     use candle_core::{DType, Device};
@@ -111,7 +110,7 @@ mod tests {
         let n_rows = 4000;
         let mut noise = NoiseSource::new((0..n_rows).map(|row| Seed(23).derive("row", &[row])).collect());
         let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
-        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(30));
+        let sampler = SamplerConfig::heun(30);
         let denoiser = ClassifierFreeDenoiser { unconditional: &Joint, conditional: &GivenB, change: &Moved, weight };
         let x = sampler.sample(&Edm::default(), &denoiser, &[2], &like, &mut noise, &mut |_| {}).unwrap();
         let x = x.to_vec2::<f64>().unwrap();

@@ -10,9 +10,6 @@ use candle_core::{Error, Result, Tensor, Var};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The cost of an evaluation of the network with its derivative, in plain evaluations; 2.5 were measured.
-pub const EVALUATIONS_PER_GRADIENT: usize = 3;
-
 /// A log potential of clean samples.
 pub trait CleanPotential {
     /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by
@@ -43,7 +40,7 @@ impl ObjectiveSum<'_> {
         let states = self.batch.decode(x0)?;
         let term = |objective: &ObjectiveConfig| {
             let potential = objective.objective().log_potential(&states, self.context)?;
-            nothing(&states)? + (potential * objective.weight())?
+            nothing(&states)? + (potential * objective.weight)?
         };
         self.objectives.iter().map(term).collect()
     }
@@ -60,8 +57,6 @@ impl CleanPotential for ObjectiveSum<'_> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ObjectiveGuidanceConfig {
-    /// What stands for the covariance of the clean sample given the noisy one.
-    pub gradient: CleanGradient,
     /// Whether steps are shortened where the potential is strongly curved. Without it, a strong objective overshoots:
     /// steps are then limited by `guidance.max_shift` alone.
     pub damped: bool,
@@ -71,22 +66,9 @@ pub struct ObjectiveGuidanceConfig {
     pub inner_steps: usize,
 }
 
-/// What stands for the covariance of the clean sample given the noisy one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum CleanGradient {
-    /// σ² λ / (σ² + λ) along each mode of variance λ of the motion of traffic, that of Gaussian data: needs no gradient
-    /// of the denoiser. Networks that do not know these modes take λ = σ_data² everywhere.
-    #[default]
-    Clean,
-    /// σ² ∂D/∂x, the exact one for an exact denoiser: each step goes back through the network, at about three times the
-    /// cost of an evaluation without guidance.
-    ThroughNetwork,
-}
-
 impl Default for ObjectiveGuidanceConfig {
     fn default() -> Self {
-        Self { gradient: CleanGradient::default(), damped: true, inner_steps: 1 }
+        Self { damped: true, inner_steps: 1 }
     }
 }
 
@@ -97,7 +79,8 @@ impl Default for ObjectiveGuidanceConfig {
 /// about normal given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the
 /// mean D + C ∇J, which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ
 /// ln p(y | x) and ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian
-/// data of covariance Uᵀ Λ U, C = Uᵀ (σ² λ / (σ² + λ)) U and nothing is approximate if J is linear. Traffic has little
+/// data of covariance Uᵀ Λ U, C = Uᵀ (σ² λ / (σ² + λ)) U and nothing is approximate if J is linear; this C is taken for
+/// all data, because it needs no derivative of the network. Traffic has little
 /// variance in modes that change from timestep to timestep, so that it is pushed as it moves: aside without a jolt.
 ///
 /// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer D + α C ∇J / (1 + α
@@ -127,14 +110,12 @@ enum Estimate<'a> {
     Independent(Tensor, Tensor),
     /// The estimate, the modes U, (B, A, D, T, T), and σ² λ / (σ² + λ), (B, A, D, T).
     InModes(Tensor, &'a Tensor, Tensor),
-    /// The noisy tensor, the estimate with the graph that leads there, and σ² of each row.
-    ThroughNetwork(Var, Tensor, Tensor),
 }
 
 impl Estimate<'_> {
     /// The estimate without a graph behind it.
     fn x0_hat(&self) -> Tensor {
-        let (Self::Independent(x0_hat, _) | Self::InModes(x0_hat, ..) | Self::ThroughNetwork(_, x0_hat, _)) = self;
+        let (Self::Independent(x0_hat, _) | Self::InModes(x0_hat, ..)) = self;
         x0_hat.detach()
     }
 
@@ -143,13 +124,6 @@ impl Estimate<'_> {
         match self {
             Self::Independent(_, weight) => gradient.broadcast_mul(weight),
             Self::InModes(_, modes, gains) => mode_filter(gradient, modes, gains),
-            Self::ThroughNetwork(x, x0_hat, weight) => {
-                let gradients = (x0_hat * gradient)?.sum_all()?.backward()?;
-                let Some(gradient) = gradients.get(x.as_tensor()) else {
-                    return Err(Error::Msg("the denoiser's estimate has no gradient; use gradient = \"clean\"".into()));
-                };
-                gradient.detach().broadcast_mul(weight)
-            }
         }
     }
 }
@@ -157,21 +131,16 @@ impl Estimate<'_> {
 impl CleanGuidedDenoiser<'_> {
     fn estimate(&self, x: &Tensor, sigma: &Tensor) -> Result<Estimate<'_>> {
         let rows = |value: &dyn Fn(f64) -> f64| rows_like(sigma_rows(sigma)?.into_iter().map(value).collect(), x);
-        match (self.config.gradient, self.modes) {
-            (CleanGradient::Clean, Some(Surroundings { modes, variances, .. })) => {
+        match self.modes {
+            Some(Surroundings { modes, variances, .. }) => {
                 let noise = rows(&|sigma| sigma.powi(2))?;
                 let gains = variances.broadcast_mul(&noise)?.div(&variances.broadcast_add(&noise)?)?;
                 Ok(Estimate::InModes(self.inner.denoise(x, sigma)?, modes, gains))
             }
-            (CleanGradient::Clean, None) => {
+            None => {
                 let data = SIGMA_DATA.powi(2);
                 let weight = rows(&|sigma| sigma.powi(2) * data / (sigma.powi(2) + data))?;
                 Ok(Estimate::Independent(self.inner.denoise(x, sigma)?, weight))
-            }
-            (CleanGradient::ThroughNetwork, _) => {
-                let x = Var::from_tensor(&x.detach())?;
-                let x0_hat = self.inner.denoise(x.as_tensor(), sigma)?;
-                Ok(Estimate::ThroughNetwork(x, x0_hat, rows(&|sigma| sigma.powi(2))?))
             }
         }
     }

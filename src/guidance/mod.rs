@@ -30,15 +30,13 @@ mod turning_way;
 pub use agent_selector::AgentSelector;
 pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
-pub use clean_guided_denoiser::{
-    CleanGradient, CleanGuidedDenoiser, CleanPotential, EVALUATIONS_PER_GRADIENT, ObjectiveGuidanceConfig, ObjectiveSum,
-};
+pub use clean_guided_denoiser::{CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum};
 pub use estimate_potential::EstimatePotential;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{
-    AccelerationLimit, Collision, CrossAhead, CutIn, Goal, GoalFrame, HardBrake, KeepDistance, LaneChange, NoCollision,
-    ObjectiveConfig, RoadPoints, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
+    AccelerationLimit, Collision, CrossAhead, CutIn, Goal, HardBrake, KeepDistance, LaneChange, NoCollision,
+    ObjectiveConfig, ObjectiveKind, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
     Turn, WrongWay,
 };
 pub use scene_context::{ContextRow, SceneContext, Target};

@@ -51,46 +51,6 @@ fn contexts_know_who_is_who() {
     assert!(SceneContext::new(&batch, &[row, row]).unwrap_err().to_string().contains("track nobody"));
 }
 
-/// Projection on a fixed direction.
-struct Along(Tensor);
-
-impl CleanPotential for Along {
-    fn log_potential(&self, x0: &Tensor) -> candle_core::Result<Tensor> {
-        x0.broadcast_mul(&self.0)?.flatten_from(1)?.sum(1)
-    }
-}
-
-#[test]
-fn gradients_go_through_the_network() {
-    let spec = denoiser_spec(StateParametrization::Motion);
-    let mut params = Params::new(&Compute::cpu()).frozen();
-    let network = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
-    let batch = batch(&[scene(3)], 1);
-    let bound = network.bind(&batch, 1).unwrap();
-    let draw = |seed: u64| NoiseSource::new(vec![Seed(seed)]).draw_like(&batch.x0).unwrap();
-    let (x, along, sigma) = ((draw(1) * 2.0).unwrap(), draw(2), Tensor::new(&[2.0f32], &Device::Cpu).unwrap());
-    let potential = Along(along.clone());
-    let guided = CleanGuidedDenoiser {
-        inner: &bound,
-        potential: &potential,
-        strength: 0.25,
-        gate: GuidanceConfig::UNRESTRICTED,
-        config: ObjectiveGuidanceConfig { gradient: CleanGradient::ThroughNetwork, damped: false, inner_steps: 1 },
-        modes: None,
-    };
-    // α σ² = 1: the shift is the gradient of the projection itself.
-    let estimate = guided.denoise(&x, &sigma).unwrap();
-    assert!(!estimate.track_op());
-    let shift = (estimate - bound.denoise(&x, &sigma).unwrap()).unwrap();
-    let dot = |a: &Tensor, b: &Tensor| (a * b).unwrap().sum_all().unwrap().to_scalar::<f32>().unwrap();
-    let length = dot(&shift, &shift).sqrt();
-    let direction = (&shift / f64::from(length)).unwrap();
-    let h = 5e-4;
-    let at = |h: f64| dot(&bound.denoise(&(&x + (&direction * h).unwrap()).unwrap(), &sigma).unwrap(), &along);
-    let slope = (at(h) - at(-h)) / (2.0 * h as f32);
-    assert!(length > 0.1 && (slope / length - 1.0).abs() < 0.03, "slope {slope}, gradient {length}");
-}
-
 #[test]
 fn objectives_with_nothing_to_say_change_nothing() {
     let spec = denoiser_spec(StateParametrization::Motion);

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};
-use crate::diffusion::sampler::HeunConfig;
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig};
 use crate::seed::Seed;
 use candle_core::{DType, Device};
@@ -54,7 +53,7 @@ impl Guidance for LinearTilt {
 fn sample(denoiser: &dyn Denoiser, n_rows: u64) -> Vec<Vec<f64>> {
     let mut noise = NoiseSource::new((0..n_rows).map(|row| Seed(11).derive("row", &[row])).collect());
     let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
-    let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
+    let sampler = SamplerConfig::heun(20);
     let x = sampler.sample(&Edm::default(), denoiser, &[2], &like, &mut noise, &mut |_| {}).unwrap();
     x.to_vec2().unwrap()
 }

@@ -68,7 +68,7 @@ mod validity;
 
 pub use actor_world::ActorWorld;
 pub use aggregate::{Aggregate, AggregateTally};
-pub use careful_driver::{CarefulDriverConfig, CutInJudgment, Ending, PreventableRate};
+pub use careful_driver::{CutInJudgment, Ending, PreventableRate};
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;
 pub use criticality::{PairCriticality, PairMetric, SceneCriticality, SceneMetric, closeness_over_time};
@@ -167,7 +167,7 @@ pub static ALL: &[&dyn Metric] = &[
     &PairMetric::MinHeadway,
     &PairMetric::Pet,
     &PairMetric::MinDistance,
-    &PreventableRate { driver: None },
+    &PreventableRate,
     &SceneMetric::MinTtc,
     &SceneMetric::MaxDrac,
 ];

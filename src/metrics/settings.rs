@@ -1,9 +1,6 @@
 //! The settings of metrics: the same for evaluation, for selections of sweeps and for limits of requests.
 
-use super::{
-    ALL, CarefulDriverConfig, DrivableAreaCompliance, Metric, OffroadRate, PreventableRate, ValidityConfig,
-    ValidityRate,
-};
+use super::{ALL, DrivableAreaCompliance, Metric, OffroadRate, ValidityConfig, ValidityRate};
 use crate::settings;
 use serde::{Deserialize, Serialize};
 
@@ -12,8 +9,6 @@ use serde::{Deserialize, Serialize};
 pub struct MetricSettings {
     /// The limits of `validity_rate`; if it does not judge departures from the road at a place, no metric does.
     pub validity: ValidityConfig,
-    /// The driver of `preventable_rate`.
-    pub careful_driver: CarefulDriverConfig,
 }
 
 impl MetricSettings {
@@ -36,13 +31,11 @@ impl MetricSettings {
     /// The metric with these settings; `None` if it has none.
     fn configured(&self, metric: &dyn Metric) -> Option<Box<dyn Metric>> {
         let validity = ValidityRate { limits: Some(self.validity.clone()) };
-        let preventable = PreventableRate { driver: Some(self.careful_driver.clone()) };
         let places_without_road = || self.validity.places_without_road.clone();
         let offroad = OffroadRate { places_without_road: places_without_road() };
         let drivable = DrivableAreaCompliance { places_without_road: places_without_road() };
         match metric.spec().id {
             id if id == validity.spec().id => Some(Box::new(validity)),
-            id if id == preventable.spec().id => Some(Box::new(preventable)),
             id if id == offroad.spec().id => Some(Box::new(offroad)),
             id if id == drivable.spec().id => Some(Box::new(drivable)),
             _ => None,
@@ -54,8 +47,7 @@ impl MetricSettings {
     /// # Errors
     /// Its key below `evaluate`, its value and what was expected.
     pub fn validate(&self) -> settings::Result {
-        settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))?;
-        settings::check_ranges(&self.careful_driver).map_err(|issue| issue.within("careful_driver"))
+        settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))
     }
 }
 
@@ -74,11 +66,11 @@ mod tests {
         let group = SampleGroup::equally_likely(&crash, std::slice::from_ref(&crash));
         let rate = |settings: &MetricSettings| settings.by_id("validity_rate").expect("known").evaluate(&group);
         let lenient = ValidityConfig { skip: vec![Check::Collision], ..ValidityConfig::default() };
-        let lenient = MetricSettings { validity: lenient, ..MetricSettings::default() };
+        let lenient = MetricSettings { validity: lenient };
         assert_eq!((rate(&MetricSettings::default()), rate(&lenient)), (Some(0.0), Some(1.0)));
         let ids: Vec<&str> = lenient.metrics().iter().map(|metric| metric.spec().id).collect();
         assert_eq!(ids, ALL.iter().map(|metric| metric.spec().id).collect::<Vec<_>>());
-        assert!(lenient.decide("validity_rate") && lenient.decide("preventable_rate"));
+        assert!(lenient.decide("validity_rate") && !lenient.decide("preventable_rate"));
         assert!(lenient.decide("offroad_rate") && lenient.decide("drivable_area_compliance"));
         assert!(!lenient.decide("min_ade_m") && !lenient.decide("objectives"));
     }
@@ -95,7 +87,7 @@ mod tests {
         let group = SampleGroup::equally_likely(&leaving, std::slice::from_ref(&leaving));
         let unsaid = BTreeSet::from([leaving.source.place.clone()]);
         let validity = ValidityConfig { places_without_road: unsaid, ..ValidityConfig::default() };
-        let unsaid = MetricSettings { validity, ..MetricSettings::default() };
+        let unsaid = MetricSettings { validity };
         for (id, value) in [("offroad_rate", 1.0), ("drivable_area_compliance", 0.0)] {
             let by = |settings: &MetricSettings| settings.by_id(id).expect("known").evaluate(&group);
             assert_eq!((by(&MetricSettings::default()), by(&unsaid)), (Some(value), None), "{id}");

@@ -2,7 +2,7 @@
 
 use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
-use crate::metrics::{CarefulDriverConfig, Ending};
+use crate::metrics::Ending;
 use crate::scene::{Scenario, Track};
 
 /// A generated scenario, with what was requested of it and what was found in it.
@@ -51,12 +51,12 @@ impl ScenarioRecord {
 
     /// How it ends for that vehicle, or for the first of the event if it happens to nobody, with its index. `None` also
     /// where a collision was requested.
-    pub fn ending(&self, driver: &CarefulDriverConfig) -> Option<(usize, Ending)> {
+    pub fn ending(&self) -> Option<(usize, Ending)> {
         let event = self.main_event().filter(|_| !self.asks_for_collision())?;
         let scene = &self.scenario.scene;
         let first = || event.roles.tracks().next().and_then(|track| scene.track_idx(track));
         let subject_idx = event.subject_idx(scene).or_else(first)?;
-        Some((subject_idx, Ending::of(scene, subject_idx, event.start_timestep, driver)?))
+        Some((subject_idx, Ending::of(scene, subject_idx, event.start_timestep)?))
     }
 
     /// The index of that vehicle among the tracks.

@@ -1,33 +1,40 @@
 //! The `[train.baseline]` section: training of Scene Transformer, with which the denoiser is compared.
 
-use super::section::{SceneTraining, scene_training_section};
-use super::{Error, FitConfig, Preset};
+use super::section::{SceneTraining, check_tasks};
+use super::{Error, Preset, SceneChoice};
 use crate::model::SceneTransformerConfig;
+use crate::scene::Split;
+use crate::settings;
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-scene_training_section! {
-    /// How to train Scene Transformer, the paper's baseline. Settings left out are the preset's; except for the
-    /// network, the denoiser's.
-    #[derive(Default)]
-    pub struct BaselineTrainingConfig in "train.baseline", each Option {
-        /// Size of the network: `tiny`, `small` or `paper`.
-        pub preset: Preset,
-        /// The network, to override the preset's.
-        pub network: Option<SceneTransformerConfig>,
-        /// The output of the network: `scene` or `motion`.
-        pub state_parametrization: Option<StateParametrization>,
-        /// Maximum number of agents per scene, nearest to the ego agent.
-        #[schemars(range(min = 1, max = 10_000))]
-        pub max_agents: Option<usize>,
-        /// Maximum number of lane polylines per scene, nearest to the ego agent.
-        #[schemars(range(max = 100_000))]
-        pub max_lanes: Option<usize>,
-        /// Dimensions of a predicted state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
-        #[schemars(range(min = 2, max = 3))]
-        pub state_dim: Option<usize>,
-    }
+/// How to train Scene Transformer, the paper's baseline. All else is the preset's: except for the network, the
+/// denoiser's.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct BaselineTrainingConfig {
+    /// Size of the network: `tiny`, `small` or `paper`.
+    pub preset: Preset,
+    /// Dimensions of a predicted state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
+    #[schemars(range(min = 2, max = 3))]
+    pub state_dim: Option<usize>,
+    /// How often each observation task is drawn.
+    pub tasks: TaskWeights,
+    /// Splits to train on. Empty: `train`, or all unsplit scenes if there is no such split.
+    #[schemars(extend("uniqueItems" = true))]
+    pub splits: Vec<Split>,
+    /// Places to train on. Empty: all.
+    #[schemars(extend("uniqueItems" = true))]
+    pub places: Vec<String>,
+    /// Optimizer steps in all.
+    #[schemars(range(min = 1, max = 1_000_000_000))]
+    pub steps: Option<u64>,
+    /// Scenes per step.
+    #[schemars(range(min = 1, max = 16_384))]
+    pub batch_size: Option<usize>,
+    /// A trained checkpoint to use instead of training.
+    pub checkpoint: Option<std::path::PathBuf>,
 }
 
 /// The resolved section, with every value decided.
@@ -47,21 +54,32 @@ pub struct BaselineTraining {
 }
 
 impl BaselineTrainingConfig {
+    /// Its place in a pipeline file.
+    pub const SECTION: &'static str = "train.baseline";
+
+    /// The scenes it trains on.
+    pub fn scene_choice(&self) -> SceneChoice<'_> {
+        SceneChoice { section: Self::SECTION, splits: &self.splits, places: &self.places, own_weight: 1.0, data: &[] }
+    }
+
     /// The preset with the section's settings over it.
     ///
     /// # Errors
     /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<BaselineTraining, Error> {
+        settings::check_ranges(self).map_err(|issue| Error::Config(issue.within(Self::SECTION).to_string()))?;
+        check_tasks(Self::SECTION, &self.tasks)?;
         let base = self.preset.settings();
-        self.check_ranges()?;
-        let network = self.network.clone().unwrap_or_else(|| network(self.preset));
-        network.validate().map_err(|issue| Self::refusal(issue.within("network")))?;
+        let mut common = base.common;
+        common.tasks = self.tasks;
+        common.batch_size = self.batch_size.unwrap_or(common.batch_size);
+        common.fit.steps = self.steps.unwrap_or(common.fit.steps);
         Ok(BaselineTraining {
-            network,
-            parametrization: self.state_parametrization.unwrap_or(base.parametrization),
-            max_agents: self.max_agents.unwrap_or(base.max_agents),
-            max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
-            common: self.scene_training(&base.common)?,
+            network: network(self.preset),
+            parametrization: base.parametrization,
+            max_agents: base.max_agents,
+            max_lanes: base.max_lanes,
+            common,
         })
     }
 }

@@ -97,17 +97,16 @@ fn straight_error() -> f64 {
 fn both_ways_of_a_fork_are_found_with_even_odds_and_the_checkpoint_reads_back() {
     let config = BaselineTrainingConfig {
         preset: Preset::Tiny,
-        network: Some(network()),
         tasks: ONLY_PREDICTIVE,
         steps: Some(250),
-        learning_rate: Some(5e-3),
         batch_size: Some(4),
-        n_eval_scenes: Some(8),
         ..BaselineTrainingConfig::default()
     };
     let (dataset, dir) = (forks(40), tempfile::tempdir().unwrap());
     let data = one_source(&dataset);
-    let outcome = train_baseline(&config.resolve().unwrap(), &data, job(3, dir.path())).unwrap();
+    let mut training = BaselineTraining { network: network(), ..config.resolve().unwrap() };
+    (training.common.fit.learning_rate, training.common.n_eval_scenes) = (5e-3, 8);
+    let outcome = train_baseline(&training, &data, job(3, dir.path())).unwrap();
     let last = &outcome.statistics.last().unwrap().evaluation;
     let (error, bound) = (last["held_out_error_of_best"], straight_error());
     assert!(error < 0.4 * bound, "{error}, where driving on straight has {bound}");

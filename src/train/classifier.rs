@@ -2,8 +2,8 @@
 
 use super::section::{Own, training_section};
 use super::{
-    ClassificationTask, Error, FitConfig, FitStatistics, LabeledPair, LearningRateDecay, NoiseLevelReport, NoisyPairs,
-    PairExamples, SceneDataset, TrainJob, TrainOutcome, Trainable, fit,
+    ClassificationTask, Error, FitConfig, FitStatistics, LabeledPair, NoiseLevelReport, NoisyPairs, PairExamples,
+    SceneDataset, TrainJob, TrainOutcome, Trainable, fit,
 };
 use crate::diffusion::NoiseDistribution;
 use crate::files::write_atomically;
@@ -20,8 +20,6 @@ training_section! {
         pub behavior: String,
         /// The network.
         pub network: BehaviorClassifierConfig,
-        /// Distribution of the training noise levels.
-        pub noise: NoiseDistribution,
         /// Maximum number of pairs to train on; negative ones are dropped first, until half are positive.
         #[schemars(range(min = 1, max = 1_000_000_000))]
         pub max_examples: usize,
@@ -38,7 +36,6 @@ impl Default for ClassifierTrainingConfig {
         Self {
             behavior: "cut_in".to_owned(),
             network: BehaviorClassifierConfig::default(),
-            noise: NoiseDistribution::default(),
             splits: Vec::new(),
             places: Vec::new(),
             max_examples: 50_000,
@@ -47,8 +44,6 @@ impl Default for ClassifierTrainingConfig {
             batch_size: 128,
             learning_rate: 1e-3,
             warmup_steps: 100,
-            decay: LearningRateDecay::default(),
-            clip_norm: 5.0,
             evaluate_every: 1_000,
             save_every: 500,
             checkpoint: None,
@@ -112,7 +107,8 @@ pub fn train_classifier(
     let spec = describe(config, denoiser, data, job.seed)?;
     let gather = |pairs| PairExamples::gather(data.dataset, pairs);
     let (train, held_out) = (gather(data.train)?, gather(data.held_out)?);
-    let (noise, device) = (config.noise, &job.compute.device);
+    // The paper's, as for its denoiser.
+    let (noise, device) = (NoiseDistribution::default(), &job.compute.device);
     let inputs = NoisyPairs { spec: &spec, noise, train: &train, held_out: &held_out, device };
     let mut model = Trainable::new(&spec, None, job)?;
     let task = ClassificationTask {

@@ -25,7 +25,6 @@ fn training(steps: u64) -> DenoiserTraining {
     };
     let config = DenoiserTrainingConfig {
         preset: Preset::Tiny,
-        noise: Some(NoiseDistribution { p_mean: -0.5, p_std: 1.4 }),
         network: Some(network),
         steps: Some(steps),
         learning_rate: Some(5e-3),
@@ -35,7 +34,8 @@ fn training(steps: u64) -> DenoiserTraining {
         n_eval_scenes: Some(8),
         ..DenoiserTrainingConfig::default()
     };
-    config.resolve().unwrap()
+    let noise = NoiseDistribution { p_mean: -0.5, p_std: 1.4 };
+    DenoiserTraining { noise, ..config.resolve().unwrap() }
 }
 
 type Outcome = Result<TrainOutcome<DenoiserSpec>, Error>;
@@ -70,11 +70,8 @@ fn objectives_shape_clean_estimates() {
     let final_cost = |weight: f64| {
         let mut training = training(200);
         // Nobody was recorded to turn that hard, but what is left of noise looks like it.
-        training.objectives = vec![ObjectiveConfig::AccelerationLimit(AccelerationLimit {
-            weight,
-            agents: AgentSelector::default(),
-            limit_mps2: 8.0,
-        })];
+        training.objectives =
+            vec![ObjectiveConfig::new(weight, AccelerationLimit { agents: AgentSelector::default(), limit_mps2: 8.0 })];
         let dir = tempfile::tempdir().unwrap();
         let outcome = train(&arcs(24), &training, dir.path()).unwrap();
         outcome.statistics.last().unwrap().evaluation["held_out_cost_of_acceleration_limit"]

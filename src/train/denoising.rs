@@ -41,7 +41,7 @@ impl DenoisingTask<'_> {
     /// λ(σ) |x0_hat - x0|², averaged over the scored scalars of the batch; one σ a row.
     fn weighted_error(&self, batch: &SceneBatch, x0_hat: &Tensor, sigmas: &[f64]) -> Result<Tensor, Error> {
         let edm = self.denoiser.edm();
-        let weight: Vec<f64> = sigmas.iter().map(|s| edm.loss_weight(self.training.loss_weight, *s)).collect();
+        let weight: Vec<f64> = sigmas.iter().map(|s| edm.loss_weight(*s)).collect();
         let squared = squared_error(batch, x0_hat, &batch.x0, self.training.path_loss)?;
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
         let n_scored = (batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?;

@@ -8,25 +8,16 @@ use super::{
 use crate::model::{DenoiserSpec, ModelSpec};
 use crate::nn::{Checkpoint, Params};
 
-/// The checkpoints that distillation starts from.
-#[derive(Clone, Copy)]
-pub struct DistillSource<'a> {
-    /// The denoiser that is distilled.
-    pub teacher: &'a Checkpoint<DenoiserSpec>,
-    /// The checkpoint to start from, if not the denoiser: an earlier result of its distillation.
-    pub start: Option<&'a Checkpoint<DenoiserSpec>>,
-}
-
-/// Tunes the denoiser of `source` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same
+/// Distills the denoiser `teacher` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same
 /// network, scales and limits that samples in few evaluations.
 ///
 /// # Errors
-/// When there is no scene to train on, scenes are not of the teacher's shape, the method or the start does not fit it,
+/// When there is no scene to train on, scenes are not of the teacher's shape, the method does not fit it,
 /// or training fails.
 pub fn distill_denoiser(
     training: &DistillTraining,
     data: &TrainingData<'_>,
-    DistillSource { teacher, start }: DistillSource<'_>,
+    teacher: &Checkpoint<DenoiserSpec>,
     job: TrainJob<'_>,
 ) -> Result<TrainOutcome<DenoiserSpec>, Error> {
     let mut objectives = teacher.metadata.objectives.clone();
@@ -43,10 +34,7 @@ pub fn distill_denoiser(
     };
     check_shape(&spec, data)?;
     training.method.check(&teacher.metadata)?;
-    if let Some(start) = start {
-        check_start(&start.metadata, &spec)?;
-    }
-    let mut model = Trainable::new(&spec, Some(start.unwrap_or(teacher)), job)?;
+    let mut model = Trainable::new(&spec, Some(teacher), job)?;
     let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
     let scenes = ScenesOfFit::new(data, &training.common, balance, spec.collator(), job.seed)?;
     let draws = scenes.draws(!training.objectives.is_empty(), job);
@@ -57,21 +45,6 @@ pub fn distill_denoiser(
     let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
     let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
     model.finish(spec, outcome, job)
-}
-
-/// Fails if `start` is not an earlier result of a distillation to `wanted`.
-fn check_start(start: &DenoiserSpec, wanted: &DenoiserSpec) -> Result<(), Error> {
-    let differs = [
-        (start.network != wanted.network, "has a different network than the denoiser"),
-        (start.normalizer != wanted.normalizer, "has different scales than the denoiser"),
-        (start.distillation != wanted.distillation, "was not distilled, or onto different noise levels"),
-    ];
-    match differs.iter().find(|(differs, _)| *differs) {
-        Some((_, how)) => Err(Error::Config(format!(
-            "the checkpoint of train.distill.start_from {how}: compare `djinn inspect` with the settings"
-        ))),
-        None => Ok(()),
-    }
 }
 
 /// Fails if the scenes do not have the shape of the teacher's. Only the first is checked, because batches reject scenes

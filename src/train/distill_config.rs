@@ -2,7 +2,7 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{Own, SceneTraining, scene_training_section};
-use super::{Error, FitConfig, LearningRateDecay, StepDistillation};
+use super::{Error, FitConfig, StepDistillation};
 use crate::diffusion::Edm;
 use crate::guidance::ObjectiveConfig;
 use crate::model::{DenoiserSpec, Distillation};
@@ -40,9 +40,6 @@ scene_training_section! {
         /// Objectives for samples, in addition to matching the denoiser: each adds its weight
         /// times its cost beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
-        /// A checkpoint of the same denoiser, distilled to the same steps, to start from: to train it toward other
-        /// objectives.
-        pub start_from: Option<std::path::PathBuf>,
     }
 }
 
@@ -60,13 +57,9 @@ impl Default for DistillTrainingConfig {
             batch_size: 8,
             learning_rate: 3e-4,
             warmup_steps: 50,
-            decay: LearningRateDecay::Cosine,
-            clip_norm: 5.0,
-            ema_decay: 0.99,
             n_eval_scenes: 48,
             evaluate_every: 500,
             save_every: 250,
-            start_from: None,
             checkpoint: None,
         }
     }

@@ -1,5 +1,6 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation.
 
+use super::fit_config::CLIP_NORM;
 use super::run_state::Run;
 use super::{Error, FitConfig, TrainJob, TrainTask};
 use crate::nn::{Params, copies, in_pool, keep_freed_memory};
@@ -113,7 +114,7 @@ impl Run {
         if !value.is_finite() {
             return Err(Error::Diverged { step, loss: value });
         }
-        let norm = self.adam.step(params, gradients, config.learning_rate_at(step), Some(config.clip_norm))?;
+        let norm = self.adam.step(params, gradients, config.learning_rate_at(step), Some(CLIP_NORM))?;
         if let Some(ema) = &mut self.ema {
             ema.update(params)?;
             self.position.ema_updates = ema.n_updates();
@@ -209,7 +210,6 @@ mod tests {
             learning_rate: 0.05,
             warmup_steps: 4,
             decay: LearningRateDecay::Constant,
-            clip_norm: 5.0,
             ema_decay: 0.9,
             evaluate_every: 6,
             save_every: 5,

@@ -1,10 +1,12 @@
 //! The settings of the training loop.
 
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// Gradients are scaled down to this global norm (the paper's).
+pub(super) const CLIP_NORM: f64 = 5.0;
+
 /// The learning-rate schedule after warm-up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum LearningRateDecay {
     /// Constant (the paper's).
@@ -26,8 +28,6 @@ pub struct FitConfig {
     pub warmup_steps: u64,
     /// The schedule afterwards.
     pub decay: LearningRateDecay,
-    /// Gradients are scaled down to this global norm (the paper's 5).
-    pub clip_norm: f64,
     /// Decay of the moving average of the weights; 0 for none.
     pub ema_decay: f64,
     /// Steps between evaluations.
@@ -47,7 +47,6 @@ impl Default for FitConfig {
             learning_rate: 1e-3,
             warmup_steps: 200,
             decay: LearningRateDecay::Cosine,
-            clip_norm: 5.0,
             ema_decay: 0.99,
             evaluate_every: 500,
             save_every: 250,

@@ -50,7 +50,7 @@ pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train
 pub use classifier_report::NoiseLevelReport;
 pub use denoiser::train_denoiser;
 pub use denoising::DenoisingTask;
-pub use distill::{DistillSource, distill_denoiser};
+pub use distill::distill_denoiser;
 pub use distill_config::{DistillTraining, DistillTrainingConfig};
 pub use error::Error;
 pub use fit::{FitOutcome, FitStatistics, fit};

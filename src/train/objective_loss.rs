@@ -50,7 +50,7 @@ pub(super) fn objective_loss(
     let counts = Tensor::from_slice(counts, counts.len(), x0.device())?;
     let mut total: Option<Tensor> = None;
     for (objective, cost) in objectives.iter().zip(objective_costs(objectives, x0, drawn)?) {
-        let mean = ((cost * &counts)?.sum_all()? * (objective.weight() / n_counted))?;
+        let mean = ((cost * &counts)?.sum_all()? * (objective.weight / n_counted))?;
         total = Some(match total {
             Some(total) => (total + mean)?,
             None => mean,

@@ -3,7 +3,7 @@
 use super::objective_loss::check_objectives;
 use super::section::{SceneTraining, scene_training_section};
 use super::{Error, FitConfig, LearningRateDecay};
-use crate::diffusion::{Edm, LossWeight, NoiseDistribution};
+use crate::diffusion::{Edm, NoiseDistribution};
 use crate::guidance::ObjectiveConfig;
 use crate::model::{GeometryConfig, NetworkConfig};
 use crate::tensor::{StateParametrization, TaskWeights};
@@ -48,15 +48,9 @@ scene_training_section! {
         pub network: Option<NetworkConfig>,
         /// What is diffused: `scene` (the paper's) or `motion`.
         pub state_parametrization: Option<StateParametrization>,
-        /// Distribution of the training noise levels.
-        pub noise: Option<NoiseDistribution>,
-        /// Weight of the noise levels in the loss: `edm` or `unit`.
-        pub loss_weight: LossWeight,
-        /// Weight of the squared error of the path to which diffused motion adds up, relative to that of the motion
-        /// itself (motion parametrization only). The optimal denoiser is the same at any weight; the weight decides
-        /// what a network learns first.
-        #[schemars(range(min = 0.0, max = 1e6))]
-        pub path_loss: Option<f64>,
+        /// Decay of the moving average of the weights; 0 for none.
+        #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
+        pub ema_decay: Option<f64>,
         /// Objectives for clean estimates at low noise, in addition to the loss: each adds its weight times its cost
         /// beyond that of the recording, √(1 - 2 J) - 1 per scene.
         pub objectives: Vec<ObjectiveConfig>,
@@ -92,9 +86,9 @@ pub struct DenoiserTraining {
     pub edm: Edm,
     /// Distribution of the training noise levels.
     pub noise: NoiseDistribution,
-    /// Weight of the noise levels in the loss.
-    pub loss_weight: LossWeight,
-    /// Weight of the error of paths in the loss.
+    /// Weight of the squared error of the path to which diffused motion adds up, relative to that of the motion
+    /// itself (motion parametrization only). The optimal denoiser is the same at any weight; the weight decides
+    /// what a network learns first.
     pub path_loss: f64,
     /// Objectives for clean estimates at low noise.
     pub objectives: Vec<ObjectiveConfig>,
@@ -119,17 +113,17 @@ impl DenoiserTrainingConfig {
     pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;
-        let common = self.scene_training(&base.common)?;
+        let mut common = self.scene_training(&base.common)?;
+        common.fit.ema_decay = self.ema_decay.unwrap_or(common.fit.ema_decay);
         check_objectives("train.denoiser.objectives", &self.objectives)?;
         let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
         // Settings of the preset that only fit diffused motion do not apply to other parametrizations.
         let fits = parametrization == base.parametrization;
         let base_network = if fits { base.network } else { base.network.without_paths() };
         let network = self.network.clone().unwrap_or(base_network);
-        let path_loss = self.path_loss.unwrap_or(if fits { base.path_loss } else { 0.0 });
-        if parametrization != StateParametrization::Motion && (network.path_input || path_loss != 0.0) {
-            let message = "train.denoiser.network.path_input and train.denoiser.path_loss need \
-                           state_parametrization = \"motion\"";
+        let path_loss = if fits { base.path_loss } else { 0.0 };
+        if parametrization != StateParametrization::Motion && network.path_input {
+            let message = "train.denoiser.network.path_input needs state_parametrization = \"motion\"";
             return Err(Error::Config(message.to_owned()));
         }
         if network.geometry.is_some() && parametrization != StateParametrization::Motion {
@@ -141,8 +135,7 @@ impl DenoiserTrainingConfig {
             network,
             parametrization,
             edm: base.edm,
-            noise: self.noise.unwrap_or(base.noise),
-            loss_weight: self.loss_weight,
+            noise: base.noise,
             path_loss,
             objectives: self.objectives.clone(),
             objectives_below_sigma: self.objectives_below_sigma.unwrap_or(base.objectives_below_sigma),
@@ -237,7 +230,6 @@ impl Preset {
             edm: Edm::default(),
             // Whole paths are decided at higher noise levels than their details.
             noise: NoiseDistribution { p_mean: -0.3, p_std: 1.5 },
-            loss_weight: LossWeight::default(),
             path_loss: 0.1,
             objectives: Vec::new(),
             objectives_below_sigma: 0.3,

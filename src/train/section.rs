@@ -120,11 +120,6 @@ macro_rules! training_section {
             /// Steps over which the learning rate rises from 0.
             #[schemars(range(max = 1_000_000_000))]
             pub warmup_steps: $value<u64>,
-            /// The learning-rate schedule after warm-up: `constant` or `cosine`.
-            pub decay: $value<crate::train::LearningRateDecay>,
-            /// Gradients are scaled down to this global norm.
-            #[schemars(extend("exclusiveMinimum" = 0))]
-            pub clip_norm: $value<f64>,
             /// Steps between evaluations.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub evaluate_every: $value<u64>,
@@ -146,8 +141,6 @@ macro_rules! training_section {
                     steps: or(self.steps, base.steps),
                     learning_rate: or(self.learning_rate, base.learning_rate),
                     warmup_steps: or(self.warmup_steps, base.warmup_steps),
-                    decay: or(self.decay, base.decay),
-                    clip_norm: or(self.clip_norm, base.clip_norm),
                     evaluate_every: or(self.evaluate_every, base.evaluate_every),
                     save_every: or(self.save_every, base.save_every),
                     ..base.clone()
@@ -177,9 +170,6 @@ macro_rules! scene_training_section {
                 /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains
                 /// for prediction alone.
                 pub tasks: TaskWeights,
-                /// Decay of the moving average of the weights; 0 for none.
-                #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
-                pub ema_decay: $value<f64>,
                 /// Held-out scenes of each evaluation during training.
                 #[schemars(range(max = 1_000_000))]
                 pub n_eval_scenes: $value<usize>,
@@ -214,10 +204,7 @@ macro_rules! scene_training_section {
                     tasks: self.tasks,
                     batch_size: or(self.batch_size, base.batch_size),
                     n_eval_scenes: or(self.n_eval_scenes, base.n_eval_scenes),
-                    fit: FitConfig {
-                        ema_decay: or(self.ema_decay, base.fit.ema_decay),
-                        ..self.schedule(&base.fit)
-                    },
+                    fit: self.schedule(&base.fit),
                 })
             }
         }

@@ -3,7 +3,7 @@
 use super::latent_error::{pseudo_huber, squared_error};
 use super::objective_loss::{objective_costs, objective_loss};
 use super::{DistillTraining, DrawnBatch, Error, SceneDraws, TrainTask};
-use crate::diffusion::sampler::{Dpmpp2mConfig, EulerConfig, StepGrid};
+use crate::diffusion::sampler::StepGrid;
 use crate::diffusion::{Denoiser, Edm, NoiseSource, SamplerConfig, Step, rows_like};
 use crate::model::SceneDenoiser;
 use crate::settings::{self, Issue};
@@ -45,7 +45,7 @@ pub struct StepDistillation {
 
 impl Default for StepDistillation {
     fn default() -> Self {
-        let grid = StepGrid { sigma_max: Some(30.0), sigma_min: Some(2.5), rho: None };
+        let grid = StepGrid { sigma_max: Some(30.0), sigma_min: Some(2.5) };
         Self { n_steps: 2, grid, teacher_steps: 5, teacher_sigma_min: 0.08 }
     }
 }
@@ -53,7 +53,7 @@ impl Default for StepDistillation {
 impl StepDistillation {
     /// The sampler that the student is made for.
     pub const fn sampler(&self) -> SamplerConfig {
-        SamplerConfig::Euler(EulerConfig { n_steps: self.n_steps, grid: self.grid })
+        SamplerConfig::euler(self.n_steps).on(self.grid)
     }
 
     /// Rejects steps that work with no denoiser.
@@ -107,15 +107,14 @@ impl StepDistillation {
     /// The solver runs once through all levels. A multistep solver begins with a first-order step; restarted at each
     /// level, it would make samples too similar.
     fn states(&self, edm: &Edm, teacher: &dyn Denoiser, x: Tensor) -> candle_core::Result<Vec<Tensor>> {
-        let solver = SamplerConfig::Dpmpp2m(Dpmpp2mConfig::default());
+        let solver = SamplerConfig::dpmpp_2m(self.teacher_steps);
         let mut states = vec![x.clone()];
         let mut observer = |step: &Step<'_>| {
             if (step.step_idx + 1).is_multiple_of(self.teacher_steps) {
                 states.push(step.x.clone());
             }
         };
-        // The solver adds no noise.
-        solver.integrate(&self.teacher_sigmas(edm), teacher, x, &mut NoiseSource::new(Vec::new()), &mut observer)?;
+        solver.integrate(&self.teacher_sigmas(edm), teacher, x, &mut observer)?;
         Ok(states)
     }
 }
@@ -238,7 +237,7 @@ mod tests {
     fn the_levels_are_those_of_the_sampler_and_the_teacher_goes_between_them() {
         let edm = Edm::default();
         let steps = StepDistillation {
-            grid: StepGrid { sigma_max: Some(30.0), sigma_min: Some(4.0), rho: None },
+            grid: StepGrid { sigma_max: Some(30.0), sigma_min: Some(4.0) },
             teacher_steps: 3,
             ..StepDistillation::default()
         };
@@ -270,9 +269,8 @@ mod tests {
         assert_eq!((states.len(), sigmas.len()), (4, 4));
         for (states, levels) in states.windows(2).zip(sigmas.windows(2)) {
             let learned = Answer(answer(&states[0], &states[1], levels[0], levels[1]).unwrap());
-            let euler = SamplerConfig::Euler(EulerConfig::default());
-            let mut no_noise = NoiseSource::new(Vec::new());
-            let landed = euler.integrate(levels, &learned, states[0].clone(), &mut no_noise, &mut |_| ()).unwrap();
+            let euler = SamplerConfig::euler(3);
+            let landed = euler.integrate(levels, &learned, states[0].clone(), &mut |_| ()).unwrap();
             let gain = levels[1].hypot(STD) / sigmas[0].hypot(STD);
             let exact = ((&x - MEAN).unwrap() * gain).unwrap() + MEAN;
             for (landed, exact) in values(&landed).iter().zip(values(&exact.unwrap())) {

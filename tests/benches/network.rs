@@ -7,7 +7,6 @@
 use crate::batch_tensors::tensors;
 use crate::cpu_time::{Elapsed, timed};
 use candle_core::{Device, Tensor};
-use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Denoiser, NoiseSource, SamplerConfig, rows_like};
 use djinn::model::{DenoiserKind, DenoiserSpec, ModelSpec, SceneDenoiser};
 use djinn::nn::{Adam, Compute, Params, in_pool, keep_freed_memory};
@@ -191,7 +190,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let sample = || -> Result<()> {
         let bound = frozen.bind(&scene, options.n_futures)?;
         let seeds = (0..options.n_futures as u64).map(|i| SEED.derive("noise", &[i])).collect();
-        let sampler = SamplerConfig::Heun(HeunConfig::with_steps(options.n_steps));
+        let sampler = SamplerConfig::heun(options.n_steps);
         let (dims, mut noise) = (&scene.x0.dims()[1..], NoiseSource::new(seeds));
         sampler.sample(&spec.edm, &bound, dims, &scene.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())?;
         Ok(())
@@ -222,7 +221,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
 fn noisy(drawn: DrawnBatch, training: &DenoiserTraining) -> Result<Noisy> {
     let DrawnBatch { batch, seeds, mut rngs, .. } = drawn;
     let sigmas: Vec<f64> = rngs.iter_mut().map(|rng| training.noise.draw(rng)).collect();
-    let weight = sigmas.iter().map(|sigma| training.edm.loss_weight(training.loss_weight, *sigma)).collect();
+    let weight = sigmas.iter().map(|sigma| training.edm.loss_weight(*sigma)).collect();
     let sigma = rows_like(sigmas, &batch.x0)?;
     let noise = NoiseSource::new(seeds).draw_like(&batch.x0)?.broadcast_mul(&sigma)?;
     let x = (&batch.x0 + noise)?.broadcast_mul(&batch.latent.unsqueeze(3)?)?;

@@ -6,7 +6,6 @@
 use crate::cpu_time::{Elapsed, timed};
 use crate::scenes::scene;
 use candle_core::{Device, Result};
-use djinn::diffusion::sampler::HeunConfig;
 use djinn::diffusion::{Edm, NoiseSource, SamplerConfig};
 use djinn::model::{NetworkConfig, SceneDenoiser, SceneTransformer, SceneTransformerConfig};
 use djinn::nn::{Compute, Params, keep_freed_memory};
@@ -56,7 +55,7 @@ fn table(agents: &[usize], steps: &[usize]) -> Result<()> {
         let bound = denoiser.bind(&batch, 1)?;
         let draw = |n_steps: usize| -> Result<Elapsed> {
             let mut noise = NoiseSource::new(vec![Seed(2)]);
-            let sampler = SamplerConfig::Heun(HeunConfig::with_steps(n_steps));
+            let sampler = SamplerConfig::heun(n_steps);
             let dims = &batch.x0.dims()[1..];
             let (sample, elapsed) = timed(|| {
                 sampler.sample(&edm, &bound, dims, &batch.x0, &mut noise, &mut |_: &djinn::diffusion::Step<'_>| ())

@@ -156,15 +156,8 @@ fn with_baseline() -> String {
     let section = r#"
 [train.baseline]
 preset = "tiny"
-network = { encoder = "TAM", decoder = "T", width = 16, n_heads = 2, feed_forward = 16, encoding = 8 }
 steps = 6
 batch_size = 2
-warmup_steps = 2
-evaluate_every = 6
-save_every = 3
-n_eval_scenes = 2
-max_agents = 6
-max_lanes = 8
 
 [generate]"#;
     let guided = "behavior = \"cut_in\"\nn_scenes = 4\nn_samples = 2\nstrengths = [0.0, 2.0]";

@@ -5,28 +5,9 @@
 //! σ to σ' of length h = λ' - λ reads x' = (σ' / σ) x + (1 - σ' / σ) D, where D extrapolates the estimates to the
 //! middle of the step.
 
-use super::{Observer, Step, StepGrid, denoise_at, steps};
+use super::{Observer, Step, denoise_at, steps};
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// Settings of DPM-Solver++(2M).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Dpmpp2mConfig {
-    /// Number of steps N, one evaluation each.
-    #[schemars(range(min = 1, max = 10_000))]
-    pub n_steps: usize,
-    /// The grid of noise levels, if it is not the denoiser's.
-    pub grid: StepGrid,
-}
-
-impl Default for Dpmpp2mConfig {
-    fn default() -> Self {
-        Self { n_steps: 40, grid: StepGrid::default() }
-    }
-}
 
 /// See [`super::SamplerConfig::integrate`].
 pub(super) fn integrate(

@@ -1,27 +1,8 @@
 //! Euler's first-order sampler: the simplest, for comparison.
 
-use super::{Observer, Step, StepGrid, denoise_at, slope, steps};
+use super::{Observer, Step, denoise_at, slope, steps};
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// Settings of Euler's sampler.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct EulerConfig {
-    /// Number of steps N, one evaluation each.
-    #[schemars(range(min = 1, max = 10_000))]
-    pub n_steps: usize,
-    /// The grid of noise levels, if it is not the denoiser's.
-    pub grid: StepGrid,
-}
-
-impl Default for EulerConfig {
-    fn default() -> Self {
-        Self { n_steps: 100, grid: StepGrid::default() }
-    }
-}
 
 /// See [`super::SamplerConfig::integrate`].
 pub(super) fn integrate(

@@ -18,9 +18,6 @@ pub struct StepGrid {
     /// The noise level of the last step, which leads to 0. Left out: the denoiser's smallest one, 0.002.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_min: Option<f64>,
-    /// How densely steps are placed at low noise levels; 1 for evenly spaced. Left out: the denoiser's ρ, 7.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub rho: Option<f64>,
 }
 
 impl StepGrid {
@@ -29,7 +26,7 @@ impl StepGrid {
         Edm {
             sigma_max: self.sigma_max.unwrap_or(edm.sigma_max),
             sigma_min: self.sigma_min.unwrap_or(edm.sigma_min),
-            rho: self.rho.unwrap_or(edm.rho),
+            rho: edm.rho,
         }
     }
 
@@ -47,24 +44,25 @@ impl StepGrid {
     /// The suffix of a sampler's name; empty where the denoiser's own grid is kept.
     pub(super) fn suffix(self) -> String {
         let part = |word: &str, value: Option<f64>| value.map_or_else(String::new, |value| format!("-{word}-{value}"));
-        [part("from", self.sigma_max), part("to", self.sigma_min), part("rho", self.rho)].concat()
+        [part("from", self.sigma_max), part("to", self.sigma_min)].concat()
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Dpmpp2mConfig, SamplerConfig};
+    use super::super::SamplerConfig;
     use super::*;
 
     fn sampler(grid: StepGrid) -> SamplerConfig {
-        SamplerConfig::Dpmpp2m(Dpmpp2mConfig { n_steps: 3, grid })
+        SamplerConfig::dpmpp_2m(3).on(grid)
     }
 
     #[test]
     fn levels_are_those_of_the_grid() {
-        let even = sampler(StepGrid { sigma_max: Some(9.0), sigma_min: Some(1.0), rho: Some(1.0) });
-        assert_eq!(even.schedule(&Edm::default(), even.sigma_start(&Edm::default())), [9.0, 5.0, 1.0, 0.0]);
-        assert_eq!(even.name(), "dpmpp_2m-3-from-9-to-1-rho-1");
+        let even = sampler(StepGrid { sigma_max: Some(9.0), sigma_min: Some(1.0) });
+        let edm = Edm { rho: 1.0, ..Edm::default() };
+        assert_eq!(even.schedule(&edm, even.sigma_start(&edm)), [9.0, 5.0, 1.0, 0.0]);
+        assert_eq!(even.name(), "dpmpp_2m-3-from-9-to-1");
         let own = sampler(StepGrid::default());
         assert_eq!(own.schedule(&Edm::default(), own.sigma_start(&Edm::default())), Edm::default().schedule(3));
         assert_eq!(own.name(), "dpmpp_2m-3");
@@ -82,8 +80,8 @@ mod tests {
     fn what_is_no_grid_is_refused_by_name() {
         let message = |grid| sampler(grid).validate().unwrap_err().to_string();
         assert!(
-            message(StepGrid { rho: Some(0.0), ..StepGrid::default() })
-                .contains("grid.rho is 0, expected more than 0 and at most 100")
+            message(StepGrid { sigma_max: Some(0.0), ..StepGrid::default() })
+                .contains("grid.sigma_max is 0, expected more than 0 and at most 1000000")
         );
         let upside_down = StepGrid { sigma_max: Some(0.001), ..StepGrid::default() };
         assert!(message(upside_down).contains("grid.sigma_max is 0.001, expected more than sigma_min, 0.002"));

@@ -7,10 +7,7 @@ mod heun;
 #[cfg(test)]
 mod tests;
 
-pub use dpmpp_2m::Dpmpp2mConfig;
-pub use euler::EulerConfig;
 pub use grid::StepGrid;
-pub use heun::HeunConfig;
 
 use super::{Denoiser, Edm, NoiseSource};
 use crate::settings;
@@ -18,24 +15,37 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A sampler and its settings.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(tag = "kind")]
-pub enum SamplerConfig {
-    /// Second order, two evaluations per step; the paper's.
+/// A sampler and its settings. All are deterministic given their starting noise.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SamplerConfig {
+    /// The method.
+    pub kind: SamplerKind,
+    /// Number of steps. Left out: 50 of `heun`, 100 of `euler`, 40 of `dpmpp_2m`.
+    #[schemars(range(min = 1, max = 10_000))]
+    pub n_steps: Option<usize>,
+    /// The grid of noise levels, if it is not the denoiser's.
+    #[serde(default)]
+    pub grid: StepGrid,
+}
+
+/// A method of sampling.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum SamplerKind {
+    /// Second order, two evaluations per step but for the last; the paper's.
     #[serde(rename = "heun")]
-    Heun(HeunConfig),
+    Heun,
     /// First order, one evaluation per step.
     #[serde(rename = "euler")]
-    Euler(EulerConfig),
+    Euler,
     /// Second order, one evaluation per step (DPM-Solver++ 2M).
     #[serde(rename = "dpmpp_2m")]
-    Dpmpp2m(Dpmpp2mConfig),
+    Dpmpp2m,
 }
 
 impl Default for SamplerConfig {
     fn default() -> Self {
-        Self::Heun(HeunConfig::default())
+        Self::heun(50)
     }
 }
 
@@ -58,20 +68,52 @@ pub struct Step<'a> {
 pub type Observer<'a> = dyn FnMut(&Step<'_>) + 'a;
 
 impl SamplerConfig {
+    const fn of(kind: SamplerKind, n_steps: usize) -> Self {
+        Self { kind, n_steps: Some(n_steps), grid: StepGrid { sigma_max: None, sigma_min: None } }
+    }
+
+    /// Heun's sampler with this many steps.
+    pub const fn heun(n_steps: usize) -> Self {
+        Self::of(SamplerKind::Heun, n_steps)
+    }
+
+    /// Euler's sampler with this many steps.
+    pub const fn euler(n_steps: usize) -> Self {
+        Self::of(SamplerKind::Euler, n_steps)
+    }
+
+    /// DPM-Solver++ (2M) with this many steps.
+    pub const fn dpmpp_2m(n_steps: usize) -> Self {
+        Self::of(SamplerKind::Dpmpp2m, n_steps)
+    }
+
+    /// This sampler on another grid.
+    #[must_use]
+    pub const fn on(self, grid: StepGrid) -> Self {
+        Self { grid, ..self }
+    }
+
+    /// The sampler with its number of steps filled in.
+    #[must_use]
+    pub const fn resolved(self) -> Self {
+        Self { n_steps: Some(self.n_steps()), ..self }
+    }
+
     /// Number of steps N.
     pub const fn n_steps(&self) -> usize {
-        match self {
-            Self::Heun(config) => config.n_steps,
-            Self::Euler(config) => config.n_steps,
-            Self::Dpmpp2m(config) => config.n_steps,
+        match (self.n_steps, self.kind) {
+            (Some(n_steps), _) => n_steps,
+            (None, SamplerKind::Heun) => 50,
+            (None, SamplerKind::Euler) => 100,
+            (None, SamplerKind::Dpmpp2m) => 40,
         }
     }
 
     /// Number of evaluations of the denoiser for one sample. Heun's last step, to σ = 0, needs only one.
     pub const fn n_evaluations(&self) -> usize {
-        match self {
-            Self::Heun(config) => (2 * config.n_steps).saturating_sub(1),
-            Self::Euler(_) | Self::Dpmpp2m(_) => self.n_steps(),
+        match self.kind {
+            SamplerKind::Heun => (2 * self.n_steps()).saturating_sub(1),
+            SamplerKind::Euler | SamplerKind::Dpmpp2m => self.n_steps(),
         }
     }
 
@@ -81,26 +123,17 @@ impl SamplerConfig {
     /// Names the setting that is invalid.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
-        self.grid().validate().map_err(|issue| issue.within("grid"))
-    }
-
-    /// The grid of noise levels, if it is not the denoiser's.
-    const fn grid(&self) -> StepGrid {
-        match self {
-            Self::Heun(config) => config.grid,
-            Self::Euler(config) => config.grid,
-            Self::Dpmpp2m(config) => config.grid,
-        }
+        self.grid.validate().map_err(|issue| issue.within("grid"))
     }
 
     /// The noise level that sampling begins with.
     pub fn sigma_start(&self, edm: &Edm) -> f64 {
-        self.grid().laid_over(edm).sigma_max
+        self.grid.laid_over(edm).sigma_max
     }
 
     /// The noise levels of its steps from `sigma_start`, the last of them 0.
     pub fn schedule(&self, edm: &Edm, sigma_start: f64) -> Vec<f64> {
-        let edm = self.grid().laid_over(edm);
+        let edm = self.grid.laid_over(edm);
         // An edit may begin at or below the last level of the grid: there is one step then, to 0.
         match sigma_start <= edm.sigma_min {
             true => vec![sigma_start, 0.0],
@@ -111,13 +144,12 @@ impl SamplerConfig {
     /// The name for provenance: the kind, the number of steps and, if it is not the default, the grid: such as
     /// `heun-50`.
     pub fn name(&self) -> String {
-        let name = match self {
-            Self::Heun(config) if config.s_churn > 0.0 => format!("heun-{}-churn-{}", config.n_steps, config.s_churn),
-            Self::Heun(config) => format!("heun-{}", config.n_steps),
-            Self::Euler(config) => format!("euler-{}", config.n_steps),
-            Self::Dpmpp2m(config) => format!("dpmpp_2m-{}", config.n_steps),
+        let kind = match self.kind {
+            SamplerKind::Heun => "heun",
+            SamplerKind::Euler => "euler",
+            SamplerKind::Dpmpp2m => "dpmpp_2m",
         };
-        name + &self.grid().suffix()
+        format!("{kind}-{}{}", self.n_steps(), self.grid.suffix())
     }
 
     /// One sample for each of `noise`'s rows: (B, `row_dims`…) in the dtype and on the device of `like`.
@@ -132,23 +164,22 @@ impl SamplerConfig {
     ) -> Result<Tensor> {
         let sigma_start = self.sigma_start(edm);
         let x = (noise.draw(row_dims, like.dtype(), like.device())? * sigma_start)?;
-        self.integrate(&self.schedule(edm, sigma_start), denoiser, x, noise, observer)
+        self.integrate(&self.schedule(edm, sigma_start), denoiser, x, observer)
     }
 
     /// Integrates from `x` (B, …), a state at noise level `sigmas[0]`, along the decreasing `sigmas` to the last of
-    /// them. The number of steps is that of `sigmas`. `noise` is drawn from only by samplers that add noise on the way.
+    /// them. The number of steps is that of `sigmas`.
     pub fn integrate(
         &self,
         sigmas: &[f64],
         denoiser: &dyn Denoiser,
         x: Tensor,
-        noise: &mut NoiseSource,
         observer: &mut Observer<'_>,
     ) -> Result<Tensor> {
-        match self {
-            Self::Heun(config) => heun::integrate(config, sigmas, denoiser, x, noise, observer),
-            Self::Euler(_) => euler::integrate(sigmas, denoiser, x, observer),
-            Self::Dpmpp2m(_) => dpmpp_2m::integrate(sigmas, denoiser, x, observer),
+        match self.kind {
+            SamplerKind::Heun => heun::integrate(sigmas, denoiser, x, observer),
+            SamplerKind::Euler => euler::integrate(sigmas, denoiser, x, observer),
+            SamplerKind::Dpmpp2m => dpmpp_2m::integrate(sigmas, denoiser, x, observer),
         }
     }
 }

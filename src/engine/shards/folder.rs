@@ -4,20 +4,17 @@
 
 use super::Division;
 use super::identity::Identity;
-use super::tries::{MAX_TRIES, Tries, is_try_of};
+use super::plan_files::{ABOUT_FILE, LOG, PLAN_FILE, discard, plan_dirs, plans_of};
+use super::tries::{MAX_TRIES, Tries};
 use crate::engine::record::unreadable;
 use crate::engine::{Failure, Result, ShardNames, StageKind};
-use crate::files::{self, FileStamp, files_below, foreign, is_link, mirror_above, remove_if_present, remove_listed};
+use crate::files::{FileStamp, files_below, mirror_above, remove_if_present};
 use crate::store::{self, read_record, write_record};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-
-const PLAN_FILE: &str = "plan.json";
-/// Written after the plan: its presence means that workers may begin.
-const ABOUT_FILE: &str = "parts.json";
 
 /// The folder of a plan.
 #[derive(Debug, Clone)]
@@ -289,8 +286,8 @@ impl ShardFolder {
             else {
                 continue;
             };
-            if !self.is_shared() || !Tries::of(self, idx).failed.is_empty() {
-                (1..=MAX_TRIES).try_for_each(|number| remove_if_present(&self.try_path(idx, number)))?;
+            if !self.is_shared() || !self.tries(idx).failed.is_empty() {
+                self.try_paths(idx).try_for_each(|path| remove_if_present(&path))?;
             }
         }
         Ok(())
@@ -339,72 +336,19 @@ impl ShardFolder {
     pub(super) fn try_path(&self, idx: usize, number: usize) -> PathBuf {
         self.dir.join(format!("{}.try-{number}", self.shard_name(idx)))
     }
-}
 
-/// The folders of the plans of a stage, in order, complete or not.
-fn plan_dirs(root: &Path, kind: &'static StageKind) -> Result<Vec<PathBuf>> {
-    let parts = plans_of(root, kind);
-    if is_link(&parts) {
-        return Err(files::Error::Link { path: parts }.into());
+    /// Where all tries at a shard are marked.
+    pub(super) fn try_paths(&self, idx: usize) -> impl Iterator<Item = PathBuf> + Clone {
+        (1..=MAX_TRIES).map(move |number| self.try_path(idx, number))
     }
-    if !parts.is_dir() {
-        return Ok(Vec::new());
+
+    /// The tries at a shard.
+    pub(super) fn tries(&self, idx: usize) -> Tries {
+        Tries::of(self.try_paths(idx))
     }
-    let is_plan_id = |name: &str| name.len() == 16 && name.bytes().all(|byte| byte.is_ascii_hexdigit());
-    let mut dirs = Vec::new();
-    for entry in fs_err::read_dir(parts)? {
-        let entry = entry?;
-        // Systems leave files of their own in folders, and links lead anywhere.
-        if entry.file_type()?.is_dir() && entry.file_name().to_str().is_some_and(is_plan_id) {
-            dirs.push(entry.path());
-        }
-    }
-    dirs.sort();
-    Ok(dirs)
 }
 
 /// The failure to read a record in the folder of a plan.
 fn damaged(error: store::Error, dir: &Path) -> Failure {
     unreadable(error, || format!("move {} away, and plan again", dir.display()))
-}
-
-/// See [`ShardFolder::discard`].
-fn discard(dir: &Path, names: ShardNames) -> Result<()> {
-    let found = files_below(dir)?;
-    let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, names)).collect();
-    let theirs = foreign(dir, &ours)?;
-    if !theirs.is_empty() {
-        return Err(files::Error::Foreign { path: dir.to_owned(), found: theirs }.into());
-    }
-    // Processes read this first.
-    remove_if_present(&dir.join(ABOUT_FILE))?;
-    remove_listed(dir, &ours).map_err(Failure::fault)?;
-    if let Some(parts) = dir.parent() {
-        // Others may be in it.
-        let _ = fs_err::remove_dir(parts);
-    }
-    Ok(())
-}
-
-/// Whether plans or workers write files of this name, or temporary files for them.
-fn is_ours(name: &Path, names: ShardNames) -> bool {
-    let name = name.to_string_lossy();
-    let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
-    let name = whole.map_or(name.as_ref(), |(whole, _)| whole);
-    let is_number = |text: &str| text.len() >= 5 && text.bytes().all(|byte| byte.is_ascii_digit());
-    let is_log = || name.strip_prefix(LOG).and_then(|rest| rest.strip_suffix(".txt")).is_some_and(is_number);
-    let is_shard = || {
-        let (stem, ending) = name.split_once('.')?;
-        let idx = stem.strip_prefix(names.shard)?.strip_prefix('-').filter(|idx| is_number(idx))?;
-        let shard = names.shard_name(idx.parse().ok()?);
-        ([names.ending, "json"].contains(&ending) || is_try_of(name, &shard)).then_some(())
-    };
-    [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || (names.is_other)(name)
-}
-
-const LOG: &str = "worker-";
-
-/// Where the plans of a stage are, in the run folder.
-fn plans_of(root: &Path, kind: &'static StageKind) -> PathBuf {
-    root.join(format!("{kind}.parts"))
 }

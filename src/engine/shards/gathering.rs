@@ -1,7 +1,6 @@
 //! Which shards are finished, and what does the message say of the others?
 
 use super::folder::ShardFolder;
-use super::tries::Tries;
 use crate::engine::{Failure, Result};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -39,7 +38,7 @@ impl<'a> Gathering<'a> {
         if let Some(finished) = self.folder.verified::<S>(idx)? {
             return Ok(Some(finished.facts));
         }
-        let (name, tries) = (self.folder.shard_name(idx), Tries::of(self.folder, idx));
+        let (name, tries) = (self.folder.shard_name(idx), self.folder.tries(idx));
         match tries.are_over() {
             true => self.given_up.push(format!("{name} ({})", tries.describe())),
             false => self.missing.push(name),

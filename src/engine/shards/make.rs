@@ -3,7 +3,7 @@
 use super::folder::ShardFolder;
 use super::identity::Identity;
 use super::open;
-use super::tries::{self, Tries};
+use super::tries;
 use crate::engine::execute::check_inputs;
 use crate::engine::log::Logged;
 use crate::engine::plan::expected;
@@ -205,14 +205,14 @@ impl<'a> Shards<'a> {
         worth: &dyn Fn(usize) -> u64,
         make: &mut dyn FnMut(usize) -> Result<(FileStamp, S)>,
     ) -> Result<bool> {
-        self.go_about(range.clone(), worth, &|idx| Tries::of(self.folder, idx).age.is_none(), make)?;
+        self.go_about(range.clone(), worth, &|idx| self.folder.tries(idx).age.is_none(), make)?;
         let mut began = Instant::now();
         loop {
             let left: Vec<usize> = range.clone().filter(|idx| !self.is_finished(*idx)).collect();
             if left.is_empty() {
                 return Ok(true);
             }
-            if left.iter().any(|idx| Tries::of(self.folder, *idx).are_hopeless()) {
+            if left.iter().any(|idx| self.folder.tries(*idx).are_hopeless()) {
                 return Ok(false);
             }
             if self.progress.must_stop() {
@@ -235,8 +235,8 @@ impl<'a> Shards<'a> {
 
     fn try_once<S: Serialize>(&self, idx: usize, make: &mut dyn FnMut(usize) -> Result<(FileStamp, S)>) -> Result<()> {
         let name = self.worker.to_string();
-        let Some(mark) = tries::begin(self.folder, idx, &name)? else {
-            let why = Tries::of(self.folder, idx).describe();
+        let Some(mark) = tries::begin(self.folder.try_paths(idx), &name)? else {
+            let why = self.folder.tries(idx).describe();
             self.progress.warn(&format!("giving up shard {idx}: {why}"));
             return Ok(());
         };

@@ -13,6 +13,7 @@ mod folder;
 mod gathering;
 mod identity;
 mod make;
+mod plan_files;
 mod progress;
 #[cfg(test)]
 mod tests;

@@ -55,7 +55,7 @@ fn status_of(stage: &'static StageKind, folder: &ShardFolder) -> Result<ShardSta
     for idx in 0..n_shards {
         match folder.seconds(idx) {
             Some(took) => seconds.push(took),
-            None if tried.contains(&folder.shard_name(idx)) => unfinished.push((idx, Tries::of(folder, idx))),
+            None if tried.contains(&folder.shard_name(idx)) => unfinished.push((idx, folder.tries(idx))),
             None => unfinished.push((idx, Tries::default())),
         }
     }

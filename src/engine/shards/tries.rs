@@ -4,7 +4,6 @@
 //! A mark is made before the work and removed after it. Marks that stay belong to tries that failed or died; a failed
 //! try writes its reason into the mark.
 
-use super::folder::ShardFolder;
 use crate::engine::clock::utc_now;
 use crate::engine::{Failure, Result};
 use crate::files::tell_committed;
@@ -46,11 +45,10 @@ pub(super) struct Tries {
 }
 
 impl Tries {
-    /// The tries of shard `idx`.
-    pub(super) fn of(folder: &ShardFolder, idx: usize) -> Self {
+    /// The tries of a shard with these marks.
+    pub(super) fn of(marks: impl Iterator<Item = PathBuf>) -> Self {
         let mut tries = Self::default();
-        for number in 1..=MAX_TRIES {
-            let path = folder.try_path(idx, number);
+        for path in marks {
             let Ok(metadata) = fs_err::metadata(&path) else { continue };
             tries.n_tries += 1;
             // The process may not have written the mark yet, or may have died while doing so.
@@ -85,18 +83,17 @@ impl Tries {
     }
 }
 
-/// Marks the beginning of a try; `None` if the shard is given up. Returns the mark.
+/// Marks the beginning of a try of the shard with these marks; `None` if it is given up. Returns the mark.
 ///
 /// # Errors
 /// On I/O errors.
-pub(super) fn begin(folder: &ShardFolder, idx: usize, worker: &str) -> Result<Option<PathBuf>> {
-    if Tries::of(folder, idx).are_over() {
+pub(super) fn begin(marks: impl Iterator<Item = PathBuf> + Clone, worker: &str) -> Result<Option<PathBuf>> {
+    if Tries::of(marks.clone()).are_over() {
         return Ok(None);
     }
     let mark = Try { worker: worker.to_owned(), started: utc_now(), failed: None };
     let text = serde_json::to_vec(&mark).map_err(Failure::fault)?;
-    for number in 1..=MAX_TRIES {
-        let path = folder.try_path(idx, number);
+    for path in marks {
         // Two workers that begin at once get two numbers.
         match fs_err::File::options().write(true).create_new(true).open(&path) {
             Ok(mut file) => {

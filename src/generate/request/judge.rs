@@ -96,7 +96,7 @@ impl Generator<'_> {
         let asked_to_collide = record.asks_for_collision();
         let candidate = Candidate { scene, objectives: &[], asked, asked_to_collide };
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
-        let ending = record.ending(&self.metric_settings.careful_driver);
+        let ending = record.ending();
         let ends_well = ending.is_none_or(|(_, ending)| ending.remaining_mps.is_none());
         let is_valid = ends_well && verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })

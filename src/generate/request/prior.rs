@@ -3,21 +3,12 @@
 //! Hit rates of an arm depend on the behavior, the buckets and the models, so those of an earlier run are evidence, but
 //! no more than some samples' worth of it: a request that differs overrules them soon.
 
-use super::resolve::ResolvedRequest;
+use super::resolve::{ArmPrior, ResolvedRequest};
 use super::summary::RequestSummary;
 use crate::settings::Issue;
 
 /// Earlier results of an arm count as at most this many samples.
 const MOST_SAMPLES: f64 = 20.0;
-
-/// Earlier results of an arm, as samples of this request.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct ArmPrior {
-    /// Samples; of an arm that aims, those that aimed at a bucket.
-    pub n_samples: f64,
-    /// Samples among them that fell into a bucket; for an arm that aims, into the one at which they aimed.
-    pub n_hits: f64,
-}
 
 impl ArmPrior {
     fn new(n_samples: u64, n_hits: u64) -> Option<Self> {

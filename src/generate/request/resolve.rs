@@ -3,7 +3,6 @@
 use super::buckets::Buckets;
 use super::config::{Divisions, PlanKind, RequestConfig, Requirement};
 use super::facts::check_name;
-use super::prior::ArmPrior;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
 use crate::generate::{Error, GenerateConfig, ResolvedSweep, SelectConfig};
@@ -66,6 +65,15 @@ pub struct Arm {
     pub aims: bool,
     /// Results of earlier runs.
     pub prior: Option<ArmPrior>,
+}
+
+/// Earlier results of an arm, as samples of this request.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ArmPrior {
+    /// Samples; of an arm that aims, those that aimed at a bucket.
+    pub n_samples: f64,
+    /// Samples among them that fell into a bucket; for an arm that aims, into the one at which they aimed.
+    pub n_hits: f64,
 }
 
 impl GenerateConfig {

@@ -5,9 +5,8 @@ use super::{
     SweepModel,
 };
 use crate::behavior::Behavior;
-use crate::diffusion::SamplerConfig;
+use crate::diffusion::SamplerKind;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
-use crate::guidance::CleanGradient;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
@@ -151,7 +150,7 @@ impl SweepConfig {
             SampledModel::Denoiser => Ok(SweepModel::Denoiser(self.resolve_diffusion(purpose)?)),
             SampledModel::Distilled => {
                 let resolved = self.resolve_diffusion(purpose)?;
-                if matches!(resolved.sampler, SamplerConfig::Heun(_) | SamplerConfig::Dpmpp2m(_)) {
+                if resolved.sampler.kind != SamplerKind::Euler {
                     return Err(Issue::new(
                         "sampler",
                         format_args!(
@@ -160,13 +159,6 @@ impl SweepConfig {
                              grid = … }} as in train.distill.method",
                             resolved.sampler.name()
                         ),
-                    ));
-                }
-                if resolved.goes_through_network(resolved.classifies(purpose)) {
-                    return Err(Issue::new(
-                        "objective_guidance.gradient",
-                        "is \"through_network\", which needs a denoiser that predicts means; a distilled one does not, \
-                         so use \"clean\"",
                     ));
                 }
                 Ok(SweepModel::Distilled(resolved))
@@ -188,7 +180,7 @@ impl SweepConfig {
             edit.validate(roles).map_err(|issue| issue.within("edit"))?;
         }
         let resolved = Diffusion {
-            sampler: self.sampler.as_ref().unwrap_or(&purpose.config.sampler).clone(),
+            sampler: self.sampler.unwrap_or(purpose.config.sampler).resolved(),
             validity_strength: self.validity_strength.unwrap_or(purpose.config.validity_strength),
             levels,
             guidance: SweepGuidance {
@@ -236,15 +228,6 @@ impl Diffusion {
         self.is_guided() && purpose.behavior.is_some() && self.guidance.classifier_scope != ClassifierScope::None
     }
 
-    /// Whether potentials of clean estimates are carried back through the network, with a classifier that guides or
-    /// not.
-    pub(super) fn goes_through_network(&self, classifies: bool) -> bool {
-        let guidance = &self.guidance;
-        let judges_estimates = (classifies && guidance.classifier_input == ClassifierInput::CleanEstimate)
-            || (self.is_guided() && !guidance.objectives.is_empty());
-        judges_estimates && guidance.objective_guidance.gradient == CleanGradient::ThroughNetwork
-    }
-
     fn check_guidance(&self, purpose: &Purpose<'_>, observe: &ObserveConfig) -> Result {
         let guidance = &self.guidance;
         let classifies = self.classifies(purpose);
@@ -267,17 +250,6 @@ impl Diffusion {
         for (i, objective) in guidance.objectives.iter().enumerate() {
             let (key, kind) = (format!("objectives.{i}"), objective.kind());
             objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;
-        }
-        if self.goes_through_network(classifies)
-            && has_objectives
-            && classifies
-            && guidance.classifier_input == ClassifierInput::CleanEstimate
-        {
-            return Err(Issue::new(
-                "objective_guidance.gradient",
-                "is \"through_network\", which differentiates through the network once: for objectives, or for \
-                 classifier_input = \"clean_estimate\"; for both use gradient = \"clean\"",
-            ));
         }
         if classifies { check_classified_mask(observe, guidance.classifier_input) } else { Ok(()) }
     }

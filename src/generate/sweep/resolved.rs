@@ -4,9 +4,7 @@ use super::{Aim, ClassifierInput, ClassifierScope};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
-use crate::guidance::{
-    ClassifierPotential, EVALUATIONS_PER_GRADIENT, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig,
-};
+use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
@@ -141,15 +139,12 @@ impl ResolvedSweep {
     }
 
     /// Evaluations of the network for one sample, as many as at its most expensive level. Classifier-free guidance
-    /// doubles them at weights that mix two estimates, a derivative of the network costs as much as two, wherever
-    /// guidance acts, and the baseline needs one.
+    /// doubles them at weights that mix two estimates, and the baseline needs one.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
             let mixes = |level: &GuidanceLevel| ![0.0, 1.0].contains(&level.weight);
             let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
-            let n_each =
-                if diffusion.goes_through_network(self.needs_classifier()) { EVALUATIONS_PER_GRADIENT } else { 1 };
-            (diffusion.sampler.n_evaluations() * n_each) as u64 * n_calls
+            diffusion.sampler.n_evaluations() as u64 * n_calls
         })
     }
 

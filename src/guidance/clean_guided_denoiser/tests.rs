@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};
-use crate::diffusion::sampler::HeunConfig;
 use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
 use crate::seed::Seed;
 use candle_core::{DType, Device};
@@ -43,11 +42,10 @@ impl CleanPotential for Bowl {
 fn guided<'a>(
     inner: &'a dyn Denoiser,
     potential: &'a dyn CleanPotential,
-    gradient: CleanGradient,
     damped: bool,
     inner_steps: usize,
 ) -> CleanGuidedDenoiser<'a> {
-    let config = ObjectiveGuidanceConfig { gradient, damped, inner_steps };
+    let config = ObjectiveGuidanceConfig { damped, inner_steps };
     CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, config, modes: None }
 }
 
@@ -67,51 +65,16 @@ fn posterior(variance: f64, mean: f64, at: f64, sigma: f64) -> (f64, f64) {
 }
 
 #[test]
-fn linear_wishes_of_gaussian_data_are_met_exactly_both_ways() {
+fn linear_wishes_of_gaussian_data_are_met_exactly() {
     let c = [2.0, -0.7];
-    for (variance, gradients) in [
-        ([0.25, 0.25], vec![CleanGradient::Clean, CleanGradient::ThroughNetwork]),
-        // Other variances than σ_data² are known to the network alone.
-        ([0.04, 0.6], vec![CleanGradient::ThroughNetwork]),
-    ] {
-        let denoiser = MixtureDenoiser::new(&gaussian(variance), DType::F64).unwrap();
-        for gradient in gradients {
-            let found = estimate(&guided(&denoiser, &Linear(c), gradient, false, 1), SIGMA);
-            // The posterior under the tilt exp(1.5 c · x₀): its mean moves by 1.5 times its covariance times c.
-            let expected = [0, 1].map(|i| {
-                let (mean, variance) = posterior(variance[i], [0.3, -0.2][i], AT[i], SIGMA);
-                mean + 1.5 * variance * c[i]
-            });
-            assert_close(found, expected, 1e-12);
-        }
-    }
-}
-
-#[test]
-fn the_covariance_of_a_mixture_comes_from_its_denoiser() {
-    let components = vec![
-        Component { weight: 0.6, mean: vec![-0.6, 0.2], variance: vec![0.04, 0.02] },
-        Component { weight: 0.4, mean: vec![0.4, -0.1], variance: vec![0.03, 0.09] },
-    ];
-    let denoiser = MixtureDenoiser::new(&GaussianMixture { components }, DType::F64).unwrap();
-    let (x, sigma) = (Tensor::new(&[AT], &Device::Cpu).unwrap(), Tensor::new(&[SIGMA], &Device::Cpu).unwrap());
-    let posterior = denoiser.posterior(&x, &sigma).unwrap();
-    let share = posterior.log_responsibility.exp().unwrap().to_vec2::<f64>().unwrap()[0].clone();
-    let mean = posterior.mean.to_vec3::<f64>().unwrap()[0].clone();
-    let within = posterior.variance.to_vec3::<f64>().unwrap()[0].clone();
-    let middle = [0, 1].map(|i| share[0] * mean[0][i] + share[1] * mean[1][i]);
-    // The law of total covariance.
-    let covariance = |i: usize, j: usize| {
-        let own = |k: usize| {
-            let spread = (mean[k][i] - middle[i]) * (mean[k][j] - middle[j]);
-            share[k] * (spread + if i == j { within[k][i] } else { 0.0 })
-        };
-        own(0) + own(1)
-    };
-    let c = [2.0, -0.7];
-    let expected = [0, 1].map(|i| middle[i] + 1.5 * (covariance(i, 0) * c[0] + covariance(i, 1) * c[1]));
-    let found = estimate(&guided(&denoiser, &Linear(c), CleanGradient::ThroughNetwork, false, 1), SIGMA);
-    assert_close(found, expected, 1e-10);
+    let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+    let found = estimate(&guided(&denoiser, &Linear(c), false, 1), SIGMA);
+    // The posterior under the tilt exp(1.5 c · x₀): its mean moves by 1.5 times its covariance times c.
+    let expected = [0, 1].map(|i| {
+        let (mean, variance) = posterior(0.25, [0.3, -0.2][i], AT[i], SIGMA);
+        mean + 1.5 * variance * c[i]
+    });
+    assert_close(found, expected, 1e-12);
 }
 
 #[test]
@@ -126,15 +89,13 @@ fn damping_is_exact_for_the_square_of_one_linear_wish() {
     let residual = b - c[0] * mean[0] - c[1] * mean[1];
     let gain = 1.5 * k * variance / (1.0 + 1.5 * k * variance * (c[0] * c[0] + c[1] * c[1]));
     let expected = [0, 1].map(|i| mean[i] + gain * c[i] * residual);
-    for gradient in [CleanGradient::Clean, CleanGradient::ThroughNetwork] {
-        for inner_steps in [1, 3] {
-            let found = estimate(&guided(&denoiser, &Squared(c, b, k), gradient, true, inner_steps), SIGMA);
-            assert_close(found, expected, 1e-10);
-        }
-        // Without damping the step is as long as the curvature is large.
-        let wild = estimate(&guided(&denoiser, &Squared(c, b, k), gradient, false, 1), SIGMA);
-        assert!((wild[0] - mean[0]).abs() > 20.0 * (expected[0] - mean[0]).abs());
+    for inner_steps in [1, 3] {
+        let found = estimate(&guided(&denoiser, &Squared(c, b, k), true, inner_steps), SIGMA);
+        assert_close(found, expected, 1e-10);
     }
+    // Without damping the step is as long as the curvature is large.
+    let wild = estimate(&guided(&denoiser, &Squared(c, b, k), false, 1), SIGMA);
+    assert!((wild[0] - mean[0]).abs() > 20.0 * (expected[0] - mean[0]).abs());
 }
 
 #[test]
@@ -146,7 +107,7 @@ fn inner_steps_converge_to_the_tilted_posterior() {
         (mean / variance + 1.5 * k[i] * b[i]) / (1.0 / variance + 1.5 * k[i])
     });
     let error = |inner_steps: usize| {
-        let found = estimate(&guided(&denoiser, &Bowl(k, b), CleanGradient::Clean, true, inner_steps), SIGMA);
+        let found = estimate(&guided(&denoiser, &Bowl(k, b), true, inner_steps), SIGMA);
         (found[0] - expected[0]).hypot(found[1] - expected[1])
     };
     assert!(
@@ -162,10 +123,10 @@ fn inner_steps_converge_to_the_tilted_posterior() {
 fn samples_of_gaussian_data_follow_the_tilted_distribution() {
     let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
     let (c, linear) = ([0.8, -0.4], Linear([0.8, -0.4]));
-    let guided = guided(&denoiser, &linear, CleanGradient::Clean, false, 1);
+    let guided = guided(&denoiser, &linear, false, 1);
     let mut noise = NoiseSource::new((0..3000).map(|row| Seed(11).derive("row", &[row])).collect());
     let like = Tensor::zeros(1, DType::F64, &Device::Cpu).unwrap();
-    let sampler = SamplerConfig::Heun(HeunConfig::with_steps(20));
+    let sampler = SamplerConfig::heun(20);
     let x = sampler.sample(&Edm::default(), &guided, &[2], &like, &mut noise, &mut |_| {}).unwrap();
     let mean: [f64; 2] = x.mean(0).unwrap().to_vec1::<f64>().unwrap().try_into().unwrap();
     // exp(1.5 c · x₀) moves the mean by 1.5 · 0.25 c; the mean of 3000 has a standard error of 0.01.
@@ -176,15 +137,13 @@ fn samples_of_gaussian_data_follow_the_tilted_distribution() {
 fn the_gate_and_the_limit_hold_and_no_strength_is_no_guidance() {
     let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
     let (linear, plain) = (Linear([2.0, 1.0]), |sigma: f64| estimate(&denoiser, sigma));
-    for gradient in [CleanGradient::Clean, CleanGradient::ThroughNetwork] {
-        let mut guided = guided(&denoiser, &linear, gradient, true, 2);
-        guided.gate = GuidanceConfig { sigma_hi: 2.0, max_shift: 0.05 };
-        assert_eq!(estimate(&guided, 3.0), plain(3.0));
-        let (shifted, own) = (estimate(&guided, 0.8), plain(0.8));
-        assert!(((shifted[0] - own[0]).hypot(shifted[1] - own[1]) - 0.05).abs() < 1e-9);
-        guided.strength = 0.0;
-        assert_eq!(estimate(&guided, 0.8), plain(0.8));
-    }
+    let mut guided = guided(&denoiser, &linear, true, 2);
+    guided.gate = GuidanceConfig { sigma_hi: 2.0, max_shift: 0.05 };
+    assert_eq!(estimate(&guided, 3.0), plain(3.0));
+    let (shifted, own) = (estimate(&guided, 0.8), plain(0.8));
+    assert!(((shifted[0] - own[0]).hypot(shifted[1] - own[1]) - 0.05).abs() < 1e-9);
+    guided.strength = 0.0;
+    assert_eq!(estimate(&guided, 0.8), plain(0.8));
 }
 
 /// Gaussian data of variance λ in each of two modes of three timesteps: D(x) = Uᵀ λ / (λ + σ²) U x.
@@ -219,7 +178,7 @@ impl Denoiser for InModes {
 }
 
 #[test]
-fn wishes_push_along_the_modes_as_an_exact_denoiser_would() {
+fn wishes_push_along_the_modes_as_the_covariance_says() {
     let data = InModes::new();
     let (x, sigma) = (Tensor::new(&[0.3f32, -0.1, 0.6], &Device::Cpu).unwrap(), 0.8);
     let x = x.reshape((1, 1, 3, 1)).unwrap();
@@ -229,13 +188,13 @@ fn wishes_push_along_the_modes_as_an_exact_denoiser_would() {
             x0.narrow(2, 2, 1)?.flatten_all()
         }
     }
-    let shift = |gradient: CleanGradient, modes: Option<&Surroundings>| -> Vec<f32> {
-        let guided = CleanGuidedDenoiser { modes, ..guided(&data, &Last, gradient, false, 1) };
+    let shift = |modes: Option<&Surroundings>| -> Vec<f32> {
+        let guided = CleanGuidedDenoiser { modes, ..guided(&data, &Last, false, 1) };
         let sigma = Tensor::new(&[sigma as f32], &Device::Cpu).unwrap();
         let moved = guided.denoise(&x, &sigma).unwrap() - data.denoise(&x, &sigma).unwrap();
         moved.unwrap().flatten_all().unwrap().to_vec1().unwrap()
     };
-    let found = shift(CleanGradient::Clean, Some(&data.0));
+    let found = shift(Some(&data.0));
     // α Uᵀ c U e₃ with c = σ² λ / (σ² + λ): 1.5 (½ c₁ u₁ - √½ c₂ u₂).
     let c = |variance: f64| sigma * sigma * variance / (sigma * sigma + variance);
     let (along, across) = (1.5 * 0.5 * c(0.8), 1.5 * 0.5f64.sqrt() * c(0.001));
@@ -243,9 +202,7 @@ fn wishes_push_along_the_modes_as_an_exact_denoiser_would() {
     for (i, expected) in expected.into_iter().enumerate() {
         assert!((f64::from(found[i]) - expected).abs() < 1e-6, "{found:?}, expected {expected} at {i}");
     }
-    let exact = shift(CleanGradient::ThroughNetwork, None);
-    assert!(found.iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}, through the network {exact:?}");
     // Independent entries would be pushed in the last timestep alone: with a jolt.
-    let jolt = shift(CleanGradient::Clean, None);
+    let jolt = shift(None);
     assert!(jolt[..2] == [0.0, 0.0] && jolt[2] > 0.1, "{jolt:?}");
 }

@@ -4,7 +4,7 @@ use super::box_separation::separation_between_m;
 use super::encroachment::Encroachment;
 use super::motion::{best_moment, nothing, penalty};
 use super::pairs::{self, Agents};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, first, interval, one_agent, second};
+use super::{AgentSelector, SceneContext, SceneObjective, first, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -23,10 +23,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CrossAhead {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// Who crosses first: `ego` or a role.
     #[serde(default = "first")]
     pub agents: AgentSelector,
@@ -37,15 +33,10 @@ pub struct CrossAhead {
     /// (`pet_s`), else 0.6 to 1.4.
     #[serde(default)]
     pub pet_s: Option<[f64; 2]>,
-    /// The smallest gap between the boxes, meters.
-    #[serde(default = "default_margin_m")]
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub margin_m: f64,
 }
 
-const fn default_margin_m() -> f64 {
-    0.4
-}
+/// The smallest gap between the boxes, meters.
+const MARGIN_M: f64 = 0.4;
 
 /// The parameter at which it aims, as the events report it.
 const PET: &str = "pet_s";
@@ -77,7 +68,7 @@ impl SceneObjective for CrossAhead {
             return nothing(states);
         };
         let best = best_moment(&crossing.costs, &crossing.counts)?.neg()?;
-        let lack_m = (self.margin_m - separation_between_m(&first, &other)?)?.relu()?;
+        let lack_m = (MARGIN_M - separation_between_m(&first, &other)?)?.relu()?;
         let touching = (penalty(&lack_m, SEPARATION_TOLERANCE_M)? * pairs::counts(&first, &other)?)?.sum(1)?;
         best + (touching * context.dt_s)?
     }

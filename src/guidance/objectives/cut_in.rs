@@ -2,7 +2,7 @@
 
 use super::driven_paths::PathFrame;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, default_weight, ego, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, beyond, ego, interval, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -26,10 +26,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CutIn {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agent that moves over: a role, or `ego`.
     #[serde(default = "other")]
     pub agents: AgentSelector,

@@ -1,7 +1,7 @@
 //! Brake hard.
 
 use super::motion::{best_potential, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, default_weight, interval};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, interval};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -15,10 +15,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HardBrake {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agents that brake: `all`, `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,

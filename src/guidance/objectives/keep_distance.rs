@@ -2,7 +2,7 @@
 
 use super::motion::{norm, nothing, penalty, positions};
 use super::pairs::{PairQuery, Pairs, Reach};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -15,10 +15,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct KeepDistance {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agents that keep a distance: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
@@ -67,7 +63,7 @@ mod tests {
 
     fn objective() -> KeepDistance {
         let (agents, to) = (AgentSelector::new("other"), AgentSelector::new("ego"));
-        KeepDistance { weight: 1.0, agents, to, min_m: 8.0, max_m: Some(12.0) }
+        KeepDistance { agents, to, min_m: 8.0, max_m: Some(12.0) }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::motion::{nothing, penalty};
 use super::one_agent::{OneAgent, SIDE};
-use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, one_agent};
 use crate::geometry::Polyline;
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -18,10 +18,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneChange {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agent that changes lanes: `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,

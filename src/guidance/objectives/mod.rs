@@ -41,7 +41,7 @@ pub use acceleration_limit::AccelerationLimit;
 pub use collision::Collision;
 pub use cross_ahead::CrossAhead;
 pub use cut_in::CutIn;
-pub use goal::{Goal, GoalFrame};
+pub use goal::Goal;
 pub use hard_brake::HardBrake;
 pub use keep_distance::KeepDistance;
 pub use lane_change::LaneChange;
@@ -49,7 +49,7 @@ pub(super) use motion::nothing;
 pub use no_collision::NoCollision;
 pub use slip_limit::SlipLimit;
 pub use speed_limit::SpeedLimit;
-pub use stay_on_road::{RoadPoints, StayOnRoad};
+pub use stay_on_road::StayOnRoad;
 pub use stop_at_line::StopAtLine;
 pub use target_speed::TargetSpeed;
 pub use turn::Turn;
@@ -84,30 +84,45 @@ pub trait SceneObjective {
     fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
 }
 
-/// Lists the objectives: each has a type with a `weight`, and a name in configs and provenance.
+/// An objective with its options and its weight: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(extend("unevaluatedProperties" = false))]
+pub struct ObjectiveConfig {
+    /// Weight relative to other objectives. It is what scales a cost: the errors that cost ½ are constants of each
+    /// objective.
+    #[serde(default = "default_weight")]
+    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
+    pub weight: f64,
+    /// The objective with its options.
+    #[serde(flatten)]
+    pub kind: ObjectiveKind,
+}
+
+/// Lists the objectives: each has a type, and a name in configs and provenance.
 macro_rules! objectives {
     ($($(#[$doc:meta])* $Objective:ident = $kind:literal,)*) => {
-        /// An objective with its options: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
+        /// The objectives with their options.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(tag = "kind", deny_unknown_fields)]
-        pub enum ObjectiveConfig {
+        pub enum ObjectiveKind {
             $($(#[$doc])* #[serde(rename = $kind)] $Objective($Objective),)*
         }
+
+        $(impl From<$Objective> for ObjectiveKind {
+            fn from(objective: $Objective) -> Self {
+                Self::$Objective(objective)
+            }
+        })*
 
         impl ObjectiveConfig {
             /// The objective.
             pub fn objective(&self) -> &dyn SceneObjective {
-                match self { $(Self::$Objective(objective) => objective,)* }
+                match &self.kind { $(ObjectiveKind::$Objective(objective) => objective,)* }
             }
 
             /// Its name.
             pub const fn kind(&self) -> &'static str {
-                match self { $(Self::$Objective(_) => $kind,)* }
-            }
-
-            /// Its weight relative to others.
-            pub const fn weight(&self) -> f64 {
-                match self { $(Self::$Objective(objective) => objective.weight,)* }
+                match &self.kind { $(ObjectiveKind::$Objective(_) => $kind,)* }
             }
         }
     };
@@ -165,6 +180,11 @@ pub enum InvalidObjective {
 }
 
 impl ObjectiveConfig {
+    /// The objective with this weight.
+    pub fn new(weight: f64, objective: impl Into<ObjectiveKind>) -> Self {
+        Self { weight, kind: objective.into() }
+    }
+
     /// Rejects settings that cannot work in a sweep whose behavior has these `roles`.
     ///
     /// # Errors
@@ -249,7 +269,6 @@ impl Side {
     }
 }
 
-/// How much an objective counts. It is what scales a cost: the errors that cost ½ are constants of each objective.
 const fn default_weight() -> f64 {
     1.0
 }

@@ -3,7 +3,7 @@
 use super::box_separation::separation_m;
 use super::motion::{nothing, penalty};
 use super::pairs::{PairQuery, Pairs, Reach};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,10 +16,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoCollision {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agents that must not collide: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
@@ -74,7 +70,7 @@ mod tests {
     use super::*;
 
     fn objective() -> NoCollision {
-        NoCollision { weight: 1.0, agents: AgentSelector::default(), except: None, margin_m: 0.5 }
+        NoCollision { agents: AgentSelector::default(), except: None, margin_m: 0.5 }
     }
 
     /// A fast car behind a slow one, and another that crosses.

@@ -1,7 +1,7 @@
 //! Keep the heading along the motion.
 
 use super::motion::{headings, integral, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,10 +16,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SlipLimit {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// Whose slip: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
@@ -72,7 +68,7 @@ mod tests {
     use candle_core::Var;
 
     fn objective() -> SlipLimit {
-        SlipLimit { weight: 1.0, agents: AgentSelector::default(), limit_rad: 0.1 }
+        SlipLimit { agents: AgentSelector::default(), limit_rad: 0.1 }
     }
 
     /// One car at 10 m/s along x whose heading is `heading_rad` throughout.

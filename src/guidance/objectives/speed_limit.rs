@@ -1,7 +1,7 @@
 //! Drive no faster than a given speed.
 
 use super::motion::{integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::{AgentSelector, SceneContext, SceneObjective};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,10 +12,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpeedLimit {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// Whose speed: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,

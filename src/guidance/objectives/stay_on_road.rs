@@ -1,14 +1,14 @@
 //! Stay on the road.
 
-use super::motion::{headings, integral, norm, penalty, positions};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight};
+use super::motion::{integral, norm, penalty, positions};
+use super::{AgentSelector, SceneContext, SceneObjective};
 use crate::geometry::Vec2;
 use candle_core::{DType, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Stay on the road: J = -½ Σ ∫ (max(e(t) - e₀, 0) / τ)² dt with e(t) = max(d(p(t)) + m, 0), over the chosen motorized
-/// agents, and over their corners with `points = "corners"` (each counts a quarter).
+/// Stay on the road: J = -½ Σ ∫ (max(e(t) - e₀, 0) / τ)² dt with e(t) = max(d(p(t)), 0), over the centers
+/// of the chosen motorized agents.
 ///
 /// e₀ is the excess e of the agent where it was last observed, so that only what a sample adds to it counts: who is
 /// parked beside the road, or enters it from there, is not dragged onto it.
@@ -22,35 +22,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StayOnRoad {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agents that must stay on the road: `all`, `ego` or a role.
     #[serde(default)]
     pub agents: AgentSelector,
-    /// The points of an agent that must be on the road.
-    #[serde(default)]
-    pub points: RoadPoints,
-    /// The margin m inside the edge of the road, meters.
-    #[serde(default)]
-    #[schemars(range(min = 0.0))]
-    pub margin_m: f64,
 }
 
 /// The distance τ off the road that costs ½ a second, meters.
 const TOLERANCE_M: f64 = 0.5;
-
-/// Points of an agent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum RoadPoints {
-    /// Its center.
-    #[default]
-    Center,
-    /// The corners of its box.
-    Corners,
-}
 
 impl SceneObjective for StayOnRoad {
     fn agents(&self) -> Vec<&AgentSelector> {
@@ -62,35 +40,11 @@ impl SceneObjective for StayOnRoad {
         let terms = context.terms(0)?;
         let counts = terms.broadcast_mul(&agents.unsqueeze(2)?)?;
         let last_observed = last_observed(context)?.broadcast_mul(&agents.unsqueeze(2)?)?;
-        let mut total: Option<Tensor> = None;
-        let places = self.places(states, context)?;
-        let share = 1.0 / places.len() as f64;
-        for points in places {
-            let excess_m = |at: &Tensor| (outside_m(&points, at, context)? + self.margin_m)?.relu();
-            let observed_m = excess_m(&last_observed)?.max_keepdim(2)?;
-            let added_m = excess_m(&counts)?.broadcast_sub(&observed_m)?.relu()?;
-            let values = (penalty(&added_m, TOLERANCE_M)? * share)?;
-            let own = integral(&values, &terms, &agents, context.dt_s)?;
-            total = Some(total.map_or(Ok(own.clone()), |total| total + own)?);
-        }
-        total.map_or_else(|| super::motion::nothing(states), Ok)
-    }
-}
-
-impl StayOnRoad {
-    /// The points that shall be on the road, each (B, A, T, 2).
-    fn places(&self, states: &Tensor, context: &SceneContext) -> Result<Vec<Tensor>> {
-        let center = positions(states)?;
-        if self.points == RoadPoints::Center {
-            return Ok(vec![center]);
-        }
-        let (cos, sin) = (headings(states)?.cos()?, headings(states)?.sin()?);
-        let forward = Tensor::cat(&[&cos, &sin], 3)?;
-        let left = Tensor::cat(&[&sin.neg()?, &cos], 3)?;
-        let half = |dim: usize| (context.extent_m.narrow(2, dim, 1)?.unsqueeze(3)? * 0.5)?.to_dtype(states.dtype());
-        let (forward, left) = (forward.broadcast_mul(&half(0)?)?, left.broadcast_mul(&half(1)?)?);
-        let corner = |ahead: f64, aside: f64| (&center + (&forward * ahead)?)? + (&left * aside)?;
-        [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].into_iter().map(|(a, b)| corner(a, b)).collect()
+        let centers = positions(states)?;
+        let excess_m = |at: &Tensor| outside_m(&centers, at, context)?.relu();
+        let observed_m = excess_m(&last_observed)?.max_keepdim(2)?;
+        let added_m = excess_m(&counts)?.broadcast_sub(&observed_m)?.relu()?;
+        integral(&penalty(&added_m, TOLERANCE_M)?, &terms, &agents, context.dt_s)
     }
 }
 
@@ -142,8 +96,8 @@ mod tests {
     use crate::scene::testing::{Drive, scene};
     use std::sync::Arc;
 
-    fn on_road(points: RoadPoints) -> StayOnRoad {
-        StayOnRoad { weight: 1.0, agents: AgentSelector::default(), points, margin_m: 0.0 }
+    fn on_road() -> StayOnRoad {
+        StayOnRoad { agents: AgentSelector::default() }
     }
 
     /// Cars that drift off a lane along y = 0 whose edges are at ±1.75 m.
@@ -160,50 +114,42 @@ mod tests {
 
     /// The cost per second of a car along the lane that was observed at `observed_m` beside its middle and then is at
     /// `sampled_m`.
-    fn cost(points: RoadPoints, observed_m: f64, sampled_m: f64) -> f64 {
+    fn cost(observed_m: f64, sampled_m: f64) -> f64 {
         let car = [(0.0, observed_m, 0.0, 5.0)];
         let mut traffic = Traffic { context: context(&car), ..Traffic::straight(&car) };
         let shift: Vec<f64> = traffic.context.latent.flatten_all().unwrap().to_vec1().unwrap();
         let shift = shift.iter().flat_map(|latent| [0.0, latent * (sampled_m - observed_m), 0.0]).collect();
         let shift = Tensor::from_vec(shift, traffic.states.shape(), traffic.states.device()).unwrap();
         traffic.states = candle_core::Var::from_tensor(&(traffic.states.as_tensor() + shift).unwrap()).unwrap();
-        -traffic.potential(&on_road(points))[0] / (traffic.n_generated() as f64 * traffic.context.dt_s)
+        -traffic.potential(&on_road())[0] / (traffic.n_generated() as f64 * traffic.context.dt_s)
     }
 
     #[test]
     fn the_cost_is_that_of_the_distance_outside() {
         let expected = |outside_m: f64| 0.5 * (outside_m / 0.5).powi(2);
         // 2 m outside, 4 tolerances; the norm's rounding is below 1 mm here.
-        let found = cost(RoadPoints::Center, 0.0, 3.75);
+        let found = cost(0.0, 3.75);
         assert!((found - expected(2.0)).abs() < 0.3, "{found}");
-        // The corners lie 0.9 m (half the width) nearer to and farther from the road.
-        let found = cost(RoadPoints::Corners, 0.0, 3.75);
-        let of_corners = (expected(2.0 - 0.9) + expected(2.0 + 0.9)) / 2.0;
-        assert!((found / of_corners - 1.0).abs() < 0.06, "{found}, expected {of_corners}");
         // Without lanes, or where the map lacks parts of the road, there is nothing to leave.
         let mut traffic = traffic();
-        assert!(traffic.potential(&on_road(RoadPoints::Center))[0] < 0.0);
+        assert!(traffic.potential(&on_road())[0] < 0.0);
         traffic.context = traffic.context.with_roads_where(|_| false);
-        assert_eq!(traffic.potential(&on_road(RoadPoints::Center)), [0.0]);
+        assert_eq!(traffic.potential(&on_road()), [0.0]);
     }
 
     #[test]
     fn who_is_beside_the_road_is_charged_for_going_further_only() {
-        for points in [RoadPoints::Center, RoadPoints::Corners] {
-            assert_eq!(cost(points, 3.75, 3.75), 0.0, "parked");
-            assert_eq!(cost(points, 3.75, 1.0), 0.0, "enters the road");
-            let found = cost(points, 3.75, 4.75);
-            assert!((found - 0.5 * (1.0f64 / 0.5).powi(2)).abs() < 0.1, "{found}");
-        }
+        assert_eq!(cost(3.75, 3.75), 0.0, "parked");
+        assert_eq!(cost(3.75, 1.0), 0.0, "enters the road");
+        let found = cost(3.75, 4.75);
+        assert!((found - 0.5 * (1.0f64 / 0.5).powi(2)).abs() < 0.1, "{found}");
     }
 
     #[test]
     fn gradients_match_and_bring_vehicles_back() {
         let traffic = traffic();
-        for points in [RoadPoints::Center, RoadPoints::Corners] {
-            assert_gradients_match(&on_road(points), &traffic);
-        }
-        let states = after_ascent(&on_road(RoadPoints::Center), &traffic, 200);
+        assert_gradients_match(&on_road(), &traffic);
+        let states = after_ascent(&on_road(), &traffic, 200);
         for (agent, own) in states[0].iter().enumerate() {
             assert!(own[traffic.generated()].iter().all(|state| state[1].abs() < 1.85), "agent {agent}: {own:?}");
         }
@@ -215,6 +161,6 @@ mod tests {
     fn agents_that_do_not_drive_are_free() {
         let mut traffic = traffic();
         traffic.context.motorized = traffic.context.motorized.zeros_like().unwrap();
-        assert_eq!(traffic.potential(&on_road(RoadPoints::Corners)), [0.0]);
+        assert_eq!(traffic.potential(&on_road()), [0.0]);
     }
 }

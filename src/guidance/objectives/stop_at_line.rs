@@ -1,7 +1,7 @@
 //! Come to a halt before a line.
 
 use super::motion::{headings, integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, default_weight, ego};
+use super::{AgentSelector, SceneContext, SceneObjective, ego};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,10 +17,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StopAtLine {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agents that must stop: `all`, `ego` or a role.
     #[serde(default = "ego")]
     pub agents: AgentSelector,

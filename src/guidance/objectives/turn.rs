@@ -2,7 +2,7 @@
 
 use super::motion::{norm, penalty};
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, default_weight, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, interval, one_agent};
 use crate::geometry::Vec2;
 use crate::guidance::turning_way::{TurningWay, WantedTurn};
 use crate::settings;
@@ -25,10 +25,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Turn {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agent that turns: `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,

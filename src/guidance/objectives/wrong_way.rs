@@ -2,7 +2,7 @@
 
 use super::lane_change::settled;
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, agent, default_weight, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, agent, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -16,10 +16,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WrongWay {
-    /// Weight of this objective relative to others.
-    #[serde(default = "default_weight")]
-    #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
-    pub weight: f64,
     /// The agent that drives the wrong way: `ego` or a role.
     #[serde(default = "agent")]
     pub agents: AgentSelector,

@@ -1,8 +1,8 @@
 //! A cut-in seen from the ego's path: when the driver perceives it, when it becomes dangerous, and whether the boxes
 //! touch.
 
-use super::CarefulDriverConfig;
 use super::braking::Braking;
+use super::regulation::{DANGER_TTC_S, INTRUSION_M, LANE_WIDTH_M, PERCEPTION_S, WANDERING_M};
 use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Footprint;
 use crate::geometry::{OrientedBox, Vec2, wrap_angle};
@@ -83,8 +83,8 @@ impl<'a> Encounter<'a> {
 
     /// The first moment from the present on at which the other is in the lane, while the ego keeps its present speed;
     /// `None` if it never is.
-    pub(super) fn intrusion(&self, config: &CarefulDriverConfig) -> Option<Intrusion> {
-        let limit_m = config.lane_width_m / 2.0 - config.intrusion_m;
+    pub(super) fn intrusion(&self) -> Option<Intrusion> {
+        let limit_m = LANE_WIDTH_M / 2.0 - INTRUSION_M;
         self.future().find(|(_, place)| place.flank_m <= limit_m).map(|(time_s, place)| Intrusion {
             gap_m: place.ahead_m - self.ego_speed_mps * time_s,
             ego_speed_mps: self.ego_speed_mps,
@@ -94,13 +94,13 @@ impl<'a> Encounter<'a> {
 
     /// When the driver perceives that the other cuts in, seconds since the present; negative before it. `None` for
     /// never.
-    pub(super) fn perceived_s(&self, config: &CarefulDriverConfig) -> Option<f64> {
+    pub(super) fn perceived_s(&self) -> Option<f64> {
         let mut farthest_m = f64::NEG_INFINITY;
         for (timestep, place) in self.places.iter().enumerate() {
             let Some(place) = place else { continue };
             farthest_m = farthest_m.max(place.offset_m);
-            if farthest_m - place.offset_m > config.wandering_m {
-                return Some(self.time_s(timestep) + config.perception_s);
+            if farthest_m - place.offset_m > WANDERING_M {
+                return Some(self.time_s(timestep) + PERCEPTION_S);
             }
         }
         None
@@ -108,13 +108,13 @@ impl<'a> Encounter<'a> {
 
     /// When, from `perceived_s` on, the time to collision along the path is dangerous, seconds since the present.
     /// `None` for never.
-    pub(super) fn danger_s(&self, perceived_s: f64, config: &CarefulDriverConfig) -> Option<f64> {
+    pub(super) fn danger_s(&self, perceived_s: f64) -> Option<f64> {
         let is_danger = |(time_s, place): &(f64, RelativePosition)| {
             let gap_m = place.ahead_m - self.ego_speed_mps * time_s;
             let closing_mps = self.ego_speed_mps - place.along_mps;
             // The ego need not brake for a vehicle behind it, but for one alongside.
             let is_passed = gap_m < -(self.ego_extent.length_m + self.other.extent_or_nominal().length_m);
-            closing_mps > 0.0 && !is_passed && gap_m <= config.danger_ttc_s * closing_mps
+            closing_mps > 0.0 && !is_passed && gap_m <= DANGER_TTC_S * closing_mps
         };
         // Times of timesteps are rounded products; rounding must not decide.
         self.future()
@@ -123,7 +123,7 @@ impl<'a> Encounter<'a> {
     }
 
     /// Whether the boxes touch while the ego brakes like this.
-    pub(super) fn touches(&self, braking: &Braking<'_>) -> bool {
+    pub(super) fn touches(&self, braking: &Braking) -> bool {
         let step_s = self.scene.dt_s / N_SUBSTEPS as f64;
         let end_s = self.time_s(self.scene.n_timesteps.saturating_sub(1));
         let n_steps = ((end_s + AFTERMATH_S) / step_s).ceil() as usize;

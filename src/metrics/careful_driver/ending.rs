@@ -1,8 +1,8 @@
 //! What follows the last state of a scenario: does the subject drive into somebody, and could a careful driver avoid
 //! it?
 
-use super::CarefulDriverConfig;
 use super::braking::Braking;
+use super::regulation::DELAY_S;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::{OrientedBox, Vec2};
@@ -44,7 +44,7 @@ pub struct Ending {
 impl Ending {
     /// How a scene ends for this agent, the subject of an event that begins at `start_timestep`. `None` if it is not
     /// tracked in the future.
-    pub fn of(scene: &Scene, subject_idx: usize, start_timestep: usize, config: &CarefulDriverConfig) -> Option<Self> {
+    pub fn of(scene: &Scene, subject_idx: usize, start_timestep: usize) -> Option<Self> {
         let subject = &scene.tracks[subject_idx];
         let last = subject.trajectory.valid().next_back().map(|(timestep, _)| timestep)?;
         let state = scene.state(subject_idx, last).filter(|state| state.is_finite() && last >= scene.n_history)?;
@@ -57,21 +57,21 @@ impl Ending {
         };
         let met = met(scene, subject_idx, last);
         let contact_s = met.iter().map(|(contact_s, ..)| *contact_s).reduce(f64::min);
-        let from_s = if brakes_at(last) { 0.0 } else { config.delay_s };
-        let remaining = |from_s: f64, config: &CarefulDriverConfig| {
-            let braking = Braking { speed_mps: state.speed_mps(), from_s: Some(from_s), config };
+        let from_s = if brakes_at(last) { 0.0 } else { DELAY_S };
+        let remaining = |braking: &Braking| {
             met.iter()
-                .filter_map(|(_, track, other)| touched_mps((subject, state), (track, other), &braking))
+                .filter_map(|(_, track, other)| touched_mps((subject, state), (track, other), braking))
                 .reduce(f64::max)
         };
+        let careful = |from_s: f64| Braking::careful(state.speed_mps(), Some(from_s));
         let suffices = |max_deceleration_mps2: f64| {
-            let at_once = CarefulDriverConfig { max_deceleration_mps2, ramp_s: 1e-6, ..config.clone() };
-            remaining(0.0, &at_once).is_none()
+            let at_once = Braking { max_deceleration_mps2, ramp_s: 1e-6, ..careful(0.0) };
+            remaining(&at_once).is_none()
         };
         Some(Self {
             contact_s,
             required_deceleration_mps2: if met.is_empty() { 0.0 } else { least(suffices) },
-            remaining_mps: remaining(from_s, config),
+            remaining_mps: remaining(&careful(from_s)),
             subject_reacts: (start_timestep..=last).any(brakes_at),
         })
     }
@@ -104,11 +104,7 @@ fn met(scene: &Scene, subject_idx: usize, last: usize) -> Vec<(f64, &Track, &Sta
 
 /// The relative speed with which a subject that brakes like this, straight on, touches the other. `None` if it stands
 /// or is no faster than the other before.
-fn touched_mps(
-    (subject, state): (&Track, &State),
-    (track, other): (&Track, &State),
-    braking: &Braking<'_>,
-) -> Option<f64> {
+fn touched_mps((subject, state): (&Track, &State), (track, other): (&Track, &State), braking: &Braking) -> Option<f64> {
     let along = Vec2::from_angle(if state.speed_mps() > 0.0 { state.velocity.angle() } else { state.heading_rad });
     for step in 0..=(END_S / STEP_S) as usize {
         let time_s = step as f64 * STEP_S;
@@ -158,7 +154,7 @@ mod tests {
         let own = (0..n).map(|timestep| place(timestep, Vec2::ZERO, 20.0, mps2)).collect();
         let theirs = (0..n).map(|timestep| place(timestep, Vec2::new(4.5 + gap_m, aside_m), 10.0, 0.0)).collect();
         (scene.tracks[0].trajectory, scene.tracks[1].trajectory) = (Trajectory::new(own), Trajectory::new(theirs));
-        Ending::of(&scene, 0, scene.n_history, &CarefulDriverConfig::default()).unwrap()
+        Ending::of(&scene, 0, scene.n_history).unwrap()
     }
 
     #[test]

@@ -20,20 +20,20 @@
 //! width beside the path.
 
 mod braking;
-mod config;
 mod encounter;
 mod ending;
 mod preventable_rate;
+mod regulation;
 #[cfg(test)]
 mod tests;
 
-pub use config::CarefulDriverConfig;
 pub use ending::Ending;
 pub use preventable_rate::PreventableRate;
 
 use crate::scene::Scene;
 use braking::Braking;
 use encounter::Encounter;
+use regulation::{BOUND_DECELERATION_MPS2, BOUND_DELAY_S, DELAY_S};
 use serde::{Deserialize, Serialize};
 
 /// The judgment of a cut-in by the regulation.
@@ -53,16 +53,16 @@ pub struct CutInJudgment {
 impl CutInJudgment {
     /// Judges how `other` cuts in before `ego`, by their indices; `None` if either is not tracked at present, or the
     /// other does not enter the ego's lane in the future.
-    pub fn of(scene: &Scene, [ego, other]: [usize; 2], config: &CarefulDriverConfig) -> Option<Self> {
+    pub fn of(scene: &Scene, [ego, other]: [usize; 2]) -> Option<Self> {
         let encounter = Encounter::of(scene, [ego, other])?;
-        let intrusion = encounter.intrusion(config)?;
-        let perceived_s = encounter.perceived_s(config);
-        let danger_s = perceived_s.and_then(|perceived_s| encounter.danger_s(perceived_s, config));
-        let braking_from_s = danger_s.map(|danger_s| (danger_s + config.delay_s).max(0.0));
-        let braking = Braking { speed_mps: encounter.ego_speed_mps, from_s: braking_from_s, config };
+        let intrusion = encounter.intrusion()?;
+        let perceived_s = encounter.perceived_s();
+        let danger_s = perceived_s.and_then(|perceived_s| encounter.danger_s(perceived_s));
+        let braking_from_s = danger_s.map(|danger_s| (danger_s + DELAY_S).max(0.0));
+        let braking = Braking::careful(encounter.ego_speed_mps, braking_from_s);
         let closing_mps = intrusion.ego_speed_mps - intrusion.other_speed_mps;
         let intrusion_ttc_s = (closing_mps > 0.0 && intrusion.gap_m >= 0.0).then(|| intrusion.gap_m / closing_mps);
-        let bound_s = closing_mps / (2.0 * config.bound_deceleration_mps2) + config.bound_delay_s;
+        let bound_s = closing_mps / (2.0 * BOUND_DECELERATION_MPS2) + BOUND_DELAY_S;
         Some(Self {
             preventable: !encounter.touches(&braking),
             braking_from_s,

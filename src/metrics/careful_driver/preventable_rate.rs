@@ -1,18 +1,12 @@
 //! The share of cut-ins in which a careful driver avoids a collision.
 
-use super::{CarefulDriverConfig, CutInJudgment};
+use super::CutInJudgment;
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
-use std::sync::LazyLock;
 
 /// Among samples in which the requested `other` enters the lane of the requested `ego`, the share in which the careful
 /// driver avoids a collision. Not defined if no such roles were requested, or no sample shows it.
 #[derive(Debug, Clone, Default)]
-pub struct PreventableRate {
-    /// The parameters; `None` for the defaults.
-    pub driver: Option<CarefulDriverConfig>,
-}
-
-static DEFAULTS: LazyLock<CarefulDriverConfig> = LazyLock::new(CarefulDriverConfig::default);
+pub struct PreventableRate;
 
 impl Metric for PreventableRate {
     fn spec(&self) -> MetricSpec {
@@ -26,12 +20,11 @@ impl Metric for PreventableRate {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        let driver = self.driver.as_ref().unwrap_or(&DEFAULTS);
         let (ego, other) = (group.asked.track("ego")?, group.asked.track("other")?);
         group.recorded.has_future().then_some(())?;
         group.mean_over_samples(|sample| {
             let pair = [sample.track_idx(ego)?, sample.track_idx(other)?];
-            Some(f64::from(u8::from(CutInJudgment::of(sample, pair, driver)?.preventable)))
+            Some(f64::from(u8::from(CutInJudgment::of(sample, pair)?.preventable)))
         })
     }
 }

@@ -5,7 +5,6 @@ use super::*;
 use crate::behavior::testing::SceneSpec;
 use crate::metrics::{Metric, SampleGroup};
 use crate::scene::Roles;
-use crate::settings::check_ranges;
 
 fn near(found: f64, expected: f64) -> bool {
     (found - expected).abs() < 1e-9
@@ -13,19 +12,19 @@ fn near(found: f64, expected: f64) -> bool {
 
 #[test]
 fn braking_grows_stays_and_ends() {
-    let config = CarefulDriverConfig { max_deceleration_mps2: 8.0, ramp_s: 0.5, ..CarefulDriverConfig::default() };
+    let at = |speed_mps, from_s| Braking { speed_mps, from_s, ramp_s: 0.5, max_deceleration_mps2: 8.0 };
     // From 10 m/s at 1 s: the ramp takes 2 m/s and ends at 15 - 8 · 0.5² / 6 m; 8 m/s at 8 m/s² are 1 s and 4 m.
-    let braking = Braking { speed_mps: 10.0, from_s: Some(1.0), config: &config };
+    let braking = at(10.0, Some(1.0));
     assert!(near(braking.driven_m(1.0), 10.0) && near(braking.speed_mps(1.5), 8.0));
     assert!(near(braking.driven_m(1.5), 15.0 - 1.0 / 3.0) && near(braking.speed_mps(2.0), 4.0));
     assert!(near(braking.stands_from_s().expect("stands"), 2.5) && near(braking.driven_m(9.0), 19.0 - 1.0 / 3.0));
     assert_eq!(braking.speed_mps(2.5), 0.0);
     // From 1 m/s it stands while the deceleration grows: 8 t² = 1 m/s.
-    let braking = Braking { speed_mps: 1.0, from_s: Some(1.0), config: &config };
+    let braking = at(1.0, Some(1.0));
     let t = 0.125_f64.sqrt();
     assert!(near(braking.stands_from_s().expect("stands"), 1.0 + t));
     assert!(near(braking.driven_m(5.0), 1.0 + t - 8.0 * t.powi(3) / 3.0));
-    let steady = Braking { speed_mps: 10.0, from_s: None, config: &config };
+    let steady = at(10.0, None);
     assert!(near(steady.driven_m(3.0), 30.0) && steady.stands_from_s().is_none());
 }
 
@@ -45,7 +44,7 @@ fn cut_in(gap_m: f64, y_m: f64, shift_m: f64) -> Scene {
 }
 
 fn judged(scene: &Scene) -> Option<CutInJudgment> {
-    CutInJudgment::of(scene, [0, 1], &CarefulDriverConfig::default())
+    CutInJudgment::of(scene, [0, 1])
 }
 
 #[test]
@@ -81,7 +80,7 @@ fn who_stays_in_its_lane_does_not_cut_in() {
     assert_eq!(judged(&cut_in(20.0, 3.5, -0.5)), None);
     assert_eq!(judged(&cut_in(20.0, 3.5, 1.0)), None);
     let scene = cut_in(20.0, 3.5, -3.5);
-    assert_eq!(CutInJudgment::of(&scene, [0, 2], &CarefulDriverConfig::default()), None);
+    assert_eq!(CutInJudgment::of(&scene, [0, 2]), None);
 }
 
 #[test]
@@ -89,18 +88,9 @@ fn the_rate_is_over_samples_that_cut_in() {
     let samples = [cut_in(40.0, 3.5, -3.5), cut_in(12.0, 3.5, -3.5), cut_in(40.0, 3.5, 0.0)];
     let asked = Roles::from([("ego", "ego"), ("other", "other")]);
     let group = SampleGroup { asked: &asked, ..SampleGroup::equally_likely(&samples[0], &samples) };
-    assert_eq!(PreventableRate::default().evaluate(&group), Some(0.5));
-    assert_eq!(PreventableRate::default().evaluate(&SampleGroup { samples: &samples[2..], ..group }), None);
-    assert_eq!(PreventableRate::default().evaluate(&SampleGroup { asked: Roles::none(), ..group }), None);
+    assert_eq!(PreventableRate.evaluate(&group), Some(0.5));
+    assert_eq!(PreventableRate.evaluate(&SampleGroup { samples: &samples[2..], ..group }), None);
+    assert_eq!(PreventableRate.evaluate(&SampleGroup { asked: Roles::none(), ..group }), None);
     let cut_off = Scene { n_timesteps: samples[0].n_history, ..samples[0].clone() };
-    assert_eq!(PreventableRate::default().evaluate(&SampleGroup { recorded: &cut_off, ..group }), None, "a test split");
-}
-
-#[test]
-fn nonsense_is_named() {
-    assert!(check_ranges(&CarefulDriverConfig::default()).is_ok());
-    let why =
-        check_ranges(&CarefulDriverConfig { ramp_s: 0.0, ..CarefulDriverConfig::default() }).unwrap_err().to_string();
-    assert!(why.contains("ramp_s is 0, expected a positive number"), "{why}");
-    assert!(check_ranges(&CarefulDriverConfig { delay_s: -1.0, ..CarefulDriverConfig::default() }).is_err());
+    assert_eq!(PreventableRate.evaluate(&SampleGroup { recorded: &cut_off, ..group }), None, "a test split");
 }

@@ -251,11 +251,11 @@ mod tests {
         assert!(error("[run]\nseed = \"x\"\n", &[]).to_string().contains("p.toml:2:8"));
         assert!(error("[run\n", &[]).to_string().contains("p.toml:1:"));
         for (text, expected) in [
-            ("[evaluate]\ncareful_driver = [1.0, 2.0]", "evaluate.careful_driver is a list, expected a table"),
+            ("[evaluate]\nvalidity = [1.0, 2.0]", "evaluate.validity is a list, expected a table"),
             ("[generate]\nsampler = [[]]", "generate.sampler is a list, expected a table"),
             ("[[generate.sweeps]]\nname = 'a'\nobjectives = [[1]]", "objectives.0 is a list, expected a table"),
             ("generate = 1", "invalid type: integer `1`, expected a table"),
-            ("[generate]\nsampler = 3", "invalid type: integer `3`, expected a table with a `kind`"),
+            ("[mine]\nbehaviors = [3]", "invalid type: integer `3`, expected a table with a `kind`"),
             ("[run]\nseed = 18446744073709551616", "expected a whole number of at least 0"),
             ("[run]\nname = 2024-01-01", "run.name is the date 2024-01-01, and no setting is a date"),
             ("[ingest]\nplaces = [\"a\", 07:32:00]", "ingest.places.1 is the date 07:32:00, and"),

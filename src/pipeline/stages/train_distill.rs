@@ -7,7 +7,7 @@ use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DistillSource, DistillTrainingConfig, TrainJob, distill_denoiser};
+use crate::train::{DistillTrainingConfig, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DistillTrainingConfig {
@@ -17,11 +17,8 @@ impl Recipe for DistillTrainingConfig {
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {
-        Source {
-            checkpoint: self.checkpoint.as_deref(),
-            start_from: self.start_from.as_deref(),
-            scenes: Some(self.scene_choice()),
-        }
+        let checkpoint = self.checkpoint.as_deref();
+        Source { checkpoint, scenes: Some(self.scene_choice()), ..Source::default() }
     }
 
     fn check_kind(spec: &DenoiserSpec) -> std::result::Result<(), &'static str> {
@@ -43,12 +40,10 @@ impl Recipe for DistillTrainingConfig {
 
     fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), &job.compute.device)?;
-        let start = self.read_start(&job.compute.device)?;
         let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
         let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
         let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
-        let source = DistillSource { teacher: &teacher, start: start.as_ref() };
-        let outcome = distill_denoiser(&self.resolve()?, &data, source, job)?;
+        let outcome = distill_denoiser(&self.resolve()?, &data, &teacher, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
 }

@@ -100,7 +100,11 @@ impl<'a> Walk<'a> {
     /// The entries that a table must have, but for `name`.
     fn required(&self, schema: &Schema, name: &str) -> String {
         let needed = list(&schema["required"]).filter_map(Schema::as_str).filter(|other| *other != name);
-        needed.map(|other| format!("{other} = {}, ", self.sample(&schema["properties"][other]))).collect()
+        let own: String =
+            needed.map(|other| format!("{other} = {}, ", self.sample(&schema["properties"][other]))).collect();
+        // A table with entries of its own that is one of several otherwise.
+        let one = list(&schema["oneOf"]).next().filter(|_| !schema["properties"].is_null());
+        own + &one.map(|one| self.required(one, name)).unwrap_or_default()
     }
 
     /// A value that the schema allows.

@@ -115,14 +115,14 @@ impl Generate<'_> {
         }
         let places_without_road = self.metric_settings.validity.places_without_road.clone();
         let validity = ValidityConfig { places_without_road, ..ValidityConfig::default() };
-        MetricSettings { validity, ..MetricSettings::default() }
+        MetricSettings { validity }
     }
 
     /// [`Self::judging_settings`] as the evaluation uses them: departures are judged only where maps allow it.
     fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
         let settings = self.judging_settings();
         let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);
-        Ok(MetricSettings { validity, ..settings })
+        Ok(MetricSettings { validity })
     }
 
     /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.

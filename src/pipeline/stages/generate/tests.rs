@@ -68,7 +68,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
             config: &toml::from_str(&text).unwrap(),
             precision: Precision::default(),
             mine: MineConfig::default(),
-            metric_settings: MetricSettings { validity: validity.clone(), ..MetricSettings::default() },
+            metric_settings: MetricSettings { validity: validity.clone() },
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
             classified_behavior: None,
             distill: None,

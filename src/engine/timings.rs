@@ -1,0 +1,103 @@
+//! When was each stage of a run at work, and when were the large files of its outputs seen whole?
+
+use super::clock::{peak_memory_bytes, utc_now};
+use super::kind::StageKind;
+use super::record::StageRecord;
+use crate::store::{read_json, write_record};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Instant;
+
+/// Name of the file for times and other facts that differ between equal runs.
+pub const TIMINGS_FILE: &str = "timings.json";
+
+/// The content of `timings.json`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Timings {
+    /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
+    pub stages: BTreeMap<String, Vec<StageTiming>>,
+    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and
+    /// times. While these stay, planning does not read them again.
+    #[serde(default)]
+    pub outputs: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// One time that a stage was at work.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageTiming {
+    /// When it began, UTC.
+    pub started: String,
+    /// When it was done, UTC; `None` if it was interrupted.
+    pub finished: Option<String>,
+    /// How long it took, seconds.
+    pub seconds: Option<f64>,
+    /// Number of worker threads.
+    pub n_threads: usize,
+    /// The most memory that the process had held by then, bytes.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// How long the stage was at work in all in the folder `root`, seconds; `None` where that is not known, as when it was
+/// interrupted.
+pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
+    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
+    timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
+}
+
+/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by
+/// output.
+pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
+    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
+    timings.outputs.get(stage.name).cloned().unwrap_or_default()
+}
+
+/// Keeps `timings.json`.
+pub(super) struct StageClock<'a> {
+    root: &'a Path,
+    timings: Timings,
+    began: Instant,
+}
+
+impl<'a> StageClock<'a> {
+    pub(super) fn open(root: &'a Path) -> Self {
+        // Timings inform people and spare reading, and no result depends on them: unreadable ones are begun anew.
+        let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
+        Self { root, timings, began: Instant::now() }
+    }
+
+    /// A stage begins.
+    pub(super) fn begin(&mut self, stage: &StageKind) -> anyhow::Result<()> {
+        self.began = Instant::now();
+        self.timings.stages.entry(stage.to_string()).or_default().push(StageTiming {
+            started: utc_now(),
+            finished: None,
+            seconds: None,
+            n_threads: rayon::current_num_threads(),
+            peak_memory_bytes: None,
+        });
+        self.save()
+    }
+
+    /// The stage that began last has ended.
+    pub(super) fn end(&mut self, stage: &StageKind) -> anyhow::Result<()> {
+        let Some(entry) = self.timings.stages.entry(stage.to_string()).or_default().last_mut() else {
+            return self.begin(stage);
+        };
+        entry.finished = Some(utc_now());
+        entry.seconds = Some(self.began.elapsed().as_secs_f64());
+        entry.peak_memory_bytes = peak_memory_bytes();
+        self.save()
+    }
+
+    /// Notes that the outputs of a stage were seen whole.
+    pub(super) fn keep_times(&mut self, record: &StageRecord) -> anyhow::Result<()> {
+        let before = self.timings.outputs.insert(record.stage.to_string(), record.times.clone());
+        if before.unwrap_or_default() == record.times { Ok(()) } else { self.save() }
+    }
+
+    fn save(&self) -> anyhow::Result<()> {
+        write_record(&self.root.join(TIMINGS_FILE), &self.timings)?;
+        Ok(())
+    }
+}
