@@ -1,9 +1,10 @@
-//! Summaries of many events by group.
+//! Summaries of many events by group, with polars.
 
 use super::schema::unit_of_name;
+use super::tables::event::label_from_name;
+use super::{Error, Result};
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::quantile::quantile;
-use std::collections::{BTreeMap, BTreeSet};
+use polars::prelude::*;
 
 /// The quantiles in the summary of a parameter.
 pub const QUANTILES: [f64; 7] = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
@@ -38,52 +39,110 @@ pub struct ParameterSummary {
     pub quantiles: [f64; QUANTILES.len()],
 }
 
-/// The values of a group of events.
-#[derive(Default)]
-struct Group<'a> {
-    n_events: usize,
-    scenes: BTreeSet<&'a str>,
-    values: BTreeMap<&'a str, Vec<f64>>,
-}
-
 /// Counts of events and the distributions of their parameters, for each behavior and label, in the order of first
 /// occurrence.
-pub fn summarize_events(events: &[BehaviorEvent]) -> Vec<EventSummary> {
-    let mut groups: Vec<((&str, EventLabel), Group<'_>)> = Vec::new();
-    for event in events {
-        let key = (event.behavior.as_str(), event.label);
-        let at = groups.iter().position(|(own, _)| *own == key).unwrap_or_else(|| {
-            groups.push((key, Group::default()));
-            groups.len() - 1
-        });
-        let group = &mut groups[at].1;
-        group.n_events += 1;
-        group.scenes.insert(&event.scene_id.0);
-        for (name, value) in &event.parameters {
-            group.values.entry(name).or_default().push(*value);
-        }
-    }
-    let summary = |((behavior, label), group): ((&str, EventLabel), Group<'_>)| EventSummary {
-        behavior: behavior.to_owned(),
-        label,
-        n_events: group.n_events,
-        n_scenes: group.scenes.len(),
-        parameters: group.values.into_iter().map(|(name, values)| ParameterSummary::of(name, values)).collect(),
+///
+/// # Errors
+/// [`Error::Frame`] when a group-by fails.
+pub fn summarize_events(events: &[BehaviorEvent]) -> Result<Vec<EventSummary>> {
+    let summarize = || {
+        let mut summaries = event_counts(events)?;
+        add_parameters(&mut summaries, events)?;
+        Ok(summaries)
     };
-    groups.into_iter().map(summary).collect()
+    summarize().map_err(|source| Error::Frame { table: "events", source })
 }
 
-impl ParameterSummary {
-    fn of(name: &str, mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        Self {
-            name: name.to_owned(),
-            unit: unit_of_name(name),
-            n: values.len(),
-            mean: values.iter().sum::<f64>() / values.len() as f64,
-            quantiles: QUANTILES.map(|share| quantile(&values, share).unwrap_or(f64::NAN)),
+fn event_counts(events: &[BehaviorEvent]) -> PolarsResult<Vec<EventSummary>> {
+    let frame = df! {
+        "behavior" => events.iter().map(|event| event.behavior.as_str()).collect::<Vec<_>>(),
+        "label" => events.iter().map(|event| event.label.name()).collect::<Vec<_>>(),
+        "scene_id" => events.iter().map(|event| event.scene_id.0.as_str()).collect::<Vec<_>>(),
+    }?;
+    let groups = frame
+        .lazy()
+        .group_by_stable([col("behavior"), col("label")])
+        .agg([
+            len().cast(DataType::UInt64).alias("n_events"),
+            col("scene_id").n_unique().cast(DataType::UInt64).alias("n_scenes"),
+        ])
+        .collect()?;
+    let summary = |i: usize| {
+        Ok(EventSummary {
+            behavior: text(&groups, "behavior", i)?,
+            label: label(&groups, i)?,
+            n_events: count(&groups, "n_events", i)?,
+            n_scenes: count(&groups, "n_scenes", i)?,
+            parameters: Vec::new(),
+        })
+    };
+    (0..groups.height()).map(summary).collect()
+}
+
+fn add_parameters(summaries: &mut [EventSummary], events: &[BehaviorEvent]) -> PolarsResult<()> {
+    let parameters = |event| -> Vec<_> {
+        let event: &BehaviorEvent = event;
+        event.parameters.iter().map(|(name, value)| (event, name.as_str(), *value)).collect()
+    };
+    let rows: Vec<(&BehaviorEvent, &str, f64)> = events.iter().flat_map(parameters).collect();
+    let frame = df! {
+        "behavior" => rows.iter().map(|(event, ..)| event.behavior.as_str()).collect::<Vec<_>>(),
+        "label" => rows.iter().map(|(event, ..)| event.label.name()).collect::<Vec<_>>(),
+        "name" => rows.iter().map(|(_, name, _)| *name).collect::<Vec<_>>(),
+        "value" => rows.iter().map(|(.., value)| *value).collect::<Vec<_>>(),
+    }?;
+    let quantile =
+        |(i, q): (usize, &f64)| col("value").quantile(lit(*q), QuantileMethod::Linear).alias(format!("quantile {i}"));
+    let groups = frame
+        .lazy()
+        .group_by_stable([col("behavior"), col("label"), col("name")])
+        .agg(
+            [len().cast(DataType::UInt64).alias("n"), col("value").mean().alias("mean")]
+                .into_iter()
+                .chain(QUANTILES.iter().enumerate().map(quantile))
+                .collect::<Vec<_>>(),
+        )
+        .collect()?;
+    for i in 0..groups.height() {
+        let name = text(&groups, "name", i)?;
+        let mut quantiles = [0.0; QUANTILES.len()];
+        for (q, value) in quantiles.iter_mut().enumerate() {
+            *value = number(&groups, &format!("quantile {q}"), i)?;
+        }
+        let parameter = ParameterSummary {
+            unit: unit_of_name(&name),
+            name,
+            n: count(&groups, "n", i)?,
+            mean: number(&groups, "mean", i)?,
+            quantiles,
+        };
+        let key = (text(&groups, "behavior", i)?, label(&groups, i)?);
+        let of_group = |s: &&mut EventSummary| s.behavior == key.0 && s.label == key.1;
+        if let Some(summary) = summaries.iter_mut().find(of_group) {
+            summary.parameters.push(parameter);
         }
     }
+    for summary in summaries {
+        summary.parameters.sort_by(|a, b| a.name.cmp(&b.name));
+    }
+    Ok(())
+}
+
+fn text(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<String> {
+    Ok(frame.column(column)?.str()?.get(i).unwrap_or_default().to_owned())
+}
+
+fn number(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<f64> {
+    Ok(frame.column(column)?.f64()?.get(i).unwrap_or(f64::NAN))
+}
+
+fn count(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<usize> {
+    Ok(frame.column(column)?.u64()?.get(i).unwrap_or_default() as usize)
+}
+
+fn label(frame: &DataFrame, i: usize) -> PolarsResult<EventLabel> {
+    let name = text(frame, "label", i)?;
+    label_from_name(&name).ok_or_else(|| polars_err!(ComputeError: "unknown label {name}"))
 }
 
 #[cfg(test)]
@@ -100,7 +159,7 @@ mod tests {
         events.push(BehaviorEvent { label: EventLabel::Negative, ..event(&scene("B", 0), "cut_in", &[]) });
         events.push(event(&scene("B", 1), "cut_in", &[("gap_m", 100.0), ("ttc_s", 2.0)]));
 
-        let summaries = summarize_events(&events);
+        let summaries = summarize_events(&events).unwrap();
         assert_eq!(summaries.len(), 2);
         let positive = &summaries[0];
         assert_eq!((positive.label, positive.n_events, positive.n_scenes), (EventLabel::Positive, 6, 4));
@@ -112,6 +171,6 @@ mod tests {
         assert!((gap.quantiles[2] - 12.5).abs() < 1e-12);
         assert_eq!(summaries[1].parameters, []);
 
-        assert_eq!(summarize_events(&[]), []);
+        assert_eq!(summarize_events(&[]).unwrap(), []);
     }
 }

@@ -33,7 +33,7 @@ pub(super) fn events(path: &Path) -> Result<Option<Description>> {
     let mut counts = BTreeMap::<&str, BTreeMap<&str, usize>>::new();
     let mut scenes = BTreeMap::<&str, usize>::new();
     let mut parameters = BTreeMap::<&str, BTreeMap<&str, Value>>::new();
-    let summaries = summarize_events(&events);
+    let summaries = summarize_events(&events)?;
     for summary in &summaries {
         counts.entry(&summary.behavior).or_default().insert(summary.label.name(), summary.n_events);
         if summary.label == EventLabel::Positive {
