@@ -26,10 +26,12 @@ mod ending;
 mod preventable_rate;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use config::CarefulDriverConfig;
 pub use ending::Ending;
 pub use preventable_rate::PreventableRate;
+pub use watch::{CarefulWatch, Seen};
 
 use crate::scene::Scene;
 use braking::Braking;
