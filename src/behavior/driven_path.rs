@@ -51,6 +51,11 @@ impl DrivenPath {
         Some(Self { polyline: Polyline(kept), half_length_m: length_m / 2.0 })
     }
 
+    /// Its length without the extensions, meters.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.polyline.length_m() - 2.0 * EXTENSION_M
+    }
+
     /// How far along the path `point` is from its start, meters; negative before it.
     pub(crate) fn driven_m(&self, point: Vec2) -> Option<f64> {
         self.project(point).map(|place| place.station_m - EXTENSION_M)

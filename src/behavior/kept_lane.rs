@@ -134,9 +134,9 @@ impl KeptLane {
     }
 }
 
-/// The points at which an agent goes on after the last timestep of its track, which lasts to the end of the scene: along
-/// the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. It comes over to the
-/// middle of the lane within some 20 m. Empty if it is in no lane.
+/// The points at which an agent goes on after the last timestep of its track, which lasts to the end of the scene:
+/// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. It comes over
+/// to the middle of the lane within some 20 m. Empty if it is in no lane.
 pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2> {
     const SPACING_M: f64 = 1.0;
     const COMES_OVER_M: f64 = 20.0;

@@ -7,7 +7,7 @@ use super::traffic::Traffic;
 use super::world::World;
 use super::{Contact, Driver, Error, Failed, Fault, Outcome, Result};
 use crate::generate::{Continued, Futures};
-use crate::scene::State;
+use crate::scene::{Scene, State, UnfitScene};
 use serde::{Deserialize, Serialize};
 
 /// How far off the road the center of the ego may be, meters: as in the check of validity.
@@ -61,6 +61,14 @@ impl RolloutConfig {
     }
 }
 
+/// What moves everybody else.
+pub enum Others<'a> {
+    /// The model, which answers to the ego.
+    Sampled(&'a Futures<'a>),
+    /// The scenario, whatever the ego does.
+    Replayed,
+}
+
 /// A finished drive.
 #[derive(Debug, Clone)]
 pub struct Driven {
@@ -97,13 +105,15 @@ pub fn roll_out(
     situation: &Situation,
     world: World,
     driver: &mut dyn Driver,
-    futures: &Futures<'_>,
+    others: &Others<'_>,
     config: &RolloutConfig,
     save_at: Option<usize>,
 ) -> Result<Driven> {
     let scene = &situation.scene;
     let unfit = |why: String| Error::Unfit { scenario_id: situation.scenario_id.clone(), why };
-    if scene.n_history < futures.n_history() || (scene.dt_s - futures.dt_s()).abs() > 1e-6 {
+    if let Others::Sampled(futures) = others
+        && (scene.n_history < futures.n_history() || (scene.dt_s - futures.dt_s()).abs() > 1e-6)
+    {
         return Err(unfit(format!(
             "has {} timesteps of {} s before the present, but the model observes {} of {} s",
             scene.n_history,
@@ -124,7 +134,7 @@ pub fn roll_out(
         if save_at.is_some_and(|timestep| saved.is_none() && drive.world.now() >= timestep) {
             saved = Some(drive.world.clone());
         }
-        end = drive.replan(futures, n_plan.min(last - drive.world.now()))?;
+        end = drive.replan(others, n_plan.min(last - drive.world.now()))?;
     }
     let (outcome, why) = end.unwrap_or_else(|| drive.came_through());
     drive.driver.end(outcome, why.as_deref());
@@ -157,23 +167,23 @@ struct Drive<'a> {
 
 impl Drive<'_> {
     /// Plans anew and drives the plan; says how the drive ends if it does.
-    fn replan(&mut self, futures: &Futures<'_>, n_steps: usize) -> Result<Option<End>> {
-        let (situation, now) = (self.situation, self.world.now());
-        if self.plan_leads_into_ego() {
-            (self.world.plan_ends, self.gave_up_plan) = (now, true);
-        }
-        let (scene, mask) = situation.window(&self.world, futures.n_history(), futures.n_timesteps());
-        let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
-        let asked = Continued { scene: &scene, mask: &mask, center_idx, name, step: now };
-        let sampled = match futures.sample(&asked)? {
-            Ok(sampled) => sampled,
-            Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
+    fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
+        let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
+        let sampled = match others {
+            Others::Sampled(futures) => match self.sample(futures)? {
+                Ok(sampled) => Some((sampled, futures.n_history())),
+                Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
+            },
+            Others::Replayed => None,
         };
         if let Err(why) = self.driver.plan(situation, &self.world, n_steps) {
             return Ok(Some(failed(why)));
         }
         for step in 0..n_steps {
-            let then = |agent_idx: usize| sampled.state(agent_idx, futures.n_history() + step).copied();
+            let then = |agent_idx: usize| match &sampled {
+                Some((sampled, n_history)) => sampled.state(agent_idx, n_history + step).copied(),
+                None => situation.scene.state(agent_idx, now + 1 + step).copied(),
+            };
             let ego = match self.driver.next(situation, &self.world, then(center_idx)) {
                 Ok(ego) => ego,
                 Err(why) => return Ok(Some(failed(why))),
@@ -190,6 +200,17 @@ impl Drive<'_> {
             }
         }
         Ok(None)
+    }
+
+    /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
+    fn sample(&mut self, futures: &Futures<'_>) -> Result<Result<Scene, UnfitScene>> {
+        let (situation, now) = (self.situation, self.world.now());
+        if self.plan_leads_into_ego() {
+            (self.world.plan_ends, self.gave_up_plan) = (now, true);
+        }
+        let (scene, mask) = situation.window(&self.world, futures.n_history(), futures.n_timesteps());
+        let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
+        Ok(futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?)
     }
 
     /// Looks at what was reached: who has left, and does the drive end here?

@@ -1,4 +1,4 @@
-//! Drives from a scenario of the fixture corpus: repeatable, forkable, with the event as planned and reactions after it.
+//! Drives from a scenario of the fixture corpus: repeatable, forkable, with the event as planned and reactions after.
 
 use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
 use super::testing::{model, record, situation};
@@ -10,7 +10,7 @@ use candle_core::Device;
 fn driven(situation: &Situation, world: World, driver: &mut dyn Driver, config: &RolloutConfig) -> Driven {
     let model = model();
     let futures = Futures::new(&model, world.seed, &Device::Cpu).unwrap();
-    roll_out(situation, world, driver, &futures, config, Some(20)).unwrap()
+    roll_out(situation, world, driver, &Others::Sampled(&futures), config, Some(20)).unwrap()
 }
 
 const SHORT: RolloutConfig = RolloutConfig { horizon_s: 2.0, replan_s: 0.5 };
@@ -130,9 +130,10 @@ fn nonsense_is_refused_and_a_driver_that_fails_is_an_outcome() {
             Err(Failed::because("asked without a beginning"))
         }
     }
-    let driven = roll_out(&situation, situation.start(1), &mut Fails, &futures, &SHORT, None).unwrap();
+    let driven =
+        roll_out(&situation, situation.start(1), &mut Fails, &Others::Sampled(&futures), &SHORT, None).unwrap();
     assert_eq!((driven.outcome, driven.why.as_deref()), (Outcome::TimedOut, Some("no answer")));
     let other = World::new("s", 1, 0, [[None; 3].as_slice()]);
-    let refused = roll_out(&situation, other, &mut Fails, &futures, &SHORT, None).unwrap_err();
+    let refused = roll_out(&situation, other, &mut Fails, &Others::Sampled(&futures), &SHORT, None).unwrap_err();
     assert!(refused.to_string().contains("saved state"), "{refused}");
 }

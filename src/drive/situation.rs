@@ -147,8 +147,8 @@ impl Situation {
         self.cut(world, 0, world.n_timesteps(), self.scene.n_history)
     }
 
-    /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the agents
-    /// of the event, and the mask that shows just these.
+    /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
+    /// agents of the event, and the mask that shows just these.
     pub(super) fn window(&self, world: &World, n_history: usize, n_timesteps: usize) -> (Scene, ObservationMask) {
         let first = world.n_timesteps() - n_history;
         let mut scene = self.cut(world, first, n_timesteps, n_history);

@@ -45,7 +45,8 @@ impl<'a> Futures<'a> {
             Some(Distillation::Steps { sigmas }) => {
                 let n_steps = sigmas.len().saturating_sub(1);
                 let last = sigmas.get(n_steps.saturating_sub(1));
-                json!({ "kind": "euler", "n_steps": n_steps, "grid": { "sigma_max": sigmas.first(), "sigma_min": last } })
+                let grid = json!({ "sigma_max": sigmas.first(), "sigma_min": last });
+                json!({ "kind": "euler", "n_steps": n_steps, "grid": grid })
             }
             None => json!({ "kind": "dpmpp_2m", "n_steps": 10, "grid": { "sigma_max": 30.0, "sigma_min": 0.05 } }),
         };

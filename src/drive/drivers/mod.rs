@@ -7,4 +7,4 @@ mod way;
 
 pub(super) use careful::Careful;
 pub(super) use idm::{Idm, free_m};
-pub(super) use replay::{AtConstantVelocity, Log, Model};
+pub(super) use replay::{AtConstantVelocity, Log, Model, follow_log};

@@ -3,6 +3,7 @@
 use super::way::{advanced, ego};
 use crate::drive::driver::{Driver, Failed};
 use crate::drive::{Situation, World};
+use crate::geometry::Vec2;
 use crate::scene::State;
 
 /// The ego as the model has it.
@@ -38,6 +39,20 @@ impl Driver for Log {
             None => Ok(advanced(situation, &ego(situation, world)?, 0.0)),
         }
     }
+}
+
+/// The ego at this position and heading at the next timestep, with the velocity that takes it there.
+///
+/// # Errors
+/// When the ego is not there now.
+pub(in crate::drive) fn follow_log(
+    situation: &Situation,
+    world: &World,
+    position: Vec2,
+    heading_rad: f64,
+) -> Result<State, Failed> {
+    let velocity = (position - ego(situation, world)?.position) * (1.0 / situation.scene.dt_s);
+    Ok(State { position, heading_rad, velocity })
 }
 
 impl Driver for AtConstantVelocity {
