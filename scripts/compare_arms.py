@@ -2,23 +2,25 @@
 
     pip install polars numpy
     djinn run pipelines/behaviors/arms.toml --set 'ingest.inputs=["/data/INTERACTION-sim-multi-v1_2.zip"]'
-    python scripts/compare_arms.py output/arms/main [output/arms/seed_2 ...] [--by place]
+    python scripts/compare_arms.py output/arms/main [output/arms/seed_2 ...]
 
-Sweeps are named BEHAVIOR/ARM in their pipeline's `name`. Prints a Markdown table over all runs: shares of samples with the middle
-95 % of 10,000 draws of pairs with replacement (fixed seed), pairs with a sample that is verified and valid, spread of the last
-positions (MFD), and the Wasserstein distances of the motion of all agents from the recordings of the same scenes. With `--by place` there is a
-row for each place, without the figures that runs give for sweeps as a whole.
+Sweeps are named BEHAVIOR/ARM in their pipeline's `name`. Prints CSV over all runs: shares of samples with the middle 95 % of 10,000
+draws of pairs with replacement (fixed seed), pairs with a sample that is verified and valid, spread of the last positions (MFD), the
+mean distance of accepted ones from recorded events, and the Wasserstein distances of the motion of all agents from the recordings of
+the same scenes.
 """
 
 import argparse
+import csv
 import json
 import pathlib
+import sys
 
 import numpy as np
 import polars as pl
 
 N_DRAWS = 10_000
-MOTION = {"speed": "speed (m/s)", "acceleration": "acceleration (m/s²)", "distance to the nearest": "distance to the nearest (m)"}
+MOTION = {"speed": "speed_mps", "acceleration": "acceleration_mps2", "distance to the nearest": "distance_to_nearest_m"}
 # Reasons against a scenario that say nothing of its validity.
 NOT_VALIDITY = ["not_verified", "nothing_asked", "near_duplicate", "surplus", "repeated", "outside", "beyond_limits", "not_found"]
 
@@ -39,7 +41,7 @@ def share(rows, column):
     by_pair = rows.group_by("pair", maintain_order=True).agg(pl.col(column).mean())[column].to_numpy()
     draws = np.random.default_rng(0).integers(0, len(by_pair), (N_DRAWS, len(by_pair)))
     low, high = np.quantile(by_pair[draws].mean(1), (0.025, 0.975))
-    return f"{100 * by_pair.mean():.0f} ({100 * low:.0f}–{100 * high:.0f})"
+    return [f"{100 * figure:.0f}" for figure in (by_pair.mean(), low, high)]
 
 
 def realism(runs, sweep, strength, quantity):
@@ -49,7 +51,7 @@ def realism(runs, sweep, strength, quantity):
         rows = json.loads((run / "metrics.json").read_text())["realism"]
         own = [row for row in rows if row["sweep"] == sweep and row["strength"] == strength and row["quantity"] == quantity]
         found += [row["wasserstein"] for row in own if row["group"] != "constant_velocity"]
-    return f"{np.mean(found):.2f}" if found else "–"
+    return f"{np.mean(found):.2f}" if found else ""
 
 
 def spread(runs, sweep, strength):
@@ -57,40 +59,35 @@ def spread(runs, sweep, strength):
     rows = pl.concat([pl.read_parquet(run / "metrics.parquet") for run in runs])
     own = (pl.col("sweep") == sweep) & (pl.col("strength") == strength) & (pl.col("metric") == "mfd_m") & (pl.col("series") != "constant_velocity")
     values = rows.filter(own & pl.col("scene_id").is_not_null())["value"].drop_nans()
-    return f"{values.mean():.1f}" if len(values) else "–"
+    return f"{values.mean():.1f}" if len(values) else ""
 
 
 def novelty(runs, sweep, strength):
     """Mean distance of accepted scenarios from the nearest recorded event of their kind, in standard deviations of its parameters."""
     corpora = [pl.read_parquet(path) for run in runs for path in (run / "corpus" / "scenarios").glob("**/*.parquet")]
     if not corpora:
-        return "–"
+        return ""
     rows = pl.concat([rows.select("sweep", "guidance_strength", "nearest_recorded_event") for rows in corpora])
     values = rows.filter(pl.col("sweep") == sweep, pl.col("guidance_strength") == strength)["nearest_recorded_event"].drop_nulls()
-    return f"{values.mean():.2f}" if len(values) else "–"
+    return f"{values.mean():.2f}" if len(values) else ""
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", type=pathlib.Path, nargs="+", help="folders of evaluated runs that differ in their seed")
-    parser.add_argument("--by", choices=["place"], help="a row for each place")
-    arguments = parser.parse_args()
-    rows = pl.concat([samples(run) for run in arguments.runs])
-    by = [arguments.by] if arguments.by else []
-    whole = [] if by else ["MFD (m)", "from recorded events", *MOTION.values()]
-    header = ["behavior", *by, "arm", "samples", "verified (%)", "valid (%)", "both (%)", "accepted", "pairs within the samples", *whole]
-    print("| " + " | ".join(header) + " |\n" + "|---" * len(header) + "|")
+    runs = parser.parse_args().runs
+    rows = pl.concat([samples(run) for run in runs])
     rows = rows.with_columns(pl.col("sweep").str.split("/").list.first().alias("behavior"))
-    groups = rows.sort("behavior", *by, maintain_order=True) if by else rows
-    for (sweep, strength, *place), own in groups.group_by("sweep", "strength", *by, maintain_order=True):
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    shares = [f"{name}_percent{bound}" for name in ("verified", "valid", "both") for bound in ("", "_low", "_high")]
+    writer.writerow(["behavior", "arm", "samples", *shares, "accepted", "pairs", "pairs_of", "mfd_m", "from_recorded_events", *MOTION.values()])
+    for (sweep, strength), own in rows.group_by("sweep", "strength", maintain_order=True):
         behavior, _, arm = sweep.partition("/")
-        both = own.group_by("pair").agg(pl.col("both").any().alias("works"))
-        cells = [behavior, *place, arm + (f", α = {strength:g}" if strength else ""), f"{own.height}", share(own, "verified"), share(own, "valid"), share(own, "both")]
-        cells += [f"{own['accepted'].sum()}", f"{both['works'].sum()} of {both.height}"]
-        if not by:
-            cells += [spread(arguments.runs, sweep, strength), novelty(arguments.runs, sweep, strength)]
-            cells += [realism(arguments.runs, sweep, strength, quantity) for quantity in MOTION]
-        print("| " + " | ".join(cells) + " |")
+        works = own.group_by("pair").agg(pl.col("both").any())["both"]
+        measured = [spread(runs, sweep, strength), novelty(runs, sweep, strength), *(realism(runs, sweep, strength, quantity) for quantity in MOTION)]
+        percent = [figure for column in ("verified", "valid", "both") for figure in share(own, column)]
+        name = arm.replace("_", " ") + (f", α = {strength:g}" if strength else "")
+        writer.writerow([behavior, name, own.height, *percent, own["accepted"].sum(), works.sum(), len(works), *measured])
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ pub(super) const PARAMETERS: &[&str] =
     &["pet_s", "time_to_arrival_s", "entering_speed_mps", "priority_speed_mps", "max_deceleration_mps2"];
 
 /// A driver who takes the foot off the pedal slows down by this, m/s².
-pub(super) const EASES_OFF_MPS2: f64 = 1.0;
+const EASES_OFF_MPS2: f64 = 1.0;
 /// A rule applies to conflicts at most this far from the end of the lanes that it names, meters.
 const RULE_REACH_M: f64 = 40.0;
 

@@ -69,7 +69,7 @@ impl Ema {
 }
 
 /// Contiguous copies with memory of their own.
-fn copies(tensors: &BTreeMap<String, Tensor>) -> Result<BTreeMap<String, Tensor>> {
+pub(crate) fn copies(tensors: &BTreeMap<String, Tensor>) -> Result<BTreeMap<String, Tensor>> {
     tensors.iter().map(|(name, tensor)| Ok((name.clone(), tensor.force_contiguous()?.detach()))).collect()
 }
 

@@ -28,6 +28,7 @@ pub use attention::{Axis, CrossAttention, SelfAttention};
 pub use checkpoint::{Checkpoint, checksum, parse_checkpoint, read_checkpoint, write_checkpoint};
 pub use compute::Compute;
 pub use ema::Ema;
+pub(crate) use ema::copies;
 pub use error::Error;
 pub use fourier::sinusoidal;
 pub use layer_norm::LayerNorm;

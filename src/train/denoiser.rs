@@ -4,12 +4,12 @@ use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
 use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
-use super::{DenoiserTraining, DenoisingTask, Error, TrainJob, TrainOutcome, Trainable, fit};
+use super::{DenoiserTraining, DenoisingTask, Error, FitConfig, TrainJob, TrainOutcome, Trainable, fit};
 use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
-/// weights of that checkpoint and keeps its scales.
+/// weights of that checkpoint, keeps its scales, and ends with the weights that were best on held-out scenes.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -28,7 +28,9 @@ pub fn train_denoiser(
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
     let draws = scenes.draws(!training.objectives.is_empty(), job);
     let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
-    let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
+    // Who trains a model further must not end with a worse one.
+    let schedule = FitConfig { keeps_best: start.is_some(), ..training.common.fit.clone() };
+    let outcome = fit(&schedule, &mut model.params, &task, job)?;
     spec.changed_losses = changed_losses(&task)?;
     spec.losses_by_place = losses_by_place(&task)?;
     map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));

@@ -156,6 +156,16 @@ fn training_can_start_from_a_checkpoint() {
     let warm = train_from(Some(&start), &arcs(48), &training(20), second.path()).unwrap();
     assert!(early(&warm) < 0.8 * early(&cold), "{} after {}", early(&warm), early(&cold));
     assert_eq!(warm.spec.normalizer, cold.spec.normalizer);
+    // A training that only spoils it ends with what it started from.
+    let third = tempfile::tempdir().unwrap();
+    let mut spoiling = training(20);
+    spoiling.common.fit.learning_rate = 5.0;
+    train_from(Some(&start), &arcs(48), &spoiling, third.path()).unwrap();
+    let end = read_checkpoint::<DenoiserSpec>(&third.path().join("model.safetensors"), &Device::Cpu).unwrap();
+    for (name, tensor) in &start.tensors {
+        let values = |tensor: &candle_core::Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(values(tensor), values(&end.tensors[name]), "{name}");
+    }
     let mut other = training(20);
     other.network.layers = "TAT".to_owned();
     let error = train_from(Some(&start), &arcs(40), &other, second.path()).unwrap_err().to_string();

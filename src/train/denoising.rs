@@ -109,4 +109,10 @@ impl TrainTask for DenoisingTask<'_> {
         }
         Ok(found)
     }
+
+    fn badness(&self, figures: &BTreeMap<String, f64>) -> Option<f64> {
+        // A mean of logarithms: losses differ by orders of magnitude between levels.
+        let loss = |sigma: f64| figures.get(&format!("held_out_loss_at_sigma_{sigma}")).map(|loss| loss.ln());
+        EVALUATION_SIGMAS.into_iter().map(loss).sum()
+    }
 }

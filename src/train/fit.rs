@@ -2,7 +2,7 @@
 
 use super::run_state::Run;
 use super::{Error, FitConfig, TrainJob, TrainTask};
-use crate::nn::{Params, in_pool, keep_freed_memory};
+use crate::nn::{Params, copies, in_pool, keep_freed_memory};
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,8 @@ pub struct FitOutcome {
 }
 
 /// Trains `params` on `task` for `config.steps` steps, from the state in the job's folder if there is one. At the end
-/// `params` are the averaged weights if `config.ema_decay` is positive, else the last ones.
+/// `params` are the averaged weights if `config.ema_decay` is positive, else the last ones; with `config.keeps_best`,
+/// those of the best evaluation, the one before the first step among them.
 ///
 /// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A run that was
 /// killed and resumed ends with the same weights as an uninterrupted one.
@@ -52,7 +53,7 @@ pub fn fit(
     progress.advance(first_step);
     // What training changes shows only beside the figures of what it started from.
     if run.position.statistics.is_empty() && first_step == 0 && config.steps > 0 {
-        run.evaluate(params, task)?;
+        run.evaluate(config, params, task)?;
     }
     while run.position.step < config.steps {
         if progress.must_stop() {
@@ -66,7 +67,7 @@ pub fn fit(
             progress.note(&run.log(config)?);
         }
         if step.is_multiple_of(config.evaluate_every) || is_last {
-            run.evaluate(params, task)?;
+            run.evaluate(config, params, task)?;
         }
         if step.is_multiple_of(config.save_every) || is_last {
             run.save(params)?;
@@ -76,6 +77,10 @@ pub fn fit(
     progress.finish();
     if let Some(ema) = &mut run.ema {
         ema.swap(params)?;
+    }
+    if let Some((step, _)) = run.position.best.filter(|(step, _)| *step < config.steps) {
+        progress.note(&format!("the weights of step {step} are kept: later ones are worse on held-out scenes"));
+        params.load(&run.best)?;
     }
     Ok(FitOutcome { steps_taken: run.position.step - first_step, statistics: run.position.statistics })
 }
@@ -137,11 +142,16 @@ impl Run {
         Ok(format!("loss {loss:.4}"))
     }
 
-    fn evaluate(&mut self, params: &mut Params, task: &dyn TrainTask) -> Result<(), Error> {
+    fn evaluate(&mut self, config: &FitConfig, params: &mut Params, task: &dyn TrainTask) -> Result<(), Error> {
         if let Some(ema) = &mut self.ema {
             ema.swap(params)?;
         }
         let evaluation = task.evaluate();
+        let badness = evaluation.as_ref().ok().and_then(|figures| task.badness(figures)).filter(|_| config.keeps_best);
+        if let Some(badness) = badness.filter(|badness| self.position.best.is_none_or(|(_, best)| *badness < best)) {
+            self.position.best = Some((self.position.step, badness));
+            self.best = copies(&params.tensors())?;
+        }
         if let Some(ema) = &mut self.ema {
             ema.swap(params)?;
         }
@@ -204,6 +214,7 @@ mod tests {
             evaluate_every: 6,
             save_every: 5,
             log_every: 4,
+            keeps_best: false,
         }
     }
 
@@ -276,6 +287,10 @@ mod tests {
         fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error> {
             Ok(BTreeMap::from([("x".to_owned(), f64::from(self.0.detach().sum_all()?.to_scalar::<f32>()?))]))
         }
+
+        fn badness(&self, figures: &BTreeMap<String, f64>) -> Option<f64> {
+            Some((figures["x"] + 0.11).abs())
+        }
     }
 
     #[test]
@@ -306,5 +321,17 @@ mod tests {
         assert!((last + 0.2).abs() < 2e-6, "{last}");
         let kept = x.to_vec1::<f32>().unwrap()[0];
         assert!((kept + 0.186_681).abs() < 2e-6, "{kept}");
+        // Its second evaluation is the best one, also after an interruption.
+        let dir = tempfile::tempdir().unwrap();
+        for (steps, expected) in [(2, -0.111_744), (4, -0.111_744)] {
+            let mut params = Params::new(&Compute::cpu());
+            let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
+            let config = FitConfig { keeps_best: true, save_every: 1, ..config.clone() };
+            let progress = StopAfter(AtomicU64::new(steps));
+            let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &progress));
+            assert_eq!(outcome.is_ok(), steps == 4, "{outcome:?}");
+            let kept = x.to_vec1::<f32>().unwrap()[0];
+            assert!(outcome.is_err() || (kept - expected).abs() < 2e-6, "{kept}");
+        }
     }
 }

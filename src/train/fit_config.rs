@@ -36,6 +36,8 @@ pub struct FitConfig {
     pub save_every: u64,
     /// Steps between lines of the statistics with mean losses.
     pub log_every: u64,
+    /// Whether training ends with the weights of its best evaluation instead of the last ones.
+    pub keeps_best: bool,
 }
 
 impl Default for FitConfig {
@@ -50,6 +52,7 @@ impl Default for FitConfig {
             evaluate_every: 500,
             save_every: 250,
             log_every: 20,
+            keeps_best: false,
         }
     }
 }

@@ -75,7 +75,8 @@ scene_training_section! {
         /// Dimensions of a diffused state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
         #[schemars(range(min = 2, max = 3))]
         pub state_dim: Option<usize>,
-        /// A checkpoint of the same network to start from: to train it further, or on other scenes.
+        /// A checkpoint of the same network to start from: to train it further, or on other scenes. Training then ends
+        /// with the weights that were best on held-out scenes, those that it started from among them.
         pub start_from: Option<std::path::PathBuf>,
     }
 }

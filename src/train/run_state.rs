@@ -24,6 +24,9 @@ pub(super) struct Position {
     pub(super) norm_sum: f64,
     /// All lines of statistics up to here.
     pub(super) statistics: Vec<FitStatistics>,
+    /// The step of the best evaluation, and how bad that was; its weights are in the state.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) best: Option<(u64, f64)>,
     /// Hash of the rest of the state, with its tensors; `None` before they are saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
@@ -43,6 +46,8 @@ pub(super) struct Run {
     dir: PathBuf,
     pub(super) adam: Adam,
     pub(super) ema: Option<Ema>,
+    /// The weights of the best evaluation; empty if none is kept.
+    pub(super) best: BTreeMap<String, Tensor>,
     pub(super) position: Position,
 }
 
@@ -53,7 +58,8 @@ impl Run {
 
     /// The state in `dir`, which is loaded into `params`, or that of a new run.
     pub(super) fn open(config: &FitConfig, params: &mut Params, dir: &Path) -> Result<Self, Error> {
-        let mut run = Self { dir: dir.to_owned(), adam: Adam::default(), ema: None, position: Position::default() };
+        let (adam, position) = (Adam::default(), Position::default());
+        let mut run = Self { dir: dir.to_owned(), adam, ema: None, best: BTreeMap::new(), position };
         let path = Self::state_path(dir);
         fs::create_dir_all(dir)?;
         let mut averages = BTreeMap::new();
@@ -70,6 +76,7 @@ impl Run {
             params.load(&part("params."))?;
             run.adam.load(params, &part("adam."))?;
             averages = part("ema.");
+            run.best = part("best.");
             run.position = position;
         }
         if config.ema_decay > 0.0 {
@@ -106,6 +113,7 @@ impl Run {
         if let Some(ema) = &self.ema {
             put("ema", ema.tensors().clone());
         }
+        put("best", self.best.clone());
         write_checkpoint(&Self::state_path(&self.dir), &tensors, &self.position.sealed(&tensors)?)?;
         Ok(())
     }
@@ -135,6 +143,7 @@ mod tests {
             loss_sum: 0.5,
             norm_sum: 1e-300,
             statistics: vec![line],
+            best: Some((5, 0.25)),
             checksum: None,
         };
         run.save(&params()).unwrap();

@@ -27,4 +27,9 @@ pub trait TrainTask: Sync {
     /// # Errors
     /// When the data cannot be loaded.
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error>;
+
+    /// How bad these figures are, to compare evaluations of one training; `None` if nothing is held out.
+    fn badness(&self, _figures: &BTreeMap<String, f64>) -> Option<f64> {
+        None
+    }
 }

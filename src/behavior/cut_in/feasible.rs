@@ -1,11 +1,12 @@
 //! Which cut-ins can a pair of vehicles still show?
 
 use super::CutIn;
-use super::template::STYLES;
+use super::template::{CHANGE_PEAK, STYLES};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
 use crate::behavior::outcome::Outcome;
+use crate::behavior::template::settled_mps;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Track};
 
@@ -31,7 +32,7 @@ pub(super) struct Pair {
     pub(super) their_lane: KeptLane,
     pub(super) their_station_m: f64,
     pub(super) their_offset_m: f64,
-    /// The other's speed along the ego's lane, m/s.
+    /// The other's speed along the ego's lane, and the ego's, m/s, once they let go of their pedals.
     pub(super) their_mps: f64,
     pub(super) own_station_m: f64,
     pub(super) own_mps: f64,
@@ -59,10 +60,10 @@ pub(super) struct CutInPlan {
 
 impl CutIn {
     /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other leaves its lane
-    /// with at most 2 m/s² across on average and -4 to 2.5 m/s² along the lane. The ego keeps its lane and brakes for
-    /// the other with at most 5 m/s². Nobody is in the way, if all others continue straight. Before the scene ends, the
-    /// other's center is in the lane and the ego reaches the place where the other came in. Only the past and the map
-    /// are used.
+    /// with at most 2 m/s² across on average and, at its peak, -4 to 2.5 m/s² along the lane. The ego keeps its lane and
+    /// brakes for the other with at most 5 m/s². Nobody is in the way, if all others continue straight. Before the scene
+    /// ends, the other's center is in the lane and the ego reaches the place where the other came in. Only the past and
+    /// the map are used.
     ///
     /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
     /// is too far to the side, ahead or behind.
@@ -84,7 +85,9 @@ impl CutIn {
         let (own_place, place) = (lane.project(own.position)?, lane.project(theirs.position)?);
         let their_place = their_lane.project(theirs.position)?;
         let turned_rad = angle_difference(theirs.heading_rad, place.heading_rad).abs();
-        let (own_mps, their_mps) = (own.speed_mps(), theirs.velocity.dot(Vec2::from_angle(place.heading_rad)));
+        let their_mps = theirs.velocity.dot(Vec2::from_angle(place.heading_rad));
+        let own_mps = settled_mps(scene, ego_idx, own.speed_mps());
+        let their_mps = settled_mps(scene, other_idx, their_mps);
         let is_possible = admits(ego)
             && admits(other)
             && turned_rad < self.config.max_heading_difference_rad
@@ -110,13 +113,14 @@ impl CutIn {
         })
     }
 
-    /// The plans on a grid of times and accelerations.
+    /// The plans on a grid of times and of mean accelerations whose peaks are within the limits.
     pub(super) fn plans(&self, pair: &Pair) -> Option<Vec<CutInPlan>> {
-        let n = |range: f64| (range / SPACING).floor().max(0.0) as usize;
+        let n = |range: f64| (range / SPACING).floor().max(0.0) as i32;
+        let [hardest, most] =
+            [ACCELERATIONS_MPS2.start(), ACCELERATIONS_MPS2.end()].map(|mps2| n(mps2.abs() / CHANGE_PEAK));
         let mut plans = Vec::new();
-        for time_s in (1..=n(pair.horizon_s)).map(|i| i as f64 * SPACING) {
-            for i in 0..=n(ACCELERATIONS_MPS2.end() - ACCELERATIONS_MPS2.start()) {
-                let acceleration_mps2 = ACCELERATIONS_MPS2.start() + i as f64 * SPACING;
+        for time_s in (1..=n(pair.horizon_s)).map(|i| f64::from(i) * SPACING) {
+            for acceleration_mps2 in (-hardest..=most).map(|i| f64::from(i) * SPACING) {
                 plans.extend(self.plan(pair, time_s, acceleration_mps2)?);
             }
         }

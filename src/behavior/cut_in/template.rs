@@ -33,12 +33,16 @@ const HARDEST_MPS2: f64 = 5.0;
 /// The gap that the ego keeps to the other while braking, seconds and meters: the smaller one counts.
 const LEFT_S: f64 = 0.5;
 const LEFT_M: f64 = 2.0;
+/// The headway to which the ego falls back, within which time, seconds, and the largest speed at which it does, m/s.
+const FOLLOWS_S: f64 = 0.9;
+const OPENS_S: f64 = 3.0;
+const MOST_OPENS_MPS: f64 = 2.0;
 /// How much later than planned the box may enter the path, seconds.
 const LATE_S: f64 = 0.1;
 /// How far the ego must pass the place where the other came in, meters, because positions are known only at timesteps.
 const IN_PLACE_M: f64 = 0.5;
 /// The largest slope of the smooth change of speed from 0 to 1.
-const CHANGE_PEAK: f64 = 1.5;
+pub(super) const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
     /// A way in which `other` cuts in before `ego` with every `wanted` parameter in its range: a different one for each
@@ -128,8 +132,10 @@ impl Pair {
     /// How the ego brakes for the other: as in `style`, or as hard as it must to keep its distance. `None` if it would
     /// have to brake too hard, or would reach the place where the other came in too late.
     fn braking(&self, plan: &CutInPlan, max_delay_s: f64, style: Style) -> Option<Braking> {
-        let less_mps = (self.own_mps - plan.then_mps).max(0.0);
         let gap_m = plan.outcome.get("gap_m")?;
+        // Who is too close behind falls back.
+        let opens_mps = ((FOLLOWS_S * plan.then_mps - gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
+        let less_mps = (self.own_mps - plan.then_mps + opens_mps).clamp(0.0, self.own_mps);
         let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
         // While it brakes, it closes the gap at half of the speed difference on average.
         let most_s = if less_mps > 0.0 { 2.0 * (gap_m - least_m) / less_mps } else { f64::INFINITY };

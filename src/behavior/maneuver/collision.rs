@@ -1,5 +1,4 @@
-//! Driving into each other: two agents continue along their ways, perhaps drifting aside, until they meet, and then
-//! brake.
+//! Driving into each other: two agents continue along their ways, perhaps drifting aside, and brake too late.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::collision::{Collision, core_or_recorded};
@@ -13,8 +12,13 @@ use std::f64::consts::FRAC_PI_2;
 /// Accelerations of the two, m/s², and how far they drift to the left, meters.
 const ACCELERATIONS_MPS2: [f64; 4] = [-2.5, -1.0, 0.0, 1.25];
 const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
-/// Deceleration after the collision, m/s².
-const AFTERWARD_MPS2: f64 = 6.0;
+/// Deceleration, m/s², of whoever sees the other, and how long before they would meet it begins, seconds.
+const BRAKES_MPS2: f64 = 7.0;
+const BRAKES_BEFORE_S: [f64; 3] = [0.8, 0.5, 0.2];
+/// Who is hit from behind, within this angle, does not brake, radians.
+const FROM_BEHIND_RAD: f64 = 0.5;
+/// Bodies give way by so much at most, meters: there is no model of what a collision does to them.
+const MOST_CRUSH_M: f64 = 1.2;
 /// Spacing of relative speeds and of angles by which maneuvers are told apart, m/s and radians.
 const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
@@ -42,32 +46,57 @@ impl Collision {
         let (ones, others) = (courses(&one, extents[0]), courses(&other, extents[1]));
         let mut maneuvers = Vec::new();
         for (a, b) in ones.iter().flat_map(|a| others.iter().map(move |b| (a, b))) {
-            let meets = a.boxes.iter().zip(&b.boxes).position(|(own, theirs)| own.overlaps(theirs));
-            let Some(step) = meets else { continue };
-            let relative_mps = (a.velocity(step, scene.dt_s) - b.velocity(step, scene.dt_s)).norm();
-            let [own_rad, their_rad] = [a, b].map(|course| course.boxes[step].forward.angle());
-            let turned_rad = angle_difference(own_rad, their_rad).abs();
-            if relative_mps < self.config().min_relative_mps {
-                continue;
+            let Some(step) = meet(a, b) else { continue };
+            let [own, theirs] = [a, b].map(|course| &course.boxes[step]);
+            let turned_rad = angle_difference(own.forward.angle(), theirs.forward.angle()).abs();
+            let is_ahead = |own: &Footprint, other: &Footprint| (own.center - other.center).dot(own.forward) > 0.0;
+            let brakes = |own: &Footprint, other: &Footprint| turned_rad > FROM_BEHIND_RAD || !is_ahead(own, other);
+            for before_s in BRAKES_BEFORE_S {
+                let from_s = ((step + 1) as f64 * scene.dt_s - before_s).max(0.0);
+                let braking = |driver: &Driver, course: &RailDrive, extent: Extent, brakes: bool| {
+                    let pace = course.pace.clone();
+                    let pace = if brakes { pace.then(from_s, -BRAKES_MPS2) } else { pace };
+                    RailDrive::new(driver, extent, (course.rail, pace, course.drift_m))
+                };
+                let a = braking(&one, a, extents[0], brakes(own, theirs));
+                let b = braking(&other, b, extents[1], brakes(theirs, own));
+                let Some(step) = meet(&a, &b) else { continue };
+                let relative_mps = (a.velocity(step, scene.dt_s) - b.velocity(step, scene.dt_s)).norm();
+                let apart = |step: usize| a.positions[step + 1] - b.positions[step + 1];
+                let crush_m = (step..a.boxes.len()).map(|then| apart(then).distance(apart(step))).fold(0.0, f64::max);
+                if relative_mps < self.config().min_relative_mps || crush_m > MOST_CRUSH_M {
+                    continue;
+                }
+                maneuvers.push(Maneuver {
+                    kind: [(relative_mps / SPEED_SPACING_MPS) as usize, (turned_rad / ANGLE_SPACING_RAD) as usize],
+                    effort: a.effort.max(b.effort),
+                    parameters: &["relative_speed_mps", "heading_difference_rad", "bearing_rad"],
+                    in_the_way: Some(InTheWay::Ahead),
+                    positions: vec![a.positions, b.positions],
+                });
             }
-            let from_s = (step + 1) as f64 * scene.dt_s;
-            let stopping = |driver: &Driver, course: &RailDrive| {
-                let pace = course.pace.clone().then(from_s, -AFTERWARD_MPS2);
-                drifting(driver, (course.rail, &pace, course.drift_m)).0
-            };
-            maneuvers.push(Maneuver {
-                kind: [(relative_mps / SPEED_SPACING_MPS) as usize, (turned_rad / ANGLE_SPACING_RAD) as usize],
-                effort: a.effort.max(b.effort),
-                parameters: &["relative_speed_mps", "heading_difference_rad", "bearing_rad"],
-                in_the_way: Some(InTheWay::Ahead),
-                positions: vec![stopping(&one, a), stopping(&other, b)],
-            });
         }
         maneuvers
     }
 }
 
+/// The first step at which the boxes of the two touch.
+fn meet(one: &RailDrive, other: &RailDrive) -> Option<usize> {
+    one.boxes.iter().zip(&other.boxes).position(|(own, theirs)| own.overlaps(theirs))
+}
+
 impl RailDrive {
+    /// The drive along a rail at a pace, drifting aside.
+    fn new(driver: &Driver, extent: Extent, (rail, pace, drift_m): (usize, Pace, f64)) -> Self {
+        let (positions, boxes) = drifting(driver, (rail, &pace, drift_m));
+        let boxes = boxes.into_iter().map(|(center, heading_rad)| {
+            let Extent { length_m, width_m } = extent;
+            Footprint::new(&OrientedBox { center, heading_rad, length_m, width_m })
+        });
+        let effort = pace.effort().max(drift_m.abs() / 2.0);
+        Self { rail, drift_m, effort, positions, boxes: boxes.collect(), pace }
+    }
+
     /// Its velocity at a timestep after the present, m/s.
     fn velocity(&self, step: usize, dt_s: f64) -> Vec2 {
         (self.positions[step + 1] - self.positions[step]) * (1.0 / dt_s)
@@ -78,17 +107,7 @@ impl RailDrive {
 fn courses(driver: &Driver, extent: Extent) -> Vec<RailDrive> {
     let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
     let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
-    let course = |(rail, mps2, drift_m): (usize, f64, f64)| {
-        let pace = Pace::steady(mps2);
-        let (positions, boxes) = drifting(driver, (rail, &pace, drift_m));
-        let boxes = boxes.into_iter().map(|(center, heading_rad)| {
-            let Extent { length_m, width_m } = extent;
-            Footprint::new(&OrientedBox { center, heading_rad, length_m, width_m })
-        });
-        let effort = pace.effort().max(drift_m.abs() / 2.0);
-        RailDrive { rail, drift_m, effort, positions, boxes: boxes.collect(), pace }
-    };
-    tried.map(course).collect()
+    tried.map(|(rail, mps2, drift_m)| RailDrive::new(driver, extent, (rail, Pace::steady(mps2), drift_m))).collect()
 }
 
 /// The positions of a drifting agent at present and at each timestep after it, and its poses at the latter. It drifts

@@ -10,7 +10,7 @@ use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
 /// Accelerations of the ego and of the revealed vehicle, m/s².
-const EGO_MPS2: [f64; 4] = [0.0, 1.0, -1.0, 2.0];
+const EGO_MPS2: [f64; 3] = [0.0, -1.0, 0.4];
 const REVEALED_MPS2: [f64; 4] = [0.0, -1.0, -2.0, -3.5];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];

@@ -20,8 +20,13 @@ const PEDAL_S: f64 = 0.3;
 const ACROSS_MPS2: f64 = 3.0;
 const EASES_MPS2: f64 = 2.0;
 const BRAKES_MPS2: f64 = 3.5;
-/// The fastest change of acceleration, m/s³: from gas to full braking in a second.
-const MOST_JERK_MPS3: f64 = 10.0;
+/// Deceleration before a bend that is known early enough to let go of the gas for, m/s², and within which time the gas
+/// is let go of, seconds.
+const COASTS_MPS2: f64 = 1.0;
+const LETS_GO_S: f64 = 1.0;
+/// The fastest changes of acceleration, m/s³: from gas to full braking in a second, and from the brake to the gas.
+const BRAKING_JERK_MPS3: f64 = 10.0;
+const EASING_JERK_MPS3: f64 = 2.5;
 /// The curvature of a bend is taken over this many places on either side.
 const BEND_PLACES: usize = 4;
 /// Integration steps per timestep.
@@ -51,8 +56,8 @@ pub(in crate::behavior) struct Driver {
 pub(in crate::behavior) struct Rail {
     /// Positions and directions, evenly spaced.
     places: Vec<(Vec2, Vec2)>,
-    /// The largest speed at each place that still allows braking for the bends ahead, m/s.
-    allowed_mps: Vec<f64>,
+    /// The largest speeds at each place that still allow braking, and coasting, for the bends ahead, m/s.
+    allowed_mps: Vec<[f64; 2]>,
 }
 
 /// The distance driven, meters, and the speed, m/s, at each timestep after the present.
@@ -118,18 +123,22 @@ impl Driver {
         Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 
-    /// Its travel along a rail at this pace, which it takes up from the observed acceleration as quickly as a foot
-    /// moves. It never reverses, and it brakes for bends.
+    /// Its travel along a rail at this pace, which it takes up from the observed acceleration: quickly to brake, slowly
+    /// to let go of the brake. It never reverses, gives no gas toward a bend, and brakes for it.
     pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
-        let (mut mps2, change_mps2) = (self.observed_mps2, MOST_JERK_MPS3 * step_s);
+        let mut mps2 = self.observed_mps2;
         let mut travel =
             Travel { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
         for step in 0..self.n_steps * N_STEPS {
-            let allowed_mps = pace.briskness * self.rails[rail].allowed_mps(driven_m);
-            let for_bends_mps2 = ((allowed_mps - speed_mps) / PEDAL_S).max(-BRAKES_MPS2);
-            let wanted_mps2 = pace.at(step as f64 * step_s).min(for_bends_mps2).max(-speed_mps / PEDAL_S);
-            mps2 = wanted_mps2.clamp(mps2 - change_mps2, mps2 + change_mps2);
+            let [brakes_mps, coasts_mps] = self.rails[rail].allowed_mps(driven_m);
+            let to_spare_mps = |allowed_mps: f64| pace.briskness * allowed_mps - speed_mps;
+            let most_mps2 = (to_spare_mps(brakes_mps) / PEDAL_S).max(-BRAKES_MPS2);
+            let most_mps2 = most_mps2.min((to_spare_mps(coasts_mps) / LETS_GO_S).max(0.0));
+            let wanted_mps2 = pace.at(step as f64 * step_s).min(most_mps2);
+            mps2 = wanted_mps2.clamp(mps2 - BRAKING_JERK_MPS3 * step_s, mps2 + EASING_JERK_MPS3 * step_s);
+            // Nobody stops with a jolt.
+            mps2 = mps2.max(-speed_mps / PEDAL_S);
             let then_mps = (speed_mps + mps2 * step_s).max(0.0);
             driven_m += f64::midpoint(speed_mps, then_mps) * step_s;
             speed_mps = then_mps;
@@ -167,10 +176,12 @@ impl Rail {
         let n_places = (reach_m / SPACING_M).ceil() as usize + 2;
         let places: Option<Vec<(Vec2, Vec2)>> = (0..n_places).map(|i| way.place(i as f64 * SPACING_M)).collect();
         let places = places?;
-        let mut allowed_mps: Vec<f64> = (0..n_places).map(|i| bend_mps(&places, i)).collect();
+        let mut allowed_mps: Vec<[f64; 2]> = (0..n_places).map(|i| [bend_mps(&places, i); 2]).collect();
         for i in (1..n_places).rev() {
-            let before_mps = (allowed_mps[i].powi(2) + 2.0 * EASES_MPS2 * SPACING_M).sqrt();
-            allowed_mps[i - 1] = allowed_mps[i - 1].min(before_mps);
+            for (kind, mps2) in [EASES_MPS2, COASTS_MPS2].into_iter().enumerate() {
+                let before_mps = (allowed_mps[i][kind].powi(2) + 2.0 * mps2 * SPACING_M).sqrt();
+                allowed_mps[i - 1][kind] = allowed_mps[i - 1][kind].min(before_mps);
+            }
         }
         Some(Self { places, allowed_mps })
     }
@@ -186,10 +197,10 @@ impl Rail {
         (from.lerp(to, share), along.lerp(then_along, share))
     }
 
-    fn allowed_mps(&self, driven_m: f64) -> f64 {
+    fn allowed_mps(&self, driven_m: f64) -> [f64; 2] {
         let (before, share) = self.before(driven_m);
         let (from, to) = (self.allowed_mps[before], self.allowed_mps[before + 1]);
-        from + (to - from) * share.clamp(0.0, 1.0)
+        std::array::from_fn(|kind| from[kind] + (to[kind] - from[kind]) * share.clamp(0.0, 1.0))
     }
 
     /// The index of the last place before, and the share of the distance to the next one.

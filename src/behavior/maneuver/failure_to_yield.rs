@@ -2,7 +2,7 @@
 
 use super::Maneuver;
 use super::passing_ahead::passing_ahead;
-use crate::behavior::failure_to_yield::{EASES_OFF_MPS2, FailureToYield};
+use crate::behavior::failure_to_yield::FailureToYield;
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene};
 
@@ -23,7 +23,7 @@ impl FailureToYield {
         if !are_admitted || !are_ruled {
             return Vec::new();
         }
-        passing_ahead(scene, agents, &["pet_s", "priority_speed_mps"], EASES_OFF_MPS2)
+        passing_ahead(scene, agents, &["pet_s", "priority_speed_mps"])
     }
 }
 

@@ -18,6 +18,10 @@ const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
 const TAKES_S: [f64; 3] = [2.4, 3.0, 3.8];
 /// The largest lateral acceleration, m/s².
 const MOST_ACROSS_MPS2: f64 = 3.0;
+/// The largest angle to the lane while moving over, radians.
+const MOST_ANGLE_RAD: f64 = 0.35;
+/// The largest slope of the way over from 0 to 1.
+const SLOPE_PEAK: f64 = 1.875;
 /// Accelerations along the lane, m/s².
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
 
@@ -64,13 +68,16 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64) -> Vec<
     }
     for (along_mps2, rail) in ALONG_MPS2.iter().flat_map(|mps2| (0..driver.rails.len()).map(move |rail| (*mps2, rail)))
     {
-        let on_own = driver.positions(rail, &driver.travel(rail, &Pace::steady(along_mps2)).driven_m);
+        let driven_m = driver.travel(rail, &Pace::steady(along_mps2)).driven_m;
+        let on_own = driver.positions(rail, &driven_m);
         let on_target: Option<Vec<Vec2>> =
             on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
         let Some(on_target) = on_target else { continue };
         for (begins_s, takes_s) in BEGINS_S.iter().flat_map(|b| TAKES_S.map(|t| (*b, t))) {
             let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
-            if across_mps2 > MOST_ACROSS_MPS2 {
+            let driven_m = |until_s: f64| driven_m[((until_s / scene.dt_s) as usize).clamp(1, driven_m.len()) - 1];
+            let along_m = driven_m(begins_s + takes_s) - if begins_s > 0.0 { driven_m(begins_s) } else { 0.0 };
+            if across_mps2 > MOST_ACROSS_MPS2 || SLOPE_PEAK * aside_m > MOST_ANGLE_RAD.tan() * along_m {
                 continue;
             }
             let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);

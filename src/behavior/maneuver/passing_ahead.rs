@@ -1,5 +1,5 @@
 //! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along
-//! their ways, and the other brakes if it has to.
+//! their ways, and the other eases off, or brakes if it has to.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::footprint::{Bounds, Footprint};
@@ -13,7 +13,7 @@ use std::f64::consts::FRAC_PI_6;
 const FIRST_MPS2: [f64; 5] = [0.0, 0.8, 1.6, 2.4, -1.0];
 const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 /// How hard the other brakes, m/s², and how long after the first gets into its way, seconds.
-const BRAKES_MPS2: [f64; 4] = [0.0, 1.5, 3.0, 5.0];
+const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
 const REACTION_S: f64 = 0.4;
 /// How far apart the boxes stay, meters.
 const APART_M: f64 = 0.4;
@@ -38,22 +38,16 @@ struct Pair<'a> {
     other: &'a Driver,
     extents: [Extent; 2],
     dt_s: f64,
-    least_braking_mps2: f64,
 }
 
 /// Maneuvers in which the first of `agents` passes a place across the way of the other shortly before that one. Their
 /// outcomes name `parameters`.
-pub(super) fn passing_ahead(
-    scene: &Scene,
-    agents: [usize; 2],
-    parameters: &'static [&'static str],
-    least_braking_mps2: f64,
-) -> Vec<Maneuver> {
+pub(super) fn passing_ahead(scene: &Scene, agents: [usize; 2], parameters: &'static [&'static str]) -> Vec<Maneuver> {
     let lanes = SceneLanes::new(&scene.lanes);
     let drivers = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
     let [Some(first), Some(other)] = &drivers else { return Vec::new() };
     let extents = agents.map(|agent_idx| scene.tracks[agent_idx].extent_or_nominal());
-    let pair = Pair { first, other, extents, dt_s: scene.dt_s, least_braking_mps2 };
+    let pair = Pair { first, other, extents, dt_s: scene.dt_s };
     let paces = |driver: &Driver, mps2: &'static [f64]| {
         (0..driver.rails.len()).flat_map(move |rail| mps2.iter().map(move |mps2| (rail, *mps2)))
     };
@@ -89,8 +83,7 @@ impl Pair<'_> {
             })
         };
         // No harder than it has to.
-        let brakes = BRAKES_MPS2.iter().enumerate().filter(|(_, mps2)| **mps2 >= self.least_braking_mps2);
-        brakes.filter_map(maneuver).take(1).collect()
+        BRAKES_MPS2.iter().enumerate().find_map(maneuver).into_iter().collect()
     }
 }
 

@@ -17,9 +17,11 @@ const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
 /// How far inside the lane the pedestrian is when the vehicle notices it, meters.
 const INSIDE_M: f64 = 0.1;
 /// Accelerations of the vehicle until then, m/s²; how long after it brakes, seconds, and how hard, m/s².
-const EGO_MPS2: [f64; 3] = [0.0, 1.0, -1.0];
+const EGO_MPS2: [f64; 3] = [0.0, 0.6, -1.0];
 const REACTION_S: f64 = 0.4;
-const BRAKES_MPS2: [f64; 4] = [0.0, 3.0, 5.0, 7.0];
+const BRAKES_MPS2: [f64; 5] = [1.5, 2.5, 3.5, 5.0, 7.0];
+/// How far before the pedestrian the vehicle stops, meters.
+const LEFT_M: f64 = 0.5;
 
 impl PedestrianStepsOut {
     /// Maneuvers in which the pedestrian walks straight across the lane and the vehicle brakes as gently as it can.
@@ -55,10 +57,14 @@ impl PedestrianStepsOut {
                 let walked: Vec<Vec2> =
                     (0..=n_steps).map(|step| theirs.position + toward * walked_m(step as f64 * scene.dt_s)).collect();
                 for (rail, own_mps2) in (0..driver.rails.len()).flat_map(|rail| EGO_MPS2.map(|mps2| (rail, mps2))) {
-                    let at_speed = |mps2: f64| Pace::steady(own_mps2).then(seen_s + REACTION_S, -mps2);
-                    let driven_m = |pace: Pace| driver.travel(rail, &pace).driven_m;
-                    let stops = |driven_m: &Vec<f64>| driven_m.iter().all(|driven_m| *driven_m < gap_m);
-                    let stopping = BRAKES_MPS2.into_iter().map(|mps2| driven_m(at_speed(mps2))).find(stops);
+                    // As gently as it stops before the pedestrian, if not before the scene ends.
+                    let stopping = BRAKES_MPS2.into_iter().find_map(|mps2| {
+                        let pace = Pace::steady(own_mps2).then(seen_s + REACTION_S, -mps2);
+                        let travel = driver.travel(rail, &pace);
+                        let (driven_m, then_mps) = (*travel.driven_m.last()?, *travel.speeds_mps.last()?);
+                        let stops_m = driven_m + then_mps * then_mps / (2.0 * mps2);
+                        (stops_m + LEFT_M < gap_m).then_some(travel.driven_m)
+                    });
                     let Some(driven_m) = stopping else { continue };
                     maneuvers.push(Maneuver {
                         kind: [i, (begins_s * 10.0) as usize],

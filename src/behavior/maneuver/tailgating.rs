@@ -12,7 +12,7 @@ use crate::scene::Scene;
 const SHARES: [f64; 5] = [0.4, 0.55, 0.7, 0.8, 0.9];
 /// How long the follower takes to reach it, seconds, and how fast it still closes in then, m/s.
 const COMES_S: [f64; 5] = [0.8, 1.2, 1.6, 2.0, 2.6];
-const CLOSES_MPS: [f64; 3] = [0.0, 1.0, 2.0];
+const CLOSES_MPS: [f64; 2] = [0.0, 0.5];
 /// Accelerations of the leader, m/s².
 const LEADER_MPS2: [f64; 3] = [0.0, 0.3, -0.3];
 /// The largest gap that can be closed within a scene, and the smallest that is left, meters.

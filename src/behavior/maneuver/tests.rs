@@ -181,6 +181,99 @@ fn templates_stay_on_the_road_and_within_what_vehicles_can() {
     }
 }
 
+/// The agents' states in each of some templates for a scene, from the present on.
+fn driven(id: &str, scene: &Scene, agents: &[usize]) -> Vec<Vec<Vec<State>>> {
+    let behavior = BehaviorConfig::from_id(id).unwrap().build();
+    let template = |variant| {
+        let mut changed = scene.clone();
+        behavior.template(scene, agents, &BTreeMap::new(), variant)?.apply(&mut changed);
+        let states = |agent_idx: &usize| {
+            let entries = &changed.tracks[*agent_idx].trajectory.entries()[scene.current_timestep()..];
+            entries.iter().map(|state| state.unwrap()).collect()
+        };
+        Some(agents.iter().map(states).collect())
+    };
+    (0..6).filter_map(template).collect()
+}
+
+#[test]
+fn who_is_cut_off_or_sees_somebody_in_the_way_brakes() {
+    let reacting = possible().into_iter().filter_map(|(id, scene, agents)| match id {
+        "pedestrian_steps_out" => Some((id, scene, agents, 0)),
+        "unprotected_left_turn" | "failure_to_yield" => Some((id, scene, agents, 1)),
+        _ => None,
+    });
+    for (id, scene, agents, who) in reacting {
+        let templates = driven(id, &scene, &agents);
+        assert!(!templates.is_empty(), "{id}");
+        for states in templates {
+            let speeds: Vec<f64> = states[who].iter().map(State::speed_mps).collect();
+            let most = speeds.iter().copied().fold(0.0, f64::max);
+            assert!(speeds[speeds.len() - 1] < most - 0.2, "{id}: {speeds:?}");
+        }
+    }
+    // At the same speed, but too close.
+    let scene = going_on(&[drive(0.0, 0.0, 10.0), drive(9.0, 3.5, 10.0)], two_lanes());
+    let length_m = scene.tracks[0].extent_or_nominal().length_m;
+    let mut n_close = 0;
+    for states in driven("cut_in", &scene, &[0, 1]) {
+        let [own, other] = [&states[0], &states[1]].map(|states| states[states.len() - 1]);
+        if other.position.x - own.position.x - length_m < 6.0 {
+            assert!(own.speed_mps() < other.speed_mps() - 0.3, "{own:?} {other:?}");
+            n_close += 1;
+        }
+    }
+    assert!(n_close > 0);
+}
+
+#[test]
+fn nobody_drives_through_another_after_a_collision() {
+    let (id, scene, agents) = possible().into_iter().find(|(id, ..)| *id == "collision").unwrap();
+    for states in driven(id, &scene, &agents) {
+        let [one, other] = [&states[0], &states[1]];
+        let footprint = |agent: usize, state: &State| scene.tracks[agents[agent]].footprint(state);
+        let met = one.iter().zip(other).position(|(a, b)| footprint(0, a).overlaps(&footprint(1, b))).unwrap();
+        let apart = |step: usize| one[step].position - other[step].position;
+        let moved_m = (met..one.len()).map(|step| apart(step).distance(apart(met))).fold(0.0, f64::max);
+        assert!(moved_m < 1.6, "{moved_m} m after they met");
+    }
+}
+
+#[test]
+fn slow_vehicles_do_not_turn_across_the_lanes() {
+    for speed_mps in [3.0, 5.0, 7.0, 10.0] {
+        let scene = going_on(&[drive(0.0, 0.0, speed_mps)], fork_with_oncoming());
+        for states in driven("wrong_way", &scene, &[0]) {
+            let turned = states[0].iter().map(|state| state.heading_rad.abs()).fold(0.0, f64::max);
+            assert!(turned < 0.4, "{turned} at {speed_mps} m/s");
+        }
+    }
+}
+
+#[test]
+fn brakes_are_let_go_of_slowly_and_no_gas_is_given_toward_a_bend() {
+    // On a way that turns after some meters; braking at present, asked for gas.
+    let braking = |t_s: f64| State {
+        position: Vec2::new(-8.0 + 9.0 * t_s - t_s * t_s, 0.0),
+        velocity: Vec2::new(9.0 - 2.0 * t_s, 0.0),
+        ..State::default()
+    };
+    let mut scene = going_on(&[drive(-8.0, 0.0, 9.0)], fork());
+    let present = scene.current_timestep();
+    let past =
+        (0..scene.n_timesteps).map(|t| (t <= present).then(|| braking((t as f64 - present as f64) * scene.dt_s)));
+    scene.tracks[0].trajectory = Trajectory::new(past.collect());
+    let driver = super::Driver::new(&scene, &crate::behavior::lane_relation::SceneLanes::new(&scene.lanes), 0).unwrap();
+    let is_turning = |rail: &usize| driver.positions(*rail, &[40.0])[1].y.abs() > 5.0;
+    let turning = (0..driver.rails.len()).find(is_turning).unwrap();
+    let speeds = driver.travel(turning, &super::Pace::steady(2.0)).speeds_mps;
+    let accelerations: Vec<f64> = speeds.windows(2).map(|pair| (pair[1] - pair[0]) / scene.dt_s).collect();
+    assert!((accelerations[0] + 2.0).abs() < 0.5, "{accelerations:?}");
+    let rises = accelerations.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+    assert!(rises <= 2.5 * scene.dt_s + 1e-9, "{rises}");
+    assert!(accelerations.iter().all(|mps2| *mps2 < 0.8), "gas before the bend: {accelerations:?}");
+}
+
 #[test]
 fn variants_are_spread_over_all_and_come_back_after_them() {
     for n in 1..60 {

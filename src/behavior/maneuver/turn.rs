@@ -8,7 +8,7 @@ use crate::behavior::turn::TurnConfig;
 use crate::scene::Scene;
 
 /// Accelerations until the agent brakes for the bend, m/s².
-const ACCELERATIONS_MPS2: [f64; 6] = [-2.0, -1.0, 0.0, 0.8, 1.6, 2.4];
+const ACCELERATIONS_MPS2: [f64; 5] = [-1.0, -0.5, 0.0, 0.8, 1.6];
 
 /// Speeds in the bend, as multiples of the ordinary one.
 const BRISKNESS: [f64; 2] = [1.0, 1.15];

@@ -21,6 +21,6 @@ impl UnprotectedLeftTurn {
         if !are_admitted || scene.lanes.is_empty() || angle_difference(own_rad, their_rad).abs() < ONCOMING_RAD {
             return Vec::new();
         }
-        passing_ahead(scene, agents, &["pet_s", "oncoming_speed_mps"], 0.0)
+        passing_ahead(scene, agents, &["pet_s", "oncoming_speed_mps"])
     }
 }

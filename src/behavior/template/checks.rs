@@ -8,6 +8,13 @@ use crate::scene::{Scene, State, Track};
 /// The largest accelerations of vehicles along and across their way, m/s².
 const MOST_ALONG_MPS2: f64 = 8.0;
 const MOST_ACROSS_MPS2: f64 = 4.5;
+/// The tightest curve of a vehicle: with its wheels at 35 degrees, and axles .6 of its length apart (bicycle model).
+/// In units of one over its length. And the lateral acceleration that noise of positions makes of a straight line,
+/// m/s².
+const TIGHTEST: f64 = 1.167;
+const NOISE_MPS2: f64 = 0.3;
+/// How long after the end agents of a template stay clear of each other at constant velocity, seconds.
+const AFTER_END_S: f64 = 0.7;
 /// Templates whose positions differ by less than this on average resemble each other, meters.
 const ALIKE_M: f64 = 0.4;
 /// Spacing of the timesteps at which a template is compared with the positions of others.
@@ -23,12 +30,18 @@ pub(in crate::behavior) enum InTheWay {
 }
 
 impl Template {
-    /// Whether the agents do not collide with each other.
+    /// Whether the agents do not collide with each other, nor would at once after the end, at the velocities then.
     pub(in crate::behavior) fn keeps_apart(&self, scene: &Scene) -> bool {
-        let footprint = |motion: &Motion, step: usize| scene.tracks[motion.agent_idx].footprint(&motion.states[step]);
         let n_steps = self.motions.iter().map(|motion| motion.states.len()).min().unwrap_or(0);
+        let footprint = |motion: &Motion, step: usize| {
+            let last = motion.states[step.min(n_steps - 1)];
+            let after_s = (step + 1).saturating_sub(n_steps) as f64 * scene.dt_s;
+            let position = last.position + last.velocity * after_s;
+            scene.tracks[motion.agent_idx].footprint(&State { position, ..last })
+        };
+        let n_after = if n_steps > 0 { (AFTER_END_S / scene.dt_s) as usize } else { 0 };
         self.motions.iter().enumerate().all(|(i, motion)| {
-            (0..n_steps).all(|step| {
+            (0..n_steps + n_after).all(|step| {
                 let own = footprint(motion, step);
                 self.motions[..i].iter().all(|other| !own.overlaps(&footprint(other, step)))
             })
@@ -67,17 +80,21 @@ impl Template {
         })
     }
 
-    /// Whether no agent accelerates harder along or across its way than vehicles do. This excludes agents that leave a
-    /// roundabout but would continue around it, and fast bends.
+    /// Whether no agent accelerates harder along or across its way than vehicles do, or turns tighter than they can.
+    /// This excludes agents that leave a roundabout but would continue around it, and fast bends.
     pub(in crate::behavior) fn is_drivable(&self, scene: &Scene) -> bool {
         self.motions.iter().all(|Motion { agent_idx, states }| {
             let now = scene.state(*agent_idx, scene.current_timestep());
             let velocities: Vec<Vec2> = now.into_iter().chain(states).map(|state| state.velocity).collect();
+            let track = &scene.tracks[*agent_idx];
+            let tightest_1pm =
+                if track.class.is_motorized() { TIGHTEST / track.extent_or_nominal().length_m } else { f64::INFINITY };
             velocities.windows(2).all(|pair| {
                 let (change, mean) = (pair[1] - pair[0], pair[0] + pair[1]);
                 let along = mean * (1.0 / mean.norm().max(f64::MIN_POSITIVE));
+                let turning_mps2 = tightest_1pm * mean.dot(mean) / 4.0 + NOISE_MPS2;
                 change.dot(along).abs() <= MOST_ALONG_MPS2 * scene.dt_s
-                    && along.cross(change).abs() <= MOST_ACROSS_MPS2 * scene.dt_s
+                    && along.cross(change).abs() <= MOST_ACROSS_MPS2.min(turning_mps2) * scene.dt_s
             })
         })
     }

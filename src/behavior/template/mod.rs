@@ -22,6 +22,9 @@ const MOST_OBSERVED_MPS2: f64 = 5.0;
 /// The observed acceleration is taken over at most, and at least, so many timesteps.
 const N_OBSERVED: usize = 6;
 const LEAST_OBSERVED: usize = 4;
+/// Within this time pedals are let go of, seconds, from accelerations up to this, m/s².
+const SETTLING_S: f64 = 1.0;
+const SETTLED_MPS2: f64 = 3.0;
 /// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
 
@@ -92,6 +95,14 @@ impl Template {
 pub(super) fn observed_acceleration(scene: &Scene, agent_idx: usize) -> Option<Vec2> {
     let is_moving = scene.state(agent_idx, scene.current_timestep())?.speed_mps() > STANDING_MPS;
     acceleration(&past(scene, agent_idx), scene.dt_s).filter(|_| is_moving)
+}
+
+/// The speed to which an agent comes that lets go of its pedals within a second, m/s: v + a / 2 s.
+pub(super) fn settled_mps(scene: &Scene, agent_idx: usize, speed_mps: f64) -> f64 {
+    let state = scene.state(agent_idx, scene.current_timestep());
+    let observed = state.zip(observed_acceleration(scene, agent_idx));
+    let along_mps2 = observed.map_or(0.0, |(state, observed)| observed.dot(Vec2::from_angle(state.heading_rad)));
+    (speed_mps + along_mps2.clamp(-SETTLED_MPS2, SETTLED_MPS2) * SETTLING_S / 2.0).max(0.0)
 }
 
 /// The positions of an agent up to the present, in the scene frame, meters.
