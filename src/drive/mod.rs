@@ -41,7 +41,7 @@ pub use error::{Error, Result};
 pub use outcome::{Contact, Outcome, Side};
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};
-pub use run::{DRIVE_FILE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, From, STATES_DIR, SaveAt, drive_corpus};
+pub use run::{DRIVE_FILE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus};
 pub use score::score;
 pub use situation::Situation;
 pub use traffic::{BANDS_S, Traffic};

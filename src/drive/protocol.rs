@@ -9,6 +9,7 @@ use super::world::World;
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::State;
 use schemars::JsonSchema;
+use schemars::generate::SchemaSettings;
 use serde::{Deserialize, Serialize};
 
 /// The version of the protocol.
@@ -121,7 +122,7 @@ pub enum FromPlanner {
 
 /// A motion of the ego: a trajectory, or acceleration and curvature.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(default)]
 pub struct Action {
     /// [x, y, heading] at the next timesteps, as many as there are until the next observation, or more.
     pub trajectory: Option<Vec<[f64; 3]>>,
@@ -133,12 +134,14 @@ pub struct Action {
 
 /// The protocol as a JSON Schema.
 pub fn protocol_schema() -> serde_json::Value {
-    let [to, from] = [schemars::schema_for!(ToPlanner), schemars::schema_for!(FromPlanner)];
+    let mut generator = SchemaSettings::draft2020_12().into_generator();
+    let [to, from] = [generator.subschema_for::<ToPlanner>(), generator.subschema_for::<FromPlanner>()];
     serde_json::json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": format!("drive_protocol.v{PROTOCOL}"),
-        "description": "Messages between djinn drive and a planner, one JSON object a line.",
-        "$defs": { "to_planner": to, "from_planner": from },
+        "description": "A message between djinn drive and a planner: one JSON object a line.",
+        "anyOf": [to, from],
+        "$defs": generator.take_definitions(true),
     })
 }
 

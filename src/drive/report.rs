@@ -1,6 +1,6 @@
 //! The result of driving a corpus in figures: how many failed at what, and which failures matter.
 
-use super::{BANDS_S, Driven, EgoDriver, Outcome, RolloutConfig, Traffic};
+use super::{BANDS_S, Driven, EgoDriver, Outcome, RolloutConfig, Side, Traffic};
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
 use serde::Serialize;
@@ -58,6 +58,8 @@ pub struct Failures {
     pub n_hit: u64,
     /// See `n_hit`.
     pub n_hit_avoidable: u64,
+    /// Hits in which the other drives into its rear.
+    pub n_hit_in_rear: u64,
     /// Those that the careful driver does not survive.
     pub n_careful_failed: u64,
 }
@@ -87,6 +89,8 @@ pub struct Matters {
     pub outcome: String,
     /// More about it.
     pub why: Option<String>,
+    /// On which side of the ego somebody touches it.
+    pub contact_side: Option<String>,
     /// How hard the careful driver brakes, m/s².
     pub careful_braking_mps2: f64,
     /// The parameters of the event.
@@ -103,6 +107,8 @@ impl Failures {
         self.n_avoidable += u64::from(has_failed && is_avoidable);
         self.n_hit += u64::from(is_hit);
         self.n_hit_avoidable += u64::from(is_hit && is_avoidable);
+        let is_in_rear = row.contact.as_ref().is_some_and(|(_, side, _)| side == Side::Rear.name());
+        self.n_hit_in_rear += u64::from(is_hit && is_in_rear);
         self.n_careful_failed += u64::from(row.careful_survives == Some(false));
     }
 
@@ -167,6 +173,7 @@ impl DriveReport {
                 behavior: row.behavior.clone(),
                 outcome: row.outcome.clone(),
                 why: row.why.clone(),
+                contact_side: row.contact.as_ref().map(|(_, side, _)| side.clone()),
                 careful_braking_mps2: careful.map_or(0.0, |row| row.max_braking_mps2),
                 parameters: row.parameters.clone(),
             });
@@ -232,8 +239,15 @@ mod tests {
                 .collect();
         let mut report = DriveReport::new(&EgoDriver::from_name("./drive"), Some(RolloutConfig::default()), 1, "m");
         report.finish(&rows, "planner");
-        let failures =
-            Failures { n_scenarios: 4, n_failed: 3, n_avoidable: 2, n_hit: 2, n_hit_avoidable: 1, n_careful_failed: 2 };
+        let failures = Failures {
+            n_scenarios: 4,
+            n_failed: 3,
+            n_avoidable: 2,
+            n_hit: 2,
+            n_hit_avoidable: 1,
+            n_hit_in_rear: 0,
+            n_careful_failed: 2,
+        };
         assert_eq!((report.failures, report.by_behavior["cut_in"]), (failures, failures));
         let ids: Vec<&str> = report.that_matter.iter().map(|matters| matters.scenario_id.as_str()).collect();
         assert_eq!(ids, ["s2", "s0"]);

@@ -68,7 +68,7 @@ impl FromStr for SaveAt {
 
 /// Where to drive from.
 #[derive(Debug)]
-pub enum From<'a> {
+pub enum Origin<'a> {
     /// The present of the scenarios of this selection.
     Scenarios(&'a Selection),
     /// A saved state.
@@ -82,7 +82,7 @@ pub enum From<'a> {
 /// Those of the corpus, the folder and the model. Whatever a planner does is an outcome.
 pub fn drive_corpus(
     (corpus, out): (&Path, &Path),
-    from: &From<'_>,
+    from: &Origin<'_>,
     ego: &EgoChoice,
     config: &DriveConfig,
     futures: &Futures<'_>,
@@ -95,8 +95,8 @@ pub fn drive_corpus(
     }
     let reader = CorpusReader::open(corpus)?;
     let (positions, limit) = match from {
-        From::Scenarios(selection) => (selection.positions(&reader)?, selection.limit.unwrap_or(usize::MAX)),
-        From::State(world) => (vec![reader.position(&world.scenario_id)?], 1),
+        Origin::Scenarios(selection) => (selection.positions(&reader)?, selection.limit.unwrap_or(usize::MAX)),
+        Origin::State(world) => (vec![reader.position(&world.scenario_id)?], 1),
     };
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
@@ -110,7 +110,7 @@ pub fn drive_corpus(
         let mut chunk = Vec::new();
         for position in positions.by_ref() {
             let record = reader.scenario(position)?;
-            if !matches!(from, From::Scenarios(selection) if !selection.wants(&record)) {
+            if !matches!(from, Origin::Scenarios(selection) if !selection.wants(&record)) {
                 n_chosen += 1;
                 match maps.situation(&record, ego, &reader) {
                     Ok(situation) => chunk.push(situation),
@@ -136,8 +136,8 @@ pub fn drive_corpus(
     progress.finish();
     if n_chosen == 0 {
         let wanted = match from {
-            From::Scenarios(selection) => selection.words(),
-            From::State(_) => "there".to_owned(),
+            Origin::Scenarios(selection) => selection.words(),
+            Origin::State(_) => "there".to_owned(),
         };
         return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios: reader.len(), wanted });
     }
@@ -205,14 +205,14 @@ impl Worker {
     fn drive(
         &mut self,
         situation: &Situation,
-        from: &From<'_>,
+        from: &Origin<'_>,
         config: &DriveConfig,
         futures: &Futures<'_>,
     ) -> Result<Vec<Driven>> {
         let others = Others::Sampled(futures);
         let start = || match from {
-            From::Scenarios(_) => situation.start(futures.seed()),
-            From::State(world) => world.clone(),
+            Origin::Scenarios(_) => situation.start(futures.seed()),
+            Origin::State(world) => world.clone(),
         };
         let save_at = config.save_at.map(|at| match at {
             SaveAt::Event => situation.event[0],
@@ -231,7 +231,7 @@ impl Worker {
 fn drive_chunk(
     chunk: &[Situation],
     workers: &mut [Worker],
-    from: &From<'_>,
+    from: &Origin<'_>,
     config: &DriveConfig,
     futures: &Futures<'_>,
     progress: &dyn Progress,

@@ -7,7 +7,7 @@ use crate::behavior::kept_lane::way_on;
 use crate::geometry::{OrientedBox, Vec2};
 use crate::metrics::Road;
 use crate::scenario::ScenarioRecord;
-use crate::scene::{LaneGraph, LaneId, ObservationMask, Scene, State, Trajectory};
+use crate::scene::{Lane, LaneGraph, LaneId, ObservationMask, Scene, State, Track, Trajectory};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -15,6 +15,8 @@ use std::sync::Arc;
 const OFF_MAP_M: f64 = 10.0;
 /// Lanes this close to somebody, meters, are shown to the model, as in scenes.
 const LANES_WITHIN_M: f64 = 100.0;
+/// So far around the ego at present, meters, the map is known: farther than a drive leads. Maps of cities are large.
+const MAP_WITHIN_M: f64 = 400.0;
 /// How far the way of the ego leads on after the scenario, meters.
 const WAY_ON_M: f64 = 300.0;
 
@@ -26,7 +28,7 @@ pub struct Situation {
     pub behavior: Option<String>,
     /// The parameters of its event.
     pub parameters: BTreeMap<String, f64>,
-    /// The scenario, with the lanes of its whole map.
+    /// The scenario, with the lanes of its map around the ego.
     pub scene: Scene,
     /// The agent that is driven.
     pub ego_idx: usize,
@@ -55,12 +57,14 @@ impl Situation {
     pub fn new(record: &ScenarioRecord, ego_idx: usize, map: Option<&LaneGraph>) -> Result<Self> {
         let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
         let mut scene = record.scenario.scene.clone();
-        if let Some(map) = map {
-            scene.lanes = Arc::new(map.transformed(&scene.world_from_scene.inverse()));
-        }
         let present = scene.current_timestep();
         let now = scene.state(ego_idx, present).filter(|state| state.is_finite());
         let now = *now.ok_or_else(|| unfit("has no state of its ego at present"))?;
+        if let Some(map) = map {
+            let center = scene.world_from_scene.point(now.position);
+            let near = map.subset(&near(map, &[center], MAP_WITHIN_M));
+            scene.lanes = Arc::new(near.into_frame(&scene.world_from_scene.inverse()));
+        }
         let ego = &scene.tracks[ego_idx];
         let driven: Vec<&State> = (present..scene.n_timesteps).map_while(|t| scene.state(ego_idx, t)).collect();
         let target_speed_mps = driven.iter().map(|state| state.speed_mps()).fold(0.0, f64::max);
@@ -134,7 +138,7 @@ impl Situation {
     }
 
     fn is_on_map(&self, state: &State) -> bool {
-        self.scene.lanes.is_empty() || is_near(&self.scene.lanes, state.position, OFF_MAP_M)
+        self.scene.lanes.is_empty() || !near(&self.scene.lanes, &[state.position], OFF_MAP_M).is_empty()
     }
 
     /// Whether an agent was on the map at present and is not now.
@@ -163,11 +167,7 @@ impl Situation {
             track.trajectory = track.trajectory.with_velocities_from_positions(n_history, scene.dt_s);
         }
         let present: Vec<Vec2> = (0..scene.tracks.len()).filter_map(|i| world.present(i)).map(|s| s.position).collect();
-        let is_seen = |lane: &&crate::scene::Lane| {
-            let is_close = |at: &Vec2| lane.centerline.project(*at).is_some_and(|p| p.offset_m.abs() <= LANES_WITHIN_M);
-            present.iter().any(is_close)
-        };
-        let ids: Vec<LaneId> = self.scene.lanes.lanes().iter().filter(is_seen).map(|lane| lane.id).collect();
+        let ids = near(&self.scene.lanes, &present, LANES_WITHIN_M);
         if ids.len() < self.scene.lanes.lanes().len() {
             scene.lanes = Arc::new(self.scene.lanes.subset(&ids));
         }
@@ -185,16 +185,65 @@ impl Situation {
 
     /// `n_timesteps` of the world from `first` on, without a state where it has none yet.
     fn cut(&self, world: &World, first: usize, n_timesteps: usize, n_history: usize) -> Scene {
-        let track = |(agent_idx, track): (usize, &crate::scene::Track)| {
+        let track = |(agent_idx, track): (usize, &Track)| {
             let states = (first..first + n_timesteps).map(|timestep| world.state(agent_idx, timestep)).collect();
-            crate::scene::Track { trajectory: Trajectory::new(states), ..track.clone() }
+            Track { trajectory: Trajectory::new(states), ..track.clone() }
         };
         let tracks = self.scene.tracks.iter().enumerate().map(track).collect();
         Scene { tracks, n_timesteps, n_history, ego_idx: self.ego_idx, ..self.scene.clone() }
     }
 }
 
-/// Whether the middle of some lane comes this close to a point.
-fn is_near(lanes: &LaneGraph, point: Vec2, within_m: f64) -> bool {
-    lanes.lanes().iter().any(|lane| lane.centerline.project(point).is_some_and(|p| p.offset_m.abs() <= within_m))
+/// The lanes whose middle comes this close to any of these points.
+fn near(lanes: &LaneGraph, points: &[Vec2], within_m: f64) -> Vec<LaneId> {
+    let is_near = |lane: &&Lane| {
+        let is_close = |at: &Vec2| lane.centerline.project(*at).is_some_and(|p| p.offset_m.abs() <= within_m);
+        points.iter().any(is_close)
+    };
+    lanes.lanes().iter().filter(is_near).map(|lane| lane.id).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{record, situation};
+    use super::*;
+
+    #[test]
+    fn who_leaves_the_map_is_gone_and_who_was_never_on_it_stays() {
+        let mut record = record();
+        let ego_idx = record.subject_idx().unwrap();
+        let far = |state: State| State { position: state.position + Vec2::new(0.0, 200.0), ..state };
+        let stray = (0..record.scenario.scene.tracks.len()).find(|idx| *idx != ego_idx).unwrap();
+        let before = situation(&record);
+        let now = |situation: &Situation, idx: usize| situation.start(1).present(idx).unwrap();
+        assert!(
+            !before.has_left_map(stray, &now(&before, stray)) && before.has_left_map(stray, &far(now(&before, stray)))
+        );
+        let track = &mut record.scenario.scene.tracks[stray];
+        let moved = track.trajectory.entries().iter().map(|state| state.map(far)).collect();
+        track.trajectory = Trajectory::new(moved);
+        let after = situation(&record);
+        assert!(!after.has_left_map(stray, &now(&after, stray)));
+        assert!(after.ego_off_road_m(&far(now(&after, ego_idx))).unwrap() > 10.0);
+    }
+
+    #[test]
+    fn a_window_shows_the_last_second_and_the_plan_of_the_event() {
+        let situation = situation(&record());
+        let mut world = situation.start(1);
+        for timestep in world.n_timesteps()..world.n_timesteps() + 5 {
+            world.push((0..situation.scene.tracks.len()).map(|idx| situation.scene.state(idx, timestep).copied()));
+        }
+        let (scene, mask) = situation.window(&world, 10, 40);
+        assert_eq!((scene.n_history, scene.n_timesteps, mask.n_timesteps()), (10, 40, 40));
+        let planned = situation.planned[0];
+        for (agent_idx, timestep, is_shown) in
+            [(situation.ego_idx, 9, true), (situation.ego_idx, 10, false), (planned, 10, true), (planned, 39, false)]
+        {
+            assert_eq!(mask.is_observed(agent_idx, timestep), is_shown, "{agent_idx} at {timestep}");
+            let state = scene.state(agent_idx, timestep).map(|state| state.position);
+            let expected = situation.scene.state(agent_idx, timestep + 5).filter(|_| is_shown).map(|s| s.position);
+            assert_eq!(state, expected);
+        }
+    }
 }

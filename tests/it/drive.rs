@@ -45,7 +45,7 @@ fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_s
     let shared = ["--horizon-s", "2", "--save-at", "14", "--threads"];
     drive("model", &one, &[&shared[..], &["1"]].concat()).expect(0);
     let outcome = drive("model", &two, &[&shared[..], &["3"]].concat()).expect(0);
-    assert!(outcome.stdout.contains("of 3 scenarios fail"), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains("of 3 scenarios fail ("), "{}", outcome.stdout);
     assert_same(&files(&one), &files(&two));
     let (found, tables) = (report(&one), ["drives.parquet", "driven.parquet"]);
     assert!(found["n_scenarios"] == N_SCENARIOS && tables.iter().all(|table| one.join(table).is_file()));

@@ -7,7 +7,7 @@ use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
 use crate::drive::{
-    DriveConfig, DriveReport, EgoDriver, From, RolloutConfig, World, drive_corpus, score as score_planned,
+    DriveConfig, DriveReport, EgoDriver, Origin, RolloutConfig, World, drive_corpus, score as score_planned,
 };
 use crate::engine::{ComputeChoice, Failure, Result};
 use crate::export::EgoChoice;
@@ -22,7 +22,7 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
     let from = args.from.as_deref().map(World::read).transpose()?;
     let seed = from.as_ref().map_or(args.seed, |world| world.seed);
     let selection = args.chosen.selection();
-    let from = from.map_or(From::Scenarios(&selection), From::State);
+    let from = from.map_or(Origin::Scenarios(&selection), Origin::State);
     let compute = ComputeChoice { device: args.device, precision: args.precision }.open()?;
     let model = open_model(args.model.as_deref(), corpus.path(), &compute)?;
     let futures = Futures::new(&model, seed, &compute.device)?;
@@ -85,8 +85,8 @@ fn text(report: &DriveReport) -> String {
     let failures = &report.failures;
     let _ = writeln!(
         text,
-        "{} of {} scenarios fail; the careful driver survives {} of these",
-        failures.n_failed, failures.n_scenarios, failures.n_avoidable
+        "{} of {} scenarios fail ({} hit in the rear); the careful driver survives {} of these",
+        failures.n_failed, failures.n_scenarios, failures.n_hit_in_rear, failures.n_avoidable
     );
     for matters in report.that_matter.iter().take(N_SHOWN) {
         let why = matters.why.as_deref().unwrap_or_default();
