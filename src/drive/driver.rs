@@ -28,6 +28,11 @@ pub trait Driver: Send {
     /// When the driver has no answer.
     fn next(&mut self, situation: &Situation, world: &World, sampled: Option<State>) -> Result<State, Failed>;
 
+    /// Whether it is the model, so that others are sampled together with the ego and not around what they expect of it.
+    fn is_model(&self) -> bool {
+        false
+    }
+
     /// The drive is over, for this reason.
     fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) {}
 }

@@ -12,6 +12,10 @@
 //! seconds, drive its front into an ego that is no longer where the scenario has it gives its plan up for the model,
 //! unless the event is a collision.
 //!
+//! *What others know of the ego.* Where the model does not drive it, the others are sampled around what they expect of
+//! it: that it goes on along its way at its speed, or brakes on as in the last 0.3 s. They learn otherwise at the next
+//! replanning.
+//!
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
 //! world and the same motion of the ego give the same bytes, whoever else is driven beside it.
 //!

@@ -1,6 +1,6 @@
 //! Drives on from a world, replanning again and again, until the ego is through or has failed.
 
-use super::drivers::free_m;
+use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::situation::Situation;
 use super::traffic::Traffic;
@@ -205,10 +205,13 @@ impl Drive<'_> {
     /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
     fn sample(&mut self, futures: &Futures<'_>) -> Result<Result<Scene, UnfitScene>> {
         let (situation, now) = (self.situation, self.world.now());
-        if self.plan_leads_into_ego() {
+        let sizes = [futures.n_history(), futures.n_timesteps()];
+        let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
+        if self.plan_leads_into(&expected) {
             (self.world.plan_ends, self.gave_up_plan) = (now, true);
         }
-        let (scene, mask) = situation.window(&self.world, futures.n_history(), futures.n_timesteps());
+        let expected = (!self.driver.is_model()).then_some(expected.as_slice());
+        let (scene, mask) = situation.window(&self.world, expected, sizes);
         let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
         Ok(futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?)
     }
@@ -251,8 +254,9 @@ impl Drive<'_> {
         }
     }
 
-    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it.
-    fn plan_leads_into_ego(&self) -> bool {
+    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it, if
+    /// that one goes on as is `expected`.
+    fn plan_leads_into(&self, expected: &[State]) -> bool {
         let (situation, world, now) = (self.situation, &self.world, self.world.now());
         let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };
         let logged = situation.scene.state(situation.ego_idx, now);
@@ -261,13 +265,11 @@ impl Drive<'_> {
         }
         let n_ahead = (LOOKS_AHEAD_S / situation.scene.dt_s).round() as usize;
         situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
-            (1..=n_ahead).any(|ahead| {
-                let Some(other) = situation.plan(world, *agent_idx, now + ahead) else { return false };
-                let moved = ego.velocity * (ahead as f64 * situation.scene.dt_s);
-                let then = State { position: ego.position + moved, ..ego };
+            expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
+                let Some(other) = situation.plan(world, *agent_idx, now + 1 + i) else { return false };
                 let place = (then.position - other.position).rotated(-other.heading_rad);
                 let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
-                is_ahead && situation.overlap([(situation.ego_idx, &then), (*agent_idx, &other)])
+                is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
             })
         })
     }

@@ -32,10 +32,25 @@ fn the_same_world_and_actions_give_the_same_bytes_also_from_a_saved_state() {
     fs_err::write(&path, saved.to_json().unwrap()).unwrap();
     let again = driven(&situation, World::read(&path).unwrap(), &mut Model, &SHORT);
     assert_eq!(again.world, whole.world);
-    let other = driven(&situation, saved.clone(), &mut AtConstantVelocity, &SHORT).world;
-    let same = (0..other.n_tracks()).filter(|idx| *idx != situation.ego_idx);
-    // The others answer at the next replanning only.
-    assert!(same.into_iter().all(|idx| other.state(idx, 27) == whole.world.state(idx, 27)) && other != whole.world);
+    // With two other drivers, of which one brakes, the others answer at the next replanning only.
+    let steady = driven(&situation, saved.clone(), &mut AtConstantVelocity, &SHORT).world;
+    let braked = driven(&situation, saved, &mut Stops, &SHORT).world;
+    let mut others = (0..steady.n_tracks()).filter(|idx| *idx != situation.ego_idx);
+    assert!(others.all(|idx| steady.state(idx, 27) == braked.state(idx, 27)) && steady != braked);
+}
+
+/// A driver that stops at once.
+struct Stops;
+
+impl Driver for Stops {
+    fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
+        Ok(())
+    }
+
+    fn next(&mut self, situation: &Situation, world: &World, _: Option<State>) -> Result<State, Failed> {
+        let state = world.present(situation.ego_idx).unwrap();
+        Ok(State { velocity: crate::geometry::Vec2::ZERO, ..state })
+    }
 }
 
 #[test]
@@ -80,22 +95,12 @@ fn a_plan_that_would_ram_an_ego_that_is_elsewhere_is_given_up() {
     scene.tracks[other].trajectory = Trajectory::new(states.collect());
     record.events[0].end_timestep = scene.n_timesteps - 1;
     let situation = situation(&record);
-    struct Stands;
-    impl Driver for Stands {
-        fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
-            Ok(())
-        }
-        fn next(&mut self, situation: &Situation, world: &World, _: Option<State>) -> Result<State, Failed> {
-            let state = world.present(situation.ego_idx).unwrap();
-            Ok(State { velocity: crate::geometry::Vec2::ZERO, ..state })
-        }
-    }
-    let driven = driven(&situation, situation.start(1), &mut Stands, &SHORT);
+    let driven = driven(&situation, situation.start(1), &mut Stops, &SHORT);
     assert!(driven.gave_up_plan && driven.world.plan_ends < situation.event[1]);
     // If the event is a collision, it is kept.
     let mut situation = situation;
     situation.is_collision = true;
-    let driven = self::driven(&situation, situation.start(1), &mut Stands, &SHORT);
+    let driven = self::driven(&situation, situation.start(1), &mut Stops, &SHORT);
     let side = driven.contact.map(|contact| contact.side);
     assert_eq!((driven.gave_up_plan, driven.outcome, side), (false, Outcome::Hit, Some(Side::Rear)));
 }
@@ -136,4 +141,28 @@ fn nonsense_is_refused_and_a_driver_that_fails_is_an_outcome() {
     let other = World::new("s", 1, 0, [[None; 3].as_slice()]);
     let refused = roll_out(&situation, other, &mut Fails, &Others::Sampled(&futures), &SHORT, None).unwrap_err();
     assert!(refused.to_string().contains("saved state"), "{refused}");
+}
+
+#[test]
+fn others_expect_an_ego_that_brakes_to_brake_on_and_any_other_to_go_on() {
+    let situation = situation(&record());
+    let (ego, dt_s) = (situation.ego_idx, situation.scene.dt_s);
+    let speeds =
+        |world: &World| -> Vec<f64> { drivers::expected(&situation, world, 30).iter().map(State::speed_mps).collect() };
+    let mut world = situation.start(1);
+    let steady = world.present(ego).unwrap();
+    let mut push = |world: &mut World, speed_mps: f64| {
+        let last = world.present(ego).unwrap();
+        let along = crate::geometry::Vec2::from_angle(last.heading_rad);
+        let state = State { position: last.position + along * (speed_mps * dt_s), velocity: along * speed_mps, ..last };
+        let next = |idx: usize| if idx == ego { Some(state) } else { world.present(idx) };
+        let next: Vec<_> = (0..world.n_tracks()).map(next).collect();
+        world.push(next);
+    };
+    (0..3).for_each(|_| push(&mut world, steady.speed_mps() + 1.0));
+    assert!(speeds(&world).iter().all(|speed_mps| (speed_mps - steady.speed_mps() - 1.0).abs() < 1e-9));
+    // From 2.5 m/s in 0.3 s to 1 m/s: 5 m/s², which take the rest in 0.2 s.
+    (0..=3).for_each(|i| push(&mut world, 2.5 - 0.5 * f64::from(i)));
+    let found = speeds(&world);
+    assert!((found[0] - 0.5).abs() < 1e-9 && found[1..].iter().all(|speed_mps| *speed_mps < 1e-9), "{found:?}");
 }

@@ -152,8 +152,13 @@ impl Situation {
     }
 
     /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
-    /// agents of the event, and the mask that shows just these.
-    pub(super) fn window(&self, world: &World, n_history: usize, n_timesteps: usize) -> (Scene, ObservationMask) {
+    /// agents of the event and what is `expected` of the ego, and the mask that shows just these.
+    pub(super) fn window(
+        &self,
+        world: &World,
+        expected: Option<&[State]>,
+        [n_history, n_timesteps]: [usize; 2],
+    ) -> (Scene, ObservationMask) {
         let first = world.n_timesteps() - n_history;
         let mut scene = self.cut(world, first, n_timesteps, n_history);
         for agent_idx in self.planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
@@ -162,6 +167,12 @@ impl Situation {
                 if t < n_history { *state } else { self.plan(world, agent_idx, first + t) }
             };
             *trajectory = Trajectory::new(trajectory.entries().iter().enumerate().map(entry).collect());
+        }
+        if let Some(expected) = expected {
+            let trajectory = &mut scene.tracks[self.ego_idx].trajectory;
+            let past = trajectory.entries()[..n_history].iter().copied();
+            let states = past.chain(expected.iter().map(|state| Some(*state))).take(n_timesteps).collect();
+            *trajectory = Trajectory::new(states);
         }
         for track in &mut scene.tracks {
             track.trajectory = track.trajectory.with_velocities_from_positions(n_history, scene.dt_s);
@@ -172,7 +183,8 @@ impl Situation {
             scene.lanes = Arc::new(self.scene.lanes.subset(&ids));
         }
         let mask = ObservationMask::from_fn(scene.tracks.len(), n_timesteps, |agent_idx, timestep| {
-            timestep < n_history || (self.planned.contains(&agent_idx) && scene.state(agent_idx, timestep).is_some())
+            let is_known = scene.state(agent_idx, timestep).is_some();
+            timestep < n_history || (is_known && (agent_idx == self.ego_idx || self.planned.contains(&agent_idx)))
         });
         (scene, mask)
     }
@@ -234,7 +246,7 @@ mod tests {
         for timestep in world.n_timesteps()..world.n_timesteps() + 5 {
             world.push((0..situation.scene.tracks.len()).map(|idx| situation.scene.state(idx, timestep).copied()));
         }
-        let (scene, mask) = situation.window(&world, 10, 40);
+        let (scene, mask) = situation.window(&world, None, [10, 40]);
         assert_eq!((scene.n_history, scene.n_timesteps, mask.n_timesteps()), (10, 40, 40));
         let planned = situation.planned[0];
         for (agent_idx, timestep, is_shown) in
@@ -245,5 +257,9 @@ mod tests {
             let expected = situation.scene.state(agent_idx, timestep + 5).filter(|_| is_shown).map(|s| s.position);
             assert_eq!(state, expected);
         }
+        let expected = vec![State::default(); 30];
+        let (scene, mask) = situation.window(&world, Some(&expected), [10, 40]);
+        assert!(mask.is_observed(situation.ego_idx, 39) && scene.state(situation.ego_idx, 9) != Some(&expected[0]));
+        assert_eq!(scene.state(situation.ego_idx, 20).map(|state| state.position), Some(Vec2::ZERO));
     }
 }

@@ -8,3 +8,4 @@ mod way;
 pub(super) use careful::Careful;
 pub(super) use idm::{Idm, free_m};
 pub(super) use replay::{AtConstantVelocity, Log, Model, follow_log};
+pub(super) use way::expected;

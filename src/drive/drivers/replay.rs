@@ -26,6 +26,10 @@ impl Driver for Model {
     fn next(&mut self, _situation: &Situation, _world: &World, sampled: Option<State>) -> Result<State, Failed> {
         sampled.ok_or_else(|| Failed::because("the model has no future for the ego"))
     }
+
+    fn is_model(&self) -> bool {
+        true
+    }
 }
 
 impl Driver for Log {

@@ -12,6 +12,9 @@ use std::f64::consts::FRAC_PI_2;
 /// Who is beside the way comes over to it within some distance, meters.
 const COMES_OVER_M: f64 = 7.0;
 
+/// The last moment, seconds.
+const LAST_MOMENT_S: f64 = 0.3;
+
 /// The present state of the ego.
 pub(super) fn ego(situation: &Situation, world: &World) -> Result<State, Failed> {
     world.present(situation.ego_idx).ok_or_else(|| Failed::because("the ego is not there"))
@@ -32,6 +35,23 @@ pub(super) fn advanced(situation: &Situation, state: &State, acceleration_mps2: 
     // Headings of very short steps are noise.
     let heading_rad = if moved_m > 0.05 { (position - state.position).angle() } else { state.heading_rad };
     State { position, heading_rad, velocity: Vec2::from_angle(heading_rad) * then_mps }
+}
+
+/// What others expect of the ego at the next `n_steps` timesteps: that it goes on along its way at its speed, or brakes
+/// on as in the last moment until it stands.
+pub(in crate::drive) fn expected(situation: &Situation, world: &World, n_steps: usize) -> Vec<State> {
+    let (now, ego_idx) = (world.now(), situation.ego_idx);
+    let Some(state) = world.state(ego_idx, now) else { return Vec::new() };
+    let n_before = (LAST_MOMENT_S / situation.scene.dt_s).round().max(1.0) as usize;
+    let before = now.checked_sub(n_before).and_then(|timestep| world.state(ego_idx, timestep));
+    let change_mps = before.map_or(0.0, |before| state.speed_mps() - before.speed_mps());
+    let acceleration_mps2 = (change_mps / (n_before as f64 * situation.scene.dt_s)).min(0.0);
+    let mut state = state;
+    let next = |_| {
+        state = advanced(situation, &state, acceleration_mps2);
+        state
+    };
+    (0..n_steps).map(next).collect()
 }
 
 /// Another, at a timestep, as seen from the ego of then on its way.
