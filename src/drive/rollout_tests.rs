@@ -151,7 +151,7 @@ fn others_expect_an_ego_that_brakes_to_brake_on_and_any_other_to_go_on() {
         |world: &World| -> Vec<f64> { drivers::expected(&situation, world, 30).iter().map(State::speed_mps).collect() };
     let mut world = situation.start(1);
     let steady = world.present(ego).unwrap();
-    let mut push = |world: &mut World, speed_mps: f64| {
+    let push = |world: &mut World, speed_mps: f64| {
         let last = world.present(ego).unwrap();
         let along = crate::geometry::Vec2::from_angle(last.heading_rad);
         let state = State { position: last.position + along * (speed_mps * dt_s), velocity: along * speed_mps, ..last };

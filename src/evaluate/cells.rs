@@ -120,13 +120,21 @@ impl CellSamples<'_> {
             asked_to_collide,
         };
         let baseline = constant_velocity(&recorded);
-        let reference = |scene: &Scene| self.with_references.then(|| figures(std::slice::from_ref(scene)));
+        // Samples that something steers are no forecasts, and say nothing of how likely the recording is.
+        let n_forecasts = if first.scenario.provenance.is_unguided() { samples.len() } else { 0 };
+        let one = std::slice::from_ref;
+        let has_road = judge.sees_road(&recorded);
+        let [by_itself, by_baseline, by_samples, undefined] =
+            measures.likelihoods(&recorded, has_road, [one(&recorded), one(&baseline), &samples, &[]], n_forecasts);
+        let reference = |scene: &Scene, likelihoods: Vec<Option<f64>>| {
+            self.with_references.then(|| [figures(one(scene)), likelihoods].concat())
+        };
         let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
         CellFigures {
-            recorded: reference(&recorded),
-            constant_velocity: reference(&baseline),
-            together: evaluate(&together, Some(self.mode_seed())),
-            alone: samples.chunks(1).map(figures).collect(),
+            recorded: reference(&recorded, by_itself),
+            constant_velocity: reference(&baseline, by_baseline),
+            together: [evaluate(&together, Some(self.mode_seed())), by_samples].concat(),
+            alone: samples.chunks(1).map(|sample| [figures(sample), undefined.clone()].concat()).collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: self
                 .with_references
@@ -159,8 +167,10 @@ fn as_far_as_generated(recorded: &Scene, sample: &Scene) -> Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::evaluate::config::EvaluateConfig;
     use crate::evaluate::testing::{record, recorded};
-    use crate::scene::Roles;
+    use crate::metrics::Likelihoods;
+    use crate::scene::{GuidanceTag, Roles};
 
     #[test]
     fn who_is_asked_tells_cells_apart_and_references_are_measured_once_for_each() {
@@ -171,5 +181,38 @@ mod tests {
         let cells = into_cells(&records);
         let found: Vec<(usize, bool)> = cells.iter().map(|cell| (cell.records.len(), cell.with_references)).collect();
         assert_eq!(found, [(2, true), (1, false), (1, true)]);
+    }
+
+    #[test]
+    fn likelihoods_are_those_of_several_forecasts() {
+        let of = |n_samples: usize, kind: &str, places_without_road: &str| {
+            let mut config = EvaluateConfig::default();
+            config.validity.places_without_road.insert(places_without_road.to_owned());
+            let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+            let mut record = record(0.0, false, false, recorded());
+            record.scenario.provenance.guidance.kind = kind.to_owned();
+            let cell = CellSamples { records: vec![&record; n_samples], with_references: true };
+            let figures = cell.evaluate(&recorded(), &measures, &judge);
+            let docs = measures.docs();
+            let find = |values: &[Option<f64>], name: &str| {
+                assert_eq!(docs.len(), values.len());
+                docs.iter().zip(values).find(|(doc, _)| doc.metric == name).and_then(|(_, value)| *value)
+            };
+            let whole = |values: &[Option<f64>]| find(values, Likelihoods::META_METRIC);
+            assert!(figures.alone.iter().all(|values| whole(values).is_none()));
+            let road = find(&figures.together, "realism_map_based");
+            (
+                [&figures.recorded.unwrap(), &figures.constant_velocity.unwrap(), &figures.together]
+                    .map(|of| whole(of)),
+                road,
+            )
+        };
+        let ([by_itself, by_baseline, by_samples], road) = of(2, GuidanceTag::NONE, "elsewhere");
+        // Both cars go straight on at constant speed, and the samples do as recorded.
+        assert!(by_itself.is_some() && by_itself == by_samples && by_itself == by_baseline && road.is_some());
+        assert_eq!(of(1, GuidanceTag::NONE, "elsewhere"), ([None; 3], None));
+        assert_eq!(of(2, "classifier:cut_in", "elsewhere"), ([None; 3], None));
+        let (blind, road) = of(2, GuidanceTag::NONE, "Test");
+        assert!(road.is_none() && blind[0].is_some());
     }
 }

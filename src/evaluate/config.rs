@@ -2,7 +2,9 @@
 
 use super::error::{Error, Result};
 use super::gate_config::GatesConfig;
-use crate::metrics::{ALL, CarefulDriverConfig, DUPLICATE_DISTANCE_M, MetricSettings, ModesConfig, ValidityConfig};
+use crate::metrics::{
+    ALL, CarefulDriverConfig, DUPLICATE_DISTANCE_M, Likelihoods, MetricSettings, ModesConfig, ValidityConfig,
+};
 use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
@@ -93,7 +95,7 @@ impl EvaluateConfig {
             return Err(Error::Config { message, advice: "leave it out for its default".to_owned() });
         }
         self.gates.validate(&self.metrics)?;
-        let known: Vec<&str> = ALL.iter().map(|metric| metric.spec().id).collect();
+        let known: Vec<&str> = ALL.iter().map(|metric| metric.spec().id).chain([Likelihoods::META_METRIC]).collect();
         let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
         let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
         Err(Error::Config {

@@ -2,7 +2,7 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{Direction, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
+use crate::metrics::{Direction, Likelihoods, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
 use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
@@ -39,6 +39,7 @@ pub(super) struct Measures<'a> {
     metrics: Vec<Box<dyn Metric>>,
     modes: Option<&'a ModesConfig>,
     behaviors: &'a [Box<dyn Behavior>],
+    has_likelihoods: bool,
 }
 
 /// The requested behavior and its agents.
@@ -55,11 +56,13 @@ impl<'a> Measures<'a> {
         let chosen = |id: &str| config.metrics.is_empty() || config.metrics.iter().any(|name| name == id);
         let metrics = config.metric_settings().metrics();
         let metrics = metrics.into_iter().filter(|metric| chosen(metric.spec().id)).collect();
-        Self { metrics, modes: config.modes.as_ref(), behaviors }
+        Self { metrics, modes: config.modes.as_ref(), behaviors, has_likelihoods: chosen(Likelihoods::META_METRIC) }
     }
 
-    /// The descriptions of the measures, for reading the tables.
+    /// The descriptions of the measures, for reading the tables: those of [`Measures::evaluate`], then those of
+    /// [`Measures::likelihoods`].
     pub(super) fn docs(&self) -> Vec<MetricDoc> {
+        let likelihoods = self.has_likelihoods.then(|| Likelihoods::specs().map(MetricDoc::from));
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
             BEHAVIOR_RATE.to_owned(),
@@ -69,7 +72,26 @@ impl<'a> Measures<'a> {
             let id = behavior.id();
             rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, between any agents"))
         });
-        metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
+        let of_samples = metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes());
+        of_samples.chain(likelihoods.into_iter().flatten()).collect()
+    }
+
+    /// The likelihoods of the recorded future by each of `groups`, which are repeated to `n_samples` of them. Without
+    /// samples, or for less than two of them, nothing is defined.
+    pub(super) fn likelihoods<const N: usize>(
+        &self,
+        recorded: &Scene,
+        has_road: bool,
+        groups: [&[Scene]; N],
+        n_samples: usize,
+    ) -> [Vec<Option<f64>>; N] {
+        if !self.has_likelihoods {
+            return std::array::from_fn(|_| Vec::new());
+        }
+        if n_samples < 2 {
+            return std::array::from_fn(|_| Likelihoods::specs().map(|_| None).collect());
+        }
+        Likelihoods::of_groups(recorded, has_road, groups, n_samples).map(|found| found.values())
     }
 
     /// The values of a group, in the order of [`Measures::docs`]; `None` for undefined ones. Figures over modes need

@@ -37,8 +37,8 @@ pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option
         return Some(Modes { samples, probabilities });
     }
     let of = match dataset.facts().benchmark {
-        Benchmark::ArgoverseFocal => ModesOf::Ego,
-        Benchmark::InteractionJoint | Benchmark::ArgoverseWorlds => ModesOf::Scene,
+        Some(Benchmark::ArgoverseFocal) => ModesOf::Ego,
+        Some(Benchmark::InteractionJoint | Benchmark::ArgoverseWorlds) | None => ModesOf::Scene,
     };
     let by = modes.by.first().copied().unwrap_or(Representative::Mean);
     Some(ModeFit::new(&samples, &of.agents(&first.scene), modes, cell.mode_seed())?.modes(by))
@@ -55,8 +55,9 @@ impl Predictions {
             Self { interaction: None, argoverse: Vec::new(), scenes: SceneSet::default(), n_tracks_left_out: 0 };
         for dataset in datasets {
             match dataset.facts().benchmark {
-                Benchmark::InteractionJoint => predictions.interaction = Some(InteractionPredictions::new(dir)),
-                Benchmark::ArgoverseFocal | Benchmark::ArgoverseWorlds => {
+                None => {}
+                Some(Benchmark::InteractionJoint) => predictions.interaction = Some(InteractionPredictions::new(dir)),
+                Some(Benchmark::ArgoverseFocal | Benchmark::ArgoverseWorlds) => {
                     let path = dir.join(format!("{}.parquet", dataset.name()));
                     predictions.argoverse.push((*dataset, ArgoversePredictions::create(&path)?));
                 }
@@ -72,7 +73,7 @@ impl Predictions {
         }
         let dataset = recorded.source.dataset;
         self.n_tracks_left_out += match (dataset.facts().benchmark, &mut self.interaction) {
-            (Benchmark::InteractionJoint, Some(interaction)) => interaction.add(recorded, modes)?,
+            (Some(Benchmark::InteractionJoint), Some(interaction)) => interaction.add(recorded, modes)?,
             _ => match self.argoverse.iter_mut().find(|(of, _)| *of == dataset) {
                 Some((_, argoverse)) => argoverse.add(recorded, modes)?,
                 None => 0,

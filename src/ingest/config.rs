@@ -34,15 +34,17 @@ pub struct IngestConfig {
     #[serde(default)]
     #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
-    /// Observed timesteps of a scene; default: the dataset's (INTERACTION 10, Argoverse 1 20, Argoverse 2 50).
+    /// Observed timesteps of a scene; default: the dataset's (INTERACTION and CommonRoad 10,
+    /// Argoverse 1 20, Argoverse 2 50).
     #[serde(default)]
     #[schemars(range(min = 1, max = 10_000))]
     pub n_history: Option<usize>,
-    /// Future timesteps of a scene; default: the dataset's (INTERACTION 30, Argoverse 1 30, Argoverse 2 60).
+    /// Future timesteps of a scene; default: the dataset's (INTERACTION, Argoverse 1 and
+    /// CommonRoad 30, Argoverse 2 60).
     #[serde(default)]
     #[schemars(range(max = 10_000))]
     pub n_future: Option<usize>,
-    /// INTERACTION v1.1 recordings: timesteps between the starts of consecutive scenes.
+    /// INTERACTION v1.1 recordings and CommonRoad: timesteps between the starts of consecutive scenes.
     #[serde(default = "default_window_stride")]
     #[schemars(range(min = 1, max = 1_000_000))]
     pub window_stride: usize,

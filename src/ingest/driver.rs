@@ -351,12 +351,13 @@ impl UnitParser<'_> {
         maps: &mut Vec<(MapId, LaneGraph)>,
     ) {
         let Some(id) = &scene.map_id else { return };
-        if let Some(graph) = own_map {
-            maps.push((id.clone(), Arc::unwrap_or_clone(graph)));
-        } else if let Some(index) = self.maps.get(id)
-            && handed_out.insert(id.clone())
-        {
-            maps.push((id.clone(), index.graph().clone()));
+        if handed_out.contains(id) {
+            return;
+        }
+        let graph = own_map.map(Arc::unwrap_or_clone).or_else(|| Some(self.maps.get(id)?.graph().clone()));
+        if let Some(graph) = graph {
+            handed_out.insert(id.clone());
+            maps.push((id.clone(), graph));
         }
     }
 }

@@ -15,6 +15,7 @@ mod argoverse2;
 mod assemble;
 mod batches;
 mod cells;
+mod commonroad;
 mod config;
 mod csv_rows;
 mod decimal;
@@ -65,5 +66,6 @@ fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Err
         Dataset::Argoverse1 => Box::new(argoverse1::Argoverse1::new(config)?),
         Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
         Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
+        Dataset::CommonRoad => Box::new(commonroad::CommonRoad::new(config)?),
     })
 }

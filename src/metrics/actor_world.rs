@@ -54,7 +54,7 @@ impl Metric for ActorWorld {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let recorded = group.recorded;
-        if recorded.source.dataset.facts().benchmark != Benchmark::ArgoverseWorlds {
+        if recorded.source.dataset.facts().benchmark != Some(Benchmark::ArgoverseWorlds) {
             return None;
         }
         let agents = scored_agents(recorded);

@@ -28,7 +28,7 @@ impl ScoredAgents {
 
 fn is_target(recorded: &Scene, agent_idx: usize) -> bool {
     let track = &recorded.tracks[agent_idx];
-    recorded.source.dataset.facts().benchmark == Benchmark::InteractionJoint
+    recorded.source.dataset.facts().benchmark == Some(Benchmark::InteractionJoint)
         && track.class == AgentClass::Vehicle
         && (0..recorded.n_timesteps).all(|timestep| track.trajectory.is_valid(timestep))
 }

@@ -89,21 +89,27 @@ impl Piece {
     }
 }
 
-/// The continuations of a lane before its start and beyond its end, where the map ends.
-fn open_ends(lanes: &LaneGraph, lane: &Lane) -> Vec<Piece> {
+/// Whether the map ends where a lane starts, and where it ends: no lane goes on from there, nor from a neighbor.
+pub(super) fn map_ends(lanes: &LaneGraph, lane: &Lane) -> [bool; 2] {
     let is_map_end = |connected: fn(&Lane) -> &Vec<LaneId>| {
         let mut neighbors =
             [lane.left_neighbor, lane.right_neighbor].into_iter().flatten().filter_map(|id| lanes.get(id));
         connected(lane).is_empty() && neighbors.all(|neighbor| connected(neighbor).is_empty())
     };
+    [is_map_end(|lane| &lane.predecessors), is_map_end(|lane| &lane.successors)]
+}
+
+/// The continuations of a lane before its start and beyond its end, where the map ends.
+fn open_ends(lanes: &LaneGraph, lane: &Lane) -> Vec<Piece> {
     let points = &lane.centerline.0;
     let ray = |from: Option<&Vec2>, end: Option<&Vec2>| {
         let (from, end) = (*from?, *end?);
         let onward = Vec2::from_angle((end - from).angle()) * EXTENSION_M;
         Some(Piece::Strip(Polyline(vec![end, end + onward])))
     };
-    let before = is_map_end(|lane| &lane.predecessors).then(|| ray(points.get(1), points.first())).flatten();
-    let beyond = is_map_end(|lane| &lane.successors).then(|| ray(points.iter().rev().nth(1), points.last())).flatten();
+    let [is_start, is_end] = map_ends(lanes, lane);
+    let before = is_start.then(|| ray(points.get(1), points.first())).flatten();
+    let beyond = is_end.then(|| ray(points.iter().rev().nth(1), points.last())).flatten();
     before.into_iter().chain(beyond).collect()
 }
 

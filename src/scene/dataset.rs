@@ -13,6 +13,9 @@ pub enum Dataset {
     Argoverse1,
     /// Argoverse 2 motion forecasting.
     Argoverse2,
+    /// Scenarios in CommonRoad's XML, recorded or generated.
+    #[serde(rename = "commonroad")]
+    CommonRoad,
 }
 
 /// The facts about a dataset.
@@ -40,8 +43,8 @@ pub struct DatasetFacts {
     pub begins_at_ns: bool,
     /// When a prediction of the last state is a miss.
     pub miss_rule: MissRule,
-    /// The agents that its benchmark predicts, and its submission format.
-    pub benchmark: Benchmark,
+    /// The agents that its benchmark predicts, and its submission format; `None` if it has none.
+    pub benchmark: Option<Benchmark>,
 }
 
 /// When a sampled last state misses the recorded one.
@@ -66,7 +69,7 @@ pub enum Benchmark {
 
 impl Dataset {
     /// Every dataset.
-    pub const ALL: [Self; 3] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2];
+    pub const ALL: [Self; 4] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2, Self::CommonRoad];
 
     /// The facts about it.
     pub const fn facts(self) -> &'static DatasetFacts {
@@ -83,7 +86,7 @@ impl Dataset {
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::AlongHeading,
-                benchmark: Benchmark::InteractionJoint,
+                benchmark: Some(Benchmark::InteractionJoint),
             },
             Self::Argoverse1 => &DatasetFacts {
                 name: "argoverse1",
@@ -97,7 +100,7 @@ impl Dataset {
                 has_chosen_focal: true,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,
-                benchmark: Benchmark::ArgoverseFocal,
+                benchmark: Some(Benchmark::ArgoverseFocal),
             },
             Self::Argoverse2 => &DatasetFacts {
                 name: "argoverse2",
@@ -110,7 +113,21 @@ impl Dataset {
                 has_chosen_focal: true,
                 begins_at_ns: true,
                 miss_rule: MissRule::Radial,
-                benchmark: Benchmark::ArgoverseWorlds,
+                benchmark: Some(Benchmark::ArgoverseWorlds),
+            },
+            Self::CommonRoad => &DatasetFacts {
+                name: "commonroad",
+                terms: "CommonRoad scenarios (Althoff et al. 2017): under the terms of whoever made them, which each \
+                        file names as its source.",
+                country: None,
+                has_classes: true,
+                has_headings: true,
+                has_velocities: true,
+                has_clean_motion: true,
+                has_chosen_focal: false,
+                begins_at_ns: false,
+                miss_rule: MissRule::Radial,
+                benchmark: None,
             },
         }
     }

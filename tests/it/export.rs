@@ -70,11 +70,19 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         fs_err::remove_dir_all(workspace.path("again")).unwrap();
     }
 
-    // Our own reader takes the cases for what they are.
-    let (cases, scenes) = (workspace.arg("interaction"), workspace.arg("ingested"));
-    let ingest = ["ingest", &cases, "--dataset", "interaction", "--set", "ingest.maps=none", "--output", &scenes];
-    let outcome = djinn(&ingest).expect(0);
-    assert!(outcome.stderr.contains(&format!("ingest: {n_scenarios} scenes")), "{}", outcome.stderr);
+    // Our own readers take the cases and scenarios for what they are.
+    export("commonroad", "replayed", &["--replay-ego"]).expect(0);
+    for (dataset, folder, settings) in [
+        ("interaction", "interaction", ["ingest.maps=none", "ingest.n_history=10"]),
+        // An exported scenario begins at present.
+        ("commonroad", "replayed", ["ingest.maps=required", "ingest.n_history=1"]),
+    ] {
+        let (cases, scenes) = (workspace.arg(folder), format!("{}_ingested", workspace.arg(dataset)));
+        let [first, second] = settings;
+        let settings = ["--set", first, "--set", second, "--output", &scenes];
+        let outcome = djinn(&[&["ingest", &cases, "--dataset", dataset][..], &settings].concat()).expect(0);
+        assert!(outcome.stderr.contains(&format!("ingest: {n_scenarios} scenes")), "{}", outcome.stderr);
+    }
 
     // Selections.
     let index = rows(&workspace.path("openlabel").join("index.tsv"));

@@ -10,7 +10,7 @@ use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_2;
 
 /// Accelerations of the two, m/s², and how far they drift to the left, meters.
-const ACCELERATIONS_MPS2: [f64; 4] = [-2.5, -1.0, 0.0, 1.25];
+const ACCELERATIONS_MPS2: [f64; 3] = [-2.5, -1.0, 0.0];
 const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
 /// Deceleration, m/s², of whoever sees the other, and how long before they would meet it begins, seconds.
 const BRAKES_MPS2: f64 = 7.0;
@@ -18,7 +18,7 @@ const BRAKES_BEFORE_S: [f64; 3] = [0.8, 0.5, 0.2];
 /// Who is hit from behind, within this angle, does not brake, radians.
 const FROM_BEHIND_RAD: f64 = 0.5;
 /// Bodies give way by so much at most, meters: there is no model of what a collision does to them.
-const MOST_CRUSH_M: f64 = 1.2;
+const MOST_CRUSH_M: f64 = 0.5;
 /// Spacing of relative speeds and of angles by which maneuvers are told apart, m/s and radians.
 const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
@@ -46,7 +46,8 @@ impl Collision {
         let (ones, others) = (courses(&one, extents[0]), courses(&other, extents[1]));
         let mut maneuvers = Vec::new();
         for (a, b) in ones.iter().flat_map(|a| others.iter().map(move |b| (a, b))) {
-            let Some(step) = meet(a, b) else { continue };
+            // One who drifts into another is inattentive; two would aim at each other.
+            let Some(step) = meet(a, b).filter(|_| a.drift_m == 0.0 || b.drift_m == 0.0) else { continue };
             let [own, theirs] = [a, b].map(|course| &course.boxes[step]);
             let turned_rad = angle_difference(own.forward.angle(), theirs.forward.angle()).abs();
             let is_ahead = |own: &Footprint, other: &Footprint| (own.center - other.center).dot(own.forward) > 0.0;

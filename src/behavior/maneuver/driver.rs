@@ -17,7 +17,7 @@ const SAME_M: f64 = 1.0;
 /// How long it takes to press a pedal, and to ease a stop, seconds.
 const PEDAL_S: f64 = 0.3;
 /// The lateral acceleration in bends, the deceleration before them, and the hardest one if it is late for that, m/s².
-const ACROSS_MPS2: f64 = 3.0;
+const ACROSS_MPS2: f64 = 2.6;
 const EASES_MPS2: f64 = 2.0;
 const BRAKES_MPS2: f64 = 3.5;
 /// Deceleration before a bend that is known early enough to let go of the gas for, m/s², and within which time the gas

@@ -15,9 +15,11 @@ const ALONG_RAD: f64 = FRAC_PI_4;
 const LEAST_SPEED_MPS: f64 = 2.0;
 /// When moving over begins and how long it takes, seconds.
 const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
-const TAKES_S: [f64; 3] = [2.4, 3.0, 3.8];
-/// The largest lateral acceleration, m/s².
+const TAKES_S: [f64; 4] = [2.4, 3.0, 3.8, 4.6];
+/// The largest lateral acceleration, m/s²: of a car, and of a vehicle that is longer than cars are, meters.
 const MOST_ACROSS_MPS2: f64 = 3.0;
+const LONG_ACROSS_MPS2: f64 = 1.5;
+const LONG_M: f64 = 6.5;
 /// The largest angle to the lane while moving over, radians.
 const MOST_ANGLE_RAD: f64 = 0.35;
 /// The largest slope of the way over from 0 to 1.
@@ -47,7 +49,8 @@ pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize)
     beside.sort_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
     beside.dedup_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
     let targets = beside.into_iter().map(|(lane, side)| (KeptLane::from_lane(lanes, lane), side));
-    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side)).collect()
+    let most_mps2 = most_across_mps2(scene, agent_idx);
+    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side, most_mps2)).collect()
 }
 
 /// The ways in which an agent can move over to an oncoming lane beside its own, to drive against it.
@@ -55,11 +58,17 @@ pub(super) fn ways_over_to_oncoming(scene: &Scene, lanes: &SceneLanes<'_>, agent
     let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
     let oncoming = lanes.oncoming(driver.state.position, driver.state.heading_rad).into_iter();
     let targets = oncoming.map(|(lane, side)| (KeptLane::from_lane(lanes, lane).reversed(), side));
-    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side)).collect()
+    let most_mps2 = most_across_mps2(scene, agent_idx);
+    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side, most_mps2)).collect()
+}
+
+fn most_across_mps2(scene: &Scene, agent_idx: usize) -> f64 {
+    let is_long = scene.tracks[agent_idx].extent_or_nominal().length_m > LONG_M;
+    if is_long { LONG_ACROSS_MPS2 } else { MOST_ACROSS_MPS2 }
 }
 
 /// The ways in which a driver can move over to a lane that lies to this side. Empty if it is too slow.
-fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64) -> Vec<MovingOver> {
+fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mps2: f64) -> Vec<MovingOver> {
     let now = driver.state;
     let Some(aside_m) = target.project(now.position).map(|place| place.offset_m.abs()) else { return Vec::new() };
     let mut found = Vec::new();
@@ -77,7 +86,7 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64) -> Vec<
             let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
             let driven_m = |until_s: f64| driven_m[((until_s / scene.dt_s) as usize).clamp(1, driven_m.len()) - 1];
             let along_m = driven_m(begins_s + takes_s) - if begins_s > 0.0 { driven_m(begins_s) } else { 0.0 };
-            if across_mps2 > MOST_ACROSS_MPS2 || SLOPE_PEAK * aside_m > MOST_ANGLE_RAD.tan() * along_m {
+            if across_mps2 > most_mps2 || SLOPE_PEAK * aside_m > MOST_ANGLE_RAD.tan() * along_m {
                 continue;
             }
             let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);

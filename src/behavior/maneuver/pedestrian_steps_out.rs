@@ -11,8 +11,8 @@ use crate::geometry::Vec2;
 use crate::scene::Scene;
 
 /// Walking speeds, m/s; how long it takes to reach them, and when walking begins, seconds.
-const WALKS_MPS: [f64; 4] = [1.0, 1.4, 1.8, 2.3];
-const STARTING_S: f64 = 0.6;
+const WALKS_MPS: [f64; 3] = [1.0, 1.4, 1.8];
+const STARTING_S: f64 = 0.8;
 const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
 /// How far inside the lane the pedestrian is when the vehicle notices it, meters.
 const INSIDE_M: f64 = 0.1;

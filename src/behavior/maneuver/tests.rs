@@ -169,7 +169,7 @@ fn templates_stay_on_the_road_and_within_what_vehicles_can() {
                 let velocities: Vec<Vec2> = states.iter().flatten().map(|state| state.velocity).collect();
                 let hardest = velocities.windows(2).map(|pair| (pair[1] - pair[0]).norm() / scene.dt_s);
                 let hardest = hardest.fold(0.0, f64::max);
-                assert!(hardest < 8.0f64.hypot(4.5), "{id}: {hardest} m/s²");
+                assert!(hardest < 8.0f64.hypot(3.6), "{id}: {hardest} m/s²");
                 let farthest = states.iter().flatten().map(|state| state.position.y).fold(0.0, f64::max);
                 assert!(
                     ["left_turn", "pedestrian_steps_out", "unprotected_left_turn", "failure_to_yield"].contains(&id)

@@ -7,7 +7,7 @@ use crate::scene::{Scene, State, Track};
 
 /// The largest accelerations of vehicles along and across their way, m/s².
 const MOST_ALONG_MPS2: f64 = 8.0;
-const MOST_ACROSS_MPS2: f64 = 4.5;
+const MOST_ACROSS_MPS2: f64 = 3.6;
 /// The tightest curve of a vehicle: with its wheels at 35 degrees, and axles .6 of its length apart (bicycle model).
 /// In units of one over its length. And the lateral acceleration that noise of positions makes of a straight line,
 /// m/s².

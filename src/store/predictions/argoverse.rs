@@ -32,7 +32,7 @@ impl ArgoversePredictions {
     /// # Errors
     /// On I/O errors.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
-        let has_worlds = recorded.source.dataset.facts().benchmark == Benchmark::ArgoverseWorlds;
+        let has_worlds = recorded.source.dataset.facts().benchmark == Some(Benchmark::ArgoverseWorlds);
         let is_target = |role: TrackRole| role == TrackRole::Focal || (role == TrackRole::Scored && has_worlds);
         let mut n_left_out = 0;
         let mut rows = Vec::new();

@@ -40,9 +40,9 @@ impl InteractionPredictions {
         let targets = targets(recorded);
         let source = &recorded.source;
         let first_frame: Option<i64> = source.first_frame.parse().ok();
-        let Some(first_frame) = first_frame
-            .filter(|_| source.dataset.facts().benchmark == Benchmark::InteractionJoint && source.version == "v1.2")
-        else {
+        let Some(first_frame) = first_frame.filter(|_| {
+            source.dataset.facts().benchmark == Some(Benchmark::InteractionJoint) && source.version == "v1.2"
+        }) else {
             return Ok(targets.len());
         };
         let mut n_left_out = 0;

@@ -1,0 +1,201 @@
+//! CommonRoad scenarios, versions 2018b and 2020a: one XML file with lanelets and obstacles.
+//!
+//! The scenes of a file are windows of its time steps, [`IngestConfig::window_stride`] apart. The vehicle of its planning
+//! problem is not among the obstacles, and is left out.
+
+mod map;
+#[cfg(test)]
+mod tests;
+mod tracks;
+mod xml_tree;
+
+use super::archive::Entry;
+use super::config::IngestConfig;
+use super::error::Error;
+use super::files::{file_stem, read_whole, split_of_entry, split_of_path};
+use super::map_text::read_text;
+use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use super::source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
+use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split};
+use std::io::BufRead;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use tracks::Obstacle;
+use xml_tree::Element;
+
+/// One second of past and three to come, as INTERACTION has them.
+const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
+/// Time between timesteps, seconds; scenarios with another are left out.
+const DT_S: f64 = 0.1;
+/// Larger than any scenario.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// The format of CommonRoad.
+pub(super) struct CommonRoad<'a> {
+    config: &'a IngestConfig,
+    horizon: Horizon,
+}
+
+impl<'a> CommonRoad<'a> {
+    pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
+        if !config.map_inputs.is_empty() {
+            let detail = "cannot be used with commonroad: every scenario has its own map".to_owned();
+            return Err(Error::Config { key: "map_inputs".to_owned(), detail });
+        }
+        Ok(Self { config, horizon: Horizon::of(config, USUAL) })
+    }
+}
+
+impl RecordingSource for CommonRoad<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
+    fn is_recording(&self, path: &str) -> bool {
+        path.ends_with(".xml") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+    }
+
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
+        Box::new(OneScenario)
+    }
+
+    fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {
+        match Scenario::read(unit) {
+            Ok(scenario) => scenario.windows(self.horizon, self.config.window_stride),
+            Err(reject) => vec![Box::new(|| Err(reject))],
+        }
+    }
+
+    fn has_own_maps(&self) -> bool {
+        true
+    }
+
+    fn map_at(&self, _path: &str) -> Option<MapId> {
+        None
+    }
+
+    fn read_map(&self, entry: &Entry, _reader: &mut dyn BufRead) -> Result<MapFile, Error> {
+        Err(Error::map(&entry.path, "", "is of a scenario, and is read with it"))
+    }
+}
+
+struct OneScenario;
+
+impl UnitReader for OneScenario {
+    fn read(
+        &mut self,
+        entry: &Entry,
+        reader: &mut dyn BufRead,
+        emit: &mut EmitUnit<'_>,
+    ) -> Result<ControlFlow<()>, Error> {
+        Ok(emit(read_whole(entry, reader).map(|bytes| RawUnit {
+            file: entry.path.clone(),
+            container: entry.container.clone(),
+            split: UnitSplit::All(split_of_entry(entry)),
+            case_id: file_stem(&entry.path).to_owned(),
+            bytes,
+            first_line: 1,
+            ..RawUnit::default()
+        })))
+    }
+}
+
+/// A scenario as read.
+struct Scenario {
+    /// Where it comes from, without the text.
+    unit: RawUnit,
+    place: String,
+    version: String,
+    map: Option<Arc<LaneGraph>>,
+    obstacles: Vec<Obstacle>,
+    findings: Vec<Finding>,
+}
+
+impl Scenario {
+    fn read(mut unit: RawUnit) -> Result<Self, Reject> {
+        let text = read_text(&mut unit.bytes.as_slice(), MAX_BYTES, &unit.file);
+        let text = text.map_err(|error| Reject { reason: "bad_xml", detail: error.to_string() })?;
+        let root = Element::parse(&text).map_err(|what| unit.reject("bad_xml", what))?;
+        if root.name != "commonRoad" {
+            let detail = format!("begins with <{}>, expected <commonRoad>", root.name);
+            return Err(unit.reject("not_commonroad", detail));
+        }
+        let step_s = root.attribute("timeStepSize").and_then(|text| text.parse::<f64>().ok());
+        if step_s.is_none_or(|step_s| (step_s - DT_S).abs() > 1e-9) {
+            let found = root.attribute("timeStepSize").unwrap_or("missing");
+            return Err(unit.reject("other_time_step", format!("timeStepSize is {found}, expected {DT_S} s")));
+        }
+        unit.bytes = Vec::new();
+        if let Some(id) = root.attribute("benchmarkID") {
+            unit.case_id = id.to_owned();
+        }
+        let (map, report) = map::read(&root);
+        let (obstacles, left_out) = tracks::read(&root);
+        let mut findings = report.findings(&unit.file);
+        if let Some(first) = left_out.first() {
+            let detail = format!("{}: {first}", unit.file);
+            findings.push(Finding { what: "obstacles_left_out", n: left_out.len() as u64, detail });
+        }
+        Ok(Self {
+            place: place_of(&unit.case_id),
+            version: root.attribute("commonRoadVersion").unwrap_or_default().to_owned(),
+            map: (!map.lanes().is_empty()).then(|| Arc::new(map)),
+            obstacles,
+            findings,
+            unit,
+        })
+    }
+
+    /// Its scenes: whole windows only.
+    fn windows(self, horizon: Horizon, stride: usize) -> Vec<PendingScene<'static>> {
+        let (n_timesteps, stride) = (horizon.n_timesteps() as i64, stride.max(1) as i64);
+        let n_steps = tracks::time_steps(&self.obstacles).map_or(0, |(first, last)| last - first + 1);
+        if n_steps < n_timesteps {
+            let detail = format!("{n_steps} time steps, a scene has {n_timesteps}");
+            let reject = self.unit.reject("recording_too_short", detail);
+            return vec![Box::new(|| Err(reject))];
+        }
+        let first = tracks::time_steps(&self.obstacles).map_or(0, |(first, _)| first);
+        let scenario = Arc::new(self);
+        let window = |index: i64| -> PendingScene<'static> {
+            let scenario = Arc::clone(&scenario);
+            Box::new(move || Ok(scenario.scene(first + index * stride, horizon)))
+        };
+        (0..=(n_steps - n_timesteps) / stride).map(window).collect()
+    }
+
+    fn scene(&self, first: i64, horizon: Horizon) -> RawScene {
+        let (dataset, n_timesteps) = (Dataset::CommonRoad, horizon.n_timesteps());
+        let split = match self.unit.split {
+            UnitSplit::All(split) => split,
+            UnitSplit::Divided => Split::Unsplit,
+        };
+        let case_id = &self.unit.case_id;
+        RawScene {
+            id: SceneId(format!("{}/{}/{}/{case_id}@{first}", dataset.name(), split.name(), self.place)),
+            source: SceneSource {
+                dataset,
+                version: self.version.clone(),
+                split,
+                place: self.place.clone(),
+                file: self.unit.file.clone(),
+                case_id: case_id.clone(),
+                first_frame: first.to_string(),
+            },
+            dt_s: DT_S,
+            n_timesteps,
+            n_history: horizon.n_history,
+            tracks: self.obstacles.iter().filter_map(|obstacle| obstacle.cut(first, n_timesteps)).collect(),
+            heading_gaps: Vec::new(),
+            map_id: map_id(dataset, case_id),
+            own_map: self.map.clone(),
+            findings: self.findings.clone(),
+        }
+    }
+}
+
+/// The place in the name of a scenario: `USA_Lanker-1` of `USA_Lanker-1_1_T-1`. Cooperative ones begin with `C-`.
+fn place_of(benchmark_id: &str) -> String {
+    let id = benchmark_id.strip_prefix("C-").unwrap_or(benchmark_id);
+    id.split('_').take(2).collect::<Vec<_>>().join("_")
+}

@@ -1,0 +1,149 @@
+//! Scenarios of both versions, whole and broken.
+
+use super::xml_tree::Element;
+use crate::ingest::{Error, IngestConfig, IngestReport, ingest};
+use crate::progress::Silent;
+use crate::scene::{AgentClass, Dataset, LaneId, Scene, TurnDirection};
+use fs_err as fs;
+use std::fmt::Write as _;
+
+/// A point, a state and a lanelet as the format writes them.
+fn point(x: f64, y: f64) -> String {
+    format!("<point><x>{x}</x><y>{y}</y></point>")
+}
+
+fn state(name: &str, time: f64, x: f64, y: f64) -> String {
+    format!(
+        "<{name}><position>{}</position><orientation><exact>0.0</exact></orientation><time><exact>{time}</exact></time>\
+         <velocity><exact>10</exact></velocity></{name}>",
+        point(x, y)
+    )
+}
+
+fn lanelet(id: i64, y: f64, links: &str) -> String {
+    let bound = |name: &str, y: f64| format!("<{name}>{}{}</{name}>", point(-50.0, y), point(150.0, y));
+    format!("<lanelet id=\"{id}\">{}{}{links}</lanelet>", bound("leftBound", y + 1.75), bound("rightBound", y - 1.75))
+}
+
+/// An obstacle that drives along x from `first` to `last` at 10 m/s.
+fn moving(open: &str, id: i64, kind: &str, [first, last]: [i64; 2], y: f64) -> String {
+    let x = |time: i64| time as f64;
+    let mut text = format!(
+        "<{open} id=\"{id}\"><role>dynamic</role><type>{kind}</type>\
+         <shape><rectangle><length>4.4</length><width>1.8</width></rectangle></shape>{}<trajectory>",
+        state("initialState", first as f64, x(first), y)
+    );
+    for time in first + 1..=last {
+        text += &state("state", time as f64, x(time), y);
+    }
+    write!(text, "</trajectory></{open}>").unwrap();
+    text
+}
+
+fn scenario(content: &str) -> String {
+    format!(
+        "<?xml version=\"1.0\"?><commonRoad benchmarkID=\"USA_Some-3_2_T-1\" commonRoadVersion=\"2018b\" \
+         timeStepSize=\"0.1\">{content}</commonRoad>"
+    )
+}
+
+fn whole() -> String {
+    let lanes = lanelet(1, 0.0, "<adjacentLeft ref=\"2\" drivingDir=\"same\"/><speedLimit>13.4</speedLimit>")
+        + &lanelet(2, 3.5, "<adjacentRight ref=\"1\" drivingDir=\"same\"/>");
+    scenario(&(lanes + &moving("obstacle", 7, "car", [0, 84], 0.0) + &moving("obstacle", 8, "truck", [20, 60], 3.5)))
+}
+
+fn read(text: &str) -> Result<(Vec<Scene>, IngestReport), Error> {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("a.xml"), text).unwrap();
+    let config = IngestConfig::new(Dataset::CommonRoad, vec![folder.path().to_owned()]);
+    let mut scenes = Vec::new();
+    let report = ingest(&config, None, &Silent, &mut |batch| {
+        scenes.extend(batch.scenes);
+        Ok(())
+    })?;
+    Ok((scenes, report))
+}
+
+#[test]
+fn windows_of_a_scenario_hold_its_obstacles_and_lanes() {
+    let (scenes, report) = read(&whole()).unwrap();
+    assert_eq!((scenes.len(), report.n_scenes, report.n_rejects()), (2, 2, 0));
+    let (first, second) = (&scenes[0], &scenes[1]);
+    assert_eq!(first.id.0, "commonroad/unsplit/USA_Some-3/USA_Some-3_2_T-1@0");
+    assert_eq!((second.source.first_frame.as_str(), second.source.place.as_str()), ("40", "USA_Some-3"));
+    assert_eq!((first.n_history, first.n_timesteps, first.dt_s), (10, 40, 0.1));
+    // The truck comes later than the present of the first window.
+    let classes = |scene: &Scene| scene.tracks.iter().map(|track| track.class).collect::<Vec<_>>();
+    assert_eq!((classes(first), classes(second)), (vec![AgentClass::Vehicle], vec![AgentClass::Vehicle; 2]));
+    let truck = second.tracks.iter().find(|track| track.id.0 == "8").unwrap();
+    assert!(truck.trajectory.is_valid(20) && !truck.trajectory.is_valid(21), "it is gone after time 60");
+    assert_eq!(truck.extent.map(|extent| (extent.length_m, extent.width_m)), Some((4.4, 1.8)));
+    let world =
+        |scene: &Scene, idx: usize, t: usize| scene.world_from_scene.point(scene.state(idx, t).unwrap().position);
+    let car = world(second, 0, 9);
+    assert!((car.x - 49.0).abs() < 1e-9 && car.y.abs() < 1e-9, "{car:?}");
+    let lane = second.lanes.get(LaneId(1)).unwrap();
+    assert_eq!(lane.left_neighbor, Some(LaneId(2)));
+    assert_eq!(lane.attributes.tags["speed_limit_mps"], "13.4");
+    assert_eq!(first.map_id, second.map_id);
+}
+
+#[test]
+fn the_later_version_has_kinds_turns_and_things_that_stand() {
+    let lanes = lanelet(1, 0.0, "<laneletType>urban</laneletType>")
+        + &lanelet(2, 3.5, "<laneletType>crosswalk</laneletType>")
+        + "<intersection id=\"9\"><incoming id=\"10\"><incomingLanelet ref=\"5\"/><successorsLeft ref=\"1\"/></incoming>\
+           </intersection>";
+    let parked = format!(
+        "<staticObstacle id=\"3\"><type>parkedVehicle</type><shape><circle><radius>1</radius></circle></shape>{}\
+         </staticObstacle>",
+        state("initialState", 0.0, 30.0, -3.0)
+    );
+    let text = scenario(&(lanes + &moving("dynamicObstacle", 7, "taxi", [0, 50], 0.0) + &parked));
+    let (scenes, _) = read(&text.replace("2018b", "2020a")).unwrap();
+    let lane = scenes[0].lanes.get(LaneId(1)).unwrap();
+    assert_eq!(scenes[0].lanes.lanes().len(), 1, "nobody drives on a crosswalk");
+    assert!(lane.attributes.is_intersection && lane.attributes.turn == TurnDirection::Left);
+    let parked = scenes[0].tracks.iter().find(|track| track.id.0 == "3").unwrap();
+    assert!((0..40).all(|timestep| parked.trajectory.is_valid(timestep)));
+    assert_eq!(parked.extent.map(|extent| extent.length_m), Some(2.0));
+}
+
+#[test]
+fn one_bad_obstacle_or_lanelet_is_named_and_costs_nothing_else() {
+    for (good, bad, expected) in [
+        ("<type>truck</type>", "<type>tank</type>", "obstacle 8: is of type \"tank\", which the format does not list"),
+        ("<time><exact>30</exact>", "<time><exact>29</exact>", "has two states at time 29"),
+        ("<exact>84</exact>", "<intervalStart>84</intervalStart>", "<time/exact> within <state> is missing"),
+        ("<x>33</x><y>3.5</y>", "<x>NaN</x><y>3.5</y>", "<x> within <point> is \"NaN\", expected a number"),
+        ("<x>33</x><y>3.5</y>", "<x>1e9</x><y>3.5</y>", "lies at (1000000000, 3.5)"),
+        ("<lanelet id=\"2\">", "<lanelet id=\"b\">", "lanelet b: <lanelet> has id \"b\", expected a whole number"),
+    ] {
+        let text = whole().replacen(good, bad, 1);
+        assert_ne!(text, whole(), "{good}");
+        let (scenes, report) = read(&text).unwrap_or_else(|error| panic!("{bad}: {error}"));
+        let found = format!("{report:?}");
+        assert!(!scenes.is_empty() && found.contains(&expected.replace('"', "\\\"")), "{bad}: {found}");
+    }
+}
+
+#[test]
+fn a_file_that_is_no_scenario_is_rejected_with_the_reason() {
+    let whole = whole();
+    let cut = &whole[..whole.find("<lanelet id=\"2\"").unwrap()];
+    let short = scenario(&moving("obstacle", 7, "car", [0, 20], 0.0));
+    for (text, reason, detail) in [
+        ("<a/>", "not_commonroad", "begins with <a>, expected <commonRoad>"),
+        ("", "bad_xml", "holds no element"),
+        (cut, "bad_xml", "cut short"),
+        ("<!DOCTYPE x><commonRoad/>", "bad_xml", "document type"),
+        (short.as_str(), "recording_too_short", "21 time steps, a scene has 40"),
+        (&whole.replace("\"0.1\"", "\"0.04\""), "other_time_step", "timeStepSize is 0.04, expected 0.1 s"),
+    ] {
+        let error = read(text).unwrap_err().to_string();
+        assert!(error.contains(reason) && error.contains(detail) && error.contains("a.xml"), "{error}");
+    }
+    let deep = "<a>".repeat(40) + &"</a>".repeat(40);
+    assert!(Element::parse(&deep).unwrap_err().to_string().contains("more than 32 elements"));
+}

@@ -1,0 +1,118 @@
+//! An XML document as a tree of elements.
+
+use crate::ingest::error::Malformed;
+use quick_xml::XmlVersion;
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::reader::Reader;
+
+/// Deeper documents are none of the format.
+const MAX_DEPTH: usize = 32;
+
+/// An element with everything in it but comments.
+#[derive(Debug, Default)]
+pub(super) struct Element {
+    pub(super) name: String,
+    attributes: Vec<(String, String)>,
+    children: Vec<Element>,
+    text: String,
+}
+
+impl Element {
+    /// The root of a document.
+    pub(super) fn parse(text: &str) -> Result<Self, Malformed> {
+        let mut xml = Reader::from_str(text);
+        let mut open: Vec<Self> = Vec::new();
+        let mut root = None;
+        loop {
+            let at = xml.buffer_position();
+            let within = |what: String| Malformed::from(format!("byte {at}: {what}"));
+            let event = xml.read_event().map_err(|error| within(error.to_string()))?;
+            let closed = match event {
+                Event::Start(_) if open.len() == MAX_DEPTH => {
+                    return Err(within(format!("more than {MAX_DEPTH} elements within each other")));
+                }
+                Event::Start(start) => {
+                    open.push(Self::begin(&start)?);
+                    None
+                }
+                Event::Empty(start) => Some(Self::begin(&start)?),
+                Event::End(_) => open.pop(),
+                Event::Text(text) => {
+                    if let Some(element) = open.last_mut() {
+                        element.text.push_str(text.trim());
+                    }
+                    None
+                }
+                // Entities could grow without bound, and no scenario has any.
+                Event::DocType(_) => {
+                    return Err(within("a document type declaration, which scenarios never have".into()));
+                }
+                Event::Eof => break,
+                _ => None,
+            };
+            match (closed, open.last_mut()) {
+                (Some(element), Some(parent)) => parent.children.push(element),
+                (Some(element), None) if root.is_none() => root = Some(element),
+                (Some(element), None) => return Err(within(format!("<{}> after the end of the root", element.name))),
+                (None, _) => {}
+            }
+        }
+        match (open.last(), root) {
+            (Some(element), _) => Err(format!("ends within <{}>; the file is cut short", element.name).into()),
+            (None, Some(root)) => Ok(root),
+            (None, None) => Err("holds no element".into()),
+        }
+    }
+
+    fn begin(start: &BytesStart<'_>) -> Result<Self, Malformed> {
+        let mut attributes = Vec::new();
+        for attribute in start.attributes() {
+            let attribute = attribute?;
+            let value = attribute.normalized_value(XmlVersion::Implicit1_0)?.into_owned();
+            attributes.push((attribute.key.as_ref().to_owned(), value));
+        }
+        Ok(Self { name: start.name().as_ref().to_owned(), attributes, ..Self::default() })
+    }
+
+    /// The elements in it.
+    pub(super) fn children(&self) -> impl Iterator<Item = &Self> {
+        self.children.iter()
+    }
+
+    /// The elements of this name in it.
+    pub(super) fn all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Self> {
+        self.children.iter().filter(move |child| child.name == name)
+    }
+
+    /// The first element along a path of names.
+    pub(super) fn find(&self, path: &[&str]) -> Option<&Self> {
+        path.iter().try_fold(self, |element, name| element.children.iter().find(|child| child.name == *name))
+    }
+
+    /// The value of an attribute.
+    pub(super) fn attribute(&self, name: &str) -> Option<&str> {
+        self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
+    }
+
+    /// An attribute that names an element by its number.
+    pub(super) fn id(&self, name: &str) -> Result<i64, Malformed> {
+        let text = self.attribute(name).unwrap_or_default();
+        let expected = || format!("<{}> has {name} \"{text}\", expected a whole number", self.name);
+        text.trim().parse().map_err(|_| expected().into())
+    }
+
+    /// Its text.
+    pub(super) fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The finite number at the end of a path.
+    pub(super) fn number(&self, path: &[&str]) -> Result<f64, Malformed> {
+        let text = self.find(path).map(Self::text);
+        let value = text.and_then(|text| text.parse::<f64>().ok()).filter(|value| value.is_finite());
+        value.ok_or_else(|| {
+            let found = text.map_or_else(|| "is missing".to_owned(), |text| format!("is \"{text}\""));
+            format!("<{}> within <{}> {found}, expected a number", path.join("/"), self.name).into()
+        })
+    }
+}
