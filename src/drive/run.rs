@@ -293,7 +293,10 @@ impl Output {
         if let Some(saved) = drives.first().and_then(|driven| driven.saved.as_ref()) {
             let folder = out.join(STATES_DIR);
             fs_err::create_dir_all(&folder)?;
-            let (path, text) = (folder.join(format!("{}.json", situation.scenario_id)), saved.to_json()?);
+            // Ids are hexadecimal, but those of a foreign corpus need not be.
+            let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+            let name = situation.scenario_id.replace(|c: char| !is_plain(c), "_");
+            let (path, text) = (folder.join(format!("{name}.json")), saved.to_json()?);
             write_atomically::<Error>(&path, |file| Ok(file.write_all(text.as_bytes())?))?;
             report.n_saved += 1;
         }
