@@ -37,6 +37,7 @@ pub mod evaluate;
 pub mod export;
 pub mod report;
 
+pub mod drive;
 pub mod engine;
 
 pub mod pipeline;

@@ -35,6 +35,32 @@ impl DrivenPath {
         Some(Self { polyline: Polyline(points), half_length_m: track.extent_or_nominal().length_m / 2.0 })
     }
 
+    /// The path through `points`, carried straight on at both ends, of an agent of this length. `None` with fewer than
+    /// two distinct points.
+    pub(crate) fn along(points: &[Vec2], length_m: f64) -> Option<Self> {
+        let mut kept: Vec<Vec2> = Vec::with_capacity(points.len() + 2);
+        for point in points {
+            if kept.last().is_none_or(|last| last.distance(*point) >= MIN_SPACING_M) {
+                kept.push(*point);
+            }
+        }
+        let [first, second, ..] = kept[..] else { return None };
+        let (before, last) = (kept[kept.len() - 2], kept[kept.len() - 1]);
+        kept.insert(0, first + Vec2::from_angle((first - second).angle()) * EXTENSION_M);
+        kept.push(last + Vec2::from_angle((last - before).angle()) * EXTENSION_M);
+        Some(Self { polyline: Polyline(kept), half_length_m: length_m / 2.0 })
+    }
+
+    /// Its length without the extensions, meters.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.polyline.length_m() - 2.0 * EXTENSION_M
+    }
+
+    /// How far along the path `point` is from its start, meters; negative before it.
+    pub(crate) fn driven_m(&self, point: Vec2) -> Option<f64> {
+        self.project(point).map(|place| place.station_m - EXTENSION_M)
+    }
+
     /// The position of `point` relative to the path.
     pub(crate) fn project(&self, point: Vec2) -> Option<Projection> {
         self.polyline.project(point)

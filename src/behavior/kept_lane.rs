@@ -134,6 +134,28 @@ impl KeptLane {
     }
 }
 
+/// The points at which an agent goes on after the last timestep of its track, which lasts to the end of the scene:
+/// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. It comes over
+/// to the middle of the lane within some 20 m. Empty if it is in no lane.
+pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2> {
+    const SPACING_M: f64 = 1.0;
+    const COMES_OVER_M: f64 = 20.0;
+    let ended = Scene { n_history: scene.n_timesteps, ..scene.clone() };
+    let lanes = SceneLanes::new(&scene.lanes);
+    let lane = KeptLane::as_observed(&ended, &lanes, agent_idx);
+    let place = scene.state(agent_idx, ended.current_timestep()).zip(lane.as_ref()).and_then(|(state, lane)| {
+        let place = lane.project(state.position)?;
+        Some((lane, place))
+    });
+    let Some((lane, place)) = place else { return Vec::new() };
+    let n_points = (length_m / SPACING_M).ceil() as usize;
+    let on = (1..=n_points).map_while(|i| {
+        let ahead_m = i as f64 * SPACING_M;
+        lane.beside(place.station_m + ahead_m, place.offset_m * (-3.0 * ahead_m / COMES_OVER_M).exp())
+    });
+    on.collect()
+}
+
 fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<Vec2> {
     let states = timesteps.filter_map(|timestep| trajectory.get(timestep));
     states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()

@@ -21,7 +21,7 @@ mod following;
 pub(crate) mod footprint;
 mod hard_brake;
 mod intrusion;
-mod kept_lane;
+pub(crate) mod kept_lane;
 mod lane_change;
 pub(crate) mod lane_relation;
 mod lane_tracker;

@@ -131,6 +131,30 @@ Examples:
   djinn export commonroad output/quickstart/main/corpus --limit 10 --out output/commonroad
   python scripts/check_exports.py output/xosc        reads an export with the readers of its format";
 
+/// Help after the options of `drive`.
+pub(super) const DRIVE: &str = "\
+Drives every accepted scenario for some seconds in a closed loop: every half second all others plan anew, from where \
+everybody really is. The event goes as in the scenario until it is over; then the model drives its agents, too. A \
+planner is a command that reads observations and writes actions, one JSON object a line (pipelines/DRIVE.md). One that \
+is slow, dies or answers nonsense fails its scenario and nothing else. The careful driver of UN Regulation No. 157 \
+drives the same scenarios: what it survives and the planner does not is listed, hardest first.
+
+Writes drives.parquet, driven.parquet (all states), drive.json and, with --save-at, states/.
+
+Examples:
+  djinn drive output/quickstart/main/corpus --ego idm --out output/idm
+  djinn drive output/quickstart/main/corpus --ego 'python3 my_planner.py' --limit 20 --out output/mine
+  djinn drive output/quickstart/main/corpus --ego model --save-at event --out output/model
+  djinn drive output/quickstart/main/corpus --ego idm --from output/model/states/ID.json -o output/fork";
+
+/// Help after the options of `score`.
+pub(super) const SCORE: &str = "\
+For who has trajectories and no planner to run: everybody else does what the scenario has. Beside the planned states, \
+drives.parquet has the careful driver, the scenario's own ego, and what was recorded.
+
+Example:
+  djinn score output/quickstart/main/corpus planned.parquet --max-avoidable 0 --out output/score";
+
 /// Help after the options of `corpus validate`.
 pub(super) const CORPUS_VALIDATE: &str = "\
 Checks sizes, checksums, schemas, counts and unique ids; that states, lanes and recordings belong to scenarios; that \

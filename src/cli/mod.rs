@@ -31,6 +31,8 @@ pub fn main() -> ExitCode {
         Command::Submit(submit) => commands::submit(submit, &printer),
         Command::Status(status) => commands::status(status, &printer),
         Command::Corpus(corpus) => commands::corpus(corpus, &args.output, &printer),
+        Command::Drive(drive) => commands::drive(drive, &args.output, &printer),
+        Command::Score(score) => commands::score(score, &args.output, &printer),
         Command::Export(export) => commands::export(export, &args.output, &printer),
         Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
         Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),

@@ -39,7 +39,7 @@ impl EgoChoice {
     }
 
     /// The ego of a scenario, and whether it is the center for want of a subject. `None` if it has no such track.
-    pub(super) fn of(&self, record: &ScenarioRecord) -> Option<(usize, bool)> {
+    pub(crate) fn of(&self, record: &ScenarioRecord) -> Option<(usize, bool)> {
         let scene = &record.scenario.scene;
         match self {
             Self::Event => Some(record.subject_idx().map_or((scene.ego_idx, true), |subject| (subject, false))),

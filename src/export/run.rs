@@ -42,7 +42,7 @@ pub fn export_corpus(
         return Err(Error::EgoIsReplayed { format: format.name() });
     }
     let reader = CorpusReader::open(corpus)?;
-    let positions = positions(&reader, selection)?;
+    let positions = selection.positions(&reader)?;
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let limit = selection.limit.unwrap_or(usize::MAX);
     let mut report = ExportReport::new(format, selection, ego, motion);
@@ -82,19 +82,6 @@ pub fn export_corpus(
     writer.finish(folder.path(), &report)?;
     folder.commit()?;
     Ok(report)
-}
-
-/// The positions of the candidate scenarios, ascending.
-fn positions(reader: &CorpusReader, selection: &Selection) -> Result<Vec<usize>> {
-    if selection.scenario_ids.is_empty() {
-        return Ok((0..reader.len()).collect());
-    }
-    let found: std::result::Result<Vec<usize>, _> =
-        selection.scenario_ids.iter().map(|id| reader.position(id)).collect();
-    let mut positions = found?;
-    positions.sort_unstable();
-    positions.dedup();
-    Ok(positions)
 }
 
 /// The id if it can name a file; else a similar name with a unique number.

@@ -1,6 +1,7 @@
 //! The selection of scenarios to export.
 
 use crate::scenario::ScenarioRecord;
+use crate::store::CorpusReader;
 use serde::Serialize;
 
 /// The scenarios to export; all by default.
@@ -21,8 +22,23 @@ pub struct Selection {
 }
 
 impl Selection {
+    /// The positions of the candidates, ascending: of all scenarios, or of those that are named.
+    ///
+    /// # Errors
+    /// When the corpus lacks one that is named.
+    pub(crate) fn positions(&self, reader: &CorpusReader) -> crate::store::Result<Vec<usize>> {
+        if self.scenario_ids.is_empty() {
+            return Ok((0..reader.len()).collect());
+        }
+        let found = self.scenario_ids.iter().map(|id| reader.position(id));
+        let mut positions = found.collect::<crate::store::Result<Vec<usize>>>()?;
+        positions.sort_unstable();
+        positions.dedup();
+        Ok(positions)
+    }
+
     /// Whether a scenario passes, whatever its id.
-    pub(super) fn wants(&self, record: &ScenarioRecord) -> bool {
+    pub(crate) fn wants(&self, record: &ScenarioRecord) -> bool {
         (!self.only_verified || record.verified)
             && (!self.only_accepted || is_accepted(record))
             && self.behavior.as_ref().is_none_or(|behavior| record.requested_behavior.as_ref() == Some(behavior))
@@ -30,7 +46,7 @@ impl Selection {
     }
 
     /// The selection, in words that follow "is".
-    pub(super) fn words(&self) -> String {
+    pub(crate) fn words(&self) -> String {
         let mut words = Vec::new();
         if self.only_verified {
             words.push("verified".to_owned());

@@ -124,6 +124,11 @@ pub(super) struct Conditioned {
 }
 
 impl Conditioned {
+    /// A scene of which the mask shows a part, without requested agents and templates.
+    pub(super) const fn new(scene: Scene, mask: ObservationMask, center_idx: usize) -> Self {
+        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new() }
+    }
+
     pub(super) const fn view(&self) -> SceneView<'_> {
         SceneView { scene: &self.scene, ego_idx: self.agents.0, mask: &self.mask }
     }

@@ -52,10 +52,13 @@ impl<'a> Generator<'a> {
     ) -> Result<Self, Error> {
         keep_freed_memory();
         let generator = Self { config, models, behaviors, scenes, metric_settings, device };
-        for sweep in &config.sweeps {
-            generator.check(sweep)?;
-        }
+        generator.check_all()?;
         Ok(generator)
+    }
+
+    /// Refuses sweeps that do not fit the models.
+    pub(super) fn check_all(&self) -> Result<(), Error> {
+        self.config.sweeps.iter().try_for_each(|sweep| self.check(sweep))
     }
 
     /// The seed of everything random.

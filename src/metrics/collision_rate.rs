@@ -53,15 +53,15 @@ impl Metric for AgentCollisionRate {
 
 /// Two agents that collide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Collision {
+pub(crate) struct Collision {
     /// Their indices, in order.
-    pub(super) pair: [usize; 2],
+    pub(crate) pair: [usize; 2],
     /// The first timestep at which their boxes overlap.
-    pub(super) timestep: usize,
+    pub(crate) timestep: usize,
 }
 
 /// The collisions among the agents tracked at present, pair by pair.
-pub(super) fn collisions(scene: &Scene) -> Vec<Collision> {
+pub(crate) fn collisions(scene: &Scene) -> Vec<Collision> {
     let agents: Vec<(usize, SweptBoxes, bool)> = present_agents(scene)
         .filter_map(|i| Some((i, SweptBoxes::new(&scene.tracks[i])?, is_moving(scene, i))))
         .collect();

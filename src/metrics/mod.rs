@@ -68,7 +68,8 @@ mod validity;
 
 pub use actor_world::ActorWorld;
 pub use aggregate::{Aggregate, AggregateTally};
-pub use careful_driver::{CutInJudgment, Ending, PreventableRate};
+pub use careful_driver::{CarefulWatch, CutInJudgment, Ending, PreventableRate, Seen};
+pub(crate) use collision_rate::collisions;
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;
 pub use criticality::{PairCriticality, PairMetric, SceneCriticality, SceneMetric, closeness_over_time};
@@ -93,6 +94,7 @@ pub use offroad_rate::OffroadRate;
 pub use plausibility::RecordedRanges;
 pub use probability_penalty::{Displacement, PenalizedMinimum, Penalty};
 pub use probable_miss_rate::ProbableMissRate;
+pub(crate) use road::Road;
 pub use sample_group::SampleGroup;
 pub use series::{Group, SeriesKey};
 pub use settings::MetricSettings;

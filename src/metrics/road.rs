@@ -11,7 +11,7 @@ const SLACK_M: f64 = 0.3;
 const EXTENSION_M: f64 = 100.0;
 
 /// The union of the outlines of all lanes; for lanes without boundaries, the strip of 3.8 m around the center line.
-pub(super) struct Road {
+pub(crate) struct Road {
     pieces: Vec<(Bounds, Piece)>,
 }
 
@@ -25,7 +25,7 @@ enum Piece {
 impl Road {
     /// The road of these lanes. Lanes are extended straight beyond ends that no lane of `lanes` continues, unless a
     /// neighbor continues there: such a lane ends on the road.
-    pub(super) fn new(lanes: &LaneGraph) -> Self {
+    pub(crate) fn new(lanes: &LaneGraph) -> Self {
         let pieces = lanes.lanes().iter().flat_map(|lane| {
             let outline = lane.outline().map(|outline| {
                 let closed = outline.iter().chain(outline.first()).copied().collect();
@@ -48,7 +48,7 @@ impl Road {
     }
 
     /// How far `point` is off the road, meters; 0 on it. NaN for a point that is NaN.
-    pub(super) fn distance_m(&self, point: Vec2) -> f64 {
+    pub(crate) fn distance_m(&self, point: Vec2) -> f64 {
         if !point.is_finite() {
             return f64::NAN;
         }

@@ -7,6 +7,7 @@
 pub mod cluster;
 pub mod compare;
 pub mod config;
+pub mod driven_by;
 pub mod estimate;
 pub mod inspect;
 pub mod layout;

@@ -61,6 +61,8 @@ impl TableSchema {
             tables::metric::schema(),
             tables::prediction::schema(),
             tables::verdict::schema(),
+            tables::drive::schema(),
+            tables::driven::schema(),
         ]
     }
 

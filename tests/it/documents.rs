@@ -15,8 +15,14 @@ fn blocks(document: &str, language: &str) -> Vec<String> {
 }
 
 /// The pages that people read first.
-const PAGES: [&str; 5] =
-    ["README.md", "pipelines/README.md", "pipelines/CLUSTER.md", "configs/README.md", "schemas/README.md"];
+const PAGES: [&str; 6] = [
+    "README.md",
+    "pipelines/README.md",
+    "pipelines/CLUSTER.md",
+    "pipelines/DRIVE.md",
+    "configs/README.md",
+    "schemas/README.md",
+];
 
 /// The blocks of `language` on all pages.
 fn blocks_of_pages(language: &str) -> Vec<String> {

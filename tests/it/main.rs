@@ -9,6 +9,7 @@ mod config;
 mod corpus;
 mod damage;
 mod documents;
+mod drive;
 mod export;
 mod fuzz;
 mod mixture;

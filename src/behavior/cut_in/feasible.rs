@@ -174,14 +174,28 @@ impl CutIn {
 mod tests {
     use super::*;
     use crate::behavior::{Behavior, CutInConfig};
-    use crate::scene::Trajectory;
     use crate::scene::testing::{Drive, scene};
+    use crate::scene::{State, Trajectory};
+
+    /// The scene with timesteps of half a second, and so four seconds of future.
+    fn slowed(mut scene: Scene) -> Scene {
+        let (present, dt_s) = (scene.current_timestep() as f64, 0.5);
+        for track in &mut scene.tracks {
+            let now = *track.trajectory.get(present as usize).unwrap();
+            let entries = track.trajectory.entries().iter().enumerate().map(|(t, state)| {
+                state.map(|state| State {
+                    position: now.position + now.velocity * ((t as f64 - present) * dt_s),
+                    ..state
+                })
+            });
+            track.trajectory = Trajectory::new(entries.collect());
+        }
+        Scene { dt_s, ..scene }
+    }
 
     /// Reachable outcomes of the second of two cars ahead of the first, which drives along x at 10 m/s.
     fn outcomes(other: Drive) -> Vec<Outcome> {
-        let mut scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other]);
-        // Four seconds of future.
-        scene.dt_s = 0.5;
+        let scene = slowed(scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other]));
         CutIn::new(CutInConfig::default()).feasible(&scene, &[0, 1])
     }
 
@@ -220,8 +234,7 @@ mod tests {
 
     #[test]
     fn the_future_is_not_looked_at() {
-        let mut known = scene(&[drive(0.0, 0.0, 0.0, 10.0), drive(12.0, 3.5, 0.0, 10.0)]);
-        known.dt_s = 0.5;
+        let known = slowed(scene(&[drive(0.0, 0.0, 0.0, 10.0), drive(12.0, 3.5, 0.0, 10.0)]));
         let mut unknown = known.clone();
         for track in &mut unknown.tracks {
             let observed = |t: usize| track.trajectory.get(t).copied().filter(|_| t < known.n_history);

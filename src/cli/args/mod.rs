@@ -2,11 +2,13 @@
 
 mod cluster;
 mod corpus;
+mod drive;
 mod export;
 mod stages;
 
 pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::{CorpusCommand, CorpusFilterArgs};
+pub(in crate::cli) use self::drive::{DriveArgs, DriveGates, ScoreArgs};
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
 pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand};
@@ -85,6 +87,12 @@ pub(in crate::cli) enum Command {
     /// Convert a corpus to the format of a dataset, a simulator or a scenario database
     #[command(after_help = help::EXPORT)]
     Export(ExportArgs),
+    /// Put a driving function into the scenarios of a corpus, with others that answer to it
+    #[command(after_help = help::DRIVE)]
+    Drive(DriveArgs),
+    /// Score planned trajectories in the scenarios of a corpus, with others that do not answer
+    #[command(after_help = help::SCORE)]
+    Score(ScoreArgs),
     /// Generate one scenario again and compare it with the stored one
     #[command(after_help = help::REGENERATE)]
     Regenerate(RegenerateArgs),

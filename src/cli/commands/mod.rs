@@ -1,6 +1,7 @@
 //! The commands: what does each do with its arguments?
 
 mod corpus;
+mod drive;
 mod export;
 mod inspect;
 mod regenerate;
@@ -11,6 +12,7 @@ mod status;
 mod submit;
 
 pub(super) use corpus::corpus;
+pub(super) use drive::{drive, score};
 pub(super) use export::export;
 pub(super) use inspect::inspect;
 pub(super) use regenerate::regenerate;

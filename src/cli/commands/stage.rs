@@ -134,6 +134,8 @@ impl<'a> Request<'a> {
             | Command::Submit(_)
             | Command::Status(_)
             | Command::Corpus(_)
+            | Command::Drive(_)
+            | Command::Score(_)
             | Command::Export(_)
             | Command::Regenerate(_)
             | Command::Inspect(_) => return None,

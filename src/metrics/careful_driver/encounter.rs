@@ -48,6 +48,12 @@ pub(super) struct Intrusion {
     pub(super) other_speed_mps: f64,
 }
 
+/// Whether a vehicle `gap_m` ahead of the ego's front, along the path, is dangerous at this closing speed. The ego need
+/// not brake for one behind it, farther than `lengths_m` of both, but for one alongside.
+pub(super) fn is_danger(gap_m: f64, closing_mps: f64, lengths_m: f64) -> bool {
+    closing_mps > 0.0 && gap_m >= -lengths_m && gap_m <= DANGER_TTC_S * closing_mps
+}
+
 impl<'a> Encounter<'a> {
     /// `None` if either is not tracked at present.
     pub(super) fn of(scene: &'a Scene, [ego_idx, other_idx]: [usize; 2]) -> Option<Self> {
@@ -112,9 +118,7 @@ impl<'a> Encounter<'a> {
         let is_danger = |(time_s, place): &(f64, RelativePosition)| {
             let gap_m = place.ahead_m - self.ego_speed_mps * time_s;
             let closing_mps = self.ego_speed_mps - place.along_mps;
-            // The ego need not brake for a vehicle behind it, but for one alongside.
-            let is_passed = gap_m < -(self.ego_extent.length_m + self.other.extent_or_nominal().length_m);
-            closing_mps > 0.0 && !is_passed && gap_m <= DANGER_TTC_S * closing_mps
+            is_danger(gap_m, closing_mps, self.ego_extent.length_m + self.other.extent_or_nominal().length_m)
         };
         // Times of timesteps are rounded products; rounding must not decide.
         self.future()

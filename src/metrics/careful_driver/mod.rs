@@ -26,9 +26,11 @@ mod preventable_rate;
 mod regulation;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use ending::Ending;
 pub use preventable_rate::PreventableRate;
+pub use watch::{CarefulWatch, Seen};
 
 use crate::scene::Scene;
 use braking::Braking;

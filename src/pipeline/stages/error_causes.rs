@@ -1,7 +1,7 @@
 //! Maps the errors of each layer to whoever can act on them, once for all stages.
 
 use crate::engine::{Blame, Failure};
-use crate::{cloud, corpus, evaluate, export, files, generate, ingest, nn, store, train};
+use crate::{cloud, corpus, drive, evaluate, export, files, generate, ingest, nn, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -83,6 +83,18 @@ impl From<export::Error> for Failure {
             export::Error::Files(error) => error.into(),
             export::Error::Io(io) => of_named_path(io),
             error @ export::Error::Encode { .. } => Self::fault(error),
+            error => Self::input(error),
+        }
+    }
+}
+
+impl From<drive::Error> for Failure {
+    fn from(error: drive::Error) -> Self {
+        match error {
+            drive::Error::Generate(error) => error.into(),
+            drive::Error::Store(error) => error.into(),
+            drive::Error::Files(error) => error.into(),
+            drive::Error::Io(io) => of_named_path(io),
             error => Self::input(error),
         }
     }

@@ -2,6 +2,8 @@
 
 pub(crate) mod assessment;
 pub(crate) mod columns;
+pub(crate) mod drive;
+pub(crate) mod driven;
 pub(crate) mod event;
 mod event_list;
 pub(crate) mod lane;

@@ -1,0 +1,53 @@
+"""A planner for `djinn drive`, as an example: it steers by pure pursuit and keeps its distance by the intelligent
+driver model. Its options plant faults, to see whether a corpus finds them."""
+
+import argparse
+import math
+from djinn_drive import along, find, serve
+
+faults = argparse.ArgumentParser(description=__doc__)
+faults.add_argument("--late", action="store_true", help="sees everything half a second late")
+faults.add_argument("--weak", action="store_true", help="brakes with at most 2 m/s²")
+faults.add_argument("--fast", action="store_true", help="wants to drive 20 %% faster")
+faults.add_argument("--ahead-only", action="store_true", help="sees who is on its route, no sooner")
+faults.add_argument("--near-sighted", action="store_true", help="sees 15 m far")
+faults.add_argument("--blind", action="store_true", help="sees nobody")
+faults = faults.parse_args()
+seen = {}  # The observations of the present scenario.
+
+
+def act(observation, hello):
+    history = seen.setdefault(hello["scenario_id"], [])
+    if observation["time_s"] == 0.0:
+        seen.clear()
+        seen[hello["scenario_id"]] = history = []
+    history.append(observation)
+    route, width = hello["route"], hello["width_m"]
+    x, y, heading, vx, vy = find(observation, hello["ego_id"])["states"][-1]
+    speed, (station, _) = math.hypot(vx, vy), along(route, x, y)
+    # Steer for the point on the route that is a second and 4 m ahead.
+    at = min(range(len(route)), key=lambda i: abs(station + speed + 4.0 - i))
+    toward = math.atan2(route[at][1] - y, route[at][0] - x) - heading
+    curvature = 2.0 * math.sin(toward) / max(math.dist((x, y), route[at]), 1.0)
+    # Keep the distance to whoever is on the route, or will be within two seconds.
+    wanted = hello["target_speed_mps"] * (1.2 if faults.fast else 1.0)
+    acceleration = 1.5 * (1.0 - (speed / max(wanted, 1.0)) ** 4)
+    looked_at = history[max(len(history) - 2, 0)] if faults.late else observation
+    for agent in [] if faults.blind else looked_at["agents"]:
+        if agent["id"] == hello["ego_id"]:
+            continue
+        ox, oy, oh, ovx, ovy = agent["states"][-1]
+        half = (agent["width_m"] + width) / 2.0 + 0.3
+        other, aside = along(route, ox, oy)
+        then, aside_then = along(route, ox + 2.0 * ovx, oy + 2.0 * ovy)
+        comes = not faults.ahead_only and aside * aside_then < half * abs(aside) and abs(aside) < 8.0
+        gap = other - station - (agent["length_m"] + hello["length_m"]) / 2.0
+        if other < station or not (abs(aside) < half or comes) or (faults.near_sighted and gap > 15.0):
+            continue
+        closing = speed - (then - other) / 2.0
+        keep = 2.0 + max(speed * 1.5 + speed * closing / (2.0 * math.sqrt(1.5 * 2.0)), 0.0)
+        acceleration = min(acceleration, 1.5 * (1.0 - (keep / max(gap, 0.1)) ** 2))
+    return {"acceleration_mps2": max(acceleration, -2.0 if faults.weak else -8.0), "curvature_1pm": curvature}
+
+
+serve(act)

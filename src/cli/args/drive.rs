@@ -1,0 +1,120 @@
+//! Arguments of `djinn drive` and `djinn score`.
+
+use super::{DeviceChoice, on_disk};
+use crate::drive::SaveAt;
+use crate::export::Selection;
+use crate::nn::Precision;
+use std::path::PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct DriveArgs {
+    /// The corpus: the folder that `evaluate` wrote
+    #[arg(value_name = "CORPUS")]
+    pub(in crate::cli) corpus: PathBuf,
+    /// Who drives the ego: model, log, constant_velocity, idm, careful, or else the command of a planner
+    #[arg(long, value_name = "CMD")]
+    pub(in crate::cli) ego: String,
+    /// The folder to write to; it must be new or empty
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
+    pub(in crate::cli) out: PathBuf,
+    /// The model that moves all others: a checkpoint or its folder [default: distilled or denoiser beside the corpus]
+    #[arg(long, value_name = "PATH", value_parser = on_disk())]
+    pub(in crate::cli) model: Option<PathBuf>,
+    #[command(flatten)]
+    pub(in crate::cli) chosen: ChosenArgs,
+    /// How long to drive, seconds after the present
+    #[arg(long, value_name = "S", default_value_t = 8.0)]
+    pub(in crate::cli) horizon_s: f64,
+    /// How long a plan is driven before all plan anew, seconds
+    #[arg(long, value_name = "S", default_value_t = 0.5)]
+    pub(in crate::cli) replan_s: f64,
+    /// How long a planner may take for an answer, seconds
+    #[arg(long, value_name = "S", default_value_t = 10.0)]
+    pub(in crate::cli) time_limit_s: f64,
+    /// Seed of the futures of the others
+    #[arg(long, value_name = "SEED", default_value_t = 0, conflicts_with = "from")]
+    pub(in crate::cli) seed: u64,
+    /// Save the state of each drive at the first replanning at or after this timestep, or the beginning of the event
+    #[arg(long, value_name = "event|TIMESTEP")]
+    pub(in crate::cli) save_at: Option<SaveAt>,
+    /// Drive on from this saved state instead
+    #[arg(
+        long,
+        value_name = "STATE.json",
+        value_parser = on_disk(),
+        conflicts_with_all = ["behavior", "sweep", "scenarios", "limit"]
+    )]
+    pub(in crate::cli) from: Option<PathBuf>,
+    /// The device to compute on: cpu, cuda or cuda:N, as in run.device; only the same kind gives the same bytes
+    #[arg(long, default_value_t)]
+    pub(in crate::cli) device: DeviceChoice,
+    /// Precision of matrix products: f32, tf32 or bf16, as in run.precision
+    #[arg(long, default_value_t)]
+    pub(in crate::cli) precision: Precision,
+    #[command(flatten)]
+    pub(in crate::cli) gates: DriveGates,
+}
+
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ScoreArgs {
+    /// The corpus: the folder that `evaluate` wrote
+    #[arg(value_name = "CORPUS")]
+    pub(in crate::cli) corpus: PathBuf,
+    /// The planned states: scenario_id, timestep (from the beginning of the past), x, y, heading in the frame of the
+    /// recording; from the first timestep after the present to the end of the scenario
+    #[arg(value_name = "PLANNED.parquet", value_parser = on_disk())]
+    pub(in crate::cli) planned: PathBuf,
+    /// The folder to write to; it must be new or empty
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
+    pub(in crate::cli) out: PathBuf,
+    #[command(flatten)]
+    pub(in crate::cli) chosen: ChosenArgs,
+    #[command(flatten)]
+    pub(in crate::cli) gates: DriveGates,
+}
+
+/// The scenarios that are driven, of those that were accepted, and the vehicle in them.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ChosenArgs {
+    /// Only scenarios of this requested behavior, such as cut_in
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) behavior: Option<String>,
+    /// Only scenarios of this sweep
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) sweep: Option<String>,
+    /// Only the scenario with this id (may be repeated)
+    #[arg(long = "scenario", value_name = "ID")]
+    pub(in crate::cli) scenarios: Vec<String>,
+    /// Only the first N accepted scenarios of the corpus
+    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    pub(in crate::cli) limit: Option<usize>,
+    /// The vehicle that is driven: `event`, the one to which the requested event happens; `scene`, the center of the
+    /// recorded window; or the name of a track
+    #[arg(long, value_name = "event|scene|TRACK", default_value = "event")]
+    pub(in crate::cli) ego_track: String,
+}
+
+/// Gates of a planner.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct DriveGates {
+    /// Exit with code 3 if the planner fails in more scenarios than this
+    #[arg(long, value_name = "N")]
+    pub(in crate::cli) max_failures: Option<u64>,
+    /// Exit with code 3 if it fails in more scenarios than this that the careful driver survives
+    #[arg(long, value_name = "N")]
+    pub(in crate::cli) max_avoidable: Option<u64>,
+}
+
+impl ChosenArgs {
+    /// The selection of accepted scenarios.
+    pub(in crate::cli) fn selection(&self) -> Selection {
+        Selection {
+            only_accepted: true,
+            behavior: self.behavior.clone(),
+            sweep: self.sweep.clone(),
+            scenario_ids: self.scenarios.clone(),
+            limit: self.limit,
+            ..Selection::default()
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer to it, or
+//! do not.
+
+use super::{begins_anew, use_threads};
+use crate::cli::args::{DriveArgs, DriveGates, OutputArgs, ScoreArgs};
+use crate::cli::printer::Printer;
+use crate::cli::progress::TerminalProgress;
+use crate::cloud::{Access, Place};
+use crate::drive::{
+    DriveConfig, DriveReport, EgoDriver, Origin, RolloutConfig, World, drive_corpus, score as score_planned,
+};
+use crate::engine::{ComputeChoice, Failure, Result};
+use crate::export::EgoChoice;
+use crate::generate::Futures;
+use crate::pipeline::driven_by::open_model;
+use std::fmt::Write;
+use std::path::Path;
+
+pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
+    use_threads(output, 0)?;
+    let corpus = Place::open(&args.corpus, Access::Read)?;
+    let from = args.from.as_deref().map(World::read).transpose()?;
+    let seed = from.as_ref().map_or(args.seed, |world| world.seed);
+    let selection = args.chosen.selection();
+    let from = from.map_or(Origin::Scenarios(&selection), Origin::State);
+    let compute = ComputeChoice { device: args.device, precision: args.precision }.open()?;
+    let model = open_model(args.model.as_deref(), corpus.path(), &compute)?;
+    let futures = Futures::new(&model, seed, &compute.device)?;
+    let config = DriveConfig {
+        ego: EgoDriver::from_name(&args.ego),
+        rollout: RolloutConfig { horizon_s: args.horizon_s, replan_s: args.replan_s },
+        time_limit_s: args.time_limit_s,
+        save_at: args.save_at,
+        n_workers: rayon::current_num_threads(),
+    };
+    begins_anew(&args.out);
+    let progress = TerminalProgress::new(output, *printer);
+    let ego = EgoChoice::from_name(&args.chosen.ego_track);
+    let report = drive_corpus((corpus.path(), &args.out), &from, &ego, &config, &futures, &progress)?;
+    if args.save_at.is_some() {
+        printer.message(format_args!("{} states were saved", report.n_saved));
+    }
+    tell(&report, &args.gates, &args.out, printer)
+}
+
+pub(in crate::cli) fn score(args: &ScoreArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
+    use_threads(output, 0)?;
+    let corpus = Place::open(&args.corpus, Access::Read)?;
+    begins_anew(&args.out);
+    let progress = TerminalProgress::new(output, *printer);
+    let ego = EgoChoice::from_name(&args.chosen.ego_track);
+    let paths = (corpus.path(), args.planned.as_path(), args.out.as_path());
+    let report = score_planned(paths, &args.chosen.selection(), &ego, &progress)?;
+    tell(&report, &args.gates, &args.out, printer)
+}
+
+/// Prints the figures, and fails at a gate that is not met.
+fn tell(report: &DriveReport, gates: &DriveGates, out: &Path, printer: &Printer) -> Result<()> {
+    for (why, n) in &report.left_out {
+        printer.message(format_args!("{n} scenarios were left out: each {why}"));
+    }
+    printer.data(&text(report))?;
+    printer.message(format_args!("the drives are in {}", out.display()));
+    let gates = [
+        ("max-failures", report.failures.n_failed, gates.max_failures),
+        ("max-avoidable", report.failures.n_avoidable, gates.max_avoidable),
+    ];
+    match gates.into_iter().find(|(_, n, most)| most.is_some_and(|most| *n > most)) {
+        Some((gate, n, Some(most))) => {
+            Err(Failure::gate(format_args!("--{gate}: {n} scenarios, expected at most {most}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The outcomes, and the hardest scenarios that matter.
+fn text(report: &DriveReport) -> String {
+    const N_SHOWN: usize = 10;
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    for (driver, outcomes) in &report.outcomes {
+        let outcomes: Vec<String> = outcomes.iter().map(|(outcome, n)| format!("{n} {outcome}")).collect();
+        let _ = writeln!(text, "{driver}: {}", outcomes.join(", "));
+    }
+    let failures = &report.failures;
+    let _ = writeln!(
+        text,
+        "{} of {} scenarios fail ({} hit in the rear); the careful driver survives {} of these",
+        failures.n_failed, failures.n_scenarios, failures.n_hit_in_rear, failures.n_avoidable
+    );
+    for matters in report.that_matter.iter().take(N_SHOWN) {
+        let why = matters.why.as_deref().unwrap_or_default();
+        let _ = writeln!(text, "  {}: {} ({why})", matters.scenario_id, matters.outcome);
+    }
+    if report.that_matter.len() > N_SHOWN {
+        let _ = writeln!(text, "  … and {} more", report.that_matter.len() - N_SHOWN);
+    }
+    text
+}

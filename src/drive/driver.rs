@@ -1,0 +1,110 @@
+//! Who moves the ego?
+
+use super::situation::Situation;
+use super::world::World;
+use crate::scene::State;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// A driver of the ego. One may drive many scenarios, one after the other.
+pub trait Driver: Send {
+    /// Begins, or goes on with, a drive.
+    ///
+    /// # Errors
+    /// When the driver cannot drive.
+    fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed>;
+
+    /// The others have planned; the next `n_steps` timesteps will be driven.
+    ///
+    /// # Errors
+    /// When the driver has no answer.
+    fn plan(&mut self, _situation: &Situation, _world: &World, _n_steps: usize) -> Result<(), Failed> {
+        Ok(())
+    }
+
+    /// The state of the ego at the next timestep; `sampled` is what the model would have it do.
+    ///
+    /// # Errors
+    /// When the driver has no answer.
+    fn next(&mut self, situation: &Situation, world: &World, sampled: Option<State>) -> Result<State, Failed>;
+
+    /// Whether it is the model, so that others are sampled together with the ego and not around what they expect of it.
+    fn is_model(&self) -> bool {
+        false
+    }
+
+    /// The drive is over, for this reason.
+    fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) {}
+}
+
+/// Why a driver does not go on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Failed {
+    /// Whether it was too slow.
+    pub fault: Fault,
+    /// What happened, for people.
+    pub why: String,
+}
+
+/// The kind of a failure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// Too slow.
+    TimedOut,
+    /// Anything else.
+    Failed,
+}
+
+impl Failed {
+    /// A failure for this reason.
+    pub fn because(why: impl Into<String>) -> Self {
+        Self { fault: Fault::Failed, why: why.into() }
+    }
+}
+
+/// The drivers that are asked for by name, and the command of any other.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EgoDriver {
+    /// The model, as everybody else.
+    Model,
+    /// The states of the scenario; after them, straight on along the lane at the last speed.
+    Log,
+    /// The way of the scenario at the present speed.
+    ConstantVelocity,
+    /// The way of the scenario by the intelligent driver model.
+    Idm,
+    /// The careful driver of UN Regulation No. 157 on the way of the scenario.
+    Careful,
+    /// A planner: a command that speaks the protocol.
+    External(String),
+}
+
+impl EgoDriver {
+    /// The drivers with a name.
+    pub const NAMED: [Self; 5] = [Self::Model, Self::Log, Self::ConstantVelocity, Self::Idm, Self::Careful];
+
+    /// The driver of this name; whatever is no name is a command.
+    pub fn from_name(name: &str) -> Self {
+        let named = Self::NAMED.into_iter().find(|driver| driver.name() == name);
+        named.unwrap_or_else(|| Self::External(name.to_owned()))
+    }
+
+    /// The name on the command line and in tables.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Model => "model",
+            Self::Log => "log",
+            Self::ConstantVelocity => "constant_velocity",
+            Self::Idm => "idm",
+            Self::Careful => "careful",
+            Self::External(command) => command,
+        }
+    }
+}
+
+impl fmt::Display for EgoDriver {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}

@@ -1,0 +1,50 @@
+//! The careful driver of UN Regulation No. 157 in a closed loop.
+//!
+//! It keeps its way and its distance as an ordinary driver does, by the intelligent driver model, with at most 2 m/s²,
+//! for those that it has perceived; and it brakes hard when, and as, the regulation's driver does ([`CarefulWatch`]).
+
+use super::idm::{acceleration, leaders};
+use super::way::{advanced, ego, seen};
+use crate::drive::driver::{Driver, Failed};
+use crate::drive::{Situation, World};
+use crate::metrics::CarefulWatch;
+use crate::scene::State;
+
+/// The deceleration of ordinary driving, m/s².
+const ORDINARY_MPS2: f64 = 2.0;
+
+/// The driver.
+#[derive(Debug, Clone, Default)]
+pub(in crate::drive) struct Careful {
+    watches: Vec<CarefulWatch>,
+}
+
+impl Careful {
+    fn look(&mut self, situation: &Situation, world: &World, timestep: usize) {
+        let dt_s = situation.scene.dt_s;
+        for (agent_idx, watch) in self.watches.iter_mut().enumerate() {
+            let seen = seen(situation, world, agent_idx, timestep).filter(|_| situation.can_touch(agent_idx));
+            watch.look(timestep as f64 * dt_s, dt_s, seen.as_ref());
+        }
+    }
+}
+
+impl Driver for Careful {
+    /// Looks at all that has happened: what it knows is a function of the world.
+    fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed> {
+        self.watches = vec![CarefulWatch::default(); world.n_tracks()];
+        (0..world.now()).for_each(|timestep| self.look(situation, world, timestep));
+        Ok(())
+    }
+
+    fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
+        let state = ego(situation, world)?;
+        self.look(situation, world, world.now());
+        let now_s = world.now() as f64 * situation.scene.dt_s;
+        let braking_mps2 = self.watches.iter().map(|watch| watch.braking_mps2(now_s)).fold(0.0, f64::max);
+        let perceived =
+            leaders(situation, world).filter(|(agent_idx, _)| self.watches[*agent_idx].has_perceived(now_s));
+        let ordinary_mps2 = acceleration(situation, &state, perceived.map(|(_, seen)| seen)).max(-ORDINARY_MPS2);
+        Ok(advanced(situation, &state, ordinary_mps2.min(if braking_mps2 > 0.0 { -braking_mps2 } else { f64::MAX })))
+    }
+}

@@ -1,0 +1,59 @@
+//! The intelligent driver model (Treiber, Hennecke and Helbing 2000) along the way of the ego.
+
+use super::way::{advanced, ego, seen};
+use crate::drive::driver::{Driver, Failed};
+use crate::drive::{Situation, World};
+use crate::metrics::Seen;
+use crate::scene::State;
+
+/// Time headway, seconds; least gap, meters; acceleration and comfortable deceleration, m/s².
+const HEADWAY_S: f64 = 1.5;
+const LEAST_GAP_M: f64 = 2.0;
+const ACCELERATES_MPS2: f64 = 1.5;
+const BRAKES_MPS2: f64 = 2.0;
+/// Full braking, m/s².
+const MOST_MPS2: f64 = 8.0;
+/// Who comes this close to the flank of the ego, meters, is in its way.
+const MARGIN_M: f64 = 0.2;
+
+/// The driver. It knows no rules of right of way, and sees who is in its way and nobody else.
+#[derive(Debug, Clone, Copy, Default)]
+pub(in crate::drive) struct Idm;
+
+impl Driver for Idm {
+    fn begin(&mut self, _situation: &Situation, _world: &World) -> Result<(), Failed> {
+        Ok(())
+    }
+
+    fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
+        let state = ego(situation, world)?;
+        let acceleration_mps2 = acceleration(situation, &state, leaders(situation, world).map(|(_, seen)| seen));
+        Ok(advanced(situation, &state, acceleration_mps2))
+    }
+}
+
+/// The others that are in the way of the ego now, ahead of it.
+pub(super) fn leaders(situation: &Situation, world: &World) -> impl Iterator<Item = (usize, Seen)> {
+    let half_width_m = situation.scene.tracks[situation.ego_idx].extent_or_nominal().width_m / 2.0;
+    let all = (0..world.n_tracks()).filter_map(|agent_idx| {
+        Some((agent_idx, seen(situation, world, agent_idx, world.now())?)).filter(|_| situation.can_touch(agent_idx))
+    });
+    all.filter(move |(_, seen)| seen.flank_m < half_width_m + MARGIN_M && seen.gap_m > -seen.lengths_m / 2.0)
+}
+
+/// The distance to the nearest that is in the way of the ego at now, meters; infinite if nobody is.
+pub(in crate::drive) fn free_m(situation: &Situation, world: &World) -> f64 {
+    leaders(situation, world).map(|(_, seen)| seen.gap_m).fold(f64::INFINITY, f64::min)
+}
+
+/// The model's acceleration behind these leaders, m/s².
+pub(super) fn acceleration(situation: &Situation, ego: &State, leaders: impl Iterator<Item = Seen>) -> f64 {
+    let (speed_mps, wanted_mps) = (ego.speed_mps(), situation.target_speed_mps.max(1.0));
+    let free = 1.0 - (speed_mps / wanted_mps).powi(4);
+    let held = leaders.map(|seen| {
+        let closing_m = speed_mps * seen.closing_mps / (2.0 * (ACCELERATES_MPS2 * BRAKES_MPS2).sqrt());
+        let wanted_m = LEAST_GAP_M + (speed_mps * HEADWAY_S + closing_m).max(0.0);
+        (wanted_m / seen.gap_m.max(0.1)).powi(2)
+    });
+    (ACCELERATES_MPS2 * (free - held.fold(0.0, f64::max))).max(-MOST_MPS2)
+}

@@ -1,0 +1,74 @@
+//! Motion along the way of the ego, and others as seen from it.
+
+use crate::behavior::footprint::Footprint;
+use crate::drive::Situation;
+use crate::drive::driver::Failed;
+use crate::drive::world::World;
+use crate::geometry::Vec2;
+use crate::metrics::Seen;
+use crate::scene::State;
+use std::f64::consts::FRAC_PI_2;
+
+/// Who is beside the way comes over to it within some distance, meters.
+const COMES_OVER_M: f64 = 7.0;
+
+/// The last moment, seconds.
+const LAST_MOMENT_S: f64 = 0.3;
+
+/// The present state of the ego.
+pub(super) fn ego(situation: &Situation, world: &World) -> Result<State, Failed> {
+    world.present(situation.ego_idx).ok_or_else(|| Failed::because("the ego is not there"))
+}
+
+/// The ego a timestep later along its way, with this acceleration until then, m/s²; it does not reverse.
+pub(super) fn advanced(situation: &Situation, state: &State, acceleration_mps2: f64) -> State {
+    let (route, dt_s) = (&situation.route, situation.scene.dt_s);
+    let speed_mps = state.speed_mps();
+    let then_mps = (speed_mps + acceleration_mps2 * dt_s).max(0.0);
+    let moved_m = f64::midpoint(speed_mps, then_mps) * dt_s;
+    let Some((place, driven_m)) = route.project(state.position).zip(route.driven_m(state.position)) else {
+        return *state;
+    };
+    let (center, along_rad) = route.pose_at(driven_m + moved_m);
+    let aside_m = place.offset_m * (-moved_m / COMES_OVER_M).exp();
+    let position = center + Vec2::from_angle(along_rad + FRAC_PI_2) * aside_m;
+    // Headings of very short steps are noise.
+    let heading_rad = if moved_m > 0.05 { (position - state.position).angle() } else { state.heading_rad };
+    State { position, heading_rad, velocity: Vec2::from_angle(heading_rad) * then_mps }
+}
+
+/// What others expect of the ego at the next `n_steps` timesteps: that it goes on along its way at its speed, or brakes
+/// on as in the last moment until it stands.
+pub(in crate::drive) fn expected(situation: &Situation, world: &World, n_steps: usize) -> Vec<State> {
+    let (now, ego_idx) = (world.now(), situation.ego_idx);
+    let Some(state) = world.state(ego_idx, now) else { return Vec::new() };
+    let n_before = (LAST_MOMENT_S / situation.scene.dt_s).round().max(1.0) as usize;
+    let before = now.checked_sub(n_before).and_then(|timestep| world.state(ego_idx, timestep));
+    let change_mps = before.map_or(0.0, |before| state.speed_mps() - before.speed_mps());
+    let acceleration_mps2 = (change_mps / (n_before as f64 * situation.scene.dt_s)).min(0.0);
+    let mut state = state;
+    let next = |_| {
+        state = advanced(situation, &state, acceleration_mps2);
+        state
+    };
+    (0..n_steps).map(next).collect()
+}
+
+/// Another, at a timestep, as seen from the ego of then on its way.
+pub(super) fn seen(situation: &Situation, world: &World, agent_idx: usize, timestep: usize) -> Option<Seen> {
+    let ego = world.state(situation.ego_idx, timestep)?;
+    let state = world.state(agent_idx, timestep).filter(|_| agent_idx != situation.ego_idx)?;
+    let route = &situation.route;
+    let place = route.project(state.position)?;
+    let body = situation.body(agent_idx, &state);
+    let across = Vec2::from_angle(place.heading_rad + FRAC_PI_2);
+    let along_mps = state.velocity.dot(Vec2::from_angle(place.heading_rad));
+    let offset_m = place.offset_m.abs();
+    Some(Seen {
+        offset_m,
+        flank_m: offset_m - Footprint::new(&body).half_extent_m(across),
+        gap_m: route.gap_m(&body)? - route.driven_m(ego.position)?,
+        closing_mps: ego.speed_mps() - along_mps,
+        lengths_m: body.length_m + situation.body(situation.ego_idx, &ego).length_m,
+    })
+}

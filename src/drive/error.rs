@@ -1,0 +1,53 @@
+//! Errors that stop a drive. What goes wrong with a planner is no error but the outcome of a scenario.
+
+use crate::{files, generate, store};
+use std::path::PathBuf;
+
+/// A failure of a drive.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A setting that cannot work.
+    #[error("{0}")]
+    Config(String),
+    /// A scenario that the model cannot continue.
+    #[error("scenario {scenario_id} {why}")]
+    Unfit {
+        /// The scenario.
+        scenario_id: String,
+        /// Why, in words that follow its name.
+        why: String,
+    },
+    /// A saved state that cannot be read, or does not fit the corpus.
+    #[error("{path}: {why}")]
+    State {
+        /// Its file.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        why: String,
+    },
+    /// No scenario passes the selection.
+    #[error("none of the {n_scenarios} scenarios in {corpus} is {wanted}")]
+    NothingSelected {
+        /// The corpus.
+        corpus: PathBuf,
+        /// How many it has.
+        n_scenarios: usize,
+        /// The selection in words.
+        wanted: String,
+    },
+    /// Sampling failed.
+    #[error(transparent)]
+    Generate(#[from] generate::Error),
+    /// A table could not be read or written.
+    #[error(transparent)]
+    Store(#[from] store::Error),
+    /// An output could not be put in its place.
+    #[error(transparent)]
+    Files(#[from] files::Error),
+    /// A file could not be read or written.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+/// The result of a drive that may fail.
+pub type Result<T, E = Error> = std::result::Result<T, E>;

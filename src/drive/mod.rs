@@ -1,0 +1,52 @@
+//! Driving functions in the loop: what happens in a scenario if everybody answers to what the ego does?
+//!
+//! A [`Situation`] is a scenario of a corpus as a start: its past, its map, and the event that it holds. A [`World`] is
+//! what was reached from there: the states of everybody, timestep by timestep; it can be saved, and forked.
+//! [`roll_out`] drives on: at each replanning the futures of everybody are sampled anew from the last second that was
+//! really driven, and a part of them comes true; meanwhile a [`Driver`] moves the ego. [`drive_corpus`] does so for
+//! every scenario of a corpus, with the careful driver of UN Regulation No. 157 beside the driver that is asked for.
+//! [`score`] takes trajectories instead, and others that do not answer.
+//!
+//! *The event.* Until the last timestep of the event, its other agents follow the scenario's states as a plan, which
+//! the model observes; then the model drives them, too. They do not wait for the ego: one that would, within two
+//! seconds, drive its front into an ego that is no longer where the scenario has it gives its plan up for the model,
+//! unless the event is a collision.
+//!
+//! *What others know of the ego.* Where the model does not drive it, the others are sampled around what they expect of
+//! it: that it goes on along its way at its speed, or brakes on as in the last 0.3 s. They learn otherwise at the next
+//! replanning.
+//!
+//! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
+//! world and the same motion of the ego give the same bytes, whoever else is driven beside it.
+//!
+//! Who is more than 10 m from every lane of the map and was not so at present is gone. Nobody arrives.
+
+mod action;
+mod driver;
+mod drivers;
+mod error;
+mod external;
+mod outcome;
+pub mod protocol;
+mod report;
+mod rollout;
+#[cfg(test)]
+mod rollout_tests;
+mod run;
+mod score;
+mod situation;
+#[cfg(test)]
+mod testing;
+mod traffic;
+mod world;
+
+pub use driver::{Driver, EgoDriver, Failed, Fault};
+pub use error::{Error, Result};
+pub use outcome::{Contact, Outcome, Side};
+pub use report::{DriveReport, Failures, Matters, Part};
+pub use rollout::{Driven, Others, RolloutConfig, roll_out};
+pub use run::{DRIVE_FILE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus};
+pub use score::score;
+pub use situation::Situation;
+pub use traffic::{BANDS_S, Traffic};
+pub use world::World;

@@ -1,0 +1,129 @@
+//! How does a drive end?
+
+use super::situation::Situation;
+use super::world::World;
+use crate::behavior::footprint::Footprint;
+use crate::behavior::time_to_collision::time_to_collision_s;
+use crate::scene::{State, TrackId};
+use serde::{Deserialize, Serialize};
+
+/// The end of a drive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// The ego came through to the horizon, or to the end of the map.
+    Survived,
+    /// It touched somebody.
+    Hit,
+    /// Its center left the road.
+    LeftRoad,
+    /// It stood for the last four seconds with nobody in the 10 m ahead of it.
+    StoppedDead,
+    /// Its planner did not answer in time.
+    TimedOut,
+    /// Its planner died, or what it answered is no motion of a vehicle.
+    PlannerFailed,
+    /// The model had no future for the others; no fault of the ego.
+    NotSampled,
+}
+
+impl Outcome {
+    /// Every outcome, in the order of tables.
+    pub const ALL: [Self; 7] = [
+        Self::Survived,
+        Self::Hit,
+        Self::LeftRoad,
+        Self::StoppedDead,
+        Self::TimedOut,
+        Self::PlannerFailed,
+        Self::NotSampled,
+    ];
+
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Survived => "survived",
+            Self::Hit => "hit",
+            Self::LeftRoad => "left_road",
+            Self::StoppedDead => "stopped_dead",
+            Self::TimedOut => "timed_out",
+            Self::PlannerFailed => "planner_failed",
+            Self::NotSampled => "not_sampled",
+        }
+    }
+
+    /// Whether the driver of the ego is to blame.
+    pub const fn is_failure(self) -> bool {
+        !matches!(self, Self::Survived | Self::NotSampled)
+    }
+}
+
+/// The side of the ego on which somebody touches it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// Ahead.
+    Front,
+    /// Left or right.
+    Flank,
+    /// Behind.
+    Rear,
+}
+
+impl Side {
+    /// The name in tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Front => "front",
+            Self::Flank => "flank",
+            Self::Rear => "rear",
+        }
+    }
+}
+
+/// Whom the ego touched first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Contact {
+    /// The other.
+    pub track: TrackId,
+    /// On which side of the ego.
+    pub side: Side,
+    /// The speed of one seen from the other, m/s.
+    pub relative_mps: f64,
+}
+
+/// The agent that touches the ego now.
+pub(super) fn contact(situation: &Situation, world: &World) -> Option<Contact> {
+    let ego_idx = situation.ego_idx;
+    let ego = world.present(ego_idx)?;
+    let others = (0..world.n_tracks()).filter(|agent_idx| situation.can_touch(*agent_idx));
+    let mut touching = others.filter_map(|agent_idx| {
+        let state = world.present(agent_idx)?;
+        situation.overlap([(ego_idx, &ego), (agent_idx, &state)]).then_some((agent_idx, state))
+    });
+    let (agent_idx, other) = touching.next()?;
+    let body = situation.body(ego_idx, &ego);
+    let place = (other.position - ego.position).rotated(-ego.heading_rad);
+    let (along, across) = (place.x / body.length_m, place.y / body.width_m);
+    let side = match () {
+        () if along.abs() < across.abs() => Side::Flank,
+        () if along > 0.0 => Side::Front,
+        () => Side::Rear,
+    };
+    let relative_mps = (other.velocity - ego.velocity).norm();
+    Some(Contact { track: situation.scene.tracks[agent_idx].id.clone(), side, relative_mps })
+}
+
+/// The shortest time to collision of the ego with anybody now, if both keep their velocities, seconds.
+pub(super) fn ttc_s(situation: &Situation, world: &World) -> Option<f64> {
+    let ego_idx = situation.ego_idx;
+    let ego = world.present(ego_idx)?;
+    let body = |agent_idx: usize, state: &State| Footprint::new(&situation.body(agent_idx, state));
+    let own = body(ego_idx, &ego);
+    let others = (0..world.n_tracks()).filter(|agent_idx| situation.can_touch(*agent_idx));
+    let times = others.filter_map(|agent_idx| {
+        let other = world.present(agent_idx)?;
+        time_to_collision_s(&own, ego.velocity, &body(agent_idx, &other), other.velocity)
+    });
+    times.reduce(f64::min)
+}

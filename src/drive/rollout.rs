@@ -1,0 +1,276 @@
+//! Drives on from a world, replanning again and again, until the ego is through or has failed.
+
+use super::drivers::{expected, free_m};
+use super::outcome::{contact, ttc_s};
+use super::situation::Situation;
+use super::traffic::Traffic;
+use super::world::World;
+use super::{Contact, Driver, Error, Failed, Fault, Outcome, Result};
+use crate::generate::{Continued, Futures};
+use crate::scene::{Scene, State, UnfitScene};
+use serde::{Deserialize, Serialize};
+
+/// How far off the road the center of the ego may be, meters: as in the check of validity.
+const OFF_ROAD_SLACK_M: f64 = 0.3;
+/// Who stands for so long, seconds, below this speed, m/s, with so much free road ahead, meters, has stopped dead.
+const STOPPED_S: f64 = 4.0;
+const STANDING_MPS: f64 = 0.3;
+const FREE_M: f64 = 10.0;
+/// So far ahead, seconds, an agent of the event looks whether its plan leads into an ego that has left its own by this,
+/// meters.
+const LOOKS_AHEAD_S: f64 = 2.0;
+const LEFT_LOG_M: f64 = 1.0;
+
+/// How a drive is done.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RolloutConfig {
+    /// How long it lasts, seconds after the present.
+    pub horizon_s: f64,
+    /// How long a plan is driven, seconds.
+    pub replan_s: f64,
+}
+
+impl Default for RolloutConfig {
+    fn default() -> Self {
+        Self { horizon_s: 8.0, replan_s: 0.5 }
+    }
+}
+
+impl RolloutConfig {
+    /// Timesteps of the horizon, and of a plan.
+    pub(super) fn n_steps(&self, dt_s: f64) -> [usize; 2] {
+        [self.horizon_s, self.replan_s].map(|s| ((s / dt_s).round() as usize).max(1))
+    }
+
+    /// Refuses what cannot be driven with this model.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn check(&self, futures: &Futures<'_>) -> Result<()> {
+        let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
+        let refuse = |why: String| Err(Error::Config(why));
+        match (self.horizon_s, self.replan_s) {
+            (horizon_s, _) if !(horizon_s > 0.0 && horizon_s <= 600.0) => {
+                refuse(format!("horizon_s is {horizon_s}, expected more than 0 and at most 600 s"))
+            }
+            (_, replan_s) if !(replan_s > 0.0 && replan_s <= future_s + 1e-9) => {
+                refuse(format!("replan_s is {replan_s}, expected more than 0 and at most the model's {future_s} s"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// What moves everybody else.
+pub enum Others<'a> {
+    /// The model, which answers to the ego.
+    Sampled(&'a Futures<'a>),
+    /// The scenario, whatever the ego does.
+    Replayed,
+}
+
+/// A finished drive.
+#[derive(Debug, Clone)]
+pub struct Driven {
+    /// What was reached.
+    pub world: World,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// More about it, for people.
+    pub why: Option<String>,
+    /// Whom the ego touched.
+    pub contact: Option<Contact>,
+    /// The shortest time to collision of the ego on the way, seconds.
+    pub min_ttc_s: Option<f64>,
+    /// The hardest braking of the ego within a timestep, m/s².
+    pub max_braking_mps2: f64,
+    /// How far the ego came, meters.
+    pub progress_m: f64,
+    /// Whether the agents of the event gave their plan up for the ego.
+    pub gave_up_plan: bool,
+    /// The traffic around it.
+    pub traffic: Traffic,
+    /// The world at the first replanning at or after the timestep that was asked for.
+    pub saved: Option<World>,
+}
+
+/// The end of a drive, and more about it.
+type End = (Outcome, Option<String>);
+
+/// Drives on from `world` with this driver of the ego. `save_at` is a timestep at which to keep the world.
+///
+/// # Errors
+/// When the model does not fit the scenario or the device fails; failures of the driver are an outcome.
+pub fn roll_out(
+    situation: &Situation,
+    world: World,
+    driver: &mut dyn Driver,
+    others: &Others<'_>,
+    config: &RolloutConfig,
+    save_at: Option<usize>,
+) -> Result<Driven> {
+    let scene = &situation.scene;
+    let unfit = |why: String| Error::Unfit { scenario_id: situation.scenario_id.clone(), why };
+    if let Others::Sampled(futures) = others
+        && (scene.n_history < futures.n_history() || (scene.dt_s - futures.dt_s()).abs() > 1e-6)
+    {
+        return Err(unfit(format!(
+            "has {} timesteps of {} s before the present, but the model observes {} of {} s",
+            scene.n_history,
+            scene.dt_s,
+            futures.n_history(),
+            futures.dt_s()
+        )));
+    }
+    if world.n_tracks() != scene.tracks.len() || world.n_timesteps() < scene.n_history {
+        return Err(unfit("does not have the tracks or timesteps of the saved state".to_owned()));
+    }
+    let [n_horizon, n_plan] = config.n_steps(scene.dt_s);
+    let last = scene.current_timestep() + n_horizon;
+    let mut drive = Drive { situation, world, driver, min_ttc_s: None, contact: None, gave_up_plan: false };
+    let mut saved = None;
+    let mut end = drive.driver.begin(situation, &drive.world).err().map(failed);
+    while end.is_none() && drive.world.now() < last {
+        if save_at.is_some_and(|timestep| saved.is_none() && drive.world.now() >= timestep) {
+            saved = Some(drive.world.clone());
+        }
+        end = drive.replan(others, n_plan.min(last - drive.world.now()))?;
+    }
+    let (outcome, why) = end.unwrap_or_else(|| drive.came_through());
+    drive.driver.end(outcome, why.as_deref());
+    let Drive { world, min_ttc_s, contact, gave_up_plan, .. } = drive;
+    let ego = |timestep: usize| world.state(situation.ego_idx, timestep);
+    let steps = (scene.n_history..world.n_timesteps()).filter_map(|t| ego(t - 1).zip(ego(t)));
+    let (mut max_braking_mps2, mut progress_m) = (0.0_f64, 0.0);
+    for (before, after) in steps {
+        max_braking_mps2 = max_braking_mps2.max((before.speed_mps() - after.speed_mps()) / scene.dt_s);
+        progress_m += after.position.distance(before.position);
+    }
+    let traffic = Traffic::of(situation, &world);
+    Ok(Driven { world, outcome, why, contact, min_ttc_s, max_braking_mps2, progress_m, gave_up_plan, traffic, saved })
+}
+
+fn failed(Failed { fault, why }: Failed) -> End {
+    let outcome = if fault == Fault::TimedOut { Outcome::TimedOut } else { Outcome::PlannerFailed };
+    (outcome, Some(why))
+}
+
+/// A drive under way.
+struct Drive<'a> {
+    situation: &'a Situation,
+    world: World,
+    driver: &'a mut dyn Driver,
+    min_ttc_s: Option<f64>,
+    contact: Option<Contact>,
+    gave_up_plan: bool,
+}
+
+impl Drive<'_> {
+    /// Plans anew and drives the plan; says how the drive ends if it does.
+    fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
+        let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
+        let sampled = match others {
+            Others::Sampled(futures) => match self.sample(futures)? {
+                Ok(sampled) => Some((sampled, futures.n_history())),
+                Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
+            },
+            Others::Replayed => None,
+        };
+        if let Err(why) = self.driver.plan(situation, &self.world, n_steps) {
+            return Ok(Some(failed(why)));
+        }
+        for step in 0..n_steps {
+            let then = |agent_idx: usize| match &sampled {
+                Some((sampled, n_history)) => sampled.state(agent_idx, n_history + step).copied(),
+                None => situation.scene.state(agent_idx, now + 1 + step).copied(),
+            };
+            let ego = match self.driver.next(situation, &self.world, then(center_idx)) {
+                Ok(ego) => ego,
+                Err(why) => return Ok(Some(failed(why))),
+            };
+            let timestep = self.world.n_timesteps();
+            let next = |agent_idx: usize| match agent_idx == center_idx {
+                true => Some(ego),
+                false => situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)),
+            };
+            let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
+            self.world.push(next);
+            if let Some(end) = self.look() {
+                return Ok(Some(end));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
+    fn sample(&mut self, futures: &Futures<'_>) -> Result<Result<Scene, UnfitScene>> {
+        let (situation, now) = (self.situation, self.world.now());
+        let sizes = [futures.n_history(), futures.n_timesteps()];
+        let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
+        if self.plan_leads_into(&expected) {
+            (self.world.plan_ends, self.gave_up_plan) = (now, true);
+        }
+        let expected = (!self.driver.is_model()).then_some(expected.as_slice());
+        let (scene, mask) = situation.window(&self.world, expected, sizes);
+        let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
+        Ok(futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?)
+    }
+
+    /// Looks at what was reached: who has left, and does the drive end here?
+    fn look(&mut self) -> Option<End> {
+        let (situation, ego_idx) = (self.situation, self.situation.ego_idx);
+        let left = |agent_idx: &usize| {
+            let state = self.world.present(*agent_idx);
+            state.is_some_and(|state| situation.has_left_map(*agent_idx, &state))
+        };
+        let gone: Vec<usize> = (0..self.world.n_tracks()).filter(left).collect();
+        gone.iter().filter(|agent_idx| **agent_idx != ego_idx).for_each(|agent_idx| self.world.remove(*agent_idx));
+        let ttc_s = ttc_s(situation, &self.world);
+        self.min_ttc_s = [self.min_ttc_s, ttc_s].into_iter().flatten().reduce(f64::min);
+        self.contact = contact(situation, &self.world);
+        if let Some(Contact { track, side, relative_mps }) = &self.contact {
+            let why = format!("touches {track} with its {} at {relative_mps:.1} m/s", side.name());
+            return Some((Outcome::Hit, Some(why)));
+        }
+        let off_m = self.world.present(ego_idx).and_then(|state| situation.ego_off_road_m(&state));
+        if let Some(off_m) = off_m.filter(|off_m| *off_m > OFF_ROAD_SLACK_M) {
+            return Some((Outcome::LeftRoad, Some(format!("is {off_m:.1} m off the road"))));
+        }
+        gone.contains(&ego_idx).then(|| (Outcome::Survived, Some("came to the end of the map".to_owned())))
+    }
+
+    /// The end of a drive that was not ended early.
+    fn came_through(&self) -> End {
+        let (situation, scene) = (self.situation, &self.situation.scene);
+        let n_stopped = (STOPPED_S / scene.dt_s).round() as usize;
+        let first = self.world.now().saturating_sub(n_stopped).max(scene.current_timestep());
+        let speed = |timestep: usize| self.world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());
+        let stands = self.world.now() - first >= n_stopped
+            && (first..=self.world.now()).all(|timestep| speed(timestep) < STANDING_MPS)
+            && situation.target_speed_mps > 1.0;
+        match stands && free_m(situation, &self.world) > FREE_M {
+            true => (Outcome::StoppedDead, Some("stands with free road ahead".to_owned())),
+            false => (Outcome::Survived, None),
+        }
+    }
+
+    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it, if
+    /// that one goes on as is `expected`.
+    fn plan_leads_into(&self, expected: &[State]) -> bool {
+        let (situation, world, now) = (self.situation, &self.world, self.world.now());
+        let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };
+        let logged = situation.scene.state(situation.ego_idx, now);
+        if logged.is_some_and(|logged| logged.position.distance(ego.position) < LEFT_LOG_M) {
+            return false;
+        }
+        let n_ahead = (LOOKS_AHEAD_S / situation.scene.dt_s).round() as usize;
+        situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
+            expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
+                let Some(other) = situation.plan(world, *agent_idx, now + 1 + i) else { return false };
+                let place = (then.position - other.position).rotated(-other.heading_rad);
+                let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
+                is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
+            })
+        })
+    }
+}

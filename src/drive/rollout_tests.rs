@@ -1,0 +1,168 @@
+//! Drives from a scenario of the fixture corpus: repeatable, forkable, with the event as planned and reactions after.
+
+use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
+use super::testing::{model, record, situation};
+use super::*;
+use crate::generate::Futures;
+use crate::scene::{Scene, State, Trajectory};
+use candle_core::Device;
+
+fn driven(situation: &Situation, world: World, driver: &mut dyn Driver, config: &RolloutConfig) -> Driven {
+    let model = model();
+    let futures = Futures::new(&model, world.seed, &Device::Cpu).unwrap();
+    roll_out(situation, world, driver, &Others::Sampled(&futures), config, Some(20)).unwrap()
+}
+
+const SHORT: RolloutConfig = RolloutConfig { horizon_s: 2.0, replan_s: 0.5 };
+
+#[test]
+fn the_same_world_and_actions_give_the_same_bytes_also_from_a_saved_state() {
+    let situation = situation(&record());
+    let whole = driven(&situation, situation.start(1), &mut Model, &SHORT);
+    assert_eq!(
+        whole.world.to_json().unwrap(),
+        driven(&situation, situation.start(1), &mut Model, &SHORT).world.to_json().unwrap()
+    );
+    assert_ne!(whole.world, driven(&situation, situation.start(2), &mut Model, &SHORT).world);
+    // From the state at timestep 24, the first replanning after 20, on to the same end; and to another, braked.
+    let saved = whole.saved.unwrap();
+    assert_eq!((saved.now(), whole.world.now()), (24, 29));
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("state.json");
+    fs_err::write(&path, saved.to_json().unwrap()).unwrap();
+    let again = driven(&situation, World::read(&path).unwrap(), &mut Model, &SHORT);
+    assert_eq!(again.world, whole.world);
+    // With two other drivers, of which one brakes, the others answer at the next replanning only.
+    let steady = driven(&situation, saved.clone(), &mut AtConstantVelocity, &SHORT).world;
+    let braked = driven(&situation, saved, &mut Stops, &SHORT).world;
+    let mut others = (0..steady.n_tracks()).filter(|idx| *idx != situation.ego_idx);
+    assert!(others.all(|idx| steady.state(idx, 27) == braked.state(idx, 27)) && steady != braked);
+}
+
+/// A driver that stops at once.
+struct Stops;
+
+impl Driver for Stops {
+    fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
+        Ok(())
+    }
+
+    fn next(&mut self, situation: &Situation, world: &World, _: Option<State>) -> Result<State, Failed> {
+        let state = world.present(situation.ego_idx).unwrap();
+        Ok(State { velocity: crate::geometry::Vec2::ZERO, ..state })
+    }
+}
+
+#[test]
+fn the_event_goes_as_planned_and_then_everybody_drives_on() {
+    let record = record();
+    let situation = situation(&record);
+    let [start, end] = situation.event;
+    assert!(situation.planned.len() == 1 && start < end && end < situation.scene.n_timesteps);
+    let config = RolloutConfig { horizon_s: 4.0, replan_s: 0.5 };
+    let driven = driven(&situation, situation.start(1), &mut Log, &config);
+    let (other, world) = (situation.planned[0], &driven.world);
+    let at = |timestep: usize| situation.scene.state(other, timestep).copied();
+    assert!((0..=end).all(|timestep| world.state(other, timestep) == at(timestep)));
+    let last = situation.scene.current_timestep() + 40;
+    assert!(driven.outcome != Outcome::Survived || world.now() == last, "{:?}", driven.why);
+    // No jump where the model takes over.
+    let steps =
+        (end.saturating_sub(1)..world.now()).filter_map(|t| world.state(other, t).zip(world.state(other, t + 1)));
+    for (before, after) in steps {
+        let missed_m = (after.position - before.position - before.velocity * situation.scene.dt_s).norm();
+        assert!(missed_m < 0.3, "{missed_m}");
+    }
+    // The ego was replayed as long as there was something to replay.
+    let logged = situation.scene.n_timesteps - 1;
+    assert_eq!(world.state(situation.ego_idx, logged), situation.scene.state(situation.ego_idx, logged).copied());
+}
+
+#[test]
+fn a_plan_that_would_ram_an_ego_that_is_elsewhere_is_given_up() {
+    let mut record = record();
+    let (ego, other) = (record.subject_idx().unwrap(), situation(&record).planned[0]);
+    // The other comes from 25 m behind, 10 m/s faster, through the place where the ego stands in this drive.
+    let scene: &mut Scene = &mut record.scenario.scene;
+    let at = *scene.state(ego, scene.current_timestep()).unwrap();
+    let along = crate::geometry::Vec2::from_angle(at.heading_rad);
+    let present = scene.current_timestep();
+    let states = (0..scene.n_timesteps).map(|timestep| {
+        let t_s = (timestep as f64 - present as f64) * scene.dt_s;
+        let position = at.position + along * (20.0 * t_s - 25.0);
+        Some(State { position, heading_rad: at.heading_rad, velocity: along * 20.0 })
+    });
+    scene.tracks[other].trajectory = Trajectory::new(states.collect());
+    record.events[0].end_timestep = scene.n_timesteps - 1;
+    let situation = situation(&record);
+    let driven = driven(&situation, situation.start(1), &mut Stops, &SHORT);
+    assert!(driven.gave_up_plan && driven.world.plan_ends < situation.event[1]);
+    // If the event is a collision, it is kept.
+    let mut situation = situation;
+    situation.is_collision = true;
+    let driven = self::driven(&situation, situation.start(1), &mut Stops, &SHORT);
+    let side = driven.contact.map(|contact| contact.side);
+    assert_eq!((driven.gave_up_plan, driven.outcome, side), (false, Outcome::Hit, Some(Side::Rear)));
+}
+
+#[test]
+fn drivers_keep_to_the_way_and_within_what_vehicles_can() {
+    let situation = situation(&record());
+    for (name, driver) in [("idm", &mut Idm as &mut dyn Driver), ("careful", &mut Careful::default())] {
+        let driven = driven(&situation, situation.start(1), driver, &SHORT);
+        assert!(driven.max_braking_mps2 <= 8.0 + 1e-6 && driven.progress_m > 1.0, "{name}: {driven:?}");
+        for timestep in situation.scene.n_history..driven.world.n_timesteps() {
+            let state = driven.world.state(situation.ego_idx, timestep).unwrap();
+            let aside_m = situation.route.project(state.position).unwrap().offset_m;
+            assert!(aside_m.abs() < 0.2, "{name} is {aside_m} m beside its way at {timestep}");
+        }
+    }
+}
+
+#[test]
+fn nonsense_is_refused_and_a_driver_that_fails_is_an_outcome() {
+    let (situation, model) = (situation(&record()), model());
+    let futures = Futures::new(&model, 1, &Device::Cpu).unwrap();
+    for config in [RolloutConfig { horizon_s: 0.0, ..SHORT }, RolloutConfig { replan_s: 9.0, ..SHORT }] {
+        assert!(config.check(&futures).unwrap_err().to_string().contains("expected more than 0"));
+    }
+    struct Fails;
+    impl Driver for Fails {
+        fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
+            Err(Failed { fault: Fault::TimedOut, why: "no answer".to_owned() })
+        }
+        fn next(&mut self, _: &Situation, _: &World, _: Option<State>) -> Result<State, Failed> {
+            Err(Failed::because("asked without a beginning"))
+        }
+    }
+    let driven =
+        roll_out(&situation, situation.start(1), &mut Fails, &Others::Sampled(&futures), &SHORT, None).unwrap();
+    assert_eq!((driven.outcome, driven.why.as_deref()), (Outcome::TimedOut, Some("no answer")));
+    let other = World::new("s", 1, 0, [[None; 3].as_slice()]);
+    let refused = roll_out(&situation, other, &mut Fails, &Others::Sampled(&futures), &SHORT, None).unwrap_err();
+    assert!(refused.to_string().contains("saved state"), "{refused}");
+}
+
+#[test]
+fn others_expect_an_ego_that_brakes_to_brake_on_and_any_other_to_go_on() {
+    let situation = situation(&record());
+    let (ego, dt_s) = (situation.ego_idx, situation.scene.dt_s);
+    let speeds =
+        |world: &World| -> Vec<f64> { drivers::expected(&situation, world, 30).iter().map(State::speed_mps).collect() };
+    let mut world = situation.start(1);
+    let steady = world.present(ego).unwrap();
+    let push = |world: &mut World, speed_mps: f64| {
+        let last = world.present(ego).unwrap();
+        let along = crate::geometry::Vec2::from_angle(last.heading_rad);
+        let state = State { position: last.position + along * (speed_mps * dt_s), velocity: along * speed_mps, ..last };
+        let next = |idx: usize| if idx == ego { Some(state) } else { world.present(idx) };
+        let next: Vec<_> = (0..world.n_tracks()).map(next).collect();
+        world.push(next);
+    };
+    (0..3).for_each(|_| push(&mut world, steady.speed_mps() + 1.0));
+    assert!(speeds(&world).iter().all(|speed_mps| (speed_mps - steady.speed_mps() - 1.0).abs() < 1e-9));
+    // From 2.5 m/s in 0.3 s to 1 m/s: 5 m/s², which take the rest in 0.2 s.
+    (0..=3).for_each(|i| push(&mut world, 2.5 - 0.5 * f64::from(i)));
+    let found = speeds(&world);
+    assert!((found[0] - 0.5).abs() < 1e-9 && found[1..].iter().all(|speed_mps| *speed_mps < 1e-9), "{found:?}");
+}

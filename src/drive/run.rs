@@ -1,0 +1,328 @@
+//! Drives every chosen scenario of a corpus, with the careful driver beside, and writes what came of it.
+
+use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
+use super::external::External;
+use super::report::DriveReport;
+use super::rollout::{Others, roll_out};
+use super::situation::Situation;
+use super::{Driven, Driver, EgoDriver, Error, Outcome, Result, RolloutConfig, World};
+use crate::export::{EgoChoice, Selection};
+use crate::files::NewFolder;
+use crate::generate::Futures;
+use crate::progress::Progress;
+use crate::scenario::{DriveRow, ScenarioRecord};
+use crate::scene::{LaneGraph, MapId};
+use crate::store::{CorpusReader, DrivenWriter, MapSource, write_atomically, write_drives, write_json_atomically};
+use std::io::Write;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// The table of drives.
+pub const DRIVES_FILE: &str = "drives.parquet";
+/// The table of driven states.
+pub const DRIVEN_FILE: &str = "driven.parquet";
+/// The report; written last.
+pub const DRIVE_FILE: &str = "drive.json";
+/// The folder of saved states.
+pub const STATES_DIR: &str = "states";
+
+/// Scenarios that are in memory at a time, for each worker.
+const CHUNK: usize = 8;
+
+/// How a corpus is driven.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DriveConfig {
+    /// Who drives the ego.
+    pub ego: EgoDriver,
+    /// For how long.
+    pub rollout: RolloutConfig,
+    /// How long a planner may take for an answer, seconds.
+    pub time_limit_s: f64,
+    /// When to save the state of each drive.
+    pub save_at: Option<SaveAt>,
+    /// Scenarios that are driven at the same time, each with a planner of its own.
+    pub n_workers: usize,
+}
+
+/// When to save the state of a drive: at the first replanning at or after this.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SaveAt {
+    /// The beginning of the event.
+    Event,
+    /// A timestep, from the beginning of the past.
+    Timestep(usize),
+}
+
+impl FromStr for SaveAt {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "event" => Ok(Self::Event),
+            number => number.parse().map(Self::Timestep).map_err(|_| "expected event or a timestep".to_owned()),
+        }
+    }
+}
+
+/// Where to drive from.
+#[derive(Debug)]
+pub enum Origin<'a> {
+    /// The present of the scenarios of this selection.
+    Scenarios(&'a Selection),
+    /// A saved state.
+    State(World),
+}
+
+/// Drives scenarios of the corpus in `corpus`, in its order, and writes tables and report into the folder `out`, which
+/// must be new or empty and appears when it is complete.
+///
+/// # Errors
+/// Those of the corpus, the folder and the model. Whatever a planner does is an outcome.
+pub fn drive_corpus(
+    (corpus, out): (&Path, &Path),
+    from: &Origin<'_>,
+    ego: &EgoChoice,
+    config: &DriveConfig,
+    futures: &Futures<'_>,
+    progress: &dyn Progress,
+) -> Result<DriveReport> {
+    config.rollout.check(futures)?;
+    if !(config.time_limit_s > 0.0 && config.time_limit_s <= 3600.0) {
+        let limit_s = config.time_limit_s;
+        return Err(Error::Config(format!("time_limit_s is {limit_s}, expected more than 0 and at most 3600 s")));
+    }
+    let reader = CorpusReader::open(corpus)?;
+    let (positions, limit) = match from {
+        Origin::Scenarios(selection) => (selection.positions(&reader)?, selection.limit.unwrap_or(usize::MAX)),
+        Origin::State(world) => (vec![reader.position(&world.scenario_id)?], 1),
+    };
+    let folder = NewFolder::begin(out, [("corpus", corpus)])?;
+    let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
+    let mut output = Output { states: DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?, rows: Vec::new() };
+    let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect();
+    let mut maps = Maps::default();
+    let mut positions = positions.into_iter();
+    let mut n_chosen = 0;
+    progress.start("drive", positions.len().min(limit) as u64, "scenarios");
+    loop {
+        let mut chunk = Vec::new();
+        for position in positions.by_ref() {
+            let record = reader.scenario(position)?;
+            if !matches!(from, Origin::Scenarios(selection) if !selection.wants(&record)) {
+                n_chosen += 1;
+                match maps.situation(&record, ego, &reader) {
+                    Ok(situation) => chunk.push(situation),
+                    Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
+                    Err(error) => return Err(error),
+                }
+            }
+            if chunk.len() >= CHUNK * workers.len() || n_chosen == limit {
+                break;
+            }
+        }
+        if chunk.is_empty() {
+            break;
+        }
+        let drives = drive_chunk(&chunk, &mut workers, from, config, futures, progress)?;
+        for (situation, drives) in chunk.iter().zip(drives) {
+            output.add(situation, &drives, config, folder.path(), &mut report)?;
+        }
+        if n_chosen == limit {
+            break;
+        }
+    }
+    progress.finish();
+    if n_chosen == 0 {
+        let wanted = match from {
+            Origin::Scenarios(selection) => selection.words(),
+            Origin::State(_) => "there".to_owned(),
+        };
+        return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios: reader.len(), wanted });
+    }
+    let Output { states, rows } = output;
+    states.finish()?;
+    write_drives(&folder.path().join(DRIVES_FILE), &rows)?;
+    report.finish(&rows, own_name(&config.ego));
+    write_json_atomically(&folder.path().join(DRIVE_FILE), &report)?;
+    folder.commit()?;
+    Ok(report)
+}
+
+/// The last map: scenarios of a map mostly follow each other.
+#[derive(Default)]
+pub(super) struct Maps(Option<(MapId, LaneGraph)>);
+
+impl Maps {
+    /// The start of a scenario of this corpus.
+    pub(super) fn situation(
+        &mut self,
+        record: &ScenarioRecord,
+        ego: &EgoChoice,
+        reader: &CorpusReader,
+    ) -> Result<Situation> {
+        let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
+        let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
+        let asked = record.scenario.scene.map_id.as_ref();
+        if let Some(id) = asked.filter(|id| self.0.as_ref().is_none_or(|(known, _)| known != *id)) {
+            self.0 = Some((id.clone(), reader.map(id)?));
+        }
+        let map = self.0.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
+        Situation::new(record, ego_idx, map)
+    }
+}
+
+/// The name in tables of the driver that was asked for.
+fn own_name(ego: &EgoDriver) -> &str {
+    match ego {
+        EgoDriver::External(_) => "planner",
+        named => named.name(),
+    }
+}
+
+/// The drivers of one thread: the one that was asked for, and the careful one if it is another.
+struct Worker {
+    asked: Box<dyn Driver>,
+    careful: Option<Careful>,
+}
+
+impl Worker {
+    fn new(config: &DriveConfig) -> Self {
+        let asked: Box<dyn Driver> = match &config.ego {
+            EgoDriver::Model => Box::new(Model),
+            EgoDriver::Log => Box::new(Log),
+            EgoDriver::ConstantVelocity => Box::new(AtConstantVelocity),
+            EgoDriver::Idm => Box::new(Idm),
+            EgoDriver::Careful => Box::new(Careful::default()),
+            EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s)),
+        };
+        let careful = (config.ego != EgoDriver::Careful).then(Careful::default);
+        Self { asked, careful }
+    }
+
+    /// The drives from one situation, of the driver that was asked for and of the careful one.
+    fn drive(
+        &mut self,
+        situation: &Situation,
+        from: &Origin<'_>,
+        config: &DriveConfig,
+        futures: &Futures<'_>,
+    ) -> Result<Vec<Driven>> {
+        let others = Others::Sampled(futures);
+        let start = || match from {
+            Origin::Scenarios(_) => situation.start(futures.seed()),
+            Origin::State(world) => world.clone(),
+        };
+        let save_at = config.save_at.map(|at| match at {
+            SaveAt::Event => situation.event[0],
+            SaveAt::Timestep(timestep) => timestep,
+        });
+        let asked = roll_out(situation, start(), self.asked.as_mut(), &others, &config.rollout, save_at)?;
+        let careful = match &mut self.careful {
+            Some(careful) => Some(roll_out(situation, start(), careful, &others, &config.rollout, None)?),
+            None => None,
+        };
+        Ok([asked].into_iter().chain(careful).collect())
+    }
+}
+
+/// The drives of some situations, in their order, whoever drives which.
+fn drive_chunk(
+    chunk: &[Situation],
+    workers: &mut [Worker],
+    from: &Origin<'_>,
+    config: &DriveConfig,
+    futures: &Futures<'_>,
+    progress: &dyn Progress,
+) -> Result<Vec<Vec<Driven>>> {
+    let next = AtomicUsize::new(0);
+    let drives: Vec<Mutex<Option<Result<Vec<Driven>>>>> = chunk.iter().map(|_| Mutex::new(None)).collect();
+    std::thread::scope(|scope| {
+        for worker in workers {
+            scope.spawn(|| {
+                loop {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    let (Some(situation), Some(place)) = (chunk.get(at), drives.get(at)) else { break };
+                    let driven = worker.drive(situation, from, config, futures);
+                    if let Ok(mut place) = place.lock() {
+                        *place = Some(driven);
+                    }
+                    progress.advance(1);
+                }
+            });
+        }
+    });
+    let found = drives.into_iter().map(|place| place.into_inner().ok().flatten());
+    found.map(|driven| driven.unwrap_or_else(|| Err(Error::Config("a drive was not finished".to_owned())))).collect()
+}
+
+/// What is written, but for the report.
+struct Output {
+    states: DrivenWriter,
+    rows: Vec<DriveRow>,
+}
+
+impl Output {
+    fn add(
+        &mut self,
+        situation: &Situation,
+        drives: &[Driven],
+        config: &DriveConfig,
+        out: &Path,
+        report: &mut DriveReport,
+    ) -> Result<()> {
+        let careful = drives.last().map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
+        let careful_survives = careful.map(|outcome| outcome == Outcome::Survived);
+        for (driven, name) in drives.iter().zip([own_name(&config.ego), EgoDriver::Careful.name()]) {
+            let mut scene = situation.driven(&driven.world);
+            for track in &mut scene.tracks {
+                track.trajectory = track.trajectory.with_velocities_from_positions(scene.n_history, scene.dt_s);
+            }
+            let (n_history, plan_ends) = (scene.n_history, driven.world.plan_ends);
+            let moved_by = |agent_idx: usize, timestep: usize| match () {
+                () if timestep < n_history => "scenario",
+                () if agent_idx == situation.ego_idx => "driver",
+                () if situation.planned.contains(&agent_idx) && timestep <= plan_ends => "plan",
+                () => "model",
+            };
+            self.states.push([&situation.scenario_id, name], &scene, &moved_by)?;
+            report.count(name, driven);
+            self.rows.push(row(situation, name, driven, careful_survives));
+        }
+        if let Some(saved) = drives.first().and_then(|driven| driven.saved.as_ref()) {
+            let folder = out.join(STATES_DIR);
+            fs_err::create_dir_all(&folder)?;
+            // Ids are hexadecimal, but those of a foreign corpus need not be.
+            let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+            let name = situation.scenario_id.replace(|c: char| !is_plain(c), "_");
+            let (path, text) = (folder.join(format!("{name}.json")), saved.to_json()?);
+            write_atomically::<Error>(&path, |file| Ok(file.write_all(text.as_bytes())?))?;
+            report.n_saved += 1;
+        }
+        Ok(())
+    }
+}
+
+/// The row of a drive.
+pub(super) fn row(situation: &Situation, driver: &str, driven: &Driven, careful_survives: Option<bool>) -> DriveRow {
+    let n_steps = driven.world.n_timesteps() - situation.scene.n_history;
+    DriveRow {
+        scenario_id: situation.scenario_id.clone(),
+        behavior: situation.behavior.clone(),
+        driver: driver.to_owned(),
+        outcome: driven.outcome.name().to_owned(),
+        careful_survives,
+        why: driven.why.clone(),
+        lasted_s: n_steps as f64 * situation.scene.dt_s,
+        contact: driven
+            .contact
+            .as_ref()
+            .map(|contact| (contact.track.0.clone(), contact.side.name().to_owned(), contact.relative_mps)),
+        min_ttc_s: driven.min_ttc_s,
+        max_braking_mps2: driven.max_braking_mps2,
+        progress_m: driven.progress_m,
+        gave_up_plan: driven.gave_up_plan,
+        parameters: situation.parameters.clone(),
+    }
+}

@@ -1,0 +1,159 @@
+//! Scores planned trajectories in an open loop: everybody else does what the scenario has, whatever the ego does.
+
+use super::drivers::{Careful, Log, follow_log};
+use super::report::DriveReport;
+use super::rollout::{Others, roll_out};
+use super::run::{DRIVE_FILE, DRIVES_FILE, Maps, row};
+use super::{Driven, Driver, EgoDriver, Error, Failed, Outcome, Result, RolloutConfig, Situation, World};
+use crate::export::{EgoChoice, Selection};
+use crate::files::NewFolder;
+use crate::geometry::Vec2;
+use crate::progress::Progress;
+use crate::scenario::{DriveRow, ScenarioRecord};
+use crate::scene::State;
+use crate::store::{CorpusReader, Planned, read_planned, write_drives, write_json_atomically};
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Scenarios that are in memory at a time.
+const CHUNK: usize = 64;
+/// The names in tables of the planned trajectories, of the scenario's ego and of the recording.
+const PLANNED: &str = "planner";
+const SCENARIO: &str = "scenario";
+const RECORDED: &str = "recorded";
+
+/// Scores the trajectories in `planned` for scenarios of the corpus in `corpus`, and writes the table of drives and the
+/// report into the folder `out`, which must be new or empty. Beside each are the careful driver, who answers to the
+/// others as they are, the ego as it is in the scenario, and what was recorded.
+///
+/// # Errors
+/// Those of the corpus, the file and the folder; [`Error::Config`] when the file has other scenarios than the corpus.
+pub fn score(
+    (corpus, planned, out): (&Path, &Path, &Path),
+    selection: &Selection,
+    ego: &EgoChoice,
+    progress: &dyn Progress,
+) -> Result<DriveReport> {
+    let reader = CorpusReader::open(corpus)?;
+    let planned_by = read_planned(planned).map_err(|error| Error::Config(error.to_string()))?;
+    let known: std::collections::BTreeSet<&str> = reader.scenario_ids()?.collect();
+    if let Some(foreign) = planned_by.keys().find(|id| !known.contains(id.as_str())) {
+        let (path, corpus) = (planned.display(), corpus.display());
+        return Err(Error::Config(format!("{path} has scenario {foreign}, which is not in the corpus {corpus}")));
+    }
+    let folder = NewFolder::begin(out, [("corpus", corpus), ("planned states", planned)])?;
+    let mut report = DriveReport::new(&EgoDriver::External(planned.display().to_string()), None, 0, "");
+    let positions = selection.positions(&reader)?;
+    let (mut rows, mut maps) = (Vec::new(), Maps::default());
+    progress.start("score", positions.len() as u64, "scenarios");
+    for positions in positions.chunks(CHUNK) {
+        let mut chunk = Vec::new();
+        for position in positions {
+            let record = reader.scenario(*position)?;
+            if !selection.wants(&record) {
+                continue;
+            }
+            let Some(states) = planned_by.get(&record.scenario.id) else {
+                *report.left_out.entry("has no planned states".to_owned()).or_default() += 1;
+                continue;
+            };
+            match maps.situation(&record, ego, &reader) {
+                Ok(situation) => chunk.push((recorded(&record, ego, &reader, &mut maps)?, situation, states)),
+                Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
+                Err(error) => return Err(error),
+            }
+        }
+        let drives: Result<Vec<_>> = chunk
+            .par_iter()
+            .map(|(recorded, situation, states)| {
+                let drive = |situation: &Situation, driver: &mut dyn Driver| replayed(situation, driver);
+                let mut drives = vec![
+                    (PLANNED, drive(situation, &mut Plan { states })?),
+                    (EgoDriver::Careful.name(), drive(situation, &mut Careful::default())?),
+                    (SCENARIO, drive(situation, &mut Log)?),
+                ];
+                if let Some(recorded) = recorded {
+                    drives.push((RECORDED, drive(recorded, &mut Log)?));
+                }
+                Ok(drives)
+            })
+            .collect();
+        for ((_, situation, _), drives) in chunk.iter().zip(drives?) {
+            let careful_survives = Some(drives[1].1.outcome == Outcome::Survived);
+            for (name, driven) in &drives {
+                report.count(name, driven);
+                rows.push(row(situation, name, driven, careful_survives));
+            }
+        }
+        progress.advance(positions.len() as u64);
+    }
+    progress.finish();
+    if rows.is_empty() {
+        let (n_scenarios, wanted) = (reader.len(), format!("{} and has planned states", selection.words()));
+        return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios, wanted });
+    }
+    finish(&folder, &mut report, &rows)?;
+    folder.commit()?;
+    Ok(report)
+}
+
+fn finish(folder: &NewFolder, report: &mut DriveReport, rows: &[DriveRow]) -> Result<()> {
+    write_drives(&folder.path().join(DRIVES_FILE), rows)?;
+    report.finish(rows, PLANNED);
+    write_json_atomically(&folder.path().join(DRIVE_FILE), report)?;
+    Ok(())
+}
+
+/// The drive of a driver to the end of the scenario, with all others as they are there.
+fn replayed(situation: &Situation, driver: &mut dyn Driver) -> Result<Driven> {
+    let scene = &situation.scene;
+    let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
+    let config = RolloutConfig { horizon_s, replan_s: horizon_s };
+    roll_out(situation, situation.start(0), driver, &Others::Replayed, &config, None)
+}
+
+/// The recorded scene in the place of the scenario that continues it. `None` without a recorded future of the ego.
+fn recorded(
+    record: &ScenarioRecord,
+    ego: &EgoChoice,
+    reader: &CorpusReader,
+    maps: &mut Maps,
+) -> Result<Option<Situation>> {
+    let scene = &record.scenario.scene;
+    let Some(tracks) = reader.recorded_tracks(&scene.id, scene.n_timesteps)? else { return Ok(None) };
+    let Some((ego_idx, _)) = ego.of(record) else { return Ok(None) };
+    let id = &scene.tracks[ego_idx].id;
+    let has_future = |track: &crate::scene::Track| track.trajectory.is_valid(scene.n_timesteps - 1);
+    let Some(recorded_idx) = tracks.iter().position(|track| track.id == *id && has_future(track)) else {
+        return Ok(None);
+    };
+    let mut record = record.clone();
+    record.scenario.scene.tracks = tracks;
+    record.scenario.scene.ego_idx = recorded_idx;
+    match maps.situation(&record, &EgoChoice::Scene, reader) {
+        Ok(situation) => Ok(Some(situation)),
+        Err(Error::Unfit { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// The driver that follows planned states.
+struct Plan<'a> {
+    states: &'a Planned,
+}
+
+impl Driver for Plan<'_> {
+    fn begin(&mut self, _situation: &Situation, _world: &World) -> Result<(), Failed> {
+        Ok(())
+    }
+
+    fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
+        let timestep = world.n_timesteps();
+        let planned = self.states.get(&timestep).filter(|state| state.iter().all(|number| number.is_finite()));
+        let [x, y, heading_rad] = *planned
+            .ok_or_else(|| Failed::because(format!("there is no finite planned state at timestep {timestep}")))?;
+        let scene_from_world = situation.scene.world_from_scene.inverse();
+        let position = scene_from_world.point(Vec2::new(x, y));
+        follow_log(situation, world, position, scene_from_world.heading(heading_rad))
+    }
+}

@@ -1,0 +1,265 @@
+//! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
+
+use super::world::World;
+use super::{Error, Result};
+use crate::behavior::driven_path::DrivenPath;
+use crate::behavior::kept_lane::way_on;
+use crate::geometry::{OrientedBox, Vec2};
+use crate::metrics::Road;
+use crate::scenario::ScenarioRecord;
+use crate::scene::{Lane, LaneGraph, LaneId, ObservationMask, Scene, State, Track, Trajectory};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Who is farther than this from the middle of every lane, meters, has left the map.
+const OFF_MAP_M: f64 = 10.0;
+/// Lanes this close to somebody, meters, are shown to the model, as in scenes.
+const LANES_WITHIN_M: f64 = 100.0;
+/// So far around the ego at present, meters, the map is known: farther than a drive leads. Maps of cities are large.
+const MAP_WITHIN_M: f64 = 400.0;
+/// How far the way of the ego leads on after the scenario, meters.
+const WAY_ON_M: f64 = 300.0;
+
+/// A scenario from which to drive on.
+pub struct Situation {
+    /// The scenario.
+    pub scenario_id: String,
+    /// The requested behavior.
+    pub behavior: Option<String>,
+    /// The parameters of its event.
+    pub parameters: BTreeMap<String, f64>,
+    /// The scenario, with the lanes of its map around the ego.
+    pub scene: Scene,
+    /// The agent that is driven.
+    pub ego_idx: usize,
+    /// The other agents of the event.
+    pub planned: Vec<usize>,
+    /// The first and the last timestep of the event; the present without one.
+    pub event: [usize; 2],
+    /// Whether the event is a collision.
+    pub is_collision: bool,
+    /// The ego's largest speed in the scenario, m/s: what it wants to drive.
+    pub target_speed_mps: f64,
+    /// The way of the ego: the one of the scenario, and on along its lane.
+    pub(crate) route: DrivenPath,
+    road: Road,
+    /// Whether each agent is on the map at present, and whether it overlaps the ego there.
+    starts_on_map: Vec<bool>,
+    starts_in_ego: Vec<bool>,
+    starts_on_road: bool,
+}
+
+impl Situation {
+    /// The start of a scenario for its agent `ego_idx`; `map` is its whole map in the frame of the recording.
+    ///
+    /// # Errors
+    /// [`Error::Unfit`] when the ego is not there at present, or does not know where to go.
+    pub fn new(record: &ScenarioRecord, ego_idx: usize, map: Option<&LaneGraph>) -> Result<Self> {
+        let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
+        let mut scene = record.scenario.scene.clone();
+        let present = scene.current_timestep();
+        let now = scene.state(ego_idx, present).filter(|state| state.is_finite());
+        let now = *now.ok_or_else(|| unfit("has no state of its ego at present"))?;
+        if let Some(map) = map {
+            let center = scene.world_from_scene.point(now.position);
+            let near = map.subset(&near(map, &[center], MAP_WITHIN_M));
+            scene.lanes = Arc::new(near.into_frame(&scene.world_from_scene.inverse()));
+        }
+        let ego = &scene.tracks[ego_idx];
+        let driven: Vec<&State> = (present..scene.n_timesteps).map_while(|t| scene.state(ego_idx, t)).collect();
+        let target_speed_mps = driven.iter().map(|state| state.speed_mps()).fold(0.0, f64::max);
+        let mut points: Vec<Vec2> = driven.iter().map(|state| state.position).collect();
+        let ended = Scene { n_timesteps: present + driven.len(), ..scene.clone() };
+        points.extend(way_on(&ended, ego_idx, WAY_ON_M));
+        if points.iter().all(|point| point.distance(now.position) < 1.0) {
+            points = vec![now.position, now.position + Vec2::from_angle(now.heading_rad) * WAY_ON_M];
+        }
+        let length_m = ego.extent_or_nominal().length_m;
+        let route = DrivenPath::along(&points, length_m).ok_or_else(|| unfit("has no way for its ego"))?;
+        let event = record.main_event();
+        let planned: Vec<usize> = event.map_or_else(Vec::new, |event| {
+            event.roles.tracks().filter_map(|track| scene.track_idx(track)).filter(|idx| *idx != ego_idx).collect()
+        });
+        let mut situation = Self {
+            scenario_id: record.scenario.id.clone(),
+            behavior: record.requested_behavior.clone(),
+            parameters: event.map(|event| event.parameters.clone()).unwrap_or_default(),
+            ego_idx,
+            planned,
+            event: event.map_or([present; 2], |event| [event.start_timestep, event.end_timestep]),
+            is_collision: record.asks_for_collision(),
+            target_speed_mps,
+            route,
+            road: Road::new(&scene.lanes),
+            starts_on_map: Vec::new(),
+            starts_in_ego: Vec::new(),
+            starts_on_road: false,
+            scene,
+        };
+        let at = |idx: usize| situation.scene.state(idx, present).copied();
+        let idxs = 0..situation.scene.tracks.len();
+        let on_map = idxs.clone().map(|idx| at(idx).is_some_and(|state| situation.is_on_map(&state))).collect();
+        let in_ego = idxs.map(|idx| at(idx).is_some_and(|state| situation.overlap([(ego_idx, &now), (idx, &state)])));
+        (situation.starts_in_ego, situation.starts_on_map) = (in_ego.collect(), on_map);
+        situation.starts_on_road = situation.off_road_m(&now).is_some_and(|off_m| off_m <= 0.0);
+        Ok(situation)
+    }
+
+    /// The world at present, with this seed.
+    pub fn start(&self, seed: u64) -> World {
+        let tracks = self.scene.tracks.iter().map(|track| &track.trajectory.entries()[..self.scene.n_history]);
+        World::new(&self.scenario_id, seed, self.event[1].min(self.scene.n_timesteps - 1), tracks)
+    }
+
+    /// The box of an agent in this state; of unknown size, the least of its class.
+    pub(super) fn body(&self, agent_idx: usize, state: &State) -> OrientedBox {
+        let extent = self.scene.tracks[agent_idx].extent_or_least();
+        let State { position: center, heading_rad, .. } = *state;
+        OrientedBox { center, heading_rad, length_m: extent.length_m, width_m: extent.width_m }
+    }
+
+    /// Whether the boxes of two agents overlap.
+    pub(super) fn overlap(&self, [(a, one), (b, other)]: [(usize, &State); 2]) -> bool {
+        self.body(a, one).overlaps(&self.body(b, other))
+    }
+
+    /// Whether an overlap of an agent with the ego counts; not if there is one at present already.
+    pub(super) fn can_touch(&self, agent_idx: usize) -> bool {
+        agent_idx != self.ego_idx && !self.starts_in_ego[agent_idx]
+    }
+
+    /// How far an ego that starts on the road is off it, meters. `None` where the map does not say where the road is.
+    pub(super) fn ego_off_road_m(&self, state: &State) -> Option<f64> {
+        self.starts_on_road.then(|| self.off_road_m(state))?
+    }
+
+    fn off_road_m(&self, state: &State) -> Option<f64> {
+        (!self.scene.lanes.is_empty()).then(|| self.road.distance_m(state.position))
+    }
+
+    fn is_on_map(&self, state: &State) -> bool {
+        self.scene.lanes.is_empty() || !near(&self.scene.lanes, &[state.position], OFF_MAP_M).is_empty()
+    }
+
+    /// Whether an agent was on the map at present and is not now.
+    pub(super) fn has_left_map(&self, agent_idx: usize, state: &State) -> bool {
+        self.starts_on_map[agent_idx] && !self.is_on_map(state)
+    }
+
+    /// The scene of everything that was reached, whose past is the scenario's.
+    pub fn driven(&self, world: &World) -> Scene {
+        self.cut(world, 0, world.n_timesteps(), self.scene.n_history)
+    }
+
+    /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
+    /// agents of the event and what is `expected` of the ego, and the mask that shows just these.
+    pub(super) fn window(
+        &self,
+        world: &World,
+        expected: Option<&[State]>,
+        [n_history, n_timesteps]: [usize; 2],
+    ) -> (Scene, ObservationMask) {
+        let first = world.n_timesteps() - n_history;
+        let mut scene = self.cut(world, first, n_timesteps, n_history);
+        for agent_idx in self.planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
+            let trajectory = &mut scene.tracks[agent_idx].trajectory;
+            let entry = |(t, state): (usize, &Option<State>)| {
+                if t < n_history { *state } else { self.plan(world, agent_idx, first + t) }
+            };
+            *trajectory = Trajectory::new(trajectory.entries().iter().enumerate().map(entry).collect());
+        }
+        if let Some(expected) = expected {
+            let trajectory = &mut scene.tracks[self.ego_idx].trajectory;
+            let past = trajectory.entries()[..n_history].iter().copied();
+            let states = past.chain(expected.iter().map(|state| Some(*state))).take(n_timesteps).collect();
+            *trajectory = Trajectory::new(states);
+        }
+        for track in &mut scene.tracks {
+            track.trajectory = track.trajectory.with_velocities_from_positions(n_history, scene.dt_s);
+        }
+        let present: Vec<Vec2> = (0..scene.tracks.len()).filter_map(|i| world.present(i)).map(|s| s.position).collect();
+        let ids = near(&self.scene.lanes, &present, LANES_WITHIN_M);
+        if ids.len() < self.scene.lanes.lanes().len() {
+            scene.lanes = Arc::new(self.scene.lanes.subset(&ids));
+        }
+        let mask = ObservationMask::from_fn(scene.tracks.len(), n_timesteps, |agent_idx, timestep| {
+            let is_known = scene.state(agent_idx, timestep).is_some();
+            timestep < n_history || (is_known && (agent_idx == self.ego_idx || self.planned.contains(&agent_idx)))
+        });
+        (scene, mask)
+    }
+
+    /// Where an agent of the event is to be at a timestep by the scenario, while it follows it.
+    pub(super) fn plan(&self, world: &World, agent_idx: usize, timestep: usize) -> Option<State> {
+        let is_planned = timestep <= world.plan_ends && self.planned.contains(&agent_idx);
+        is_planned.then(|| self.scene.state(agent_idx, timestep).copied())?
+    }
+
+    /// `n_timesteps` of the world from `first` on, without a state where it has none yet.
+    fn cut(&self, world: &World, first: usize, n_timesteps: usize, n_history: usize) -> Scene {
+        let track = |(agent_idx, track): (usize, &Track)| {
+            let states = (first..first + n_timesteps).map(|timestep| world.state(agent_idx, timestep)).collect();
+            Track { trajectory: Trajectory::new(states), ..track.clone() }
+        };
+        let tracks = self.scene.tracks.iter().enumerate().map(track).collect();
+        Scene { tracks, n_timesteps, n_history, ego_idx: self.ego_idx, ..self.scene.clone() }
+    }
+}
+
+/// The lanes whose middle comes this close to any of these points.
+fn near(lanes: &LaneGraph, points: &[Vec2], within_m: f64) -> Vec<LaneId> {
+    let is_near = |lane: &&Lane| {
+        let is_close = |at: &Vec2| lane.centerline.project(*at).is_some_and(|p| p.offset_m.abs() <= within_m);
+        points.iter().any(is_close)
+    };
+    lanes.lanes().iter().filter(is_near).map(|lane| lane.id).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{record, situation};
+    use super::*;
+
+    #[test]
+    fn who_leaves_the_map_is_gone_and_who_was_never_on_it_stays() {
+        let mut record = record();
+        let ego_idx = record.subject_idx().unwrap();
+        let far = |state: State| State { position: state.position + Vec2::new(0.0, 200.0), ..state };
+        let stray = (0..record.scenario.scene.tracks.len()).find(|idx| *idx != ego_idx).unwrap();
+        let before = situation(&record);
+        let now = |situation: &Situation, idx: usize| situation.start(1).present(idx).unwrap();
+        assert!(
+            !before.has_left_map(stray, &now(&before, stray)) && before.has_left_map(stray, &far(now(&before, stray)))
+        );
+        let track = &mut record.scenario.scene.tracks[stray];
+        let moved = track.trajectory.entries().iter().map(|state| state.map(far)).collect();
+        track.trajectory = Trajectory::new(moved);
+        let after = situation(&record);
+        assert!(!after.has_left_map(stray, &now(&after, stray)));
+        assert!(after.ego_off_road_m(&far(now(&after, ego_idx))).unwrap() > 10.0);
+    }
+
+    #[test]
+    fn a_window_shows_the_last_second_and_the_plan_of_the_event() {
+        let situation = situation(&record());
+        let mut world = situation.start(1);
+        for timestep in world.n_timesteps()..world.n_timesteps() + 5 {
+            world.push((0..situation.scene.tracks.len()).map(|idx| situation.scene.state(idx, timestep).copied()));
+        }
+        let (scene, mask) = situation.window(&world, None, [10, 40]);
+        assert_eq!((scene.n_history, scene.n_timesteps, mask.n_timesteps()), (10, 40, 40));
+        let planned = situation.planned[0];
+        for (agent_idx, timestep, is_shown) in
+            [(situation.ego_idx, 9, true), (situation.ego_idx, 10, false), (planned, 10, true), (planned, 39, false)]
+        {
+            assert_eq!(mask.is_observed(agent_idx, timestep), is_shown, "{agent_idx} at {timestep}");
+            let state = scene.state(agent_idx, timestep).map(|state| state.position);
+            let expected = situation.scene.state(agent_idx, timestep + 5).filter(|_| is_shown).map(|s| s.position);
+            assert_eq!(state, expected);
+        }
+        let expected = vec![State::default(); 30];
+        let (scene, mask) = situation.window(&world, Some(&expected), [10, 40]);
+        assert!(mask.is_observed(situation.ego_idx, 39) && scene.state(situation.ego_idx, 9) != Some(&expected[0]));
+        assert_eq!(scene.state(situation.ego_idx, 20).map(|state| state.position), Some(Vec2::ZERO));
+    }
+}

@@ -1,0 +1,34 @@
+//! Situations and a model for the tests of driving: those of the fixture corpus, on the simulated merge.
+
+use super::Situation;
+use crate::model::TrainedDenoiser;
+use crate::nn::Compute;
+use crate::scenario::ScenarioRecord;
+use crate::store::{CorpusReader, MapSource};
+use std::path::PathBuf;
+
+fn at(path: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+pub(super) fn corpus() -> PathBuf {
+    at("tests/fixtures/corpus/cut_ins")
+}
+
+/// The two-step model.
+pub(super) fn model() -> TrainedDenoiser {
+    TrainedDenoiser::read(&at("pipelines/models/geometric_two_steps.safetensors"), &Compute::cpu()).unwrap()
+}
+
+/// A verified scenario of the fixture corpus.
+pub(super) fn record() -> ScenarioRecord {
+    let reader = CorpusReader::open(&corpus()).unwrap();
+    (0..reader.len()).map(|i| reader.scenario(i).unwrap()).find(|record| record.verified).unwrap()
+}
+
+/// Its start, for the vehicle that is cut off.
+pub(super) fn situation(record: &ScenarioRecord) -> Situation {
+    let reader = CorpusReader::open(&corpus()).unwrap();
+    let map = reader.map(record.scenario.scene.map_id.as_ref().unwrap()).unwrap();
+    Situation::new(record, record.subject_idx().unwrap(), Some(&map)).unwrap()
+}

@@ -1,0 +1,130 @@
+//! What was reached: the states of everybody from the start of the past to now. It can be saved, and forked.
+
+use super::{Error, Result};
+use crate::geometry::Vec2;
+use crate::scene::State;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// The version of the format of saved worlds.
+const VERSION: u32 = 1;
+
+/// The states of everybody in a scenario, in its scene frame, up to now. Nothing else decides what comes next.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct World {
+    version: u32,
+    /// The scenario that it began with.
+    pub scenario_id: String,
+    /// The seed of everything random.
+    pub seed: u64,
+    /// The last timestep at which the agents of the event follow the scenario.
+    pub plan_ends: usize,
+    /// By track in the order of the scenario, then by timestep: x, y, heading, velocity in x and y.
+    states: Vec<Vec<Option<[f64; 5]>>>,
+}
+
+fn packed(state: &State) -> [f64; 5] {
+    [state.position.x, state.position.y, state.heading_rad, state.velocity.x, state.velocity.y]
+}
+
+fn unpacked([x, y, heading_rad, vx, vy]: [f64; 5]) -> State {
+    State { position: Vec2::new(x, y), heading_rad, velocity: Vec2::new(vx, vy) }
+}
+
+impl World {
+    /// A world in which these states were reached, by track, all with the same number of timesteps.
+    pub(super) fn new<'s, T>(scenario_id: &str, seed: u64, plan_ends: usize, tracks: T) -> Self
+    where
+        T: IntoIterator<Item = &'s [Option<State>]>,
+    {
+        let states = tracks.into_iter().map(|states| states.iter().map(|s| s.as_ref().map(packed)).collect());
+        Self { version: VERSION, scenario_id: scenario_id.to_owned(), seed, plan_ends, states: states.collect() }
+    }
+
+    /// Number of tracks.
+    pub const fn n_tracks(&self) -> usize {
+        self.states.len()
+    }
+
+    /// Number of timesteps reached; the last of them is now.
+    pub fn n_timesteps(&self) -> usize {
+        self.states.first().map_or(0, Vec::len)
+    }
+
+    /// Now.
+    pub fn now(&self) -> usize {
+        self.n_timesteps().saturating_sub(1)
+    }
+
+    /// The state of a track at a timestep; `None` where it is not there.
+    pub fn state(&self, agent_idx: usize, timestep: usize) -> Option<State> {
+        self.states.get(agent_idx)?.get(timestep)?.map(unpacked)
+    }
+
+    /// The state of a track now.
+    pub fn present(&self, agent_idx: usize) -> Option<State> {
+        self.state(agent_idx, self.now())
+    }
+
+    /// One timestep later: the state of each track.
+    pub(super) fn push(&mut self, next: impl IntoIterator<Item = Option<State>>) {
+        for (states, next) in self.states.iter_mut().zip(next) {
+            states.push(next.as_ref().map(packed));
+        }
+    }
+
+    /// Takes a track away from now on.
+    pub(super) fn remove(&mut self, agent_idx: usize) {
+        if let Some(last) = self.states.get_mut(agent_idx).and_then(|states| states.last_mut()) {
+            *last = None;
+        }
+    }
+
+    /// The world as JSON; numbers are exact.
+    ///
+    /// # Errors
+    /// When a number is not finite.
+    pub fn to_json(&self) -> Result<String> {
+        serde_json::to_string(self).map_err(|error| Error::Config(format!("the state cannot be saved: {error}")))
+    }
+
+    /// Reads a saved world.
+    ///
+    /// # Errors
+    /// [`Error::State`] when the file is none, or of another version.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = fs_err::read_to_string(path)?;
+        let refuse = |why: String| Error::State { path: path.to_owned(), why };
+        let world: Self = serde_json::from_str(&text)
+            .map_err(|error| refuse(format!("expected a state that djinn drive --save-at wrote: {error}")))?;
+        let n_timesteps = world.n_timesteps();
+        match world.version {
+            VERSION if world.states.iter().all(|states| states.len() == n_timesteps) => Ok(world),
+            VERSION => Err(refuse("tracks have different numbers of timesteps; save the state again".to_owned())),
+            version => Err(refuse(format!("has version {version}, expected {VERSION}; save the state again"))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_saved_world_is_the_same_to_the_last_digit_and_foreign_files_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("state.json");
+        let state = unpacked([1.0 / 3.0, -0.1 + 0.2, 1e-17, 5e300, f64::MIN_POSITIVE]);
+        let tracks = [[Some(state), None], [None, Some(State::default())]];
+        let mut world = World::new("s", 7, 5, tracks.iter().map(<[_; 2]>::as_slice));
+        world.push([None, Some(state)]);
+        assert_eq!((world.now(), world.present(0), world.present(1)), (2, None, Some(state)));
+        fs_err::write(&path, world.to_json().unwrap()).unwrap();
+        assert_eq!(World::read(&path).unwrap(), world);
+        fs_err::write(&path, world.to_json().unwrap().replacen("\"version\":1", "\"version\":9", 1)).unwrap();
+        assert!(World::read(&path).unwrap_err().to_string().contains("has version 9, expected 1"));
+        fs_err::write(&path, "{}").unwrap();
+        assert!(World::read(&path).unwrap_err().to_string().contains("--save-at"));
+    }
+}

@@ -1,0 +1,149 @@
+//! What will everybody do from here on? One future of a scene at a time, unguided, for closed loops.
+
+use super::batch::Batch;
+use super::conditioning::Conditioned;
+use super::{Cell, Error, GenerateConfig, Generator, Models, ResolvedGeneration};
+use crate::metrics::MetricSettings;
+use crate::model::{Distillation, TrainedDenoiser};
+use crate::progress::Silent;
+use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene, UnfitScene};
+use candle_core::Device;
+use serde_json::json;
+
+/// Samples futures of scenes that are given one by one: kept apart and on the road as samples of sweeps are, and
+/// nothing else. A scene is denoised alone, because matrix products of several rows round differently.
+pub struct Futures<'a> {
+    model: &'a TrainedDenoiser,
+    config: ResolvedGeneration,
+    metric_settings: MetricSettings,
+    device: &'a Device,
+}
+
+/// A scene to be continued.
+#[derive(Debug, Clone, Copy)]
+pub struct Continued<'a> {
+    /// The scene, with as many timesteps as the model has.
+    pub scene: &'a Scene,
+    /// What of it is given. Agents without a state at present stay away.
+    pub mask: &'a ObservationMask,
+    /// The agent at the origin of the model's frame.
+    pub center_idx: usize,
+    /// Names the stream of noise, together with `step`. Within it, noise belongs to the index of an agent.
+    pub name: &'a str,
+    /// See `name`.
+    pub step: usize,
+}
+
+impl<'a> Futures<'a> {
+    /// Futures by `model`: a distilled one in the steps that it was distilled for, any other in ten steps of
+    /// DPM-Solver++.
+    ///
+    /// # Errors
+    /// When the model cannot be sampled so.
+    pub fn new(model: &'a TrainedDenoiser, seed: u64, device: &'a Device) -> Result<Self, Error> {
+        let sampler = match &model.spec.distillation {
+            Some(Distillation::Steps { sigmas }) => {
+                let n_steps = sigmas.len().saturating_sub(1);
+                let last = sigmas.get(n_steps.saturating_sub(1));
+                let grid = json!({ "sigma_max": sigmas.first(), "sigma_min": last });
+                json!({ "kind": "euler", "n_steps": n_steps, "grid": grid })
+            }
+            None => json!({ "kind": "dpmpp_2m", "n_steps": 10, "grid": { "sigma_max": 30.0, "sigma_min": 0.05 } }),
+        };
+        let kind = if model.spec.distillation.is_some() { "distilled" } else { "denoiser" };
+        let sweep = json!({ "name": "futures", "model": kind, "sampler": sampler, "n_scenes": 1, "n_samples": 1 });
+        let config: GenerateConfig = serde_json::from_value(json!({ "seed": seed, "sweeps": [sweep] }))
+            .map_err(|error| Error::Config(error.to_string()))?;
+        let config = config.resolve(&[])?;
+        let futures = Self { model, config, metric_settings: MetricSettings::default(), device };
+        futures.generator(&|_| Err("futures load no scenes".into())).check_all()?;
+        Ok(futures)
+    }
+
+    /// Timesteps that the model observes.
+    pub const fn n_history(&self) -> usize {
+        self.model.spec.n_history
+    }
+
+    /// Timesteps that it observes and generates.
+    pub const fn n_timesteps(&self) -> usize {
+        self.model.spec.n_timesteps
+    }
+
+    /// Time between them, seconds.
+    pub const fn dt_s(&self) -> f64 {
+        self.model.spec.dt_s
+    }
+
+    /// The seed of everything random.
+    pub const fn seed(&self) -> u64 {
+        self.config.seed
+    }
+
+    /// Hash of the model's file.
+    pub fn fingerprint(&self) -> &str {
+        &self.model.fingerprint
+    }
+
+    /// A future of everybody; the inner error says why there is none, such as states that are not finite.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn sample(&self, asked: &Continued<'_>) -> Result<Result<Scene, UnfitScene>, Error> {
+        let loader = |_| Err("futures load no scenes".into());
+        let generator = self.generator(&loader);
+        let Some(sweep) = self.config.sweeps.first() else { return Err(Error::Config("no sweep".to_owned())) };
+        let scene_id = asked.name.into();
+        let cell = Cell { scene_idx: 0, scene_id, roles: Roles::default(), targets: Vec::new() };
+        let given = Conditioned::new(asked.scene.clone(), asked.mask.clone(), asked.center_idx);
+        let batch = Batch {
+            sweep,
+            cells: vec![(&cell, &given)],
+            samples: asked.step..asked.step + 1,
+            level: GuidanceLevel::UNGUIDED,
+        };
+        let mut drawn = generator.sample(&batch, &Silent)?;
+        match drawn.pop() {
+            Some(draw) => Ok(draw.map(|draw| draw.scene)),
+            None => Ok(Err(UnfitScene("has no agent to continue".to_owned()))),
+        }
+    }
+
+    fn generator<'b>(&'b self, scenes: &'b super::SceneLoader<'b>) -> Generator<'b> {
+        Generator {
+            config: &self.config,
+            models: Models { denoiser: self.model, classifiers: &[], distilled: Some(self.model), baseline: None },
+            behaviors: &[],
+            scenes,
+            metric_settings: self.metric_settings.clone(),
+            device: self.device,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::denoiser;
+    use super::*;
+    use crate::guidance::testing::scene;
+
+    #[test]
+    fn a_future_depends_on_seed_name_and_step_alone_and_noise_belongs_to_the_agent() {
+        let model = denoiser(0);
+        let futures = Futures::new(&model, 3, &Device::Cpu).unwrap();
+        let scene = scene(0);
+        let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
+        let sampled = |futures: &Futures<'_>, name: &str, step: usize| {
+            futures.sample(&Continued { scene: &scene, mask: &mask, center_idx: 0, name, step }).unwrap().unwrap()
+        };
+        let first = sampled(&futures, "a", 10);
+        assert_eq!(first, sampled(&futures, "a", 10));
+        assert!(first != sampled(&futures, "a", 15) && first != sampled(&futures, "b", 10));
+        assert!(first != sampled(&Futures::new(&model, 4, &Device::Cpu).unwrap(), "a", 10));
+        assert_eq!((first.n_timesteps, futures.seed()), (scene.n_timesteps, 3));
+        let model = denoiser(1);
+        let broken = Futures::new(&model, 3, &Device::Cpu).unwrap();
+        let asked = Continued { scene: &scene, mask: &mask, center_idx: 0, name: "a", step: 10 };
+        assert!(broken.sample(&asked).unwrap().unwrap_err().0.contains("not finite"));
+    }
+}

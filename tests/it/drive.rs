@@ -1,0 +1,261 @@
+//! Does `djinn drive` put planners into the scenarios of a corpus, whatever they answer, and repeat to the same bytes?
+
+use crate::skipped::skipped;
+use crate::support::{Outcome, assert_same, command, djinn, files};
+use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt32Array};
+use djinn::drive::protocol::protocol_schema;
+use djinn::geometry::Vec2;
+use djinn::store::CorpusReader;
+use parquet::arrow::ArrowWriter;
+use std::path::Path;
+use std::process::Command;
+use std::sync::Arc;
+
+const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
+const MODEL: &str = "pipelines/models/geometric_two_steps.safetensors";
+/// Accepted scenarios of the corpus.
+const N_SCENARIOS: u64 = 3;
+
+fn drive(ego: &str, out: &Path, more: &[&str]) -> Outcome {
+    let out = out.to_str().unwrap();
+    djinn(&[&["drive", CORPUS, "--ego", ego, "--model", MODEL, "--out", out], more].concat())
+}
+
+fn report(out: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs_err::read(out.join("drive.json")).unwrap()).unwrap()
+}
+
+fn example(fault: &str) -> String {
+    format!("python3 scripts/example_planner.py {fault}")
+}
+
+/// A planner in a line of Python: `answer` is what it prints for the observation number `n`.
+fn planner(answer: &str) -> String {
+    let code = format!(
+        "import json, sys, time\nn = 0\nfor line in sys.stdin:\n if json.loads(line)['type'] == 'observation':\n  \
+         n += 1\n  {answer}\n  sys.stdout.flush()"
+    );
+    format!("python3 -c \"{code}\"")
+}
+
+#[test]
+fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_states() {
+    let dir = tempfile::tempdir().unwrap();
+    let [one, two] = ["one", "two"].map(|name| dir.path().join(name));
+    let shared = ["--horizon-s", "2", "--save-at", "14", "--threads"];
+    drive("model", &one, &[&shared[..], &["1"]].concat()).expect(0);
+    let outcome = drive("model", &two, &[&shared[..], &["3"]].concat()).expect(0);
+    assert!(outcome.stdout.contains("of 3 scenarios fail ("), "{}", outcome.stdout);
+    assert_same(&files(&one), &files(&two));
+    let (found, tables) = (report(&one), ["drives.parquet", "driven.parquet"]);
+    assert!(found["n_scenarios"] == N_SCENARIOS && tables.iter().all(|table| one.join(table).is_file()));
+    assert_eq!(found["failures"]["n_scenarios"], N_SCENARIOS);
+    let count = |driver: &str| -> u64 {
+        found["outcomes"][driver].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum()
+    };
+    assert_eq!([count("model"), count("careful")], [N_SCENARIOS; 2]);
+
+    let state = fs_err::read_dir(one.join("states")).unwrap().next().unwrap().unwrap().path();
+    let [fork, again] = ["fork", "again"].map(|name| dir.path().join(name));
+    let planner = example("");
+    for (out, threads) in [(&fork, "1"), (&again, "2")] {
+        drive(&planner, out, &["--horizon-s", "2", "--from", state.to_str().unwrap(), "--threads", threads]).expect(0);
+    }
+    assert_same(&files(&fork), &files(&again));
+    assert_eq!(report(&fork)["n_scenarios"], 1);
+    let refused = drive("idm", &dir.path().join("no"), &["--from", "Cargo.toml"]).expect(1);
+    assert!(refused.stderr.contains("--save-at"), "{}", refused.stderr);
+}
+
+#[test]
+fn whatever_a_planner_does_is_an_outcome() {
+    let dir = tempfile::tempdir().unwrap();
+    let nan = planner("print(json.dumps({'type': 'action', 'acceleration_mps2': float('nan')}))");
+    let late = planner("time.sleep(0 if n < 2 else 60); print(json.dumps({'type': 'action', 'acceleration_mps2': 0}))");
+    let far = planner("print(json.dumps({'type': 'action', 'trajectory': [[0, 0, 0]] * 5}))");
+    for (name, command, outcome, why) in [
+        ("dies", "echo no map for this place >&2; false", "planner_failed", "its last words: no map for this place"),
+        ("missing", "./no-such-planner", "planner_failed", "no-such-planner"),
+        ("floods", "yes nonsense", "planner_failed", ""),
+        ("endless", "cat /dev/zero", "planner_failed", "more than 1048576 bytes"),
+        ("nan", nan.as_str(), "planner_failed", "expected an action"),
+        ("far", far.as_str(), "planner_failed", "no motion of a vehicle"),
+        ("late", late.as_str(), "timed_out", "did not answer within 0.3 s"),
+    ] {
+        let out = dir.path().join(name);
+        let said =
+            drive(command, &out, &["--horizon-s", "2", "--time-limit-s", "0.3", "--scenario", &ids()[0]]).expect(0);
+        let found = report(&out);
+        assert_eq!(found["outcomes"]["planner"][outcome], 1, "{name}: {}", found["outcomes"]);
+        // The careful driver drives all the same, and what it survives is told.
+        let is_told = found["that_matter"].as_array().unwrap().iter().all(|m| m["why"].as_str().unwrap().contains(why));
+        assert!(is_told, "{name}: {found}\n{}", said.stdout);
+        assert_eq!(found["n_scenarios"], 1, "{name}");
+    }
+}
+
+/// The ids of the accepted scenarios.
+fn ids() -> Vec<String> {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    drive("constant_velocity", &out, &["--horizon-s", "0.5", "--save-at", "0"]).expect(0);
+    let states = fs_err::read_dir(out.join("states")).unwrap();
+    let mut ids: Vec<String> =
+        states.map(|entry| entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+    ids.sort();
+    ids
+}
+
+#[test]
+fn one_process_serves_all_scenarios() {
+    let dir = tempfile::tempdir().unwrap();
+    let (out, log) = (dir.path().join("out"), dir.path().join("log"));
+    let command = format!("sh -c 'echo start >> {}; exec {}'", log.display(), example("--late"));
+    drive(&command, &out, &["--horizon-s", "2", "--threads", "1"]).expect(0);
+    let found = report(&out);
+    assert_eq!(fs_err::read_to_string(log).unwrap(), "start\n");
+    assert!(found["outcomes"]["planner"].get("planner_failed").is_none(), "{found}");
+    assert_eq!(found["n_scenarios"], N_SCENARIOS);
+}
+
+#[test]
+fn the_gymnasium_environment_repeats_and_comes_to_ends() {
+    if !Command::new("python3").args(["-c", "import gymnasium"]).output().unwrap().status.success() {
+        return skipped("python-packages", "no gymnasium");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let code = format!(
+        "import sys\nsys.path.insert(0, 'scripts')\nfrom djinn_drive import environment\n\
+         env = environment('{CORPUS}', '{}', djinn='{}', options='--model {MODEL} --horizon-s 1')\n\
+         first, _ = env.reset(seed=5)\nagain, _ = env.reset(seed=5)\nassert (first == again).all()\n\
+         steps = [env.step([0.0, 0.0]) for _ in range(2)]\nassert steps[-1][2] or steps[-1][3], steps\n\
+         ids = {{env.reset()[1]['scenario_id'] for _ in range(3)}}\nassert len(ids) == 3, ids\nenv.close()",
+        dir.path().join("out").display(),
+        env!("CARGO_BIN_EXE_djinn"),
+    );
+    let python = Command::new("python3").args(["-c", &code]).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
+    assert!(python.status.success(), "{}", String::from_utf8_lossy(&python.stderr));
+}
+
+#[test]
+fn what_cannot_be_driven_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    for (more, code, why) in [
+        (&["--behavior", "tailgating"][..], 1, "none of the 7 scenarios"),
+        (&["--replan-s", "20"], 1, "replan_s is 20"),
+        (&["--time-limit-s", "0"], 1, "time_limit_s is 0"),
+        (&["--model", "Cargo.toml"], 1, "Cargo.toml"),
+        (&["--out", CORPUS], 1, CORPUS),
+    ] {
+        let args = ["drive", CORPUS, "--ego", "idm", "--horizon-s", "0.5"];
+        let own = ["--model", MODEL, "--out", out.to_str().unwrap()];
+        let own: Vec<&str> = own.chunks(2).filter(|pair| !more.contains(&pair[0])).flatten().copied().collect();
+        let refused = djinn(&[&args[..], &own, more].concat()).expect(code);
+        assert!(refused.stderr.contains(why), "{more:?}: {}", refused.stderr);
+        assert!(!out.exists());
+    }
+}
+
+#[test]
+fn the_published_protocol_is_the_one_that_is_spoken() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/drive_protocol.v1.json");
+    let expected = format!("{}\n", serde_json::to_string_pretty(&protocol_schema()).unwrap());
+    if std::env::var_os("DJINN_UPDATE_SCHEMAS").is_some() {
+        fs_err::write(&path, &expected).unwrap();
+    }
+    assert!(
+        fs_err::read_to_string(&path).unwrap_or_default() == expected,
+        "{} is out of date: set DJINN_UPDATE_SCHEMAS=1 and run again",
+        path.display()
+    );
+}
+
+/// The ego of every accepted scenario as planned states, moved to the left by this, meters.
+fn planned(path: &Path, aside_m: f64) {
+    let reader = CorpusReader::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS)).unwrap();
+    let (mut ids, mut timesteps, mut numbers) = (Vec::new(), Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
+    for record in (0..reader.len()).map(|i| reader.scenario(i).unwrap()) {
+        let scene = &record.scenario.scene;
+        let Some(ego) = record.subject_idx().filter(|_| record.assessment.as_ref().is_some_and(|a| a.accepted)) else {
+            continue;
+        };
+        for timestep in scene.n_history..scene.n_timesteps {
+            let state = scene.state(ego, timestep).unwrap().transformed(&scene.world_from_scene);
+            let aside = Vec2::from_angle(state.heading_rad).rotated(std::f64::consts::FRAC_PI_2) * aside_m;
+            ids.push(record.scenario.id.clone());
+            timesteps.push(timestep as u32);
+            let values = [state.position.x + aside.x, state.position.y + aside.y, state.heading_rad];
+            numbers.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
+        }
+    }
+    let [x, y, heading] = numbers.map(|column| Arc::new(Float64Array::from(column)) as ArrayRef);
+    let ids: ArrayRef = Arc::new(StringArray::from(ids));
+    let timesteps: ArrayRef = Arc::new(UInt32Array::from(timesteps));
+    let columns = [("scenario_id", ids), ("timestep", timesteps), ("x", x), ("y", y), ("heading", heading)];
+    let batch = RecordBatch::try_from_iter(columns).unwrap();
+    let (file, _) = fs_err::File::create(path).unwrap().into_parts();
+    let mut writer = ArrowWriter::try_new(file, batch.schema(), None).unwrap();
+    writer.write(&batch).unwrap();
+    writer.close().unwrap();
+}
+
+#[test]
+fn planned_trajectories_are_scored_beside_the_careful_driver_the_scenario_and_the_recording() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, out) = (dir.path().join("planned.parquet"), dir.path().join("out"));
+    let score = |more: &[&str]| {
+        let args = ["score", CORPUS, file.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        djinn(&[&args, more].concat())
+    };
+    planned(&file, 0.0);
+    score(&[]).expect(0);
+    let found = report(&out);
+    let count = |driver: &str| found["outcomes"][driver].as_object().unwrap().values().filter_map(|n| n.as_u64()).sum();
+    let counts: [u64; 3] = ["planner", "careful", "scenario"].map(count);
+    assert_eq!((counts, &found["outcomes"]["planner"]), ([N_SCENARIOS; 3], &found["outcomes"]["scenario"]));
+    assert!(found["outcomes"]["recorded"].is_object(), "{found}");
+    fs_err::remove_dir_all(&out).unwrap();
+    // Ten meters aside at once is no road, or no free one.
+    planned(&file, 10.0);
+    let gated = score(&["--max-failures", "0"]).expect(3);
+    assert!(gated.stderr.contains("--max-failures: 3 scenarios, expected at most 0"), "{}", gated.stderr);
+    assert_eq!(report(&out)["failures"]["n_failed"], N_SCENARIOS);
+    let refused = djinn(&["score", CORPUS, "Cargo.toml", "--out", dir.path().join("no").to_str().unwrap()]).expect(1);
+    assert!(refused.stderr.contains("Cargo.toml"), "{}", refused.stderr);
+}
+
+/// The commands on the page, in their order, on the corpus of the tests.
+#[test]
+fn the_page_for_people_with_a_planner_works_as_it_says() {
+    let page = fs_err::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/DRIVE.md")).unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let bin = Path::new(env!("CARGO_BIN_EXE_djinn")).parent().unwrap().to_owned();
+    let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
+    let planned_states = dir.path().join("planned.parquet");
+    planned(&planned_states, 0.0);
+    let mut n_run = 0;
+    for block in page.split("```sh\n").skip(1) {
+        for line in block.split("```").next().unwrap_or_default().lines().filter(|line| line.starts_with("djinn ")) {
+            let mut line = line.split('#').next().unwrap_or_default().trim().to_owned();
+            if line.contains("djinn run") {
+                continue;
+            }
+            if line.starts_with("djinn drive") {
+                line = format!("{line} --model {MODEL} --horizon-s 1");
+            }
+            let line = line.replace("output/quickstart/main/corpus", CORPUS);
+            let line = line.replace(" planned.parquet", &format!(" {}", planned_states.display()));
+            let line = line.replace("output/", &format!("{}/", dir.path().display()));
+            let mut shell = Command::new("sh");
+            shell.args(["-c", &line]).env("PATH", &path).current_dir(env!("CARGO_MANIFEST_DIR"));
+            let output = shell.output().unwrap();
+            assert!(output.status.success(), "{line}\n{}", String::from_utf8_lossy(&output.stderr));
+            n_run += 1;
+        }
+    }
+    assert!(n_run >= 4, "{n_run} commands");
+    // Help names the page.
+    let help = command(&["drive", "--help"]).output().unwrap();
+    assert!(String::from_utf8_lossy(&help.stdout).contains("pipelines/DRIVE.md"));
+}
