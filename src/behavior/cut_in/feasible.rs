@@ -60,10 +60,10 @@ pub(super) struct CutInPlan {
 
 impl CutIn {
     /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other leaves its lane
-    /// with at most 2 m/s² across on average and, at its peak, -4 to 2.5 m/s² along the lane. The ego keeps its lane and
-    /// brakes for the other with at most 5 m/s². Nobody is in the way, if all others continue straight. Before the scene
-    /// ends, the other's center is in the lane and the ego reaches the place where the other came in. Only the past and
-    /// the map are used.
+    /// with at most 2 m/s² across on average and, at its peak, -4 to 2.5 m/s² along the lane. The ego keeps its lane
+    /// and brakes for the other with at most 5 m/s². Nobody is in the way, if all others continue straight. Before the
+    /// scene ends, the other's center is in the lane and the ego reaches the place where the other came in. Only the
+    /// past and the map are used.
     ///
     /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
     /// is too far to the side, ahead or behind.

@@ -1,7 +1,7 @@
 //! CommonRoad scenarios, versions 2018b and 2020a: one XML file with lanelets and obstacles.
 //!
-//! The scenes of a file are windows of its time steps, [`IngestConfig::window_stride`] apart. The vehicle of its planning
-//! problem is not among the obstacles, and is left out.
+//! The scenes of a file are windows of its time steps, [`IngestConfig::window_stride`] apart. The vehicle of its
+//! planning problem is not among the obstacles, and is left out.
 
 mod map;
 #[cfg(test)]

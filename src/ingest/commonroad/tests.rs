@@ -93,8 +93,8 @@ fn windows_of_a_scenario_hold_its_obstacles_and_lanes() {
 fn the_later_version_has_kinds_turns_and_things_that_stand() {
     let lanes = lanelet(1, 0.0, "<laneletType>urban</laneletType>")
         + &lanelet(2, 3.5, "<laneletType>crosswalk</laneletType>")
-        + "<intersection id=\"9\"><incoming id=\"10\"><incomingLanelet ref=\"5\"/><successorsLeft ref=\"1\"/></incoming>\
-           </intersection>";
+        + "<intersection id=\"9\"><incoming id=\"10\"><incomingLanelet ref=\"5\"/><successorsLeft ref=\"1\"/>\
+           </incoming></intersection>";
     let parked = format!(
         "<staticObstacle id=\"3\"><type>parkedVehicle</type><shape><circle><radius>1</radius></circle></shape>{}\
          </staticObstacle>",

@@ -13,7 +13,7 @@ const MAX_DEPTH: usize = 32;
 pub(super) struct Element {
     pub(super) name: String,
     attributes: Vec<(String, String)>,
-    children: Vec<Element>,
+    children: Vec<Self>,
     text: String,
 }
 
