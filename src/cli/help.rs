@@ -143,9 +143,9 @@ Writes drives.parquet, driven.parquet (all states), drive.json and, with --save-
 
 Examples:
   djinn drive output/quickstart/main/corpus --ego idm --out output/idm
-  djinn drive output/quickstart/main/corpus --ego 'python3 my_planner.py' --limit 20 --out output/mine
+  djinn drive output/quickstart/main/corpus --ego ./planner.py --limit 20 --out output/mine
   djinn drive output/quickstart/main/corpus --ego model --save-at event --out output/model
-  djinn drive output/quickstart/main/corpus --ego idm --from output/model/states/ID.json -o output/fork";
+  djinn drive output/quickstart/main/corpus --ego idm --from STATE.json --out output/fork";
 
 /// Help after the options of `score`.
 pub(super) const SCORE: &str = "\
