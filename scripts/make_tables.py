@@ -19,7 +19,6 @@ TABLES = {
     "models/measure_held_out": ("models/measure", [3], True, "measure_models"),
     "behaviors/arms": ("behaviors/arms", [1, 2], False, "compare_arms"),
     "behaviors/arms_pushed": ("behaviors/arms_pushed", [1, 2], False, "compare_arms"),
-    "behaviors/arms_held_out": ("behaviors/arms", [1, 2], True, "compare_arms"),
 }
 PIPELINES = pathlib.Path(__file__).parent.parent / "pipelines"
 
