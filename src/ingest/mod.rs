@@ -30,6 +30,7 @@ pub mod lanelet2;
 mod map_catalog;
 mod map_report;
 mod map_text;
+mod one_file;
 mod places;
 mod plausible_lanes;
 mod plausible_tracks;

@@ -36,14 +36,19 @@ pub trait RecordingSource: Sync {
         false
     }
 
-    /// The id of the map that the entry at `path` is, to be read before all recordings; `None` if it is none.
-    fn map_at(&self, path: &str) -> Option<MapId>;
+    /// The id of the map that the entry at `path` is, to be read before all recordings; `None` if it is none, as where
+    /// scenes bring their own.
+    fn map_at(&self, _path: &str) -> Option<MapId> {
+        None
+    }
 
     /// Reads such a map.
     ///
     /// # Errors
     /// [`Error::Map`] when the map is not whole.
-    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error>;
+    fn read_map(&self, entry: &Entry, _reader: &mut dyn BufRead) -> Result<MapFile, Error> {
+        Err(Error::map(&entry.path, "", "is of a scenario, and is read with it"))
+    }
 
     /// The place that the path of a recording or a map names, whether or not it is one to keep.
     fn place_at(&self, _path: &str) -> Option<String> {

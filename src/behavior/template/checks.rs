@@ -144,3 +144,40 @@ pub(in crate::behavior) fn follows(follower: &State, leader: &State) -> bool {
     let is_behind = (follower.position - leader.position).dot(forward) < 0.0;
     is_behind && Vec2::from_angle(follower.heading_rad).dot(forward) > 0.0
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Extent;
+    use crate::scene::testing::{self, Drive};
+
+    #[test]
+    fn a_long_vehicle_does_not_turn_as_tightly_as_a_car() {
+        let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 3.0)]);
+        let now = *scene.state(0, scene.current_timestep()).unwrap();
+        // A circle of 5.5 m, at 1.6 m/s² across.
+        let circle = |t: f64| {
+            let turned = 3.0 * t / 5.5;
+            Some(now.position + Vec2::new(turned.sin(), 1.0 - turned.cos()) * 5.5)
+        };
+        for (length_m, expected) in [(4.5, true), (12.0, false)] {
+            scene.tracks[0].extent = Some(Extent { length_m, width_m: 2.0 });
+            let template = Template::empty().with(&scene, 0, circle).unwrap();
+            assert_eq!(template.is_drivable(&scene), expected, "{length_m} m");
+        }
+    }
+
+    #[test]
+    fn the_jolt_is_the_change_of_acceleration_at_the_present() {
+        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+        let now = *scene.state(0, scene.current_timestep()).unwrap();
+        let braking = |mps2: f64| -> Vec<State> {
+            let at = |t_s: f64| now.position + Vec2::new(10.0 * t_s - mps2 * t_s * t_s / 2.0, 0.0);
+            (1..=2).map(|i| State { position: at(f64::from(i) * scene.dt_s), ..now }).collect()
+        };
+        for mps2 in [0.0, 1.0, 4.0] {
+            let found = jolt_mps2(&scene, 0, &braking(mps2)).unwrap();
+            assert!((found - mps2).abs() < 1e-6, "{found} instead of {mps2}");
+        }
+    }
+}

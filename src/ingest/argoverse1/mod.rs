@@ -9,12 +9,12 @@ mod vector_map;
 use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
-use super::files::{file_name, file_stem, read_whole, split_of_entry, split_of_path};
-use super::raw::{RawUnit, UnitSplit, map_id};
-use super::source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
+use super::files::{file_name, split_of_path};
+use super::one_file::OneFileOneUnit;
+use super::raw::{RawUnit, map_id};
+use super::source::{Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 use crate::scene::{Dataset, MapId};
 use std::io::BufRead;
-use std::ops::ControlFlow;
 
 #[cfg(test)]
 pub(super) use tracks::tests::csv_text;
@@ -65,26 +65,5 @@ impl RecordingSource for Argoverse1<'_> {
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         let (graph, report) = vector_map::read(&entry.path, reader)?;
         Ok(MapFile { graph, rank: 0, report })
-    }
-}
-
-struct OneFileOneUnit;
-
-impl UnitReader for OneFileOneUnit {
-    fn read(
-        &mut self,
-        entry: &Entry,
-        reader: &mut dyn BufRead,
-        emit: &mut EmitUnit<'_>,
-    ) -> Result<ControlFlow<()>, Error> {
-        Ok(emit(read_whole(entry, reader).map(|bytes| RawUnit {
-            file: entry.path.clone(),
-            container: entry.container.clone(),
-            split: UnitSplit::All(split_of_entry(entry)),
-            case_id: file_stem(&entry.path).to_owned(),
-            bytes,
-            first_line: 1,
-            ..RawUnit::default()
-        })))
     }
 }

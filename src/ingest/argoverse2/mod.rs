@@ -5,14 +5,11 @@ mod map;
 mod pairing;
 mod tracks;
 
-use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
 use super::files::split_of_path;
 use super::raw::{RawScene, RawUnit, Reject};
-use super::source::{Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
-use crate::scene::MapId;
-use std::io::BufRead;
+use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use std::sync::Arc;
 
 #[cfg(test)]
@@ -61,14 +58,6 @@ impl RecordingSource for Argoverse2<'_> {
 
     fn has_own_maps(&self) -> bool {
         true
-    }
-
-    fn map_at(&self, _path: &str) -> Option<MapId> {
-        None
-    }
-
-    fn read_map(&self, entry: &Entry, _reader: &mut dyn BufRead) -> Result<MapFile, Error> {
-        Err(Error::map(&entry.path, "", "is of a scenario, and is read with it"))
     }
 }
 

@@ -9,16 +9,14 @@ mod tests;
 mod tracks;
 mod xml_tree;
 
-use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
-use super::files::{file_stem, read_whole, split_of_entry, split_of_path};
+use super::files::split_of_path;
 use super::map_text::read_text;
+use super::one_file::OneFileOneUnit;
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
-use super::source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
-use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split};
-use std::io::BufRead;
-use std::ops::ControlFlow;
+use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
+use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, Split};
 use std::sync::Arc;
 use tracks::Obstacle;
 use xml_tree::Element;
@@ -56,7 +54,7 @@ impl RecordingSource for CommonRoad<'_> {
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
-        Box::new(OneScenario)
+        Box::new(OneFileOneUnit)
     }
 
     fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {
@@ -68,35 +66,6 @@ impl RecordingSource for CommonRoad<'_> {
 
     fn has_own_maps(&self) -> bool {
         true
-    }
-
-    fn map_at(&self, _path: &str) -> Option<MapId> {
-        None
-    }
-
-    fn read_map(&self, entry: &Entry, _reader: &mut dyn BufRead) -> Result<MapFile, Error> {
-        Err(Error::map(&entry.path, "", "is of a scenario, and is read with it"))
-    }
-}
-
-struct OneScenario;
-
-impl UnitReader for OneScenario {
-    fn read(
-        &mut self,
-        entry: &Entry,
-        reader: &mut dyn BufRead,
-        emit: &mut EmitUnit<'_>,
-    ) -> Result<ControlFlow<()>, Error> {
-        Ok(emit(read_whole(entry, reader).map(|bytes| RawUnit {
-            file: entry.path.clone(),
-            container: entry.container.clone(),
-            split: UnitSplit::All(split_of_entry(entry)),
-            case_id: file_stem(&entry.path).to_owned(),
-            bytes,
-            first_line: 1,
-            ..RawUnit::default()
-        })))
     }
 }
 
