@@ -3,6 +3,7 @@
 use super::world::World;
 use super::{Error, Result};
 use crate::behavior::driven_path::DrivenPath;
+use crate::behavior::footprint::Bounds;
 use crate::behavior::kept_lane::way_on;
 use crate::geometry::{OrientedBox, Vec2};
 use crate::metrics::Road;
@@ -43,6 +44,8 @@ pub struct Situation {
     /// The way of the ego: the one of the scenario, and on along its lane.
     pub(crate) route: DrivenPath,
     road: Road,
+    /// The rectangle around the middle of each lane.
+    lane_bounds: Vec<Option<Bounds>>,
     /// Whether each agent is on the map at present, and whether it overlaps the ego there.
     starts_on_map: Vec<bool>,
     starts_in_ego: Vec<bool>,
@@ -62,7 +65,7 @@ impl Situation {
         let now = *now.ok_or_else(|| unfit("has no state of its ego at present"))?;
         if let Some(map) = map {
             let center = scene.world_from_scene.point(now.position);
-            let near = map.subset(&near(map, &[center], MAP_WITHIN_M));
+            let near = map.subset(&near(map, &bounds(map), &[center], MAP_WITHIN_M));
             scene.lanes = Arc::new(near.into_frame(&scene.world_from_scene.inverse()));
         }
         let ego = &scene.tracks[ego_idx];
@@ -91,6 +94,7 @@ impl Situation {
             target_speed_mps,
             route,
             road: Road::new(&scene.lanes),
+            lane_bounds: bounds(&scene.lanes),
             starts_on_map: Vec::new(),
             starts_in_ego: Vec::new(),
             starts_on_road: false,
@@ -138,7 +142,8 @@ impl Situation {
     }
 
     fn is_on_map(&self, state: &State) -> bool {
-        self.scene.lanes.is_empty() || !near(&self.scene.lanes, &[state.position], OFF_MAP_M).is_empty()
+        let mut lanes = self.scene.lanes.lanes().iter().zip(&self.lane_bounds);
+        self.scene.lanes.is_empty() || lanes.any(|(lane, bounds)| is_near(lane, *bounds, state.position, OFF_MAP_M))
     }
 
     /// Whether an agent was on the map at present and is not now.
@@ -178,7 +183,7 @@ impl Situation {
             track.trajectory = track.trajectory.with_velocities_from_positions(n_history, scene.dt_s);
         }
         let present: Vec<Vec2> = (0..scene.tracks.len()).filter_map(|i| world.present(i)).map(|s| s.position).collect();
-        let ids = near(&self.scene.lanes, &present, LANES_WITHIN_M);
+        let ids = near(&self.scene.lanes, &self.lane_bounds, &present, LANES_WITHIN_M);
         if ids.len() < self.scene.lanes.lanes().len() {
             scene.lanes = Arc::new(self.scene.lanes.subset(&ids));
         }
@@ -207,12 +212,20 @@ impl Situation {
 }
 
 /// The lanes whose middle comes this close to any of these points.
-fn near(lanes: &LaneGraph, points: &[Vec2], within_m: f64) -> Vec<LaneId> {
-    let is_near = |lane: &&Lane| {
-        let is_close = |at: &Vec2| lane.centerline.project(*at).is_some_and(|p| p.offset_m.abs() <= within_m);
-        points.iter().any(is_close)
-    };
-    lanes.lanes().iter().filter(is_near).map(|lane| lane.id).collect()
+fn near(lanes: &LaneGraph, bounds: &[Option<Bounds>], points: &[Vec2], within_m: f64) -> Vec<LaneId> {
+    let is_near_one =
+        |(lane, bounds): &(&Lane, &Option<Bounds>)| points.iter().any(|at| is_near(lane, **bounds, *at, within_m));
+    lanes.lanes().iter().zip(bounds).filter(is_near_one).map(|(lane, _)| lane.id).collect()
+}
+
+/// The rectangle around the middle of each lane, in their order.
+fn bounds(lanes: &LaneGraph) -> Vec<Option<Bounds>> {
+    lanes.lanes().iter().map(|lane| Bounds::around(lane.centerline.0.iter().copied())).collect()
+}
+
+fn is_near(lane: &Lane, bounds: Option<Bounds>, at: Vec2, within_m: f64) -> bool {
+    bounds.is_some_and(|bounds| bounds.contains(at, within_m))
+        && lane.centerline.project(at).is_some_and(|place| place.offset_m.abs() <= within_m)
 }
 
 #[cfg(test)]

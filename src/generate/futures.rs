@@ -7,8 +7,10 @@ use crate::metrics::MetricSettings;
 use crate::model::{Distillation, TrainedDenoiser};
 use crate::progress::Silent;
 use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene, UnfitScene};
+use crate::tensor::Collator;
 use candle_core::Device;
 use serde_json::json;
+use std::sync::Arc;
 
 /// Samples futures of scenes that are given one by one: kept apart and on the road as samples of sweeps are, and
 /// nothing else. A scene is denoised alone, because matrix products of several rows round differently.
@@ -17,6 +19,7 @@ pub struct Futures<'a> {
     config: ResolvedGeneration,
     metric_settings: MetricSettings,
     device: &'a Device,
+    collator: Arc<Collator>,
 }
 
 /// A scene to be continued.
@@ -55,7 +58,8 @@ impl<'a> Futures<'a> {
         let config: GenerateConfig = serde_json::from_value(json!({ "seed": seed, "sweeps": [sweep] }))
             .map_err(|error| Error::Config(error.to_string()))?;
         let config = config.resolve(&[])?;
-        let futures = Self { model, config, metric_settings: MetricSettings::default(), device };
+        let (metric_settings, collator) = (MetricSettings::default(), Arc::new(model.spec.sampling_collator()));
+        let futures = Self { model, config, metric_settings, device, collator };
         futures.generator(&|_| Err("futures load no scenes".into())).check_all()?;
         Ok(futures)
     }
@@ -117,6 +121,7 @@ impl<'a> Futures<'a> {
             scenes,
             metric_settings: self.metric_settings.clone(),
             device: self.device,
+            collator: self.collator.clone(),
         }
     }
 }
