@@ -30,6 +30,7 @@ mod drivers;
 mod error;
 mod external;
 mod outcome;
+mod peek;
 pub mod protocol;
 mod reaction;
 mod report;
@@ -44,7 +45,7 @@ mod testing;
 mod traffic;
 mod world;
 
-pub use driver::{Driver, EgoDriver, Failed, Fault};
+pub use driver::{Driver, EgoDriver, Failed, Fault, Peeker};
 pub use error::{Error, Result};
 pub use outcome::{Contact, Outcome, Side};
 pub use report::{DriveReport, Failures, Matters, Part};

@@ -2,6 +2,7 @@
 
 use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
+use super::peek::peek;
 use super::reaction::{brake, is_ahead};
 use super::situation::Situation;
 use super::traffic::Traffic;
@@ -177,7 +178,12 @@ impl Drive<'_> {
             },
             Others::Replayed => None,
         };
-        if let Err(why) = self.driver.plan(situation, &self.world, n_steps) {
+        let world = &self.world;
+        let peek = |n: usize| match others {
+            Others::Sampled(futures) => peek(situation, world, futures, n),
+            Others::Replayed => Err(Failed::because("others that do not answer have no futures")),
+        };
+        if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
             return Ok(Some(failed(why)));
         }
         for step in 0..n_steps {
@@ -212,7 +218,7 @@ impl Drive<'_> {
             (self.world.plan_ends, self.gave_up_plan) = (now, true);
         }
         let expected = (!self.driver.is_model()).then_some(expected.as_slice());
-        let (scene, mask) = situation.window(&self.world, expected, sizes);
+        let (scene, mask) = situation.window(&self.world, expected, true, sizes);
         let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
         let mut sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
         if let Ok(sampled) = &mut sampled {

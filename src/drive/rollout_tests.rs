@@ -105,6 +105,23 @@ fn a_plan_that_would_ram_an_ego_that_is_elsewhere_is_given_up() {
     assert_eq!((driven.gave_up_plan, driven.outcome, side), (false, Outcome::Hit, Some(Side::Rear)));
 }
 
+#[test]
+fn peeking_shows_several_futures_that_know_nothing_of_the_plan_and_changes_nothing() {
+    let (situation, model) = (situation(&record()), model());
+    let futures = Futures::new(&model, 1, &Device::Cpu).unwrap();
+    let world = situation.start(1);
+    let found = peek::peek(&situation, &world, &futures, 3).unwrap();
+    let at = |future: &Scene, idx: usize| future.state(idx, 30).map(|state| state.position).unwrap();
+    let planned = situation.planned[0];
+    let plan = situation.plan(&world, planned, 30).unwrap().position;
+    for idx in [situation.ego_idx, planned] {
+        assert!(at(&found[0], idx) != at(&found[1], idx) && at(&found[1], idx) != at(&found[2], idx));
+    }
+    assert!(found.iter().all(|future| at(future, planned).distance(plan) > 1e-3));
+    assert_eq!(found, peek::peek(&situation, &world, &futures, 3).unwrap());
+    assert_eq!(world, situation.start(1));
+}
+
 /// A driver that brakes fully.
 struct Brakes;
 

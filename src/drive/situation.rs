@@ -157,16 +157,18 @@ impl Situation {
     }
 
     /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
-    /// agents of the event and what is `expected` of the ego, and the mask that shows just these.
+    /// agents of the event, if it `knows_plans`, and what is `expected` of the ego; and the mask that shows just these.
     pub(super) fn window(
         &self,
         world: &World,
         expected: Option<&[State]>,
+        knows_plans: bool,
         [n_history, n_timesteps]: [usize; 2],
     ) -> (Scene, ObservationMask) {
         let first = world.n_timesteps() - n_history;
         let mut scene = self.cut(world, first, n_timesteps, n_history);
-        for agent_idx in self.planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
+        let planned = if knows_plans { self.planned.as_slice() } else { &[] };
+        for agent_idx in planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
             let trajectory = &mut scene.tracks[agent_idx].trajectory;
             let entry = |(t, state): (usize, &Option<State>)| {
                 if t < n_history { *state } else { self.plan(world, agent_idx, first + t) }
@@ -189,7 +191,7 @@ impl Situation {
         }
         let mask = ObservationMask::from_fn(scene.tracks.len(), n_timesteps, |agent_idx, timestep| {
             let is_known = scene.state(agent_idx, timestep).is_some();
-            timestep < n_history || (is_known && (agent_idx == self.ego_idx || self.planned.contains(&agent_idx)))
+            timestep < n_history || (is_known && (agent_idx == self.ego_idx || planned.contains(&agent_idx)))
         });
         (scene, mask)
     }
@@ -259,7 +261,7 @@ mod tests {
         for timestep in world.n_timesteps()..world.n_timesteps() + 5 {
             world.push((0..situation.scene.tracks.len()).map(|idx| situation.scene.state(idx, timestep).copied()));
         }
-        let (scene, mask) = situation.window(&world, None, [10, 40]);
+        let (scene, mask) = situation.window(&world, None, true, [10, 40]);
         assert_eq!((scene.n_history, scene.n_timesteps, mask.n_timesteps()), (10, 40, 40));
         let planned = situation.planned[0];
         for (agent_idx, timestep, is_shown) in
@@ -271,7 +273,7 @@ mod tests {
             assert_eq!(state, expected);
         }
         let expected = vec![State::default(); 30];
-        let (scene, mask) = situation.window(&world, Some(&expected), [10, 40]);
+        let (scene, mask) = situation.window(&world, Some(&expected), true, [10, 40]);
         assert!(mask.is_observed(situation.ego_idx, 39) && scene.state(situation.ego_idx, 9) != Some(&expected[0]));
         assert_eq!(scene.state(situation.ego_idx, 20).map(|state| state.position), Some(Vec2::ZERO));
     }

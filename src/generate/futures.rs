@@ -94,6 +94,15 @@ impl<'a> Futures<'a> {
     /// # Errors
     /// When the device fails.
     pub fn sample(&self, asked: &Continued<'_>) -> Result<Result<Scene, UnfitScene>, Error> {
+        let sampled = self.several(asked, 1)?.pop();
+        Ok(sampled.unwrap_or_else(|| Err(UnfitScene("has no agent to continue".to_owned()))))
+    }
+
+    /// `n` futures, of which each has a stream of noise: that of its step, those of the next steps.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn several(&self, asked: &Continued<'_>, n: usize) -> Result<Vec<Result<Scene, UnfitScene>>, Error> {
         let loader = |_| Err("futures load no scenes".into());
         let generator = self.generator(&loader);
         let Some(sweep) = self.config.sweeps.first() else { return Err(Error::Config("no sweep".to_owned())) };
@@ -103,14 +112,11 @@ impl<'a> Futures<'a> {
         let batch = Batch {
             sweep,
             cells: vec![(&cell, &given)],
-            samples: asked.step..asked.step + 1,
+            samples: asked.step..asked.step + n,
             level: GuidanceLevel::UNGUIDED,
         };
-        let mut drawn = generator.sample(&batch, &Silent)?;
-        match drawn.pop() {
-            Some(draw) => Ok(draw.map(|draw| draw.scene)),
-            None => Ok(Err(UnfitScene("has no agent to continue".to_owned()))),
-        }
+        let drawn = generator.sample(&batch, &Silent)?;
+        Ok(drawn.into_iter().map(|draw| draw.map(|draw| draw.scene)).collect())
     }
 
     fn generator<'b>(&'b self, scenes: &'b super::SceneLoader<'b>) -> Generator<'b> {
