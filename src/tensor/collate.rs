@@ -4,11 +4,13 @@ use super::agent_row::AgentRow;
 use super::batch_buffers::BatchBuffers;
 use super::features::lane_polylines;
 use super::motion_modes::MotionModes;
+use super::observation_errors::without_errors;
 use super::{AgentFrame, FeatureLayout, Normalizer, SceneBatch, Sight};
 use crate::geometry::Transform2;
 use crate::scene::{ObservationMask, Scene};
 use candle_core::{Device, Result, bail};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Which unobserved states are generated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,6 +63,9 @@ impl Collator {
                  a track that is recorded throughout"
             );
         }
+        let believed: Vec<Cow<'_, Scene>> = views.par_iter().map(|view| self.believed(view)).collect();
+        let views: Vec<SceneView<'_>> =
+            views.iter().zip(&believed).map(|(view, scene)| SceneView { scene, ..*view }).collect();
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();
         let lanes: Vec<Vec<[f32; FeatureLayout::LANE]>> = views
             .par_iter()
@@ -86,10 +91,16 @@ impl Collator {
             let sizes = [n_agents, self.n_timesteps, self.normalizer.state_dim];
             let covariance = self.normalizer.motion_covariance.as_ref();
             let surroundings =
-                sight.surroundings(views, &tensors.frames, &modes_of_agents, sizes, covariance, device)?;
+                sight.surroundings(&views, &tensors.frames, &modes_of_agents, sizes, covariance, device)?;
             tensors.surroundings = Some(surroundings);
         }
         SceneBatch::new(tensors)
+    }
+
+    /// The scene without the errors of its observed states, as far as the covariance of motion tells them.
+    fn believed<'a>(&self, view: &SceneView<'a>) -> Cow<'a, Scene> {
+        let Some(covariance) = &self.normalizer.motion_covariance else { return Cow::Borrowed(view.scene) };
+        without_errors(view, covariance, self.normalizer.motion_units())
     }
 
     fn frame(&self, view: &SceneView<'_>) -> AgentFrame {

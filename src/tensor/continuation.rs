@@ -11,6 +11,9 @@ use std::sync::{Arc, OnceLock};
 
 /// Variances below this share of the largest are rounding errors.
 const MIN_RELATIVE_VARIANCE: f64 = 1e-12;
+/// So are those below this share of the variance of errors of positions. Steps cannot vary like that: the velocity that
+/// is carried on follows from them. Where a recording's velocity follows otherwise, nothing may be read into it.
+pub(super) const MIN_SHARE_OF_NOISE: f64 = 0.01;
 
 /// The prediction from the last k observed steps.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,13 +64,14 @@ impl MotionCovariance {
         let (mut weights, mut covariance) = (Vec::new(), Vec::new());
         for dim in 0..self.values.len() {
             let noise = self.noise_covariance(dim);
+            let least = MIN_SHARE_OF_NOISE * self.noise.get(dim).map_or(0.0, |noise| noise * noise);
             let size = self.n_past + n;
             let past = |i: usize| self.n_past - n_past + i;
             let future = |i: usize| self.n_past + i;
             let c = |i: usize, j: usize| self.values[dim][i * size + j];
             let noisy = |i: usize, j: usize| c(i, j) + noise[i * size + j];
             let of_past = grid(n_past, n_past, |i, j| noisy(past(i), past(j)));
-            let inverse = inverse(of_past, n_past);
+            let (inverse, _) = inverse(of_past, n_past, least);
             let to_past = grid(n, n_past, |i, j| noisy(future(i), past(j)));
             let w = product(&to_past, &inverse, n_past, n_past);
             // The covariance of z - W p in the recordings: C_zz - W C_pz - C_zp Wᵀ + W C_pp Wᵀ.
@@ -85,12 +89,21 @@ impl MotionCovariance {
     }
 
     /// The covariance of steps and future motion that independent errors of the observed positions (or headings) cause,
-    /// in the order of `values`: each step is a difference of two of them, and the velocity that is carried on is the
-    /// slope of the parabola through the last three.
+    /// in the order of `values`.
     fn noise_covariance(&self, dim: usize) -> Vec<f64> {
-        let (k, size) = (self.n_past, self.n_past + self.n_timesteps);
-        // Row i: how the errors of positions 0 to k enter entry i.
-        let of_velocity = |position: usize| match (dim < 2, k - position) {
+        let size = self.n_past + self.n_timesteps;
+        let entry = |i: usize, position: usize| self.share_of_error(dim, i, position);
+        let variance = self.noise.get(dim).map_or(0.0, |noise| noise * noise);
+        grid(size, size, |i, j| {
+            variance * (0..=self.n_past).map(|position| entry(i, position) * entry(j, position)).sum::<f64>()
+        })
+    }
+
+    /// How the error of observed position (or heading) 0 to K enters entry `i` of `values`: each step is a difference of
+    /// two positions, and the velocity that is carried on is the slope of the parabola through the last three.
+    pub(super) fn share_of_error(&self, dim: usize, i: usize, position: usize) -> f64 {
+        let k = self.n_past;
+        let of_velocity = match (dim < 2, k - position) {
             (true, 0) if k > 1 => 1.5,
             (true, 1) if k > 1 => -2.0,
             (true, 2) => 0.5,
@@ -98,41 +111,54 @@ impl MotionCovariance {
             (true, 1) => -1.0,
             _ => 0.0,
         };
-        let entry = |i: usize, position: usize| {
-            let step = match i {
-                i if i < k => f64::from(u8::from(position == i + 1)) - f64::from(u8::from(position == i)),
-                i if i == k => -f64::from(u8::from(position == k)),
-                _ => 0.0,
-            };
-            step - of_velocity(position)
+        let of_step = match i {
+            i if i < k => f64::from(u8::from(position == i + 1)) - f64::from(u8::from(position == i)),
+            i if i == k => -f64::from(u8::from(position == k)),
+            _ => 0.0,
         };
-        let variance = self.noise.get(dim).map_or(0.0, |noise| noise * noise);
-        grid(size, size, |i, j| variance * (0..=k).map(|position| entry(i, position) * entry(j, position)).sum::<f64>())
+        of_step - of_velocity
     }
 }
 
-fn grid(n_rows: usize, n_columns: usize, value: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+pub(super) fn grid(n_rows: usize, n_columns: usize, value: impl Fn(usize, usize) -> f64) -> Vec<f64> {
     (0..n_rows * n_columns).map(|at| value(at / n_columns, at % n_columns)).collect()
 }
 
 /// A B for A (… x `inner`) and B (`inner` x `n_columns`), row by row.
-fn product(a: &[f64], b: &[f64], inner: usize, n_columns: usize) -> Vec<f64> {
+pub(super) fn product(a: &[f64], b: &[f64], inner: usize, n_columns: usize) -> Vec<f64> {
     grid(a.len() / inner, n_columns, |i, j| (0..inner).map(|k| a[i * inner + k] * b[k * n_columns + j]).sum())
 }
 
-/// The inverse of the symmetric `n` x `n` matrix `a`; directions without variance stay without.
-fn inverse(a: Vec<f64>, n: usize) -> Vec<f64> {
+/// The inverse of the symmetric `n` x `n` matrix `a` and the logarithm of its determinant; directions with rounding
+/// errors alone, or a variance below `min_variance`, are left out of both.
+pub(super) fn inverse(a: Vec<f64>, n: usize, min_variance: f64) -> (Vec<f64>, f64) {
     let eigen = symmetric_eigen(a, n);
     let largest = eigen.values.iter().copied().fold(0.0, f64::max);
-    let inverted = |value: f64| if value > MIN_RELATIVE_VARIANCE * largest { value.recip() } else { 0.0 };
+    let least = (MIN_RELATIVE_VARIANCE * largest).max(min_variance);
+    let inverted = |value: f64| if value > least { value.recip() } else { 0.0 };
     let factors: Vec<f64> = eigen.values.iter().map(|value| inverted(*value)).collect();
+    let log_determinant = eigen.values.iter().filter(|value| **value > least).map(|value| value.ln()).sum();
     let vector = |k: usize, i: usize| eigen.vectors[k * n + i];
-    grid(n, n, |i, j| (0..n).map(|k| factors[k] * vector(k, i) * vector(k, j)).sum())
+    (grid(n, n, |i, j| (0..n).map(|k| factors[k] * vector(k, i) * vector(k, j)).sum()), log_determinant)
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+
+    /// Motion that changes by decimeters a timestep within a second or so, seen to 1 mm.
+    pub(in crate::tensor) fn wandering(k: usize, n: usize) -> MotionCovariance {
+        let size = k + n;
+        let smooth = |i: usize, j: usize| 0.01 * (-0.5 * (i.abs_diff(j) as f64 / 8.0).powi(2)).exp();
+        // Beyond the velocity at the present, the slope of the parabola through the last three positions.
+        let entry = |i: usize, m: usize| {
+            let velocity = if m + 1 == k { 1.5 } else { 0.0 } - if m + 2 == k { 0.5 } else { 0.0 };
+            f64::from(u8::from(i == m)) - velocity
+        };
+        let half = product(&grid(size, size, entry), &grid(size, size, smooth), size, size);
+        let values = product(&half, &grid(size, size, |i, j| entry(j, i)), size, size);
+        MotionCovariance::new(k, n, vec![values], vec![0.001])
+    }
 
     /// Motion at constant acceleration a of unit variance along the first dimension, beyond the velocity at the
     /// present: the steps before it are a (i - 1/2 - k) for i = 1 to k, those after it a (i - 1/2).
@@ -179,6 +205,14 @@ mod tests {
         let careful = accelerating(4, 2, 100.0);
         let continuation = careful.continuation(4).unwrap();
         assert!(continuation.covariance[0][0] > 0.2, "{:?}", continuation.covariance);
+    }
+
+    #[test]
+    fn a_velocity_that_does_not_follow_from_the_positions_moves_nobody() {
+        // Off by 1 mm a timestep, which no errors of positions explain.
+        let covariance = wandering(9, 30);
+        let moved = covariance.continuation(9).unwrap().sums(&[[0.001, 0.0, 0.0]; 9])[29][0];
+        assert!(moved.abs() < 0.3, "{moved}");
     }
 
     #[test]

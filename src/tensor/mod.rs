@@ -22,6 +22,7 @@ mod mask_sampler;
 mod motion;
 mod motion_modes;
 mod normalizer;
+mod observation_errors;
 mod pair_features;
 mod reference;
 mod repeated_rows;

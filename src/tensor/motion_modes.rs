@@ -7,6 +7,7 @@ use super::continuation::Continuations;
 use super::eigen::{Eigen, symmetric_eigen};
 use super::motion::MotionChain;
 use super::normalizer::Normalizer;
+use super::observation_errors::Estimates;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -34,12 +35,15 @@ pub struct MotionCovariance {
     pub noise: Vec<f64>,
     #[serde(skip)]
     pub(super) continuations: Continuations,
+    #[serde(skip)]
+    pub(super) estimates: Estimates,
 }
 
 impl MotionCovariance {
     /// A covariance of `n_past` observed steps and `n_timesteps` future ones.
     pub(super) fn new(n_past: usize, n_timesteps: usize, values: Vec<Vec<f64>>, noise: Vec<f64>) -> Self {
-        Self { n_past, n_timesteps, values, noise, continuations: Continuations::default() }
+        let (continuations, estimates) = Default::default();
+        Self { n_past, n_timesteps, values, noise, continuations, estimates }
     }
 
     /// The least variance of a mode: half a millimeter of noise a step gives a sample away, and no recording is

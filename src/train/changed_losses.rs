@@ -60,7 +60,7 @@ pub(super) fn losses_of(
     change: SceneChange,
     sigmas: &[f64],
 ) -> Result<Vec<f64>, Error> {
-    task.draws.changed_means(scenes, sigmas.len(), &|scene| changed(scene, change), |drawn| {
+    task.draws.changed_means(scenes, sigmas.len(), &|_, scene| changed(scene, change), |drawn| {
         let (batch, seeds) = (&drawn.batch, &drawn.seeds);
         let batch = match change {
             SceneChange::EgoOnly | SceneChange::EgoAlone => of_egos(batch)?,

@@ -13,6 +13,7 @@ mod classification;
 mod classification_tests;
 mod classifier;
 mod classifier_report;
+mod degraded;
 mod denoiser;
 #[cfg(test)]
 mod denoiser_tests;

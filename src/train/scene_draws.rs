@@ -1,6 +1,7 @@
 //! Draws the batch of a training step: scenes, ego agents and masks. All models of scenes share it.
 
 use super::Error;
+use super::degraded::degraded;
 use crate::guidance::{ContextRow, SceneContext};
 use crate::scene::{ObservationMask, Roles, Scene};
 use crate::seed::{Seed, SeededRng};
@@ -67,6 +68,9 @@ impl WeightedGroups {
     }
 }
 
+/// What becomes of the scene of this index.
+type SceneChange<'a> = &'a dyn Fn(usize, Scene) -> Scene;
+
 /// Batches made in advance, which does not change results.
 #[derive(Default)]
 pub struct Prefetched {
@@ -128,9 +132,9 @@ impl SceneDraws<'_> {
     }
 
     /// The scenes of these indices after `change`, with their histories observed, each around its own ego agent.
-    fn held_out_batch(&self, indices: &[usize], change: &dyn Fn(Scene) -> Scene) -> Result<DrawnBatch, Error> {
+    fn held_out_batch(&self, indices: &[usize], change: SceneChange<'_>) -> Result<DrawnBatch, Error> {
         let predictive = |idx: &usize| {
-            let scene = change(self.dataset.scene(*idx).map_err(Error::Scene)?);
+            let scene = change(*idx, self.dataset.scene(*idx).map_err(Error::Scene)?);
             let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
             Ok(Drawn { ego_idx: scene.ego_idx, mask, scene })
         };
@@ -140,8 +144,8 @@ impl SceneDraws<'_> {
         self.collate(&drawn, seeds, rngs)
     }
 
-    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes. The
-    /// seeds of a batch are the same whenever it is evaluated.
+    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes and lack
+    /// what training scenes lack. The seeds of a batch are the same whenever it is evaluated.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -150,10 +154,11 @@ impl SceneDraws<'_> {
         n: usize,
         figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
-        self.changed_means(self.held_out, n, &|scene| scene, figures)
+        let seen = |idx: usize, scene| self.seen(scene, &mut self.seed.derive("degraded", &[idx as u64]).rng());
+        self.changed_means(self.held_out, n, &seen, figures)
     }
 
-    /// [`Self::held_out_means`] over these held-out scenes after `change`.
+    /// [`Self::held_out_means`] over these held-out scenes as recorded, after `change`.
     ///
     /// # Errors
     /// When a scene cannot be loaded, or a figure cannot be computed.
@@ -161,7 +166,7 @@ impl SceneDraws<'_> {
         &self,
         scenes: &[usize],
         n: usize,
-        change: &dyn Fn(Scene) -> Scene,
+        change: SceneChange<'_>,
         figures: impl Fn(&DrawnBatch) -> Result<Vec<Tensor>, Error>,
     ) -> Result<Vec<f64>, Error> {
         let mut sums = vec![0.0; n];
@@ -230,7 +235,12 @@ impl SceneDraws<'_> {
         let scene = self.dataset.scene(scene_idx).map_err(Error::Scene)?;
         let ego_idx = draw_ego(&scene, rng);
         let mask = self.masks.sample(&scene, ego_idx, rng);
-        Ok(Drawn { scene, ego_idx, mask })
+        Ok(Drawn { scene: self.seen(scene, rng), ego_idx, mask })
+    }
+
+    /// The scene as a network in training sees it; the paper's network sees all as in the paper.
+    fn seen(&self, scene: Scene, rng: &mut SeededRng) -> Scene {
+        if self.collator.sight.is_some() { degraded(scene, rng) } else { scene }
     }
 
     fn collate(&self, drawn: &[Drawn], seeds: Vec<Seed>, rngs: Vec<SeededRng>) -> Result<DrawnBatch, Error> {

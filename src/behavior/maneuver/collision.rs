@@ -4,7 +4,7 @@ use super::{Driver, Maneuver, Pace};
 use crate::behavior::collision::{Collision, core_or_recorded};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::template::{InTheWay, quintic};
+use crate::behavior::template::{InTheWay, QUINTIC_SLOPE, quintic};
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_2;
@@ -12,6 +12,8 @@ use std::f64::consts::FRAC_PI_2;
 /// Accelerations of the two, m/s², and how far they drift to the left, meters.
 const ACCELERATIONS_MPS2: [f64; 3] = [-2.5, -1.0, 0.0];
 const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
+/// Who drifts aside does so at an angle below this, radians: at walking pace that is steering into the other.
+const MOST_DRIFT_RAD: f64 = 0.15;
 /// Deceleration, m/s², of whoever sees the other, and how long before they would meet it begins, seconds.
 const BRAKES_MPS2: f64 = 7.0;
 const BRAKES_BEFORE_S: [f64; 3] = [0.8, 0.5, 0.2];
@@ -108,6 +110,11 @@ impl RailDrive {
 fn courses(driver: &Driver, extent: Extent) -> Vec<RailDrive> {
     let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
     let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
+    let is_drift = |(rail, mps2, drift_m): &(usize, f64, f64)| {
+        let way_m = driver.travel(*rail, &Pace::steady(*mps2)).driven_m.last().copied().unwrap_or_default();
+        QUINTIC_SLOPE * drift_m.abs() <= MOST_DRIFT_RAD.tan() * way_m
+    };
+    let tried = tried.filter(is_drift);
     tried.map(|(rail, mps2, drift_m)| RailDrive::new(driver, extent, (rail, Pace::steady(mps2), drift_m))).collect()
 }
 

@@ -1,6 +1,6 @@
 //! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
-use super::moving_over::ways_over;
+use super::moving_over::{has_room, ways_over};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
 use crate::behavior::following::{Ahead, Follower};
@@ -9,9 +9,9 @@ use crate::behavior::limits::effort;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
-/// Accelerations of the ego and of the revealed vehicle, m/s².
+/// Accelerations of the ego and of the revealed vehicle, m/s²; nobody brakes hard for nothing.
 const EGO_MPS2: [f64; 3] = [0.0, -1.0, 0.4];
-const REVEALED_MPS2: [f64; 4] = [0.0, -1.0, -2.0, -3.5];
+const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
 /// How long after the leader is midway the ego brakes, seconds, and how hard, m/s².
@@ -30,7 +30,8 @@ impl CutOut {
         let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, config.agents, ego_idx)).flatten()?;
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
-        let ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
+        let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
+        ways.retain(|way| has_room(scene, leader_idx, way, &[ego_idx, revealed_idx]));
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
         let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));
         let paces = EGO_MPS2.iter().flat_map(|own| REVEALED_MPS2.map(|theirs| (*own, theirs)));

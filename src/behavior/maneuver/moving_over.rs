@@ -4,7 +4,7 @@ use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
-use crate::behavior::template::{QUINTIC_PEAK, quintic};
+use crate::behavior::template::{QUINTIC_PEAK, QUINTIC_SLOPE, quintic};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_4;
@@ -22,8 +22,8 @@ const LONG_ACROSS_MPS2: f64 = 1.5;
 const LONG_M: f64 = 6.5;
 /// The largest angle to the lane while moving over, radians.
 const MOST_ANGLE_RAD: f64 = 0.35;
-/// The largest slope of the way over from 0 to 1.
-const SLOPE_PEAK: f64 = 1.875;
+/// The least headway in the new lane, seconds.
+const ROOM_S: f64 = 0.7;
 /// Accelerations along the lane, m/s².
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
 
@@ -67,6 +67,30 @@ fn most_across_mps2(scene: &Scene, agent_idx: usize) -> f64 {
     if is_long { LONG_ACROSS_MPS2 } else { MOST_ACROSS_MPS2 }
 }
 
+/// Whether an agent that moves over keeps its distance in its new lane from everybody but `others`, who are not there:
+/// a headway of [`ROOM_S`] to whoever is ahead or behind, if they keep their speeds.
+pub(super) fn has_room(scene: &Scene, agent_idx: usize, way: &MovingOver, others: &[usize]) -> bool {
+    let present = scene.current_timestep();
+    let own = scene.tracks[agent_idx].extent_or_nominal();
+    let steps: Vec<(f64, Vec2, Vec2)> = (way.positions.windows(2).zip(1..))
+        .map(|(pair, step)| (f64::from(step) * scene.dt_s, pair[1], pair[1] - pair[0]))
+        .filter(|(elapsed_s, ..)| *elapsed_s >= way.midway_s)
+        .collect();
+    let in_lane = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && !others.contains(idx));
+    in_lane.into_iter().all(|idx| {
+        let Some(now) = scene.state(idx, present).filter(|state| state.is_finite()) else { return true };
+        let their = scene.tracks[idx].extent_or_nominal();
+        steps.iter().all(|(elapsed_s, position, moved)| {
+            let forward = *moved * moved.norm().max(f64::MIN_POSITIVE).recip();
+            let offset = now.position + now.velocity * *elapsed_s - *position;
+            let (along_m, aside_m) = (offset.dot(forward), forward.cross(offset).abs());
+            let gap_m = along_m.abs() - (own.length_m + their.length_m) / 2.0;
+            let behind_mps = if along_m > 0.0 { moved.norm() / scene.dt_s } else { now.velocity.dot(forward) };
+            aside_m > (own.width_m + their.width_m) / 2.0 || gap_m > ROOM_S * behind_mps.max(0.0)
+        })
+    })
+}
+
 /// The ways in which a driver can move over to a lane that lies to this side. Empty if it is too slow.
 fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mps2: f64) -> Vec<MovingOver> {
     let now = driver.state;
@@ -86,7 +110,7 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mp
             let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
             let driven_m = |until_s: f64| driven_m[((until_s / scene.dt_s) as usize).clamp(1, driven_m.len()) - 1];
             let along_m = driven_m(begins_s + takes_s) - if begins_s > 0.0 { driven_m(begins_s) } else { 0.0 };
-            if across_mps2 > most_mps2 || SLOPE_PEAK * aside_m > MOST_ANGLE_RAD.tan() * along_m {
+            if across_mps2 > most_mps2 || QUINTIC_SLOPE * aside_m > MOST_ANGLE_RAD.tan() * along_m {
                 continue;
             }
             let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);
@@ -97,4 +121,39 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mp
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn nobody_squeezes_into_a_gap() {
+        // At 10 m/s everywhere, a headway of .7 s is 7 m between bumpers.
+        let way = |scene: &Scene| MovingOver {
+            side: 1.0,
+            midway_s: 1.0,
+            effort: 0.5,
+            positions: (0..=20)
+                .map(|step| {
+                    let now = scene.state(0, scene.current_timestep()).unwrap().position;
+                    now + Vec2::new(f64::from(step), 3.5 * quintic(f64::from(step) / 20.0))
+                })
+                .collect(),
+        };
+        let length_m = |scene: &Scene| scene.tracks[0].extent_or_nominal().length_m;
+        for (gap_m, expected) in [(4.0, false), (9.0, true)] {
+            for side in [1.0, -1.0] {
+                let at =
+                    |y: f64, x: f64| scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(x, y, 0.0, 10.0)]);
+                let away_m = side * (gap_m + length_m(&at(3.5, 50.0)));
+                let beside = at(3.5, away_m);
+                assert_eq!(has_room(&beside, 0, &way(&beside), &[]), expected, "{gap_m} m, {side}");
+                assert!(has_room(&beside, 0, &way(&beside), &[1]), "whose gap is meant to be small");
+                let behind = at(-3.5, away_m);
+                assert!(has_room(&behind, 0, &way(&behind), &[]), "two lanes away");
+            }
+        }
+    }
 }

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 impl Recipe for ClassifierTrainingConfig {
     type Spec = ClassifierSpec;
     const STAGE: StageId = StageId::TrainClassifier;
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {

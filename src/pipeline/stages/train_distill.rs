@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 impl Recipe for DistillTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDistill;
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
     fn source(&self) -> Source<'_> {

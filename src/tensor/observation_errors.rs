@@ -1,0 +1,179 @@
+//! Errors of observed states, which are estimated and taken away before a scene is encoded.
+//!
+//! Trackers differ in their errors by orders of magnitude. A prediction that takes 10 cm of error for acceleration is
+//! meters off after 3 s, and a network that was trained on exact pasts has never seen the like. So each track is seen
+//! as traffic is likeliest to have moved, given what was observed: with p = E e + q for the observed steps p, errors e
+//! of the positions and true steps q of covariance C, the errors are expected to be s² Eᵀ (C + s² E Eᵀ)⁻¹ p. Their size
+//! s is the one under which p is likeliest; a track is left as it is where that is the least.
+
+use super::continuation::{MIN_SHARE_OF_NOISE, grid, inverse, product};
+use super::reference::Reference;
+use super::{MotionCovariance, SceneView};
+use crate::geometry::{Vec2, wrap_angle};
+use crate::scene::{Scene, State, Track, Trajectory};
+use std::borrow::Cow;
+use std::sync::{Arc, OnceLock};
+
+/// Sizes of errors, as multiples of the least.
+const SIZES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
+/// Fewer observed steps do not tell errors from motion.
+const MIN_STEPS: usize = 4;
+
+/// The estimate of one dimension's errors from k observed steps, if errors have one size.
+#[derive(Debug, Clone)]
+struct Estimate {
+    /// (C + s² E Eᵀ)⁻¹: k x k.
+    precision: Vec<f64>,
+    /// ln det (C + s² E Eᵀ).
+    log_determinant: f64,
+    /// s² Eᵀ (C + s² E Eᵀ)⁻¹: (k + 1) x k.
+    errors: Vec<f64>,
+}
+
+/// The estimates of a covariance by dimension, number of observed steps and size, made when they are first needed.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Estimates(Arc<OnceLock<Vec<Estimate>>>);
+
+impl PartialEq for Estimates {
+    /// They follow from the covariance.
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl MotionCovariance {
+    /// The errors in dimension `dim` of the positions (or headings) that the observed `steps` are between, in units of
+    /// x; `None` if they are as exact as those of training traffic.
+    fn errors(&self, dim: usize, steps: &[f64]) -> Option<Vec<f64>> {
+        let k = steps.len();
+        let all = || {
+            let of_dim = |dim| (MIN_STEPS..=self.n_past).map(move |k| (dim, k));
+            let cases = (0..self.noise.len()).flat_map(of_dim);
+            cases.flat_map(|(dim, k)| SIZES.map(|size| self.estimate(dim, k, size))).collect()
+        };
+        if !(MIN_STEPS..=self.n_past).contains(&k) || self.noise.get(dim).is_none_or(|noise| *noise <= 0.0) {
+            return None;
+        }
+        let first = (dim * (self.n_past + 1 - MIN_STEPS) + k - MIN_STEPS) * SIZES.len();
+        let estimates = &self.estimates.0.get_or_init(all)[first..first + SIZES.len()];
+        let of_steps = |matrix: &[f64]| product(matrix, steps, k, 1);
+        let log_likelihood = |estimate: &Estimate| {
+            let weighted = of_steps(&estimate.precision);
+            -0.5 * (weighted.iter().zip(steps).map(|(a, b)| a * b).sum::<f64>() + estimate.log_determinant)
+        };
+        let mut best = (0, f64::NEG_INFINITY);
+        for (size, likelihood) in estimates.iter().map(log_likelihood).enumerate() {
+            // Of equal ones the least.
+            best = if likelihood > best.1 { (size, likelihood) } else { best };
+        }
+        (best.0 > 0).then(|| of_steps(&estimates[best.0].errors))
+    }
+
+    fn estimate(&self, dim: usize, k: usize, size: f64) -> Estimate {
+        let (first, n) = (self.n_past - k, self.n_past + self.n_timesteps);
+        let variance = (self.noise[dim] * size).powi(2);
+        let e = grid(k, k + 1, |i, position| self.share_of_error(dim, first + i, first + position));
+        let transposed = grid(k + 1, k, |position, i| e[i * (k + 1) + position]);
+        let of_errors = product(&e, &transposed, k + 1, k);
+        let c = |i: usize, j: usize| self.values[dim][(first + i) * n + first + j];
+        let of_steps = grid(k, k, |i, j| c(i, j) + variance * of_errors[i * k + j]);
+        let (precision, log_determinant) = inverse(of_steps, k, MIN_SHARE_OF_NOISE * self.noise[dim].powi(2));
+        let errors = product(&transposed, &precision, k, k).into_iter().map(|value| value * variance).collect();
+        Estimate { precision, log_determinant, errors }
+    }
+}
+
+/// The scene of `view` with the observed states before and at the present as they are likeliest to have been.
+/// `motion_units` are meters along and across and radians by unit of x.
+pub(super) fn without_errors<'a>(
+    view: &SceneView<'a>,
+    covariance: &MotionCovariance,
+    motion_units: [f64; 3],
+) -> Cow<'a, Scene> {
+    let mut scene = Cow::Borrowed(view.scene);
+    for (idx, track) in view.scene.tracks.iter().enumerate() {
+        let observed = |timestep: usize| timestep < view.mask.n_timesteps() && view.mask.is_observed(idx, timestep);
+        let believed = track_without_errors(track, view.scene, observed, covariance, motion_units);
+        if let Some(trajectory) = believed {
+            scene.to_mut().tracks[idx].trajectory = trajectory;
+        }
+    }
+    scene
+}
+
+fn track_without_errors(
+    track: &Track,
+    scene: &Scene,
+    observed: impl Fn(usize) -> bool,
+    covariance: &MotionCovariance,
+    motion_units: [f64; 3],
+) -> Option<Trajectory> {
+    let present = scene.current_timestep();
+    let is_known = |timestep: &usize| observed(*timestep) && track.trajectory.is_valid(*timestep);
+    let n_steps = (0..=present).rev().take_while(is_known).count().checked_sub(1)?.min(covariance.n_past);
+    let reference = Reference::new(track, scene.dt_s, present, |timestep| timestep <= present && observed(timestep));
+    let steps: Vec<[f64; 3]> = reference.observed_motion().map(|(_, step)| step).collect();
+    let steps = &steps[steps.len().checked_sub(n_steps)?..];
+    let errors_of = |dim: usize| {
+        let in_units: Vec<f64> = steps.iter().map(|step| step[dim] / motion_units[dim]).collect();
+        let errors = covariance.errors(dim, &in_units)?;
+        Some(errors.into_iter().map(|error| error * motion_units[dim]).collect::<Vec<f64>>())
+    };
+    let errors = [errors_of(0), errors_of(1), errors_of(2).filter(|_| track.class.has_recorded_heading())];
+    if errors.iter().all(Option::is_none) {
+        return None;
+    }
+    let error = |dim: usize, i: usize| errors[dim].as_ref().map_or(0.0, |errors| errors[i]);
+    let offset = |i: usize| Vec2::new(error(0, i), error(1, i)).rotated(reference.frame_heading_rad());
+    // The slope at the last of the positions up to each, as velocities follow from them.
+    let slope = |i: usize| match i {
+        0 => offset(1) - offset(0),
+        1 => offset(1) - offset(0),
+        _ => offset(i) * 1.5 - offset(i - 1) * 2.0 + offset(i - 2) * 0.5,
+    };
+    let believed = |(timestep, state): (usize, &Option<State>)| {
+        let state = (*state)?;
+        let i = (timestep + n_steps).checked_sub(present).filter(|i| *i <= n_steps);
+        let Some(i) = i else { return Some(state) };
+        Some(State {
+            position: state.position - offset(i),
+            heading_rad: wrap_angle(state.heading_rad - error(2, i)),
+            velocity: state.velocity - slope(i) * scene.dt_s.recip(),
+        })
+    };
+    Some(Trajectory::new(track.trajectory.entries().iter().enumerate().map(believed).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::continuation::tests::wandering;
+
+    /// The steps beyond the velocity at the present of an agent seen at `positions`.
+    fn steps(positions: &[f64]) -> Vec<f64> {
+        let n = positions.len();
+        let velocity = 1.5 * positions[n - 1] - 2.0 * positions[n - 2] + 0.5 * positions[n - 3];
+        positions.windows(2).map(|pair| pair[1] - pair[0] - velocity).collect()
+    }
+
+    #[test]
+    fn exact_motion_stays_as_it_is() {
+        let braking: Vec<f64> = (0..10).map(|t| f64::from(t) - 0.005 * f64::from(t * t)).collect();
+        assert_eq!(wandering(9, 30).errors(0, &steps(&braking)), None);
+        assert_eq!(wandering(9, 30).errors(0, &[0.0; 9]), None);
+        assert_eq!(wandering(9, 30).errors(0, &[0.3, -0.3]), None, "too few to tell");
+    }
+
+    #[test]
+    fn errors_are_found() {
+        // Constant speed, seen with errors of 10 cm. A shift of all positions cannot be seen; these errors have none.
+        let errors = [0.08, -0.12, 0.05, 0.11, -0.09, -0.03, 0.14, -0.1, 0.03, -0.07];
+        let noisy: Vec<f64> = (0..).map(f64::from).zip(errors).map(|(t, error)| t + error).collect();
+        let found = wandering(9, 30).errors(0, &steps(&noisy)).unwrap();
+        let left: f64 = found.iter().zip(errors).map(|(found, error)| (found - error).powi(2)).sum();
+        assert!((left / 10.0).sqrt() < 0.06, "{found:?}");
+        // They are those under which the steps that are left are those of smooth motion.
+        let believed: Vec<f64> = noisy.iter().zip(&found).map(|(position, error)| position - error).collect();
+        assert_eq!(wandering(9, 30).errors(0, &steps(&believed)), None);
+        assert!(found.iter().sum::<f64>().abs() < 1e-9, "{found:?}");
+    }
+}
