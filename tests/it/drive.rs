@@ -122,7 +122,8 @@ fn a_planner_that_peeks_drives_as_one_that_does_not() {
         drive(&format!("python3 {}", script.display()), &out, &["--horizon-s", "1"]).expect(0);
         (report(&out)["outcomes"]["planner"].clone(), fs_err::read(out.join("driven.parquet")).unwrap())
     };
-    let peeks = "for _ in range(2):\n        futures = peek(3)\n        assert len(futures) == 3 and futures[0] != futures[1]\n        \
+    let peeks = "for _ in range(2):\n        futures = peek(3)\n        \
+                 assert len(futures) == 3 and futures[0] != futures[1]\n        \
                  assert all([a['id'] for a in future] == ids for future in futures)\n        \
                  assert all(len(a['states'][0]) == 5 and len(a['states']) == 30 for a in futures[2])";
     let (with, without) = (driven("with", peeks), driven("without", "pass"));
