@@ -5,10 +5,11 @@ use super::collate::{Collator, FutureValidity, SceneView};
 use super::hidden_states::generated_timesteps;
 use super::motion::MotionChain;
 use super::motion_modes::MotionModes;
+use super::observation_errors::FadingErrors;
 use super::reference::Reference;
 use super::{AgentFrame, FeatureLayout, StateParametrization};
 use crate::geometry::{Vec2, angle_difference, unwrap_angles};
-use crate::scene::Track;
+use crate::scene::{Scene, Track};
 
 /// One agent of a view.
 pub(super) struct AgentRow<'a> {
@@ -31,6 +32,8 @@ pub(super) struct AgentRow<'a> {
     unit: [f64; 3],
     /// Whether its heading follows from its motion instead of being generated.
     derives_heading: bool,
+    /// What is added to the reference after the present.
+    fading: Option<FadingErrors>,
 }
 
 /// Where an entry decodes to when x is 0, in the ego frame.
@@ -88,7 +91,15 @@ impl<'a> AgentRow<'a> {
             frame_heading_rad,
             unit,
             derives_heading,
+            fading: None,
         }
+    }
+
+    /// Lets what was taken from the `recorded` track as errors fade after the present, so that samples begin where the
+    /// recording ends.
+    pub(super) fn fading_from(mut self, scene: &Scene, recorded: &Track) -> Self {
+        self.fading = FadingErrors::between(scene, recorded, self.track);
+        self
     }
 
     /// Writes every entry, and returns the modes of the agent's motion if the collator has `Sight`.
@@ -130,6 +141,7 @@ impl<'a> AgentRow<'a> {
     fn bases(&self, recorded_headings: &[f64]) -> Vec<Base> {
         let base = |((timestep, is_observed), recorded): (&(usize, bool), &f64)| {
             let pose = self.reference.at(*timestep).filter(|_| *is_observed || self.is_residual);
+            let pose = pose.map(|pose| self.fading.as_ref().map_or(pose, |fading| fading.added_to(pose, *timestep)));
             let heading_rad = match *is_observed && !self.is_residual {
                 true => *recorded,
                 false => pose.map_or(0.0, |pose| self.frame.ego_from_scene.heading(pose.heading_rad)),

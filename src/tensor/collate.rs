@@ -64,6 +64,7 @@ impl Collator {
             );
         }
         let believed: Vec<Cow<'_, Scene>> = views.par_iter().map(|view| self.believed(view)).collect();
+        let recorded = views;
         let views: Vec<SceneView<'_>> =
             views.iter().zip(&believed).map(|(view, scene)| SceneView { scene, ..*view }).collect();
         let frames: Vec<AgentFrame> = views.iter().map(|view| self.frame(view)).collect();
@@ -81,7 +82,12 @@ impl Collator {
         for (row, (view, frame)) in views.iter().zip(&frames).enumerate() {
             for (slot, agent_idx) in frame.agents.iter().enumerate() {
                 let at = row * n_agents + slot;
-                let modes = AgentRow::new(self, view, frame, *agent_idx, validity, at).write(&mut rows);
+                let mut agent = AgentRow::new(self, view, frame, *agent_idx, validity, at);
+                // A network in training does not see the errors that would be left after the present.
+                if validity == FutureValidity::Everything {
+                    agent = agent.fading_from(view.scene, &recorded[row].scene.tracks[*agent_idx]);
+                }
+                let modes = agent.write(&mut rows);
                 modes_of_agents.extend(modes.map(|modes| (at, modes)));
             }
             rows.write_lanes(row, &lanes[row]);

@@ -7,15 +7,17 @@
 //! s is the one under which p is likeliest; a track is left as it is where that is the least.
 
 use super::continuation::{MIN_SHARE_OF_NOISE, grid, inverse, product};
-use super::reference::Reference;
+use super::reference::{Reference, ReferencePose};
 use super::{MotionCovariance, SceneView};
-use crate::geometry::{Vec2, wrap_angle};
+use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{Scene, State, Track, Trajectory};
 use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 /// Sizes of errors, as multiples of the least.
 const SIZES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
+/// The time in which errors fade after the present to a third, seconds.
+const FADE_S: f64 = 0.4;
 /// Fewer observed steps do not tell errors from motion.
 const MIN_STEPS: usize = 4;
 
@@ -144,9 +146,49 @@ fn track_without_errors(
     Some(Trajectory::new(track.trajectory.entries().iter().enumerate().map(believed).collect()))
 }
 
+/// Errors that were taken from a track, which fade after the present.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FadingErrors {
+    present: usize,
+    dt_s: f64,
+    /// Meters in the scene frame at present, …
+    position: Vec2,
+    /// … meters per second, and radians.
+    velocity: Vec2,
+    heading_rad: f64,
+}
+
+impl FadingErrors {
+    /// What a `recorded` track had at present beyond what is `believed` of it; `None` if that is nothing.
+    pub(super) fn between(scene: &Scene, recorded: &Track, believed: &Track) -> Option<Self> {
+        let (present, dt_s) = (scene.current_timestep(), scene.dt_s);
+        let (recorded, believed) = (recorded.trajectory.get(present)?, believed.trajectory.get(present)?);
+        (recorded != believed).then(|| Self {
+            present,
+            dt_s,
+            position: recorded.position - believed.position,
+            velocity: recorded.velocity - believed.velocity,
+            heading_rad: angle_difference(recorded.heading_rad, believed.heading_rad),
+        })
+    }
+
+    /// The pose with what is left of the errors at `timestep`: they begin with their own velocity and decay.
+    pub(super) fn added_to(&self, pose: ReferencePose, timestep: usize) -> ReferencePose {
+        let Some(elapsed) = timestep.checked_sub(self.present).filter(|elapsed| *elapsed > 0) else { return pose };
+        let elapsed_s = elapsed as f64 * self.dt_s;
+        let left = (-elapsed_s / FADE_S).exp();
+        let position = self.position + (self.velocity + self.position * FADE_S.recip()) * elapsed_s;
+        ReferencePose {
+            position: pose.position + position * left,
+            heading_rad: wrap_angle(pose.heading_rad + self.heading_rad * left),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::continuation::tests::wandering;
+    use super::*;
 
     /// The steps beyond the velocity at the present of an agent seen at `positions`.
     fn steps(positions: &[f64]) -> Vec<f64> {
@@ -161,6 +203,26 @@ mod tests {
         assert_eq!(wandering(9, 30).errors(0, &steps(&braking)), None);
         assert_eq!(wandering(9, 30).errors(0, &[0.0; 9]), None);
         assert_eq!(wandering(9, 30).errors(0, &[0.3, -0.3]), None, "too few to tell");
+    }
+
+    #[test]
+    fn samples_begin_where_the_recording_ends() {
+        let fading = FadingErrors {
+            present: 9,
+            dt_s: 0.1,
+            position: Vec2::new(0.2, -0.1),
+            velocity: Vec2::new(0.5, 0.3),
+            heading_rad: 0.1,
+        };
+        let pose = ReferencePose { position: Vec2::new(5.0, 5.0), heading_rad: 1.0 };
+        assert_eq!(fading.added_to(pose, 9), pose, "what is observed stays");
+        // The offset and its slope at the present are those of the errors.
+        let soon = FadingErrors { dt_s: 1e-5, ..fading }.added_to(pose, 10);
+        let offset = soon.position - pose.position - fading.position;
+        assert!((offset * 1e5 - fading.velocity).norm() < 1e-3, "{offset:?}");
+        assert!((soon.heading_rad - 1.1).abs() < 1e-4);
+        let late = fading.added_to(pose, 39);
+        assert!(late.position.distance(pose.position) < 5e-3 && (late.heading_rad - 1.0).abs() < 1e-3, "{late:?}");
     }
 
     #[test]

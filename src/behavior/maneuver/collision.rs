@@ -19,6 +19,8 @@ const BRAKES_MPS2: f64 = 7.0;
 const BRAKES_BEFORE_S: [f64; 3] = [0.8, 0.5, 0.2];
 /// Who is hit from behind, within this angle, does not brake, radians.
 const FROM_BEHIND_RAD: f64 = 0.5;
+/// The least relative speed, m/s: at walking pace boxes touch and nothing happens.
+const LEAST_RELATIVE_MPS: f64 = 2.0;
 /// Bodies give way by so much at most, meters: there is no model of what a collision does to them.
 const MOST_CRUSH_M: f64 = 0.5;
 /// Spacing of relative speeds and of angles by which maneuvers are told apart, m/s and radians.
@@ -54,6 +56,11 @@ impl Collision {
             let turned_rad = angle_difference(own.forward.angle(), theirs.forward.angle()).abs();
             let is_ahead = |own: &Footprint, other: &Footprint| (own.center - other.center).dot(own.forward) > 0.0;
             let brakes = |own: &Footprint, other: &Footprint| turned_rad > FROM_BEHIND_RAD || !is_ahead(own, other);
+            // Whoever moves aside from behind has seen the one ahead.
+            let drifts = [a, b].map(|course| course.drift_m != 0.0);
+            if turned_rad <= FROM_BEHIND_RAD && drifts.contains(&true) && !are_beside(scene, agents, extents) {
+                continue;
+            }
             for before_s in BRAKES_BEFORE_S {
                 let from_s = ((step + 1) as f64 * scene.dt_s - before_s).max(0.0);
                 let braking = |driver: &Driver, course: &RailDrive, extent: Extent, brakes: bool| {
@@ -67,7 +74,7 @@ impl Collision {
                 let relative_mps = (a.velocity(step, scene.dt_s) - b.velocity(step, scene.dt_s)).norm();
                 let apart = |step: usize| a.positions[step + 1] - b.positions[step + 1];
                 let crush_m = (step..a.boxes.len()).map(|then| apart(then).distance(apart(step))).fold(0.0, f64::max);
-                if relative_mps < self.config().min_relative_mps || crush_m > MOST_CRUSH_M {
+                if relative_mps < self.config().min_relative_mps.max(LEAST_RELATIVE_MPS) || crush_m > MOST_CRUSH_M {
                     continue;
                 }
                 maneuvers.push(Maneuver {
@@ -81,6 +88,13 @@ impl Collision {
         }
         maneuvers
     }
+}
+
+/// Whether the two are side by side at present.
+fn are_beside(scene: &Scene, agents: [usize; 2], extents: [Extent; 2]) -> bool {
+    let [Some(one), Some(other)] = agents.map(|idx| scene.state(idx, scene.current_timestep())) else { return false };
+    let along_m = (other.position - one.position).dot(Vec2::from_angle(one.heading_rad));
+    along_m.abs() < (extents[0].length_m + extents[1].length_m) / 2.0
 }
 
 /// The first step at which the boxes of the two touch.

@@ -1,6 +1,6 @@
 //! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
-use super::moving_over::{has_room, ways_over};
+use super::moving_over::{has_room, is_clear_of, ways_over};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
 use crate::behavior::following::{Ahead, Follower};
@@ -10,7 +10,7 @@ use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
 /// Accelerations of the ego and of the revealed vehicle, m/s²; nobody brakes hard for nothing.
-const EGO_MPS2: [f64; 3] = [0.0, -1.0, 0.4];
+const EGO_MPS2: [f64; 2] = [0.0, -1.0];
 const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
@@ -58,6 +58,10 @@ impl CutOut {
                 let braking = |mps2: f64| Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2);
                 let pace = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
                 let Some(pace) = pace else { continue };
+                let revealed_at = revealed.positions(*their_rail, &theirs.driven_m);
+                if !is_clear_of(scene, [leader_idx, revealed_idx], [&way.positions, &revealed_at]) {
+                    continue;
+                }
                 maneuvers.push(Maneuver {
                     kind: [usize::from(way.side > 0.0), (way.midway_s * 10.0) as usize],
                     effort: way.effort.max(effort(*own_mps2)).max(effort(*their_mps2)),
@@ -65,7 +69,7 @@ impl CutOut {
                     in_the_way: Some(InTheWay::Everybody),
                     positions: vec![
                         ego.positions(*own_rail, &ego.travel(*own_rail, &pace).driven_m),
-                        revealed.positions(*their_rail, &theirs.driven_m),
+                        revealed_at,
                         way.positions.clone(),
                     ],
                 });

@@ -5,8 +5,8 @@ use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
 use crate::behavior::template::{QUINTIC_PEAK, QUINTIC_SLOPE, quintic};
-use crate::geometry::{Vec2, angle_difference};
-use crate::scene::Scene;
+use crate::geometry::{OrientedBox, Vec2, angle_difference};
+use crate::scene::{Extent, STANDING_STEP_M, Scene};
 use std::f64::consts::FRAC_PI_4;
 
 /// A vehicle is in a lane only if it heads along it within this angle, radians.
@@ -22,8 +22,11 @@ const LONG_ACROSS_MPS2: f64 = 1.5;
 const LONG_M: f64 = 6.5;
 /// The largest angle to the lane while moving over, radians.
 const MOST_ANGLE_RAD: f64 = 0.35;
-/// The least headway in the new lane, seconds.
+/// The least headway in the new lane, seconds; how hard whoever is faster slows down there, m/s²; and the least
+/// distance between two bodies on the way, meters.
 const ROOM_S: f64 = 0.7;
+const ORDINARY_BRAKING_MPS2: f64 = 2.0;
+const CLEARANCE_M: f64 = 0.6;
 /// Accelerations along the lane, m/s².
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
 
@@ -67,27 +70,54 @@ fn most_across_mps2(scene: &Scene, agent_idx: usize) -> f64 {
     if is_long { LONG_ACROSS_MPS2 } else { MOST_ACROSS_MPS2 }
 }
 
-/// Whether an agent that moves over keeps its distance in its new lane from everybody but `others`, who are not there:
-/// a headway of [`ROOM_S`] to whoever is ahead or behind, if they keep their speeds.
+/// Whether an agent that moves over has room beside everybody but `others`, if they keep their speeds: nobody closer
+/// than [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to whoever is ahead or behind, beyond the way in
+/// which the faster one slows down to the other.
 pub(super) fn has_room(scene: &Scene, agent_idx: usize, way: &MovingOver, others: &[usize]) -> bool {
-    let present = scene.current_timestep();
     let own = scene.tracks[agent_idx].extent_or_nominal();
-    let steps: Vec<(f64, Vec2, Vec2)> = (way.positions.windows(2).zip(1..))
-        .map(|(pair, step)| (f64::from(step) * scene.dt_s, pair[1], pair[1] - pair[0]))
-        .filter(|(elapsed_s, ..)| *elapsed_s >= way.midway_s)
-        .collect();
     let in_lane = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && !others.contains(idx));
     in_lane.into_iter().all(|idx| {
-        let Some(now) = scene.state(idx, present).filter(|state| state.is_finite()) else { return true };
+        let now = scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
+        let Some(now) = now else { return true };
         let their = scene.tracks[idx].extent_or_nominal();
-        steps.iter().all(|(elapsed_s, position, moved)| {
-            let forward = *moved * moved.norm().max(f64::MIN_POSITIVE).recip();
-            let offset = now.position + now.velocity * *elapsed_s - *position;
+        let goes_on = |step: usize| now.position + now.velocity * (step as f64 * scene.dt_s);
+        let keeps_distance = (way.positions.windows(2).enumerate()).all(|(step, pair)| {
+            let moved = pair[1] - pair[0];
+            let forward = moved * moved.norm().max(f64::MIN_POSITIVE).recip();
+            let offset = goes_on(step + 1) - pair[1];
             let (along_m, aside_m) = (offset.dot(forward), forward.cross(offset).abs());
             let gap_m = along_m.abs() - (own.length_m + their.length_m) / 2.0;
-            let behind_mps = if along_m > 0.0 { moved.norm() / scene.dt_s } else { now.velocity.dot(forward) };
-            aside_m > (own.width_m + their.width_m) / 2.0 || gap_m > ROOM_S * behind_mps.max(0.0)
-        })
+            let speeds_mps = [moved.norm() / scene.dt_s, now.velocity.dot(forward)];
+            let [ahead_mps, behind_mps] = if along_m > 0.0 { [speeds_mps[1], speeds_mps[0]] } else { speeds_mps };
+            let slows_m = (behind_mps - ahead_mps).max(0.0).powi(2) / (2.0 * ORDINARY_BRAKING_MPS2);
+            (step as f64 * scene.dt_s) < way.midway_s
+                || aside_m > (own.width_m + their.width_m) / 2.0
+                || gap_m > ROOM_S * behind_mps.max(0.0) + slows_m
+        });
+        let theirs: Vec<Vec2> = (0..way.positions.len()).map(goes_on).collect();
+        keeps_distance && is_clear_of(scene, [agent_idx, idx], [&way.positions, &theirs])
+    })
+}
+
+/// Whether two agents at these positions, at present and at each timestep after it, stay [`CLEARANCE_M`] apart.
+pub(super) fn is_clear_of(scene: &Scene, agents: [usize; 2], positions: [&[Vec2]; 2]) -> bool {
+    let mut headings_rad = agents.map(|idx| scene.state(idx, scene.current_timestep()).map_or(0.0, |s| s.heading_rad));
+    (1..positions[0].len().min(positions[1].len())).all(|step| {
+        let [own, other] = std::array::from_fn(|i| {
+            let moved = positions[i][step] - positions[i][step - 1];
+            if moved.norm() >= STANDING_STEP_M {
+                headings_rad[i] = moved.angle();
+            }
+            let Extent { length_m, width_m } = scene.tracks[agents[i]].extent_or_nominal();
+            let margin_m = if i == 0 { 2.0 * CLEARANCE_M } else { 0.0 };
+            OrientedBox {
+                center: positions[i][step],
+                heading_rad: headings_rad[i],
+                length_m: length_m + margin_m,
+                width_m: width_m + margin_m,
+            }
+        });
+        !own.overlaps(&other)
     })
 }
 
@@ -151,9 +181,18 @@ mod tests {
                 let beside = at(3.5, away_m);
                 assert_eq!(has_room(&beside, 0, &way(&beside), &[]), expected, "{gap_m} m, {side}");
                 assert!(has_room(&beside, 0, &way(&beside), &[1]), "whose gap is meant to be small");
-                let behind = at(-3.5, away_m);
-                assert!(has_room(&behind, 0, &way(&behind), &[]), "two lanes away");
+                let away = at(-3.5, away_m);
+                assert!(has_room(&away, 0, &way(&away), &[]), "two lanes away");
             }
         }
+        // Slower by 5 m/s, and 7.5 m ahead when the way is over.
+        let slow = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(22.0, 3.5, 0.0, 5.0)]);
+        assert!(!has_room(&slow, 0, &way(&slow), &[]));
+        // Two bodies beside each other, half a meter apart.
+        let width_m = slow.tracks[0].extent_or_nominal().width_m;
+        let both = [0.0, width_m + 0.5].map(|y| (0..5).map(|x| Vec2::new(f64::from(x), y)).collect::<Vec<_>>());
+        assert!(!is_clear_of(&slow, [0, 1], [&both[0], &both[1]]));
+        let apart: Vec<Vec2> = both[1].iter().map(|at| *at + Vec2::new(0.0, 0.2)).collect();
+        assert!(is_clear_of(&slow, [0, 1], [&both[0], &apart]));
     }
 }
