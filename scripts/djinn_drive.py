@@ -28,6 +28,13 @@ def serve(act, lines=sys.stdin, out=sys.stdout):
             out.flush()
 
 
+def peek(n, lines=sys.stdin, out=sys.stdout):
+    """Within `act`: n sampled futures of everybody from now on, each a list of agents with `id` and `states`."""
+    out.write(json.dumps({"type": "peek", "n": n}) + "\n")
+    out.flush()
+    return json.loads(lines.readline())["futures"]
+
+
 def find(observation, agent_id):
     """The agent of this name."""
     return next(agent for agent in observation["agents"] if agent["id"] == agent_id)
@@ -53,7 +60,7 @@ def relay(port):
     for line in sys.stdin:
         connection.write(line)
         connection.flush()
-        if json.loads(line)["type"] == "observation":
+        if json.loads(line)["type"] in ("observation", "futures"):
             sys.stdout.write(connection.readline())
             sys.stdout.flush()
 
@@ -124,6 +131,10 @@ def environment(corpus, out, djinn="djinn", options="", n_agents=8):
             message = self.read()
             self.last = None if message["type"] != "observation" else self.last
             return message
+
+        def peek(self, n):
+            """n sampled futures of everybody from now on, each a list of agents with `id` and `states`."""
+            return peek(n, self.lines, self.lines)
 
         def step(self, action):
             before, station = self.features(), along(self.hello["route"], *self.ego_place())[0]

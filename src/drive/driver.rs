@@ -2,9 +2,12 @@
 
 use super::situation::Situation;
 use super::world::World;
-use crate::scene::State;
+use crate::scene::{Scene, State};
 use serde::{Deserialize, Serialize};
 use std::fmt;
+
+/// Samples so many futures of everybody, without advancing.
+pub type Peeker<'a> = dyn Fn(usize) -> Result<Vec<Scene>, Failed> + 'a;
 
 /// A driver of the ego. One may drive many scenarios, one after the other.
 pub trait Driver: Send {
@@ -14,11 +17,17 @@ pub trait Driver: Send {
     /// When the driver cannot drive.
     fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed>;
 
-    /// The others have planned; the next `n_steps` timesteps will be driven.
+    /// The others have planned; the next `n_steps` timesteps will be driven. The driver may `peek`.
     ///
     /// # Errors
     /// When the driver has no answer.
-    fn plan(&mut self, _situation: &Situation, _world: &World, _n_steps: usize) -> Result<(), Failed> {
+    fn plan(
+        &mut self,
+        _situation: &Situation,
+        _world: &World,
+        _n_steps: usize,
+        _peek: &Peeker<'_>,
+    ) -> Result<(), Failed> {
         Ok(())
     }
 

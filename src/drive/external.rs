@@ -1,8 +1,9 @@
 //! A planner as a child process: it may be slow, die, flood or answer nonsense, and costs a scenario at most.
 
 use super::action;
-use super::protocol::{Done, FromPlanner, Hello, Observation, ToPlanner};
-use super::{Driver, Failed, Fault, Outcome, RolloutConfig, Situation, World};
+use super::peek::MOST_FUTURES;
+use super::protocol::{Done, FromPlanner, Hello, Observation, Peek, Peeked, ToPlanner};
+use super::{Driver, Failed, Fault, Outcome, Peeker, RolloutConfig, Situation, World};
 use crate::scene::State;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -16,6 +17,8 @@ use std::time::Duration;
 const MOST_BYTES: u64 = 1 << 20;
 /// Lines that wait to be read; a planner that sends more is held up.
 const MOST_LINES: usize = 4;
+/// How often a planner may peek before an action.
+const MOST_PEEKS: usize = 8;
 /// What is kept of the planner's messages for people, bytes.
 const KEPT_BYTES: usize = 2000;
 /// How much longer the first answer of a process may take: it has to start.
@@ -99,19 +102,33 @@ impl Driver for External {
         self.send(&ToPlanner::Hello(Box::new(Hello::of(situation, [horizon_s, replan_s]))))
     }
 
-    fn plan(&mut self, situation: &Situation, world: &World, n_steps: usize) -> Result<(), Failed> {
-        let observation = ToPlanner::Observation(Observation::of(situation, world, self.unseen));
+    fn plan(&mut self, situation: &Situation, world: &World, n_steps: usize, peek: &Peeker<'_>) -> Result<(), Failed> {
+        let mut message = ToPlanner::Observation(Observation::of(situation, world, self.unseen));
         self.unseen = world.n_timesteps();
-        let line = self.answer(&observation)?;
-        let FromPlanner::Action(action) = serde_json::from_str(&line).map_err(|error| {
-            let begins: String = line.chars().take(80).collect();
-            self.give_up(Fault::Failed, &format!("expected an action, found \"{begins}\": {error}"))
-        })?;
-        let scene = &situation.scene;
-        let now = world.present(situation.ego_idx).unwrap_or_default();
-        let states = action::states(&action, &now, &scene.world_from_scene, scene.dt_s, n_steps);
-        self.plan = states.map_err(|why| self.give_up(Fault::Failed, &why))?.into();
-        Ok(())
+        for _ in 0..=MOST_PEEKS {
+            let line = self.answer(&message)?;
+            let answer = serde_json::from_str(&line).map_err(|error| {
+                let begins: String = line.chars().take(80).collect();
+                self.give_up(Fault::Failed, &format!("expected an action, found \"{begins}\": {error}"))
+            })?;
+            match answer {
+                FromPlanner::Peek(Peek { n }) if (1..=MOST_FUTURES).contains(&n) => {
+                    message = ToPlanner::Futures(Peeked::of(situation, world, &peek(n)?));
+                }
+                FromPlanner::Peek(Peek { n }) => {
+                    let why = format!("it peeks into {n} futures, expected 1 to {MOST_FUTURES}");
+                    return Err(self.give_up(Fault::Failed, &why));
+                }
+                FromPlanner::Action(action) => {
+                    let scene = &situation.scene;
+                    let now = world.present(situation.ego_idx).unwrap_or_default();
+                    let states = action::states(&action, &now, &scene.world_from_scene, scene.dt_s, n_steps);
+                    self.plan = states.map_err(|why| self.give_up(Fault::Failed, &why))?.into();
+                    return Ok(());
+                }
+            }
+        }
+        Err(self.give_up(Fault::Failed, &format!("it peeks more than {MOST_PEEKS} times before an action")))
     }
 
     fn next(&mut self, _situation: &Situation, _world: &World, _sampled: Option<State>) -> Result<State, Failed> {

@@ -16,6 +16,9 @@
 //! it: that it goes on along its way at its speed, or brakes on as in the last 0.3 s. They learn otherwise at the next
 //! replanning.
 //!
+//! *Braking.* Who would drive its front into another in the sampled future, or into the ego as it is expected, brakes
+//! on its way instead: the model knows little of those who stand in the road.
+//!
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
 //! world and the same motion of the ego give the same bytes, whoever else is driven beside it.
 //!
@@ -27,7 +30,9 @@ mod drivers;
 mod error;
 mod external;
 mod outcome;
+mod peek;
 pub mod protocol;
+mod reaction;
 mod report;
 mod rollout;
 #[cfg(test)]
@@ -40,7 +45,7 @@ mod testing;
 mod traffic;
 mod world;
 
-pub use driver::{Driver, EgoDriver, Failed, Fault};
+pub use driver::{Driver, EgoDriver, Failed, Fault, Peeker};
 pub use error::{Error, Result};
 pub use outcome::{Contact, Outcome, Side};
 pub use report::{DriveReport, Failures, Matters, Part};

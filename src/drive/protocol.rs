@@ -1,13 +1,14 @@
 //! What djinn and a planner tell each other: one JSON object a line over the planner's standard streams.
 //!
 //! For each scenario djinn sends `hello`, then an `observation` whenever it wants an `action`, and at last `done`. A
-//! planner answers observations and nothing else, and ends when its input does. Positions are in the frame of the
+//! planner answers observations and nothing else, and ends when its input does. Before its action it may `peek`, which
+//! djinn answers with `futures`. Positions are in the frame of the
 //! recording, meters; headings are in radians, 0 along x; lists of states are [x, y, heading, vx, vy].
 
 use super::situation::Situation;
 use super::world::World;
 use crate::geometry::{Polyline, Transform2, Vec2};
-use crate::scene::State;
+use crate::scene::{Scene, State};
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde::{Deserialize, Serialize};
@@ -25,6 +26,8 @@ pub enum ToPlanner {
     Hello(Box<Hello>),
     /// What happened since the last observation, at first the past second. The planner answers with an action.
     Observation(Observation),
+    /// The answer to `peek`. The planner peeks again, or answers with an action.
+    Futures(Peeked),
     /// The scenario is over.
     Done(Done),
 }
@@ -103,6 +106,24 @@ pub struct Agent {
     pub states: Vec<Option<[f64; 5]>>,
 }
 
+/// What may happen from the last observation on.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct Peeked {
+    /// The timestep of that observation.
+    pub timestep: usize,
+    /// Each of the futures: everybody who is there now, the ego included.
+    pub futures: Vec<Vec<Future>>,
+}
+
+/// What a road user does in a future.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct Future {
+    /// Its name.
+    pub id: String,
+    /// Its states at the next timesteps, as far as the model sees ahead.
+    pub states: Vec<[f64; 5]>,
+}
+
 /// The end of a scenario.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Done {
@@ -118,6 +139,17 @@ pub struct Done {
 pub enum FromPlanner {
     /// What the ego does until the next observation.
     Action(Action),
+    /// Asks for futures before the action; nothing advances.
+    Peek(Peek),
+}
+
+/// A question for futures that the model samples for everybody, the ego included, from the past alone: of the event of
+/// the scenario they know nothing. At most 8 times an observation.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Peek {
+    /// How many.
+    #[schemars(range(min = 1, max = 64))]
+    pub n: usize,
 }
 
 /// A motion of the ego: a trajectory, or acceleration and curvature.
@@ -202,6 +234,20 @@ impl Observation {
             time_s: (now - scene.current_timestep()) as f64 * scene.dt_s,
             agents: (0..world.n_tracks()).filter_map(agent).collect(),
         }
+    }
+}
+
+impl Peeked {
+    /// These futures, as scenes of the situation.
+    pub(super) fn of(situation: &Situation, world: &World, futures: &[Scene]) -> Self {
+        let future = |scene: &Scene, agent_idx: usize| {
+            world.present(agent_idx)?;
+            let states = (scene.n_history..scene.n_timesteps).map_while(|t| scene.state(agent_idx, t));
+            let states = states.map(|state| listed(state, &situation.scene.world_from_scene)).collect();
+            Some(Future { id: situation.scene.tracks[agent_idx].id.0.clone(), states })
+        };
+        let all = |scene: &Scene| (0..world.n_tracks()).filter_map(|agent_idx| future(scene, agent_idx)).collect();
+        Self { timestep: world.now(), futures: futures.iter().map(all).collect() }
     }
 }
 

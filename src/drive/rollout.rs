@@ -2,6 +2,8 @@
 
 use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
+use super::peek::peek;
+use super::reaction::{brake, is_ahead};
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
@@ -176,7 +178,12 @@ impl Drive<'_> {
             },
             Others::Replayed => None,
         };
-        if let Err(why) = self.driver.plan(situation, &self.world, n_steps) {
+        let world = &self.world;
+        let peek = |n: usize| match others {
+            Others::Sampled(futures) => peek(situation, world, futures, n),
+            Others::Replayed => Err(Failed::because("others that do not answer have no futures")),
+        };
+        if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
             return Ok(Some(failed(why)));
         }
         for step in 0..n_steps {
@@ -211,9 +218,18 @@ impl Drive<'_> {
             (self.world.plan_ends, self.gave_up_plan) = (now, true);
         }
         let expected = (!self.driver.is_model()).then_some(expected.as_slice());
-        let (scene, mask) = situation.window(&self.world, expected, sizes);
+        let (scene, mask) = situation.window(&self.world, expected, true, sizes);
         let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
-        Ok(futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?)
+        let mut sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
+        if let Ok(sampled) = &mut sampled {
+            let is_sampled = |idx: &usize| {
+                let is_driven = *idx == center_idx && !self.driver.is_model();
+                !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
+            };
+            let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
+            brake(situation, sampled, &agents);
+        }
+        Ok(sampled)
     }
 
     /// Looks at what was reached: who has left, and does the drive end here?
@@ -267,9 +283,7 @@ impl Drive<'_> {
         situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
             expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
                 let Some(other) = situation.plan(world, *agent_idx, now + 1 + i) else { return false };
-                let place = (then.position - other.position).rotated(-other.heading_rad);
-                let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
-                is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
+                is_ahead(&other, then) && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
             })
         })
     }

@@ -106,6 +106,71 @@ fn a_plan_that_would_ram_an_ego_that_is_elsewhere_is_given_up() {
 }
 
 #[test]
+fn peeking_shows_several_futures_that_know_nothing_of_the_plan_and_changes_nothing() {
+    let (situation, model) = (situation(&record()), model());
+    let futures = Futures::new(&model, 1, &Device::Cpu).unwrap();
+    let world = situation.start(1);
+    let found = peek::peek(&situation, &world, &futures, 3).unwrap();
+    let at = |future: &Scene, idx: usize| future.state(idx, 30).map(|state| state.position).unwrap();
+    let planned = situation.planned[0];
+    let plan = situation.plan(&world, planned, 30).unwrap().position;
+    for idx in [situation.ego_idx, planned] {
+        assert!(at(&found[0], idx) != at(&found[1], idx) && at(&found[1], idx) != at(&found[2], idx));
+    }
+    assert!(found.iter().all(|future| at(future, planned).distance(plan) > 1e-3));
+    assert_eq!(found, peek::peek(&situation, &world, &futures, 3).unwrap());
+    assert_eq!(world, situation.start(1));
+}
+
+/// A driver that brakes fully.
+struct Brakes;
+
+impl Driver for Brakes {
+    fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
+        Ok(())
+    }
+
+    fn next(&mut self, situation: &Situation, world: &World, _: Option<State>) -> Result<State, Failed> {
+        let (state, dt_s) = (world.present(situation.ego_idx).unwrap(), situation.scene.dt_s);
+        let along = crate::geometry::Vec2::from_angle(state.heading_rad);
+        let velocity = along * (state.speed_mps() - 8.0 * dt_s).max(0.0);
+        Ok(State { position: state.position + velocity * dt_s, velocity, ..state })
+    }
+}
+
+#[test]
+fn who_comes_up_from_behind_brakes_for_an_ego_that_stops() {
+    let mut record = record();
+    let (ego, planned) = (record.subject_idx().unwrap(), situation(&record).planned[0]);
+    let scene: &mut Scene = &mut record.scenario.scene;
+    let follower = (0..scene.tracks.len()).find(|idx| ![ego, planned].contains(idx)).unwrap();
+    // It follows in the trace of the ego, 25 m behind and 6 m/s faster, and everybody else is away.
+    let at = *scene.state(ego, scene.current_timestep()).unwrap();
+    let along = crate::geometry::Vec2::from_angle(at.heading_rad);
+    let (present, dt_s) = (scene.current_timestep() as f64, scene.dt_s);
+    let states = (0..scene.n_timesteps).map(|timestep| {
+        let position = at.position + along * ((timestep as f64 - present) * dt_s * 17.0 - 25.0);
+        Some(State { position, heading_rad: at.heading_rad, velocity: along * 17.0 })
+    });
+    scene.tracks[follower].trajectory = Trajectory::new(states.collect());
+    for idx in (0..scene.tracks.len()).filter(|idx| ![ego, follower].contains(idx)) {
+        scene.tracks[idx].trajectory = Trajectory::new(vec![None; scene.n_timesteps]);
+    }
+    let situation = situation(&record);
+    let config = RolloutConfig { horizon_s: 4.0, replan_s: 0.5 };
+    for seed in 1..4 {
+        let driven = driven(&situation, situation.start(seed), &mut Brakes, &config);
+        assert!(driven.contact.is_none(), "{seed}: {:?} after {} timesteps", driven.why, driven.world.n_timesteps());
+        let position = |timestep: usize| driven.world.state(follower, timestep).unwrap().position;
+        let speed = |timestep: usize| position(timestep).distance(position(timestep - 1)) / dt_s;
+        for timestep in situation.scene.n_history..driven.world.n_timesteps() {
+            let braking_mps2 = (speed(timestep - 1) - speed(timestep)) / dt_s;
+            assert!(braking_mps2 < 8.5, "{seed}: {braking_mps2} m/s² at {timestep}");
+        }
+    }
+}
+
+#[test]
 fn drivers_keep_to_the_way_and_within_what_vehicles_can() {
     let situation = situation(&record());
     for (name, driver) in [("idm", &mut Idm as &mut dyn Driver), ("careful", &mut Careful::default())] {

@@ -13,6 +13,7 @@ use crate::progress::Progress;
 use crate::scenario::{DriveRow, ScenarioRecord};
 use crate::scene::{LaneGraph, MapId};
 use crate::store::{CorpusReader, DrivenWriter, MapSource, write_atomically, write_drives, write_json_atomically};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io::Write;
 use std::path::Path;
 use std::str::FromStr;
@@ -101,7 +102,7 @@ pub fn drive_corpus(
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
     let mut output = Output { states: DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?, rows: Vec::new() };
-    let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect();
+    let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect::<Result<_>>()?;
     let mut maps = Maps::default();
     let mut positions = positions.into_iter();
     let mut n_chosen = 0;
@@ -185,10 +186,11 @@ fn own_name(ego: &EgoDriver) -> &str {
 struct Worker {
     asked: Box<dyn Driver>,
     careful: Option<Careful>,
+    pool: ThreadPool,
 }
 
 impl Worker {
-    fn new(config: &DriveConfig) -> Self {
+    fn new(config: &DriveConfig) -> Result<Self> {
         let asked: Box<dyn Driver> = match &config.ego {
             EgoDriver::Model => Box::new(Model),
             EgoDriver::Log => Box::new(Log),
@@ -198,7 +200,10 @@ impl Worker {
             EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s)),
         };
         let careful = (config.ego != EgoDriver::Careful).then(Careful::default);
-        Self { asked, careful }
+        // What a network does in parallel is too little to be handed around between threads.
+        let pool = ThreadPoolBuilder::new().num_threads(1).build();
+        let pool = pool.map_err(|error| Error::Config(format!("no thread can be started: {error}")))?;
+        Ok(Self { asked, careful, pool })
     }
 
     /// The drives from one situation, of the driver that was asked for and of the careful one.
@@ -218,12 +223,15 @@ impl Worker {
             SaveAt::Event => situation.event[0],
             SaveAt::Timestep(timestep) => timestep,
         });
-        let asked = roll_out(situation, start(), self.asked.as_mut(), &others, &config.rollout, save_at)?;
-        let careful = match &mut self.careful {
-            Some(careful) => Some(roll_out(situation, start(), careful, &others, &config.rollout, None)?),
-            None => None,
-        };
-        Ok([asked].into_iter().chain(careful).collect())
+        let Self { asked, careful, pool } = self;
+        pool.install(|| {
+            let asked = roll_out(situation, start(), asked.as_mut(), &others, &config.rollout, save_at)?;
+            let careful = match careful {
+                Some(careful) => Some(roll_out(situation, start(), careful, &others, &config.rollout, None)?),
+                None => None,
+            };
+            Ok([asked].into_iter().chain(careful).collect())
+        })
     }
 }
 

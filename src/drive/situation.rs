@@ -3,6 +3,7 @@
 use super::world::World;
 use super::{Error, Result};
 use crate::behavior::driven_path::DrivenPath;
+use crate::behavior::footprint::Bounds;
 use crate::behavior::kept_lane::way_on;
 use crate::geometry::{OrientedBox, Vec2};
 use crate::metrics::Road;
@@ -43,6 +44,8 @@ pub struct Situation {
     /// The way of the ego: the one of the scenario, and on along its lane.
     pub(crate) route: DrivenPath,
     road: Road,
+    /// The rectangle around the middle of each lane.
+    lane_bounds: Vec<Option<Bounds>>,
     /// Whether each agent is on the map at present, and whether it overlaps the ego there.
     starts_on_map: Vec<bool>,
     starts_in_ego: Vec<bool>,
@@ -62,7 +65,7 @@ impl Situation {
         let now = *now.ok_or_else(|| unfit("has no state of its ego at present"))?;
         if let Some(map) = map {
             let center = scene.world_from_scene.point(now.position);
-            let near = map.subset(&near(map, &[center], MAP_WITHIN_M));
+            let near = map.subset(&near(map, &bounds(map), &[center], MAP_WITHIN_M));
             scene.lanes = Arc::new(near.into_frame(&scene.world_from_scene.inverse()));
         }
         let ego = &scene.tracks[ego_idx];
@@ -91,6 +94,7 @@ impl Situation {
             target_speed_mps,
             route,
             road: Road::new(&scene.lanes),
+            lane_bounds: bounds(&scene.lanes),
             starts_on_map: Vec::new(),
             starts_in_ego: Vec::new(),
             starts_on_road: false,
@@ -138,7 +142,8 @@ impl Situation {
     }
 
     fn is_on_map(&self, state: &State) -> bool {
-        self.scene.lanes.is_empty() || !near(&self.scene.lanes, &[state.position], OFF_MAP_M).is_empty()
+        let mut lanes = self.scene.lanes.lanes().iter().zip(&self.lane_bounds);
+        self.scene.lanes.is_empty() || lanes.any(|(lane, bounds)| is_near(lane, *bounds, state.position, OFF_MAP_M))
     }
 
     /// Whether an agent was on the map at present and is not now.
@@ -152,16 +157,18 @@ impl Situation {
     }
 
     /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
-    /// agents of the event and what is `expected` of the ego, and the mask that shows just these.
+    /// agents of the event, if it `knows_plans`, and what is `expected` of the ego; and the mask that shows just these.
     pub(super) fn window(
         &self,
         world: &World,
         expected: Option<&[State]>,
+        knows_plans: bool,
         [n_history, n_timesteps]: [usize; 2],
     ) -> (Scene, ObservationMask) {
         let first = world.n_timesteps() - n_history;
         let mut scene = self.cut(world, first, n_timesteps, n_history);
-        for agent_idx in self.planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
+        let planned = if knows_plans { self.planned.as_slice() } else { &[] };
+        for agent_idx in planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
             let trajectory = &mut scene.tracks[agent_idx].trajectory;
             let entry = |(t, state): (usize, &Option<State>)| {
                 if t < n_history { *state } else { self.plan(world, agent_idx, first + t) }
@@ -178,13 +185,13 @@ impl Situation {
             track.trajectory = track.trajectory.with_velocities_from_positions(n_history, scene.dt_s);
         }
         let present: Vec<Vec2> = (0..scene.tracks.len()).filter_map(|i| world.present(i)).map(|s| s.position).collect();
-        let ids = near(&self.scene.lanes, &present, LANES_WITHIN_M);
+        let ids = near(&self.scene.lanes, &self.lane_bounds, &present, LANES_WITHIN_M);
         if ids.len() < self.scene.lanes.lanes().len() {
             scene.lanes = Arc::new(self.scene.lanes.subset(&ids));
         }
         let mask = ObservationMask::from_fn(scene.tracks.len(), n_timesteps, |agent_idx, timestep| {
             let is_known = scene.state(agent_idx, timestep).is_some();
-            timestep < n_history || (is_known && (agent_idx == self.ego_idx || self.planned.contains(&agent_idx)))
+            timestep < n_history || (is_known && (agent_idx == self.ego_idx || planned.contains(&agent_idx)))
         });
         (scene, mask)
     }
@@ -207,12 +214,20 @@ impl Situation {
 }
 
 /// The lanes whose middle comes this close to any of these points.
-fn near(lanes: &LaneGraph, points: &[Vec2], within_m: f64) -> Vec<LaneId> {
-    let is_near = |lane: &&Lane| {
-        let is_close = |at: &Vec2| lane.centerline.project(*at).is_some_and(|p| p.offset_m.abs() <= within_m);
-        points.iter().any(is_close)
-    };
-    lanes.lanes().iter().filter(is_near).map(|lane| lane.id).collect()
+fn near(lanes: &LaneGraph, bounds: &[Option<Bounds>], points: &[Vec2], within_m: f64) -> Vec<LaneId> {
+    let is_near_one =
+        |(lane, bounds): &(&Lane, &Option<Bounds>)| points.iter().any(|at| is_near(lane, **bounds, *at, within_m));
+    lanes.lanes().iter().zip(bounds).filter(is_near_one).map(|(lane, _)| lane.id).collect()
+}
+
+/// The rectangle around the middle of each lane, in their order.
+fn bounds(lanes: &LaneGraph) -> Vec<Option<Bounds>> {
+    lanes.lanes().iter().map(|lane| Bounds::around(lane.centerline.0.iter().copied())).collect()
+}
+
+fn is_near(lane: &Lane, bounds: Option<Bounds>, at: Vec2, within_m: f64) -> bool {
+    bounds.is_some_and(|bounds| bounds.contains(at, within_m))
+        && lane.centerline.project(at).is_some_and(|place| place.offset_m.abs() <= within_m)
 }
 
 #[cfg(test)]
@@ -246,7 +261,7 @@ mod tests {
         for timestep in world.n_timesteps()..world.n_timesteps() + 5 {
             world.push((0..situation.scene.tracks.len()).map(|idx| situation.scene.state(idx, timestep).copied()));
         }
-        let (scene, mask) = situation.window(&world, None, [10, 40]);
+        let (scene, mask) = situation.window(&world, None, true, [10, 40]);
         assert_eq!((scene.n_history, scene.n_timesteps, mask.n_timesteps()), (10, 40, 40));
         let planned = situation.planned[0];
         for (agent_idx, timestep, is_shown) in
@@ -258,7 +273,7 @@ mod tests {
             assert_eq!(state, expected);
         }
         let expected = vec![State::default(); 30];
-        let (scene, mask) = situation.window(&world, Some(&expected), [10, 40]);
+        let (scene, mask) = situation.window(&world, Some(&expected), true, [10, 40]);
         assert!(mask.is_observed(situation.ego_idx, 39) && scene.state(situation.ego_idx, 9) != Some(&expected[0]));
         assert_eq!(scene.state(situation.ego_idx, 20).map(|state| state.position), Some(Vec2::ZERO));
     }

@@ -65,7 +65,7 @@ impl Generator<'_> {
     ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
-        let tensors = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let tensors = self.collator.collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let denoiser = self.denoiser(batch.sweep)?;
         let bound = denoiser.network.bind(&tensors, n_samples)?;
@@ -125,7 +125,7 @@ impl Generator<'_> {
             .iter()
             .map(|(Wanted { scene, mask }, ego_idx)| SceneView { scene, ego_idx: *ego_idx, mask })
             .collect();
-        let extended = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let extended = self.collator.collate(&views, FutureValidity::Everything, self.device)?;
         match config.mask_velocity {
             true => without_wanted_velocities(&extended, &base.repeated(batch.samples.len())?),
             false => Ok(extended),

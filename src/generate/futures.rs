@@ -7,8 +7,10 @@ use crate::metrics::MetricSettings;
 use crate::model::{Distillation, TrainedDenoiser};
 use crate::progress::Silent;
 use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene, UnfitScene};
+use crate::tensor::Collator;
 use candle_core::Device;
 use serde_json::json;
+use std::sync::Arc;
 
 /// Samples futures of scenes that are given one by one: kept apart and on the road as samples of sweeps are, and
 /// nothing else. A scene is denoised alone, because matrix products of several rows round differently.
@@ -17,6 +19,7 @@ pub struct Futures<'a> {
     config: ResolvedGeneration,
     metric_settings: MetricSettings,
     device: &'a Device,
+    collator: Arc<Collator>,
 }
 
 /// A scene to be continued.
@@ -55,7 +58,8 @@ impl<'a> Futures<'a> {
         let config: GenerateConfig = serde_json::from_value(json!({ "seed": seed, "sweeps": [sweep] }))
             .map_err(|error| Error::Config(error.to_string()))?;
         let config = config.resolve(&[])?;
-        let futures = Self { model, config, metric_settings: MetricSettings::default(), device };
+        let (metric_settings, collator) = (MetricSettings::default(), Arc::new(model.spec.sampling_collator()));
+        let futures = Self { model, config, metric_settings, device, collator };
         futures.generator(&|_| Err("futures load no scenes".into())).check_all()?;
         Ok(futures)
     }
@@ -90,6 +94,15 @@ impl<'a> Futures<'a> {
     /// # Errors
     /// When the device fails.
     pub fn sample(&self, asked: &Continued<'_>) -> Result<Result<Scene, UnfitScene>, Error> {
+        let sampled = self.several(asked, 1)?.pop();
+        Ok(sampled.unwrap_or_else(|| Err(UnfitScene("has no agent to continue".to_owned()))))
+    }
+
+    /// `n` futures, of which each has a stream of noise: that of its step, those of the next steps.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn several(&self, asked: &Continued<'_>, n: usize) -> Result<Vec<Result<Scene, UnfitScene>>, Error> {
         let loader = |_| Err("futures load no scenes".into());
         let generator = self.generator(&loader);
         let Some(sweep) = self.config.sweeps.first() else { return Err(Error::Config("no sweep".to_owned())) };
@@ -99,14 +112,11 @@ impl<'a> Futures<'a> {
         let batch = Batch {
             sweep,
             cells: vec![(&cell, &given)],
-            samples: asked.step..asked.step + 1,
+            samples: asked.step..asked.step + n,
             level: GuidanceLevel::UNGUIDED,
         };
-        let mut drawn = generator.sample(&batch, &Silent)?;
-        match drawn.pop() {
-            Some(draw) => Ok(draw.map(|draw| draw.scene)),
-            None => Ok(Err(UnfitScene("has no agent to continue".to_owned()))),
-        }
+        let drawn = generator.sample(&batch, &Silent)?;
+        Ok(drawn.into_iter().map(|draw| draw.map(|draw| draw.scene)).collect())
     }
 
     fn generator<'b>(&'b self, scenes: &'b super::SceneLoader<'b>) -> Generator<'b> {
@@ -117,6 +127,7 @@ impl<'a> Futures<'a> {
             scenes,
             metric_settings: self.metric_settings.clone(),
             device: self.device,
+            collator: self.collator.clone(),
         }
     }
 }

@@ -7,8 +7,9 @@ use crate::model::{DenoiserSpec, TrainedClassifier, TrainedDenoiser, TrainedScen
 use crate::nn::keep_freed_memory;
 use crate::scene::{Scene, SceneId};
 use crate::seed::Seed;
-use crate::tensor::Normalizer;
+use crate::tensor::{Collator, Normalizer};
 use candle_core::Device;
+use std::sync::Arc;
 
 /// Loads the scene with this index, for example from a store.
 pub type SceneLoader<'a> = dyn Fn(usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> + Sync + 'a;
@@ -34,6 +35,8 @@ pub struct Generator<'a> {
     pub(super) scenes: &'a SceneLoader<'a>,
     pub(super) metric_settings: MetricSettings,
     pub(super) device: &'a Device,
+    /// How scenes become batches; it remembers the modes of motion of one batch for the next.
+    pub(super) collator: Arc<Collator>,
 }
 
 impl<'a> Generator<'a> {
@@ -51,7 +54,8 @@ impl<'a> Generator<'a> {
         device: &'a Device,
     ) -> Result<Self, Error> {
         keep_freed_memory();
-        let generator = Self { config, models, behaviors, scenes, metric_settings, device };
+        let collator = Arc::new(models.denoiser.spec.sampling_collator());
+        let generator = Self { config, models, behaviors, scenes, metric_settings, device, collator };
         generator.check_all()?;
         Ok(generator)
     }

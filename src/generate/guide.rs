@@ -236,7 +236,7 @@ impl<'g> Generator<'g> {
         let views: Vec<SceneView<'_>> = (guided.cells.iter().zip(guided.agents).zip(&masks))
             .map(|(((_, scene), agents), mask)| SceneView { scene, ego_idx: agents.0, mask })
             .collect();
-        let batch = self.spec().sampling_collator().collate(&views, FutureValidity::Everything, self.device)?;
+        let batch = self.collator.collate(&views, FutureValidity::Everything, self.device)?;
         let batch = batch.repeated(guided.samples.len())?;
         let change = MaskChange::new(&batch, guided.repeated)?;
         Ok(Some(Classified { batch, change }))

@@ -40,7 +40,7 @@ impl Generator<'_> {
     ) -> Result<Vec<CandidatePair>, Error> {
         let mut candidates = possible_pairs(sweep, behavior, scene);
         // All agents with a role must be among those that the denoiser sees when the first one is at the center.
-        let max_agents = self.spec().sampling_collator().max_agents;
+        let max_agents = self.collator.max_agents;
         let is_seen = |pair: &CandidatePair, track: &TrackId| {
             scene.track_idx(track).is_some_and(|idx| proximity_rank(scene, pair.agents.0, idx) < max_agents)
         };
@@ -67,7 +67,7 @@ impl Generator<'_> {
         let view = |pair: &CandidatePair| SceneView { scene, ego_idx: pair.agents.0, mask: &mask };
         let views: Vec<SceneView<'_>> = candidates.iter().map(view).collect();
         // The classifier sees no map.
-        let collator = Collator { max_lanes: 0, sight: None, ..self.spec().sampling_collator() };
+        let collator = Collator { max_lanes: 0, sight: None, ..Collator::clone(&self.collator) };
         let batch = collator.collate(&views, FutureValidity::Everything, self.device)?;
         let agents: Vec<(usize, usize)> = candidates.iter().map(|pair| pair.agents).collect();
         let features = classifier.spec.features(&batch, &slots(&batch, &agents)?)?;

@@ -132,7 +132,8 @@ fn the_plan_does_not_depend_on_the_order_of_scenes() {
         let reversed: SceneIndex = index(12).iter().rev().collect();
         let moved = |idx: usize| load(11 - idx);
         let metric_settings = generator.metric_settings.clone();
-        let reversed_generator = Generator { scenes: &moved, metric_settings, ..*generator };
+        let collator = generator.collator.clone();
+        let reversed_generator = Generator { scenes: &moved, metric_settings, collator, ..*generator };
         assert_eq!(ids(&plan), ids(&reversed_generator.plan(&reversed).unwrap()));
     });
 }

@@ -61,8 +61,15 @@ impl RoadCorridors {
             }
             for strip in &lane.strips {
                 let nearest = strip.nearest(point);
+                // Most strips are farther by far, and roots take time. With some room for rounding.
+                let least_m = best.map_or(f64::INFINITY, |(excess_m, _)| excess_m);
+                let reach_m = least_m + nearest.half_width_m + 1e-6;
+                let offset = nearest.point - point;
+                if offset.dot(offset) > reach_m.max(0.0).powi(2) {
+                    continue;
+                }
                 let excess_m = nearest.point.distance(point) - nearest.half_width_m;
-                if best.is_none_or(|(least_m, _)| excess_m < least_m) {
+                if excess_m < least_m || best.is_none() {
                     best = Some((excess_m, nearest));
                 }
             }

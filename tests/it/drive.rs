@@ -73,7 +73,9 @@ fn whatever_a_planner_does_is_an_outcome() {
     let nan = planner("print(json.dumps({'type': 'action', 'acceleration_mps2': float('nan')}))");
     let late = planner("time.sleep(0 if n < 2 else 60); print(json.dumps({'type': 'action', 'acceleration_mps2': 0}))");
     let far = planner("print(json.dumps({'type': 'action', 'trajectory': [[0, 0, 0]] * 5}))");
+    let none = planner("print(json.dumps({'type': 'peek', 'n': 0}))");
     for (name, command, outcome, why) in [
+        ("peeks", none.as_str(), "planner_failed", "peeks into 0 futures, expected 1 to 64"),
         ("dies", "echo no map for this place >&2; false", "planner_failed", "its last words: no map for this place"),
         ("missing", "./no-such-planner", "planner_failed", "no-such-planner"),
         ("floods", "yes nonsense", "planner_failed", ""),
@@ -107,6 +109,31 @@ fn ids() -> Vec<String> {
 }
 
 #[test]
+fn a_planner_that_peeks_drives_as_one_that_does_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let driven = |name: &str, peek: &str| {
+        let (script, out) = (dir.path().join(format!("{name}.py")), dir.path().join(name));
+        let act = format!(
+            "import sys\nsys.path.insert(0, 'scripts')\nfrom djinn_drive import serve, peek\n\
+             def act(observation, hello):\n    ids = [a['id'] for a in observation['agents']]\n    {peek}\n    \
+             return {{'acceleration_mps2': -1.0}}\nserve(act)\n"
+        );
+        fs_err::write(&script, act).unwrap();
+        drive(&format!("python3 {}", script.display()), &out, &["--horizon-s", "1"]).expect(0);
+        (report(&out)["outcomes"]["planner"].clone(), fs_err::read(out.join("driven.parquet")).unwrap())
+    };
+    let peeks = "for _ in range(2):\n        futures = peek(3)\n        \
+                 assert len(futures) == 3 and futures[0] != futures[1]\n        \
+                 assert all([a['id'] for a in future] == ids for future in futures)\n        \
+                 assert all(len(a['states'][0]) == 5 and len(a['states']) == 30 for a in futures[2])";
+    let (with, without) = (driven("with", peeks), driven("without", "pass"));
+    assert!(with.0.get("planner_failed").is_none(), "{}", with.0);
+    assert!(with == without);
+    let (endless, _) = driven("endless", "while True:\n        peek(1)");
+    assert_eq!(endless["planner_failed"], N_SCENARIOS, "{endless}");
+}
+
+#[test]
 fn one_process_serves_all_scenarios() {
     let dir = tempfile::tempdir().unwrap();
     let (out, log) = (dir.path().join("out"), dir.path().join("log"));
@@ -129,7 +156,8 @@ fn the_gymnasium_environment_repeats_and_comes_to_ends() {
          env = environment('{CORPUS}', '{}', djinn='{}', options='--model {MODEL} --horizon-s 1')\n\
          first, _ = env.reset(seed=5)\nagain, _ = env.reset(seed=5)\nassert (first == again).all()\n\
          steps = [env.step([0.0, 0.0]) for _ in range(2)]\nassert steps[-1][2] or steps[-1][3], steps\n\
-         ids = {{env.reset()[1]['scenario_id'] for _ in range(3)}}\nassert len(ids) == 3, ids\nenv.close()",
+         ids = {{env.reset()[1]['scenario_id'] for _ in range(3)}}\nassert len(ids) == 3, ids\n\
+         assert len(env.peek(2)) == 2\nenv.close()",
         dir.path().join("out").display(),
         env!("CARGO_BIN_EXE_djinn"),
     );

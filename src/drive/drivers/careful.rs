@@ -7,7 +7,7 @@ use super::idm::{acceleration, leaders};
 use super::way::{advanced, ego, seen};
 use crate::drive::driver::{Driver, Failed};
 use crate::drive::{Situation, World};
-use crate::metrics::CarefulWatch;
+use crate::metrics::{CarefulWatch, Seen};
 use crate::scene::State;
 
 /// The deceleration of ordinary driving, m/s².
@@ -20,12 +20,15 @@ pub(in crate::drive) struct Careful {
 }
 
 impl Careful {
-    fn look(&mut self, situation: &Situation, world: &World, timestep: usize) {
+    /// Looks around; returns whom it sees.
+    fn look(&mut self, situation: &Situation, world: &World, timestep: usize) -> Vec<Option<Seen>> {
         let dt_s = situation.scene.dt_s;
-        for (agent_idx, watch) in self.watches.iter_mut().enumerate() {
-            let seen = seen(situation, world, agent_idx, timestep).filter(|_| situation.can_touch(agent_idx));
-            watch.look(timestep as f64 * dt_s, dt_s, seen.as_ref());
+        let all = seen(situation, world, timestep);
+        for (agent_idx, (watch, seen)) in self.watches.iter_mut().zip(&all).enumerate() {
+            let seen = seen.as_ref().filter(|_| situation.can_touch(agent_idx));
+            watch.look(timestep as f64 * dt_s, dt_s, seen);
         }
+        all
     }
 }
 
@@ -33,17 +36,17 @@ impl Driver for Careful {
     /// Looks at all that has happened: what it knows is a function of the world.
     fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed> {
         self.watches = vec![CarefulWatch::default(); world.n_tracks()];
-        (0..world.now()).for_each(|timestep| self.look(situation, world, timestep));
+        (0..world.now()).for_each(|timestep| drop(self.look(situation, world, timestep)));
         Ok(())
     }
 
     fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         let state = ego(situation, world)?;
-        self.look(situation, world, world.now());
+        let seen = self.look(situation, world, world.now());
         let now_s = world.now() as f64 * situation.scene.dt_s;
         let braking_mps2 = self.watches.iter().map(|watch| watch.braking_mps2(now_s)).fold(0.0, f64::max);
         let perceived =
-            leaders(situation, world).filter(|(agent_idx, _)| self.watches[*agent_idx].has_perceived(now_s));
+            leaders(situation, &seen).filter(|(agent_idx, _)| self.watches[*agent_idx].has_perceived(now_s));
         let ordinary_mps2 = acceleration(situation, &state, perceived.map(|(_, seen)| seen)).max(-ORDINARY_MPS2);
         Ok(advanced(situation, &state, ordinary_mps2.min(if braking_mps2 > 0.0 { -braking_mps2 } else { f64::MAX })))
     }

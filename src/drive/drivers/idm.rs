@@ -27,23 +27,23 @@ impl Driver for Idm {
 
     fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         let state = ego(situation, world)?;
-        let acceleration_mps2 = acceleration(situation, &state, leaders(situation, world).map(|(_, seen)| seen));
+        let seen = seen(situation, world, world.now());
+        let acceleration_mps2 = acceleration(situation, &state, leaders(situation, &seen).map(|(_, seen)| seen));
         Ok(advanced(situation, &state, acceleration_mps2))
     }
 }
 
-/// The others that are in the way of the ego now, ahead of it.
-pub(super) fn leaders(situation: &Situation, world: &World) -> impl Iterator<Item = (usize, Seen)> {
+/// Those that are in the way of the ego, ahead of it, of the others as it sees them now.
+pub(super) fn leaders(situation: &Situation, seen: &[Option<Seen>]) -> impl Iterator<Item = (usize, Seen)> {
     let half_width_m = situation.scene.tracks[situation.ego_idx].extent_or_nominal().width_m / 2.0;
-    let all = (0..world.n_tracks()).filter_map(|agent_idx| {
-        Some((agent_idx, seen(situation, world, agent_idx, world.now())?)).filter(|_| situation.can_touch(agent_idx))
-    });
-    all.filter(move |(_, seen)| seen.flank_m < half_width_m + MARGIN_M && seen.gap_m > -seen.lengths_m / 2.0)
+    let all = seen.iter().enumerate().filter_map(|(agent_idx, seen)| Some((agent_idx, (*seen)?)));
+    all.filter(|(agent_idx, _)| situation.can_touch(*agent_idx))
+        .filter(move |(_, seen)| seen.flank_m < half_width_m + MARGIN_M && seen.gap_m > -seen.lengths_m / 2.0)
 }
 
 /// The distance to the nearest that is in the way of the ego at now, meters; infinite if nobody is.
 pub(in crate::drive) fn free_m(situation: &Situation, world: &World) -> f64 {
-    leaders(situation, world).map(|(_, seen)| seen.gap_m).fold(f64::INFINITY, f64::min)
+    leaders(situation, &seen(situation, world, world.now())).map(|(_, seen)| seen.gap_m).fold(f64::INFINITY, f64::min)
 }
 
 /// The model's acceleration behind these leaders, m/s².

@@ -54,21 +54,26 @@ pub(in crate::drive) fn expected(situation: &Situation, world: &World, n_steps: 
     (0..n_steps).map(next).collect()
 }
 
-/// Another, at a timestep, as seen from the ego of then on its way.
-pub(super) fn seen(situation: &Situation, world: &World, agent_idx: usize, timestep: usize) -> Option<Seen> {
-    let ego = world.state(situation.ego_idx, timestep)?;
-    let state = world.state(agent_idx, timestep).filter(|_| agent_idx != situation.ego_idx)?;
+/// The others, at a timestep, as seen from the ego of then on its way, by track; `None` who is not there.
+pub(super) fn seen(situation: &Situation, world: &World, timestep: usize) -> Vec<Option<Seen>> {
     let route = &situation.route;
-    let place = route.project(state.position)?;
-    let body = situation.body(agent_idx, &state);
-    let across = Vec2::from_angle(place.heading_rad + FRAC_PI_2);
-    let along_mps = state.velocity.dot(Vec2::from_angle(place.heading_rad));
-    let offset_m = place.offset_m.abs();
-    Some(Seen {
-        offset_m,
-        flank_m: offset_m - Footprint::new(&body).half_extent_m(across),
-        gap_m: route.gap_m(&body)? - route.driven_m(ego.position)?,
-        closing_mps: ego.speed_mps() - along_mps,
-        lengths_m: body.length_m + situation.body(situation.ego_idx, &ego).length_m,
-    })
+    let ego = world.state(situation.ego_idx, timestep);
+    let ego = ego.and_then(|ego| Some((ego, route.driven_m(ego.position)?)));
+    let seen = |agent_idx: usize| {
+        let (ego, driven_m) = ego?;
+        let state = world.state(agent_idx, timestep).filter(|_| agent_idx != situation.ego_idx)?;
+        let place = route.project(state.position)?;
+        let body = situation.body(agent_idx, &state);
+        let across = Vec2::from_angle(place.heading_rad + FRAC_PI_2);
+        let along_mps = state.velocity.dot(Vec2::from_angle(place.heading_rad));
+        let offset_m = place.offset_m.abs();
+        Some(Seen {
+            offset_m,
+            flank_m: offset_m - Footprint::new(&body).half_extent_m(across),
+            gap_m: route.gap_m(&body)? - driven_m,
+            closing_mps: ego.speed_mps() - along_mps,
+            lengths_m: body.length_m + situation.body(situation.ego_idx, &ego).length_m,
+        })
+    };
+    (0..world.n_tracks()).map(seen).collect()
 }

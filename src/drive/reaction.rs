@@ -1,0 +1,162 @@
+//! Who would drive its front into another brakes.
+//!
+//! The model was trained on ordinary traffic. Behind an ego that stops, most of its futures swerve or drive on through
+//! it, and hardly any of them stops. So an agent that drives its front into another in a sampled future does not do so:
+//! it keeps the way of that future and brakes on it, as weakly as suffices and at most fully. What it answers to was
+//! sampled or expected at the last replanning: it reacts within the time between two of them, about as a human does.
+
+use super::situation::Situation;
+use crate::geometry::{OrientedBox, Vec2, wrap_angle};
+use crate::scene::{Scene, State, Trajectory};
+
+/// The decelerations that are tried, m/s²; the last is full braking.
+const BRAKES_MPS2: [f64; 4] = [2.0, 4.0, 6.0, 8.0];
+/// What is to be left between the two, meters.
+const MARGIN_M: f64 = 1.0;
+/// One brakes, then those behind it, and so on.
+const N_ROUNDS: usize = 4;
+
+/// Lets those of `agents` brake who would drive their front into another in the future of this scene, whose tracks are
+/// those of the situation.
+pub(super) fn brake(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
+    for _ in 0..N_ROUNDS {
+        let mut has_changed = false;
+        for agent_idx in agents.iter().copied() {
+            let own = future(scene, agent_idx);
+            if drives_into_another(situation, scene, (agent_idx, &own), 0.0) {
+                let braked = BRAKES_MPS2.map(|mps2| braked(&own, mps2, scene.dt_s));
+                let suffices = |own: &&Vec<State>| !drives_into_another(situation, scene, (agent_idx, own), MARGIN_M);
+                if let Some(chosen) = braked.iter().find(suffices).or_else(|| braked.last()) {
+                    has_changed |= *chosen != own;
+                    let n_before = scene.n_history - 1;
+                    let past = scene.tracks[agent_idx].trajectory.entries().iter().take(n_before).copied();
+                    let mut states: Vec<Option<State>> = past.chain(chosen.iter().copied().map(Some)).collect();
+                    states.resize(scene.n_timesteps, None);
+                    scene.tracks[agent_idx].trajectory = Trajectory::new(states);
+                }
+            }
+        }
+        if !has_changed {
+            break;
+        }
+    }
+}
+
+/// The states of an agent from the present on.
+fn future(scene: &Scene, agent_idx: usize) -> Vec<State> {
+    (scene.current_timestep()..scene.n_timesteps).map_while(|t| scene.state(agent_idx, t).copied()).collect()
+}
+
+/// Whether an agent, with these states from the present on, comes to touch another that it does not touch at present,
+/// ahead of it, if it is longer by `margin_m` at its front.
+fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[State]), margin_m: f64) -> bool {
+    let (agent_idx, states) = own;
+    let present = scene.current_timestep();
+    let front = |state: &State| {
+        let body = situation.body(agent_idx, state);
+        let center = body.center + Vec2::from_angle(state.heading_rad) * (margin_m / 2.0);
+        OrientedBox { center, length_m: body.length_m + margin_m, ..body }
+    };
+    (0..scene.tracks.len()).filter(|other_idx| *other_idx != agent_idx).any(|other_idx| {
+        let other = |i: usize| scene.state(other_idx, present + i).copied();
+        let touches = |i: usize, own: &State, body: OrientedBox| {
+            let other = other(i).filter(|other| body.overlaps(&situation.body(other_idx, other)))?;
+            Some(is_ahead(own, &other))
+        };
+        let touches_now = states.first().is_none_or(|own| touches(0, own, situation.body(agent_idx, own)).is_some());
+        !touches_now
+            && (states.iter().enumerate().skip(1)).find_map(|(i, own)| touches(i, own, front(own))).unwrap_or(false)
+    })
+}
+
+/// Whether another is rather ahead than beside.
+pub(super) fn is_ahead(own: &State, other: &State) -> bool {
+    let place = (other.position - own.position).rotated(-own.heading_rad);
+    place.x > 0.0 && place.y.abs() < place.x
+}
+
+/// The way of these states, driven with this deceleration from the first on, but nowhere ahead of them.
+fn braked(states: &[State], deceleration_mps2: f64, dt_s: f64) -> Vec<State> {
+    let mut driven_m = 0.0;
+    let steps = states.windows(2).map(|pair| {
+        driven_m += pair[1].position.distance(pair[0].position);
+        driven_m
+    });
+    let stations: Vec<f64> = std::iter::once(0.0).chain(steps).collect();
+    let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
+    let mut braked: Vec<State> = states.iter().take(1).copied().collect();
+    for (i, driven_m) in stations.iter().enumerate().skip(1) {
+        let then_mps = (speed_mps - deceleration_mps2 * dt_s).max(0.0);
+        let moved_m = (f64::midpoint(speed_mps, then_mps) * dt_s).min(driven_m - station_m);
+        station_m += moved_m;
+        speed_mps = then_mps.min(moved_m / dt_s);
+        // The first of the states that is as far, and the one before.
+        let after = stations.partition_point(|driven_m| *driven_m < station_m).min(i);
+        let [from, to] = [after.saturating_sub(1), after];
+        let length_m = stations[to] - stations[from];
+        let part = if length_m > 0.0 { ((station_m - stations[from]) / length_m).clamp(0.0, 1.0) } else { 1.0 };
+        let [from, to] = [&states[from], &states[to]];
+        let position = from.position.lerp(to.position, part);
+        let heading_rad = wrap_angle(from.heading_rad + part * wrap_angle(to.heading_rad - from.heading_rad));
+        let velocity = braked.last().map_or(Vec2::ZERO, |last| (position - last.position) * (1.0 / dt_s));
+        braked.push(State { position, heading_rad, velocity });
+    }
+    braked
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{record, situation};
+    use super::*;
+
+    const DT_S: f64 = 0.1;
+
+    /// Along x from `x` at a constant speed, for 3 s.
+    fn steady(x: f64, speed_mps: f64) -> Vec<State> {
+        let velocity = Vec2::new(speed_mps, 0.0);
+        let state = |i: i32| State {
+            position: Vec2::new(x, 0.0) + velocity * (f64::from(i) * DT_S),
+            heading_rad: 0.0,
+            velocity,
+        };
+        (0..=30).map(state).collect()
+    }
+
+    #[test]
+    fn braking_keeps_the_way_and_stands_where_it_must() {
+        // From 10 m/s at 4 m/s²: 8 m in the first second, 12.5 m until it stands after 2.5 s.
+        let found = braked(&steady(0.0, 10.0), 4.0, DT_S);
+        let x = |i: usize| found[i].position.x;
+        assert!((x(10) - 8.0).abs() < 1e-9 && (x(25) - 12.5).abs() < 1e-9 && (x(30) - 12.5).abs() < 1e-9);
+        assert!((found[10].velocity.x - 6.2).abs() < 1e-9 && found[30].velocity.x.abs() < 1e-9);
+        // Who would brake harder by itself does so.
+        let own = braked(&steady(0.0, 10.0), 8.0, DT_S);
+        assert_eq!(braked(&own, 2.0, DT_S).last().map(|state| state.position), own.last().map(|state| state.position));
+        assert!(braked(&steady(3.0, 0.0), 8.0, DT_S).iter().all(|state| state.position == Vec2::new(3.0, 0.0)));
+    }
+
+    /// Four agents one behind the other on a straight road, of whom the first stands: what becomes of the others?
+    #[test]
+    fn those_behind_brake_as_weakly_as_suffices_and_one_beside_drives_on() {
+        let mut situation = situation(&record());
+        let scene = &mut situation.scene;
+        scene.tracks.truncate(4);
+        let n_before = scene.n_history - 1;
+        let courses = [steady(50.0, 0.0), steady(25.0, 10.0), steady(8.0, 10.0), steady(25.0, 10.0)];
+        for (i, (track, states)) in scene.tracks.iter_mut().zip(courses).enumerate() {
+            let beside = Vec2::new(0.0, if i == 3 { 3.5 } else { 0.0 });
+            let future = states.into_iter().map(|state| Some(State { position: state.position + beside, ..state }));
+            track.trajectory = Trajectory::new(std::iter::repeat_n(None, n_before).chain(future).collect());
+            track.extent = Some(crate::scene::Extent { length_m: 4.0, width_m: 2.0 });
+        }
+        scene.n_timesteps = n_before + 31;
+        let mut braked = situation.scene.clone();
+        brake(&situation, &mut braked, &[1, 2, 3]);
+        let last = |idx: usize| braked.state(idx, braked.n_timesteps - 1).unwrap().position.x;
+        // The second has 20 m to where it would touch the margin; 2 m/s² take 21 m within 3 s, 4 m/s² 12.5 m.
+        assert!((last(1) - 37.5).abs() < 1e-9, "{}", last(1));
+        // The third would come to 38 m, and has to stop before 32.5 m: 2 m/s² take it to 29 m.
+        assert!((last(2) - 29.0).abs() < 1e-9, "{}", last(2));
+        assert_eq!([last(0), last(3)], [50.0, 55.0]);
+    }
+}
