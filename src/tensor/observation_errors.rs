@@ -4,7 +4,8 @@
 //! meters off after 3 s, and a network that was trained on exact pasts has never seen the like. So each track is seen
 //! as traffic is likeliest to have moved, given what was observed: with p = E e + q for the observed steps p, errors e
 //! of the positions and true steps q of covariance C, the errors are expected to be s² Eᵀ (C + s² E Eᵀ)⁻¹ p. Their size
-//! s is the one under which p is likeliest; a track is left as it is where that is the least.
+//! s is the one under which p is likeliest. A track is left as it is where that is the least, also if its motion is a
+//! few times as lively as most: who turns into a roundabout moves far, but smoothly.
 
 use super::continuation::{MIN_SHARE_OF_NOISE, grid, inverse, product};
 use super::reference::{Reference, ReferencePose};
@@ -14,14 +15,17 @@ use crate::scene::{Scene, State, Track, Trajectory};
 use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
-/// Sizes of errors, as multiples of the least.
-const SIZES: [f64; 5] = [1.0, 4.0, 16.0, 64.0, 256.0];
+/// What may explain a track: how lively its motion is and how large its errors are, as multiples of the ordinary
+/// standard deviation and of the least errors. The first few say that the track is exact.
+const EXPLANATIONS: [[f64; 2]; 7] =
+    [[1.0, 1.0], [2.0, 1.0], [4.0, 1.0], [1.0, 4.0], [1.0, 16.0], [1.0, 64.0], [1.0, 256.0]];
+const N_EXACT: usize = 3;
 /// The time in which errors fade after the present to a third, seconds.
 const FADE_S: f64 = 0.4;
 /// Fewer observed steps do not tell errors from motion.
 const MIN_STEPS: usize = 4;
 
-/// The estimate of one dimension's errors from k observed steps, if errors have one size.
+/// The estimate of one dimension's errors from k observed steps by one explanation, with motion of covariance C.
 #[derive(Debug, Clone)]
 struct Estimate {
     /// (C + s² E Eᵀ)⁻¹: k x k.
@@ -32,7 +36,7 @@ struct Estimate {
     errors: Vec<f64>,
 }
 
-/// The estimates of a covariance by dimension, number of observed steps and size, made when they are first needed.
+/// The estimates of a covariance by dimension, number of observed steps and explanation, made when they are first needed.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Estimates(Arc<OnceLock<Vec<Estimate>>>);
 
@@ -51,33 +55,33 @@ impl MotionCovariance {
         let all = || {
             let of_dim = |dim| (MIN_STEPS..=self.n_past).map(move |k| (dim, k));
             let cases = (0..self.noise.len()).flat_map(of_dim);
-            cases.flat_map(|(dim, k)| SIZES.map(|size| self.estimate(dim, k, size))).collect()
+            cases.flat_map(|(dim, k)| EXPLANATIONS.map(|explanation| self.estimate(dim, k, explanation))).collect()
         };
         if !(MIN_STEPS..=self.n_past).contains(&k) || self.noise.get(dim).is_none_or(|noise| *noise <= 0.0) {
             return None;
         }
-        let first = (dim * (self.n_past + 1 - MIN_STEPS) + k - MIN_STEPS) * SIZES.len();
-        let estimates = &self.estimates.0.get_or_init(all)[first..first + SIZES.len()];
+        let first = (dim * (self.n_past + 1 - MIN_STEPS) + k - MIN_STEPS) * EXPLANATIONS.len();
+        let estimates = &self.estimates.0.get_or_init(all)[first..first + EXPLANATIONS.len()];
         let of_steps = |matrix: &[f64]| product(matrix, steps, k, 1);
         let log_likelihood = |estimate: &Estimate| {
             let weighted = of_steps(&estimate.precision);
             -0.5 * (weighted.iter().zip(steps).map(|(a, b)| a * b).sum::<f64>() + estimate.log_determinant)
         };
         let mut best = (0, f64::NEG_INFINITY);
-        for (size, likelihood) in estimates.iter().map(log_likelihood).enumerate() {
-            // Of equal ones the least.
-            best = if likelihood > best.1 { (size, likelihood) } else { best };
+        for (place, likelihood) in estimates.iter().map(log_likelihood).enumerate() {
+            // Of equal ones the first.
+            best = if likelihood > best.1 { (place, likelihood) } else { best };
         }
-        (best.0 > 0).then(|| of_steps(&estimates[best.0].errors))
+        (best.0 >= N_EXACT).then(|| of_steps(&estimates[best.0].errors))
     }
 
-    fn estimate(&self, dim: usize, k: usize, size: f64) -> Estimate {
+    fn estimate(&self, dim: usize, k: usize, [liveliness, size]: [f64; 2]) -> Estimate {
         let (first, n) = (self.n_past - k, self.n_past + self.n_timesteps);
         let variance = (self.noise[dim] * size).powi(2);
         let e = grid(k, k + 1, |i, position| self.share_of_error(dim, first + i, first + position));
         let transposed = grid(k + 1, k, |position, i| e[i * (k + 1) + position]);
         let of_errors = product(&e, &transposed, k + 1, k);
-        let c = |i: usize, j: usize| self.values[dim][(first + i) * n + first + j];
+        let c = |i: usize, j: usize| liveliness * liveliness * self.values[dim][(first + i) * n + first + j];
         let of_steps = grid(k, k, |i, j| c(i, j) + variance * of_errors[i * k + j]);
         let (precision, log_determinant) = inverse(of_steps, k, MIN_SHARE_OF_NOISE * self.noise[dim].powi(2));
         let errors = product(&transposed, &precision, k, k).into_iter().map(|value| value * variance).collect();
@@ -203,6 +207,13 @@ mod tests {
         assert_eq!(wandering(9, 30).errors(0, &steps(&braking)), None);
         assert_eq!(wandering(9, 30).errors(0, &[0.0; 9]), None);
         assert_eq!(wandering(9, 30).errors(0, &[0.3, -0.3]), None, "too few to tell");
+    }
+
+    #[test]
+    fn who_moves_more_than_others_is_believed() {
+        // Turns and brakes three times as hard as one in a hundred does, but smoothly.
+        let lively: Vec<f64> = (0..10).map(|t| f64::from(t) + 2.0 * (f64::from(t) / 6.0).cos()).collect();
+        assert_eq!(wandering(9, 30).errors(0, &steps(&lively)), None);
     }
 
     #[test]
