@@ -3,7 +3,7 @@
 use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
-use super::reaction::{brake, is_ahead};
+use super::reaction::brake;
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
@@ -283,7 +283,9 @@ impl Drive<'_> {
         situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
             expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
                 let Some(other) = situation.plan(world, *agent_idx, now + 1 + i) else { return false };
-                is_ahead(&other, then) && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
+                let place = (then.position - other.position).rotated(-other.heading_rad);
+                let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
+                is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
             })
         })
     }
