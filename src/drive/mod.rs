@@ -16,7 +16,7 @@
 //! it: that it goes on along its way at its speed, or brakes on as in the last 0.3 s. They learn otherwise at the next
 //! replanning.
 //!
-//! *Braking.* Who would drive into another ahead of it in the sampled future, or into the ego as it is expected, brakes
+//! *Braking.* Who would drive its front into another in the sampled future, or into the ego as it is expected, brakes
 //! on its way instead: the model knows little of those who stand in the road.
 //!
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same

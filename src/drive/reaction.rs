@@ -1,10 +1,10 @@
-//! Who would drive into another that is ahead of it brakes.
+//! Who would drive its front into another brakes.
 //!
 //! The model was trained on ordinary traffic. Behind an ego that stops, most of its futures swerve or drive on through
-//! it, and hardly any of them stops. So an agent that comes to touch one whose center is ahead of its own in a sampled
-//! future does not do so: it keeps the way of that future and brakes on it, as weakly as suffices and at most fully.
-//! What it answers to was sampled or expected at the last replanning: it reacts within the time between two of them,
-//! about as a human does.
+//! it, and hardly any of them stops. So an agent that drives its front into another in a sampled future, or passes it
+//! much faster without room beside, does not do so: it keeps the way of that future and brakes on it, as weakly as
+//! suffices and at most fully. What it answers to was sampled or expected at the last replanning: it reacts within the
+//! time between two of them, about as a human does.
 
 use super::situation::Situation;
 use crate::geometry::{OrientedBox, Vec2, wrap_angle};
@@ -12,15 +12,16 @@ use crate::scene::{Scene, State, Trajectory};
 
 /// The decelerations that are tried, m/s²; the last is full braking.
 const BRAKES_MPS2: [f64; 4] = [2.0, 4.0, 6.0, 8.0];
-/// What is to be left between the two, and beside another, if there is as much at present, meters. Whoever would pass
+/// What is to be left between the two, meters, and beside one that is passed faster than this, m/s: who would pass
 /// closer cannot know whether there will be room.
 const MARGIN_M: f64 = 1.0;
 const BESIDE_M: f64 = 0.5;
+const MUCH_FASTER_MPS: f64 = 5.0;
 /// One brakes, then those behind it, and so on.
 const N_ROUNDS: usize = 4;
 
-/// Lets those of `agents` brake who would drive into another ahead of them in the future of this scene, whose tracks
-/// are those of the situation.
+/// Lets those of `agents` brake who would drive their front into another in the future of this scene, whose tracks are
+/// those of the situation.
 pub(super) fn brake(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
     for _ in 0..N_ROUNDS {
         let mut has_changed = false;
@@ -51,27 +52,26 @@ fn future(scene: &Scene, agent_idx: usize) -> Vec<State> {
 }
 
 /// Whether an agent, with these states from the present on, comes to touch another that it does not touch at present,
-/// ahead of it, if it is longer by `margin_m` at its front and wider by what is to be left beside another.
+/// rather ahead than beside, if it is longer by `margin_m` at its front, and wider where it is much faster.
 fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[State]), margin_m: f64) -> bool {
     let (agent_idx, states) = own;
     let present = scene.current_timestep();
-    let grown = |state: &State, margin_m: f64, beside_m: f64| {
-        let body = situation.body(agent_idx, state);
-        let center = body.center + Vec2::from_angle(state.heading_rad) * (margin_m / 2.0);
-        OrientedBox { center, length_m: body.length_m + margin_m, width_m: body.width_m + 2.0 * beside_m, ..body }
-    };
     (0..scene.tracks.len()).filter(|other_idx| *other_idx != agent_idx).any(|other_idx| {
-        let touched = |i: usize, body: OrientedBox| {
-            scene.state(other_idx, present + i).filter(|other| body.overlaps(&situation.body(other_idx, other)))
+        let other = |i: usize| scene.state(other_idx, present + i);
+        let is_touched = |own: &State, other: &State, margin_m: f64, beside_m: f64| {
+            let body = situation.body(agent_idx, own);
+            let center = body.center + Vec2::from_angle(own.heading_rad) * (margin_m / 2.0);
+            let [length_m, width_m] = [body.length_m + margin_m, body.width_m + 2.0 * beside_m];
+            OrientedBox { center, length_m, width_m, ..body }.overlaps(&situation.body(other_idx, other))
         };
-        let is_near_now =
-            |beside_m: f64| states.first().is_none_or(|own| touched(0, grown(own, 0.0, beside_m)).is_some());
-        let beside_m = if is_near_now(BESIDE_M) { 0.0 } else { BESIDE_M };
         let is_ahead = |(i, own): (usize, &State)| {
-            let other = touched(i, grown(own, margin_m, beside_m))?;
-            Some((other.position - own.position).dot(Vec2::from_angle(own.heading_rad)) > 0.0)
+            let other = other(i)?;
+            let beside_m = if own.speed_mps() - other.speed_mps() > MUCH_FASTER_MPS { BESIDE_M } else { 0.0 };
+            let place = (other.position - own.position).rotated(-own.heading_rad);
+            is_touched(own, other, margin_m, beside_m).then_some(place.x > 0.0 && place.y.abs() < place.x)
         };
-        !is_near_now(0.0) && states.iter().enumerate().skip(1).find_map(is_ahead).unwrap_or(false)
+        let is_apart = states.first().zip(other(0)).is_some_and(|(own, other)| !is_touched(own, other, 0.0, 0.0));
+        is_apart && states.iter().enumerate().skip(1).find_map(is_ahead).unwrap_or(false)
     })
 }
 
