@@ -99,8 +99,8 @@ impl MotionCovariance {
         })
     }
 
-    /// How the error of observed position (or heading) 0 to K enters entry `i` of `values`: each step is a difference of
-    /// two positions, and the velocity that is carried on is the slope of the parabola through the last three.
+    /// How the error of observed position (or heading) 0 to K enters entry `i` of `values`: each step is a difference
+    /// of two positions, and the velocity that is carried on is the slope of the parabola through the last three.
     pub(super) fn share_of_error(&self, dim: usize, i: usize, position: usize) -> f64 {
         let k = self.n_past;
         let of_velocity = match (dim < 2, k - position) {

@@ -36,7 +36,8 @@ struct Estimate {
     errors: Vec<f64>,
 }
 
-/// The estimates of a covariance by dimension, number of observed steps and explanation, made when they are first needed.
+/// The estimates of a covariance by dimension, number of observed steps and explanation, made when they are first
+/// needed.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Estimates(Arc<OnceLock<Vec<Estimate>>>);
 
