@@ -4,16 +4,34 @@
 //! one is missing. Errors of observed states are taken away before a network sees them: trained on scenes with errors,
 //! it begins every sample with a jolt, because it cannot tell which pasts were exact.
 
-use crate::scene::{LaneGraph, Scene};
+use crate::geometry::{OrientedBox, Vec2, wrap_angle};
+use crate::scene::{Extent, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
 use crate::seed::SeededRng;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 
 /// Share of scenes seen without their map, and without the sizes of agents.
 const WITHOUT_MAP: f64 = 0.1;
 const WITHOUT_SIZES: f64 = 0.1;
 
+/// Share of scenes in which cars are parked beside the road, and how many at most; simulated traffic has none.
+const WITH_PARKED: f64 = 0.25;
+const MOST_PARKED: usize = 4;
+/// How far beside the way of somebody they are, meters, and how far from the center of any lane and from all bodies.
+const BESIDE_M: [f64; 2] = [3.0, 12.0];
+const OFF_LANES_M: f64 = 2.6;
+const CLEARANCE_M: f64 = 0.5;
+/// Standard deviation of their headings about that of the way, radians.
+const ASKEW_RAD: f64 = 0.15;
+
 /// `scene` as drawn: most stay as they are.
 pub(super) fn degraded(mut scene: Scene, rng: &mut SeededRng) -> Scene {
+    if rng.uniform() < WITH_PARKED {
+        for i in 0..=rng.below(MOST_PARKED) {
+            let parked = parked(&scene, i, rng);
+            scene.tracks.extend(parked);
+        }
+    }
     if rng.uniform() < WITHOUT_MAP {
         scene.lanes = Arc::new(LaneGraph::default());
     }
@@ -21,6 +39,43 @@ pub(super) fn degraded(mut scene: Scene, rng: &mut SeededRng) -> Scene {
         scene.tracks.iter_mut().for_each(|track| track.extent = None);
     }
     scene
+}
+
+/// A car that stands beside the way of somebody throughout. `None` if the place drawn for it is not free.
+fn parked(scene: &Scene, number: usize, rng: &mut SeededRng) -> Option<Track> {
+    let beside = scene.tracks.get(rng.below(scene.tracks.len()))?;
+    let states: Vec<&State> = beside.trajectory.valid().map(|(_, state)| state).collect();
+    let at = states.get(rng.below(states.len()))?;
+    let side = if rng.uniform() < 0.5 { 1.0 } else { -1.0 };
+    let aside_m = side * (BESIDE_M[0] + rng.uniform() * (BESIDE_M[1] - BESIDE_M[0]));
+    let position = at.position + Vec2::from_angle(at.heading_rad + FRAC_PI_2) * aside_m;
+    let turned_rad = if rng.uniform() < 0.5 { 0.0 } else { PI };
+    let heading_rad = wrap_angle(at.heading_rad + turned_rad + rng.normal() * ASKEW_RAD);
+    let state = State { position, heading_rad, velocity: Vec2::ZERO };
+    let extent = Extent { length_m: 4.0 + rng.uniform(), width_m: 1.7 + 0.3 * rng.uniform() };
+    let track = Track {
+        id: format!("parked-{number}").as_str().into(),
+        class: beside.class.is_motorized().then_some(beside.class)?,
+        role: TrackRole::Context,
+        extent: Some(extent),
+        trajectory: Trajectory::new(vec![Some(state); scene.n_timesteps]),
+    };
+    let body = OrientedBox {
+        center: position,
+        heading_rad,
+        length_m: extent.length_m + 2.0 * CLEARANCE_M,
+        width_m: extent.width_m + 2.0 * CLEARANCE_M,
+    };
+    let is_off_lanes = scene
+        .lanes
+        .lanes()
+        .iter()
+        .all(|lane| lane.centerline.project(position).is_none_or(|place| place.offset_m.abs() > OFF_LANES_M));
+    let is_clear = scene.tracks.iter().all(|other| {
+        let boxes = (0..scene.n_timesteps).filter_map(|timestep| other.footprint_at(timestep));
+        boxes.into_iter().all(|other| !body.overlaps(&other))
+    });
+    (is_off_lanes && is_clear).then_some(track)
 }
 
 #[cfg(test)]

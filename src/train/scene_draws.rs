@@ -234,8 +234,9 @@ impl SceneDraws<'_> {
     fn draw(&self, scene_idx: usize, rng: &mut SeededRng) -> Result<Drawn, Error> {
         let scene = self.dataset.scene(scene_idx).map_err(Error::Scene)?;
         let ego_idx = draw_ego(&scene, rng);
+        let scene = self.seen(scene, rng);
         let mask = self.masks.sample(&scene, ego_idx, rng);
-        Ok(Drawn { scene: self.seen(scene, rng), ego_idx, mask })
+        Ok(Drawn { scene, ego_idx, mask })
     }
 
     /// The scene as a network in training sees it; the paper's network sees all as in the paper.
