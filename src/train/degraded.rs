@@ -1,7 +1,8 @@
 //! Scenes as other recordings would have them, so that a network learns to do with less than simulators give.
 //!
-//! Some datasets have no maps, and some no sizes. A network that has always seen both brakes and turns at random where
-//! one is missing. Errors of observed states are taken away before a network sees them: trained on scenes with errors,
+//! Some datasets have no maps, some no sizes, and many have cars that are parked beside the road. A network that has
+//! always seen maps and sizes brakes and turns at random where one is missing, and one that has seen nobody parked lets
+//! who is parked drive off. Errors of observed states are taken away before a network sees them: trained on scenes with errors,
 //! it begins every sample with a jolt, because it cannot tell which pasts were exact.
 
 use crate::geometry::{OrientedBox, Vec2, wrap_angle};
@@ -96,7 +97,19 @@ mod tests {
         ] {
             assert!((found - expected).abs() < 0.06, "{found}, expected {expected}");
         }
+        let share_parked = share(&|scene| scene.tracks.len() > recorded.tracks.len());
+        assert!(share_parked > 0.1 && share_parked <= WITH_PARKED + 0.06, "{share_parked}");
         for other in &drawn {
+            for parked in &other.tracks[recorded.tracks.len()..] {
+                assert!(parked.trajectory.valid().all(|(_, state)| state.velocity == Vec2::ZERO));
+                assert_eq!(parked.trajectory.n_valid(), recorded.n_timesteps);
+                for (timestep, track) in
+                    (0..recorded.n_timesteps).flat_map(|t| recorded.tracks.iter().map(move |a| (t, a)))
+                {
+                    let bodies = parked.footprint_at(timestep).zip(track.footprint_at(timestep));
+                    assert!(bodies.is_none_or(|(a, b)| !a.overlaps(&b)));
+                }
+            }
             for (a, b) in recorded.tracks.iter().zip(&other.tracks) {
                 assert_eq!(a.trajectory, b.trajectory);
             }
