@@ -1,9 +1,11 @@
 //! Scenes as other recordings would have them, so that a network learns to do with less than simulators give.
 //!
 //! Some datasets have no maps, some no sizes, and many have cars that are parked beside the road. A network that has
-//! always seen maps and sizes brakes and turns at random where one is missing, and one that has seen nobody parked lets
-//! who is parked drive off. Errors of observed states are taken away before a network sees them: trained on scenes with errors,
-//! it begins every sample with a jolt, because it cannot tell which pasts were exact.
+//! always seen maps and sizes brakes and turns at random where one is missing, and one that has seen nobody parked
+//! lets who is parked drive off.
+//!
+//! Errors of observed states are taken away before a network sees them: trained on scenes with errors, it begins every
+//! sample with a jolt, because it cannot tell which pasts were exact.
 
 use crate::geometry::{OrientedBox, Vec2, wrap_angle};
 use crate::scene::{Extent, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
