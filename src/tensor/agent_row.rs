@@ -32,7 +32,7 @@ pub(super) struct AgentRow<'a> {
     unit: [f64; 3],
     /// Whether its heading follows from its motion instead of being generated.
     derives_heading: bool,
-    /// What is added to the reference after the present.
+    /// What is added to the reference of latent entries after the present.
     fading: Option<FadingErrors>,
 }
 
@@ -141,7 +141,8 @@ impl<'a> AgentRow<'a> {
     fn bases(&self, recorded_headings: &[f64]) -> Vec<Base> {
         let base = |((timestep, is_observed), recorded): (&(usize, bool), &f64)| {
             let pose = self.reference.at(*timestep).filter(|_| *is_observed || self.is_residual);
-            let pose = pose.map(|pose| self.fading.as_ref().map_or(pose, |fading| fading.added_to(pose, *timestep)));
+            let fading = self.fading.as_ref().filter(|_| !*is_observed);
+            let pose = pose.map(|pose| fading.map_or(pose, |fading| fading.added_to(pose, *timestep)));
             let heading_rad = match *is_observed && !self.is_residual {
                 true => *recorded,
                 false => pose.map_or(0.0, |pose| self.frame.ego_from_scene.heading(pose.heading_rad)),

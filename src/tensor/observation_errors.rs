@@ -108,6 +108,8 @@ pub(super) fn without_errors<'a>(
     scene
 }
 
+/// The trajectory of `track` in the scene frame without the errors of its states up to the present, of which as many as
+/// the covariance knows are `observed`. `None` if it is exact, or too little of it was observed.
 fn track_without_errors(
     track: &Track,
     scene: &Scene,
@@ -134,8 +136,7 @@ fn track_without_errors(
     let offset = |i: usize| Vec2::new(error(0, i), error(1, i)).rotated(reference.frame_heading_rad());
     // The slope at the last of the positions up to each, as velocities follow from them.
     let slope = |i: usize| match i {
-        0 => offset(1) - offset(0),
-        1 => offset(1) - offset(0),
+        0 | 1 => offset(1) - offset(0),
         _ => offset(i) * 1.5 - offset(i - 1) * 2.0 + offset(i - 2) * 0.5,
     };
     let believed = |(timestep, state): (usize, &Option<State>)| {

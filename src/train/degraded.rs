@@ -4,8 +4,7 @@
 //! always seen maps and sizes brakes and turns at random where one is missing, and one that has seen nobody parked
 //! lets who is parked drive off.
 //!
-//! Errors of observed states are taken away before a network sees them: trained on scenes with errors, it begins every
-//! sample with a jolt, because it cannot tell which pasts were exact.
+//! Errors of observed states are not among this: they are taken away before a network sees them.
 
 use crate::geometry::{OrientedBox, Vec2, wrap_angle};
 use crate::scene::{Extent, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
@@ -44,7 +43,8 @@ pub(super) fn degraded(mut scene: Scene, rng: &mut SeededRng) -> Scene {
     scene
 }
 
-/// A car that stands beside the way of somebody throughout. `None` if the place drawn for it is not free.
+/// A car that stands beside the way of somebody throughout, in the scene frame. `None` if the place drawn for it is not
+/// free, or whose way it is does not drive a motor vehicle.
 fn parked(scene: &Scene, number: usize, rng: &mut SeededRng) -> Option<Track> {
     let beside = scene.tracks.get(rng.below(scene.tracks.len()))?;
     let states: Vec<&State> = beside.trajectory.valid().map(|(_, state)| state).collect();
