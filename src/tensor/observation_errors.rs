@@ -194,7 +194,11 @@ impl FadingErrors {
 #[cfg(test)]
 mod tests {
     use super::super::continuation::tests::wandering;
+    use super::super::testing::collator;
+    use super::super::{FutureValidity, StateParametrization};
     use super::*;
+    use crate::scene::ObservationMask;
+    use crate::scene::testing::{Drive, scene};
 
     /// The steps beyond the velocity at the present of an agent seen at `positions`.
     fn steps(positions: &[f64]) -> Vec<f64> {
@@ -236,6 +240,29 @@ mod tests {
         assert!((soon.heading_rad - 1.1).abs() < 1e-4);
         let late = fading.added_to(pose, 39);
         assert!(late.position.distance(pose.position) < 5e-3 && (late.heading_rad - 1.0).abs() < 1e-3, "{late:?}");
+    }
+
+    #[test]
+    fn errors_fade_before_a_wanted_state_and_not_in_it() {
+        let mut scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(10.0, 4.0, 0.0, 8.0)]);
+        (scene.n_history, scene.n_timesteps) = (8, 12);
+        let noisy = |(t, state): (usize, &Option<State>)| {
+            let error = if t < 8 { [0.1, -0.1][t % 2] } else { 0.0 };
+            state.map(|state| State { position: state.position + Vec2::new(error, -error), ..state })
+        };
+        let track = &mut scene.tracks[1].trajectory;
+        *track = Trajectory::new(track.entries().iter().enumerate().map(noisy).collect())
+            .with_velocities_from_positions(8, scene.dt_s);
+        let mut collator = collator([&scene], StateParametrization::Motion);
+        let values = wandering(7, 4).values.remove(0);
+        collator.normalizer.motion_covariance = Some(MotionCovariance::new(7, 4, vec![values; 3], vec![1e-3; 3]));
+        let mask = ObservationMask::from_fn(2, 12, |_, timestep| timestep < 8 || timestep == 11);
+        let base = |validity| -> Vec<Vec<f32>> {
+            collator.masked(&scene, &mask, validity).base.get(0).unwrap().get(1).unwrap().to_vec2().unwrap()
+        };
+        let (sampled, trained) = (base(FutureValidity::Everything), base(FutureValidity::Recorded));
+        assert_eq!(sampled[11], trained[11]);
+        assert!((sampled[8][0] - trained[8][0]).abs() > 1e-3, "{:?} {:?}", sampled[8], trained[8]);
     }
 
     #[test]
