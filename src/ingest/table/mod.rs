@@ -8,7 +8,8 @@
 //!
 //! - `bad_table`: no CSV or Parquet, rows of different lengths, a cell that is no number;
 //! - `missing_column`, `missing_track`: of those that the mapping names, and of the table of tracks;
-//! - `non_finite`, `out_of_range`: a blank position or time; a size beyond 1 km;
+//! - `non_finite`, `out_of_range`, `implausible_times`: a blank position or time; a size beyond 1 km; rows that are
+//!   seconds apart;
 //! - `duplicate_time`: a track is at two positions at one time;
 //! - `unknown_class`: a class that the mapping does not list;
 //! - `no_track_file`: the table of tracks is not beside the recording;

@@ -244,6 +244,7 @@ fn damaged_tables_are_rejects_and_oddities_are_counted() {
         ("id,t,x,y\n".to_owned(), "a.csv: the table has no rows"),
         (String::new(), "a.csv: no column id, x, y, t"),
         (plain(20), "a.csv: 20 frames, a scene has 40"),
+        (drive("id,t,x,y", 60, |_, t, x| format!("7,{},{x},2", 1e3 * t)), "rows of track 7 are 100.000 s apart"),
         ("\u{0}\u{1}\u{2}".to_owned(), "a.csv: no column id"),
         ("PAR1 and nothing else".to_owned(), "a.csv: "),
     ] {

@@ -15,6 +15,8 @@ use std::f64::consts::FRAC_PI_2;
 const MAX_START_S: f64 = 1e6;
 /// No agent is larger, meters.
 const MAX_SIZE_M: f64 = 1e3;
+/// Rows of a track that are usually further apart are no motion, seconds.
+const MAX_USUAL_S: f64 = 1.0;
 /// Two rows of a track at one time are one if their positions are this near, meters.
 const SAME_M: f64 = 1e-6;
 
@@ -220,7 +222,16 @@ impl<'a> Rows<'a> {
         states.dedup_by(|(again, _), (first, _)| again.time_s - first.time_s < 1e-9);
         counts.n_repeated += n_rows - states.len();
         let states: Vec<TimedState> = states.into_iter().map(|(state, _)| state).collect();
-        counts.n_gaps += n_gaps(&states, self.mapping.max_gap_s);
+        let gaps = Gaps::of(&states, self.mapping.max_gap_s);
+        if gaps.usual_s > MAX_USUAL_S.max(self.mapping.max_gap_s) {
+            let detail = format!(
+                "the rows of track {id} are {:.3} s apart, expected {MAX_USUAL_S} s at most; are \
+                 ingest.table.time_unit_s and frame_rate_hz right?",
+                gaps.usual_s
+            );
+            return Err(self.reject("implausible_times", rows[0] as usize, &detail));
+        }
+        counts.n_gaps += gaps.n_filled;
         let resampled = resampled(&states, self.mapping.max_gap_s);
         let observation = |(frame, state): &(i64, TimedState)| Observation {
             frame: *frame,
@@ -342,12 +353,21 @@ fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
     texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).collect()
 }
 
-/// The number of times at which a track is missing for longer than it usually is between two rows, and is filled in.
-fn n_gaps(states: &[TimedState], max_gap_s: f64) -> usize {
-    let mut gaps_s: Vec<f64> = states.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
-    gaps_s.sort_by(f64::total_cmp);
-    let usual_s = gaps_s.get(gaps_s.len() / 2).copied().unwrap_or_default();
-    gaps_s.iter().filter(|gap_s| (1.5 * usual_s..=max_gap_s).contains(*gap_s)).count()
+/// How far the rows of a track are apart in time.
+struct Gaps {
+    usual_s: f64,
+    /// The number of longer ones that are filled in.
+    n_filled: usize,
+}
+
+impl Gaps {
+    fn of(states: &[TimedState], max_gap_s: f64) -> Self {
+        let mut gaps_s: Vec<f64> = states.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+        gaps_s.sort_by(f64::total_cmp);
+        let usual_s = gaps_s.get(gaps_s.len() / 2).copied().unwrap_or_default();
+        let n_filled = gaps_s.iter().filter(|gap_s| (1.5 * usual_s..=max_gap_s).contains(*gap_s)).count();
+        Self { usual_s, n_filled }
+    }
 }
 
 /// What is remarkable in a recording.

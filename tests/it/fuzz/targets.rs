@@ -52,8 +52,8 @@ pub(super) const TARGETS: &[Target] = &[
         seeds: |_| vec![head(VEHICLES, 60)],
         read: |folder, bytes| {
             write(folder, "tracks.csv", bytes);
-            let mapping =
-                "columns = { track = 'track_id', time = 'timestamp_ms', x = 'x', y = 'y', heading = 'psi_rad' }";
+            let mapping = "time_unit_s = 0.001
+                columns = { track = 'track_id', time = 'timestamp_ms', x = 'x', y = 'y', heading = 'psi_rad' }";
             let table = Some(toml::from_str(mapping).unwrap());
             let config = IngestConfig::new(Dataset::Table, vec![folder.to_owned()]);
             let config =
