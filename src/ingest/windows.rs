@@ -4,7 +4,7 @@ use super::config::IngestConfig;
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::recorded_track::{DT_S, RecordedTrack};
 use super::source::{Horizon, PendingScene};
-use crate::scene::{Dataset, SceneId, SceneSource, Split};
+use crate::scene::{Dataset, SceneId, SceneSource, Split, Track};
 use std::sync::Arc;
 
 /// Longest recording, 28 hours: frames further apart are a fault.
@@ -131,7 +131,14 @@ impl Cut<'_> {
     /// The scene with those of `tracks` at `present` that are tracked at any time in it.
     pub(super) fn scene(self, tracks: &[RecordedTrack], present: impl IntoIterator<Item = usize>) -> RawScene {
         let Self { dataset, unit, split, case, first_frame, n_timesteps, n_history } = self;
-        let cut = |index: usize| tracks[index].cut(first_frame, n_timesteps, n_history);
+        let cut = |index: usize| {
+            let track = tracks[index].cut(first_frame, n_timesteps, n_history)?;
+            let trajectory = match dataset.facts().has_velocities {
+                true => track.trajectory,
+                false => track.trajectory.with_velocities_from_positions(n_history, DT_S),
+            };
+            Some(Track { trajectory, ..track })
+        };
         RawScene {
             id: SceneId(format!("{}/{}/{}/{case}", dataset.name(), split.name(), unit.place)),
             source: SceneSource {

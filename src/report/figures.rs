@@ -1,8 +1,10 @@
 //! The drawings of a report as files, for papers.
 
+use super::card::{CardKey, SceneCard, Verdict};
 use super::model::ReportModel;
 use super::svg::{chart_file, distribution_file, scene_file};
 use super::tradeoffs::tradeoffs;
+use crate::scene::{GuidanceLevel, Roles, Scene};
 use std::collections::BTreeSet;
 
 /// Number of scenes that become files: the first ones on the page.
@@ -15,6 +17,22 @@ pub struct FigureFile {
     pub name: String,
     /// Its content.
     pub svg: String,
+}
+
+/// A recorded scene from above.
+pub fn drawing_of_recording(scene: &Scene) -> String {
+    let title = format!("recorded, {}", scene.id);
+    let key = CardKey {
+        sweep: String::new(),
+        behavior: None,
+        bucket: None,
+        place: scene.source.place.clone(),
+        verdict: Verdict::NotAsked,
+        acceptance: None,
+        level: GuidanceLevel::UNGUIDED,
+        values: Vec::new(),
+    };
+    scene_file(&SceneCard::new((scene.id.0.clone(), title), key, Vec::new(), scene, &[], &Roles::default()))
 }
 
 /// The curves over guidance strength, the distributions, the curves of training, and the first scenes.

@@ -45,7 +45,7 @@ pub use choice::Drawn;
 pub use comparison::{ComparedRun, Comparison};
 pub use config::ReportConfig;
 pub use distribution::{Distribution, DistributionSeries};
-pub use figures::{FigureFile, figures};
+pub use figures::{FigureFile, drawing_of_recording, figures};
 pub use gallery::{Drawings, Gallery};
 pub use html::{PAGE_MARK, render, render_comparison};
 pub use model::{Chart, Curve, Fact, ReportModel, TrainingSummary, Warning};

@@ -139,7 +139,7 @@ impl Dataset {
                 has_classes: true,
                 // Where no column has them, they are derived, and marked as such.
                 has_headings: true,
-                has_velocities: true,
+                has_velocities: false,
                 has_clean_motion: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,

@@ -76,6 +76,24 @@ fn exit_codes_tell_whose_fault_it_is() {
     assert!(outcome.stderr.contains("scenes-00000.arrow"), "{}", outcome.stderr);
 }
 
+#[test]
+fn recordings_are_explained_without_a_run() {
+    let workspace = Workspace::new();
+    let recordings = "tests/fixtures/recordings/interaction_v1_1";
+    let (output, picture) = (workspace.arg("out"), workspace.arg("scene.svg"));
+    let args = ["ingest", recordings, "--dataset", "interaction", "--output", &output, "--set", "ingest.limit=3"];
+    let outcome = djinn(&[&args[..], &[&format!("--explain={picture}")]].concat()).expect(0);
+    for expected in
+        ["3, of ", "FIX_Intersection", "40 timesteps of 0.1 s", "% of moving vehicles are within 2 m", "\nvehicle "]
+    {
+        assert!(outcome.stdout.contains(expected), "{expected}: {}", outcome.stdout);
+    }
+    assert!(fs_err::read_to_string(&picture).unwrap().starts_with("<svg"));
+    assert!(!workspace.path("out").exists(), "nothing else is written");
+    // The folder of a run need not be named.
+    djinn(&["ingest", recordings, "--dataset", "interaction", "--explain"]).expect(0);
+}
+
 /// A disk is full when nothing more can be written. Here no file may become longer than a few hundred bytes, which
 /// fails in the same places.
 #[cfg(unix)]

@@ -18,7 +18,7 @@ use crate::engine::DeviceChoice;
 use crate::engine::shards::{Part, Worker};
 use crate::nn::Precision;
 use crate::pipeline::StageId;
-use clap::builder::{PathBufValueParser, RangedU64ValueParser, TypedValueParser};
+use clap::builder::{ArgPredicate, PathBufValueParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
 
@@ -64,7 +64,10 @@ pub(in crate::cli) enum Command {
     #[command(after_help = help::STATUS)]
     Status(StatusArgs),
     /// Read recordings and write scenes
-    #[command(after_help = help::INGEST)]
+    #[command(
+        after_help = help::INGEST,
+        mut_arg("output", |arg| arg.required(false).default_value_if("explain", ArgPredicate::IsPresent, "output"))
+    )]
     Ingest(IngestArgs),
     /// Find behaviors in scenes and write events
     #[command(after_help = help::MINE)]

@@ -51,6 +51,9 @@ pub(in crate::cli) struct IngestArgs {
     /// The dataset they belong to
     #[arg(long, value_parser = PossibleValuesParser::new(Dataset::ALL.map(Dataset::name)))]
     pub(in crate::cli) dataset: Option<String>,
+    /// Print what is understood of the first recordings, and write nothing but a picture of the first scene, if named
+    #[arg(long, value_name = "PICTURE.svg", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
+    pub(in crate::cli) explain: Option<PathBuf>,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
 }

@@ -2,6 +2,7 @@
 
 mod corpus;
 mod drive;
+mod explain;
 mod export;
 mod inspect;
 mod regenerate;

@@ -26,6 +26,11 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
     if let Some(ingest) = config.ingest.as_mut().filter(|ingest| ingest.inputs == in_text(inputs)) {
         ingest.inputs = inputs.to_vec();
     }
+    if let Command::Ingest(args) = command
+        && args.explain.is_some()
+    {
+        return super::explain::explain(&config, args, output, printer);
+    }
     use_threads(output, config.run.threads)?;
     let place = Place::open(&args.output, if args.dry_run { Access::Read } else { Access::Write })?;
     let other = reads.map(|folder| Place::open(folder, Access::Read)).transpose()?;

@@ -23,13 +23,14 @@ const WIDE: &str = "<width sOffset='0' a='3' b='0' c='0' d='0'/>";
 
 /// One lane against the road, two along it, and a sidewalk.
 fn two_way() -> String {
-    format!(
-        "<laneSection s='0'><left>{}</left><center><lane id='0' type='none'/></center><right>{}{}{}</right></laneSection>",
-        lane(1, "driving", WIDE, ""),
+    let left = lane(1, "driving", WIDE, "");
+    let right = [
         lane(-1, "driving", WIDE, ""),
         lane(-2, "driving", "<width sOffset='0' a='2' b='0.02' c='0' d='0'/>", ""),
         lane(-3, "sidewalk", WIDE, ""),
-    )
+    ];
+    let center = "<center><lane id='0' type='none'/></center>";
+    format!("<laneSection s='0'><left>{left}</left>{center}<right>{}</right></laneSection>", right.concat())
 }
 
 fn by_lane<'g>(graph: &'g LaneGraph, road: &str, lane: &str) -> Vec<&'g Lane> {
@@ -90,32 +91,36 @@ fn bends_are_followed_to_millimeters() {
 #[test]
 fn sections_roads_and_junctions_connect_lanes() {
     let section = |s: f64, links: [&str; 2]| {
-        format!(
-            "<laneSection s='{s}'><left>{}</left><right>{}</right></laneSection>",
-            lane(1, "driving", WIDE, links[0]),
-            lane(-1, "driving", WIDE, links[1])
-        )
+        let [left, right] = [lane(1, "driving", WIDE, links[0]), lane(-1, "driving", WIDE, links[1])];
+        format!("<laneSection s='{s}'><left>{left}</left><right>{right}</right></laneSection>")
     };
-    let [next, before, both] =
-        ["<successor id='{}'/>", "<predecessor id='{}'/>", "<predecessor id='{}'/><successor id='{}'/>"];
-    let of = |link: &str, id: i64| link.replace("{}", &id.to_string());
-    let shifted = |x: f64| STRAIGHT.replace("x='0'", &format!("x='{x}'"));
+    let next = |id: i64| format!("<successor id='{id}'/>");
+    let before = |id: i64| format!("<predecessor id='{id}'/>");
+    let linked = |road: String, links: &str| road.replace("<planView>", &format!("<link>{links}</link><planView>"));
     // Road 1 with two sections, then road 2 that is drawn the other way, then a junction with a turn to road 4.
+    let first = section(0.0, [&next(1), &next(-1)]);
+    let second = section(40.0, [&(before(1) + &next(-1)), &(before(-1) + &next(1))]);
+    let backward = STRAIGHT.replace("x='0' y='0' hdg='0'", "x='200' y='0' hdg='3.141592653589793'");
+    let turn = "<geometry s='0' x='200' y='0' hdg='0' length='100'><arc curvature='0.0157'/></geometry>";
+    let turning = lane(-1, "driving", WIDE, &(before(1) + &next(-1)));
     let body = [
-        road(
-            "1",
-            "",
-            STRAIGHT,
-            &(section(0.0, [&of(next, 1), &of(next, -1)]) + &section(40.0, [&of(both, 1).replace("<successor id='1'", "<successor id='-1'"), &of(both, -1).replace("<successor id='-1'", "<successor id='1'")])),
-        )
-        .replace("<planView>", "<link><successor elementType='road' elementId='2' contactPoint='end'/></link><planView>"),
-        road("2", "", &STRAIGHT.replace("x='0' y='0' hdg='0'", "x='200' y='0' hdg='3.141592653589793'"), &section(0.0, ["", ""]))
-            .replace("<planView>", "<link><predecessor elementType='junction' elementId='7'/></link><planView>"),
-        road("3", "junction='7'", "<geometry s='0' x='200' y='0' hdg='0' length='100'><arc curvature='0.0157'/></geometry>",
-            &format!("<laneSection s='0'><right>{}</right></laneSection>", lane(-1, "driving", WIDE, &(of(before, 1) + &of(next, -1)))))
-            .replace("<planView>", "<link><predecessor elementType='road' elementId='2' contactPoint='start'/><successor elementType='road' elementId='4' contactPoint='start'/></link><planView>"),
-        road("4", "", &shifted(400.0), &section(0.0, ["", ""])),
-        "<junction id='7'><connection id='0' incomingRoad='2' connectingRoad='3' contactPoint='start'><laneLink from='1' to='-1'/></connection></junction>".to_owned(),
+        linked(
+            road("1", "", STRAIGHT, &(first + &second)),
+            "<successor elementType='road' elementId='2' contactPoint='end'/>",
+        ),
+        linked(
+            road("2", "", &backward, &section(0.0, ["", ""])),
+            "<predecessor elementType='junction' elementId='7'/>",
+        ),
+        linked(
+            road("3", "junction='7'", turn, &format!("<laneSection s='0'><right>{turning}</right></laneSection>")),
+            "<predecessor elementType='road' elementId='2' contactPoint='start'/>
+             <successor elementType='road' elementId='4' contactPoint='start'/>",
+        ),
+        road("4", "", &STRAIGHT.replace("x='0'", "x='400'"), &section(0.0, ["", ""])),
+        "<junction id='7'><connection id='0' incomingRoad='2' connectingRoad='3' contactPoint='start'>
+             <laneLink from='1' to='-1'/></connection></junction>"
+            .to_owned(),
     ]
     .concat();
     let (graph, _) = read(&body);
@@ -147,7 +152,8 @@ fn broken_parts_are_reported_and_the_rest_is_read() {
         (good.replace("id='-2'", "id='-1'"), "road 1: has lane -1 twice"),
         (road("1", "", "", &two_way()), "road 1: has no geometry"),
         (
-            "<junction id='7'><connection incomingRoad='1' connectingRoad='2'><laneLink from='x'/></connection></junction>"
+            "<junction id='7'><connection incomingRoad='1' connectingRoad='2'><laneLink from='x'/></connection>
+             </junction>"
                 .to_owned(),
             "junction 7: <laneLink> has from \"x\"",
         ),

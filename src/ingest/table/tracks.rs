@@ -7,7 +7,7 @@ use crate::geometry::Vec2;
 use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
 use crate::ingest::windows::Recording;
 use crate::ingest::{Finding, RawUnit, Reject};
-use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole};
+use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole, velocity_at};
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
 
@@ -240,14 +240,10 @@ impl<'a> Rows<'a> {
             heading_rad: state.heading_rad,
         };
         let mut observations: Vec<Observation> = resampled.iter().map(observation).collect();
-        // Scenes derive velocities anew; these matter for states without neighbors alone.
-        for i in 1..observations.len() {
-            let [before, now] = [observations[i - 1], observations[i]];
-            let elapsed_s = (now.frame - before.frame) as f64 * DT_S;
-            observations[i].velocity = (now.position - before.position) * (1.0 / elapsed_s);
-        }
-        if let [first, second, ..] = observations.as_mut_slice() {
-            first.velocity = second.velocity;
+        // Scenes derive velocities anew, those of the past from the past alone; these are of states without neighbors.
+        let velocities: Vec<Vec2> = (0..observations.len()).map(|index| velocity(&observations, index)).collect();
+        for (observation, velocity) in observations.iter_mut().zip(velocities) {
+            observation.velocity = velocity;
         }
         if observations.is_empty() {
             return Ok(None);
@@ -351,6 +347,15 @@ fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
     let numbers = [Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref(), length.as_ref(), width.as_ref()];
     let texts = texts.into_iter().flatten().map(|name| (name.as_str(), Kind::Text));
     texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).collect()
+}
+
+/// The velocity that follows from the observations around one.
+fn velocity(observations: &[Observation], index: usize) -> Vec2 {
+    let position = |offset: isize| {
+        let beside = observations.get(index.checked_add_signed(offset)?)?;
+        (beside.frame - observations[index].frame == offset as i64).then_some(beside.position)
+    };
+    velocity_at(position, DT_S).unwrap_or(Vec2::ZERO)
 }
 
 /// How far the rows of a track are apart in time.

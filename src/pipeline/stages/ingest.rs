@@ -78,7 +78,7 @@ impl Whole for Ingest<'_> {
 }
 
 /// The section with the places of its inputs on disk, where those of URLs are downloaded to.
-fn on_disk(config: &IngestConfig) -> Result<IngestConfig> {
+pub(crate) fn on_disk(config: &IngestConfig) -> Result<IngestConfig> {
     let place = |path: &PathBuf| Ok(Recordings::at(path)?.map_or(Ok(path.clone()), |recordings| recordings.on_disk())?);
     let places = |paths: &[PathBuf]| paths.iter().map(place).collect::<Result<Vec<_>>>();
     Ok(IngestConfig { inputs: places(&config.inputs)?, map_inputs: places(&config.map_inputs)?, ..config.clone() })

@@ -19,6 +19,7 @@ pub use evaluate::Evaluate;
 pub(in crate::pipeline) use generate::{FoundShard, find_shard, is_round_file, shard_name};
 pub use generate::{Generate, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};
 pub use ingest::Ingest;
+pub(crate) use ingest::on_disk;
 pub use mine::{Mine, MineConfig};
 pub(in crate::pipeline) use models::{LoadedModels, needed_models};
 pub use report::{About, Report};
