@@ -18,7 +18,7 @@ fn plain_labels(config: &CutInPaperConfig, scene: &Scene) -> Vec<Verdict> {
         let Some(initial) = footprint(other, present).filter(|_| footprint(ego, present).is_some()) else {
             continue;
         };
-        let judged = if config.future_only { present } else { 0 }..scene.n_timesteps;
+        let judged = 0..scene.n_timesteps;
         let mut first = None;
         for t_other in scene.n_history..scene.n_timesteps {
             for t_ego in scene.n_history..scene.n_timesteps {
@@ -68,7 +68,7 @@ fn the_quick_search_agrees_with_the_plain_definition() {
     let paper = CutInPaperConfig::default();
     let configs = [
         CutInPaperConfig { max_heading_difference_rad: Some(std::f64::consts::FRAC_PI_4), ..paper.clone() },
-        CutInPaperConfig { same_time: true, future_only: true, ..paper.clone() },
+        CutInPaperConfig { same_time: true, ..paper.clone() },
         CutInPaperConfig { max_delay_s: 1.0, negative_distance_m: 2.0, collision_free: true, ..paper.clone() },
         paper,
     ];

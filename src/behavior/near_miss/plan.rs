@@ -54,7 +54,7 @@ impl NearMiss {
         let config = self.config();
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
-            config.agents.admits(track.class) && (!config.recorded_sizes || track.extent.is_some())
+            track.class.is_road_user() && (!config.recorded_sizes || track.extent.is_some())
         };
         let search = agents.iter().all(takes_part).then(|| Search::new(self, scene, agents)).flatten();
         search.map_or_else(Vec::new, |search| search.drafts())
@@ -67,7 +67,7 @@ impl<'a> Search<'a> {
         let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let drivers = [first?, second?];
         let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
-        let extents = agents.map(|agent_idx| extents(&scene.tracks[agent_idx], behavior.config()));
+        let extents = agents.map(|agent_idx| extents(&scene.tracks[agent_idx]));
         Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s })
     }
 
