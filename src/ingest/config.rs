@@ -48,25 +48,14 @@ pub struct IngestConfig {
     #[serde(default = "default_window_stride")]
     #[schemars(range(min = 1, max = 1_000_000))]
     pub window_stride: usize,
-    /// INTERACTION v1.1 recordings: the last share of each recording becomes the val split; scenes across the cut are
-    /// dropped.
-    #[serde(default = "default_holdout_share")]
-    #[schemars(range(min = 0.0, max = 1.0))]
-    pub holdout_share: f64,
     /// Argoverse 1: whether tracks, which are recorded with decimeters of noise and at uneven times, are smoothed and
     /// resampled to even times. Default true; false keeps one recorded position per timestep, as in the benchmarks.
     #[serde(default = "default_smooth_tracks")]
     pub smooth_tracks: bool,
-    /// Agents of a scene: the nearest to the ego at present are kept, the ego always.
+    /// Agents of a scene: of those at present, without static objects, the nearest to the ego are kept, the ego always.
     #[serde(default = "default_max_agents")]
     #[schemars(range(min = 1, max = 10_000))]
     pub max_agents: usize,
-    /// Which agents belong to a scene.
-    #[serde(default)]
-    pub agents_present: AgentsPresent,
-    /// Whether to keep static objects (Argoverse 2's static, background, construction, riderless bicycle).
-    #[serde(default)]
-    pub keep_static: bool,
     /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any
     /// agent of it can reach, meters.
     #[serde(default = "default_map_radius_m")]
@@ -92,17 +81,6 @@ pub enum MapsConfig {
     None,
 }
 
-/// Which agents belong to a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum AgentsPresent {
-    /// Those tracked at the last observed timestep.
-    #[default]
-    AtCurrent,
-    /// Those tracked at any observed timestep.
-    InHistory,
-}
-
 impl IngestConfig {
     /// The default configuration for these inputs.
     pub const fn new(dataset: Dataset, inputs: Vec<PathBuf>) -> Self {
@@ -116,11 +94,8 @@ impl IngestConfig {
             n_history: None,
             n_future: None,
             window_stride: default_window_stride(),
-            holdout_share: default_holdout_share(),
             smooth_tracks: default_smooth_tracks(),
             max_agents: default_max_agents(),
-            agents_present: AgentsPresent::AtCurrent,
-            keep_static: false,
             map_radius_m: default_map_radius_m(),
             limit: None,
             seed: 0,
@@ -160,10 +135,6 @@ impl IngestConfig {
 
 const fn default_window_stride() -> usize {
     40
-}
-
-const fn default_holdout_share() -> f64 {
-    0.2
 }
 
 const fn default_smooth_tracks() -> bool {

@@ -42,7 +42,7 @@ mod source;
 mod test_data;
 mod word;
 
-pub use config::{AgentsPresent, IngestConfig, MapsConfig};
+pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
 pub use raw::{Companion, Finding, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};

@@ -154,7 +154,7 @@ impl<'a> Sizes<'a> {
             StageId::TrainBaseline => match &train.baseline {
                 Some(section) if section.checkpoint.is_none() => {
                     let resolved = section.resolve()?;
-                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, None)?;
                     trained(resolved.network.number_counts(scene), resolved.common.batch_size, scene)
                 }
                 _ => None,

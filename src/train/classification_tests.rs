@@ -56,10 +56,8 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         fingerprint: "events".to_owned(),
     };
     let config = ClassifierTrainingConfig {
-        seed: 4,
         steps,
         batch_size: 32,
-        warmup_steps: 10,
         evaluate_every: 50,
         save_every: 7,
         ..ClassifierTrainingConfig::default()

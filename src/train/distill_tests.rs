@@ -54,15 +54,11 @@ fn two_steps() -> StepDistillation {
 }
 
 fn distillation(steps: u64, method: StepDistillation) -> DistillTraining {
-    let config = DistillTrainingConfig {
-        method,
-        tasks: ONLY_PREDICTIVE,
-        steps,
-        learning_rate: 3e-3,
-        n_eval_scenes: 8,
-        ..DistillTrainingConfig::default()
-    };
-    config.resolve().unwrap()
+    let config = DistillTrainingConfig { method, tasks: ONLY_PREDICTIVE, steps, ..DistillTrainingConfig::default() };
+    let mut training = config.resolve().unwrap();
+    training.common.fit.learning_rate = 3e-3;
+    training.common.n_eval_scenes = 8;
+    training
 }
 
 #[test]

@@ -13,6 +13,10 @@ use std::sync::Arc;
 /// Longest recording, 28 hours: frames further apart are a fault.
 const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 
+/// The share of a v1.1 recording that is held out as val, its last one: as much as the v1.2 release holds out of its
+/// cases.
+const HOLDOUT_SHARE: f64 = 0.2;
+
 /// The scene of a v1.2 case.
 ///
 /// The present is the tenth frame of the case, so a shorter history begins later. A case without frames after the
@@ -54,7 +58,7 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
 
 /// The windows of a v1.1 recording: `window_stride` apart, whole ones only.
 ///
-/// If no split is named, the last `holdout_share` of the recording is val and the rest is train. Windows across the cut
+/// If no split is named, the last fifth of the recording is val and the rest is train. Windows across the cut
 /// are rejects, and so are windows without tracks. The text is dropped before the first window is made.
 pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
     let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
@@ -78,7 +82,7 @@ pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig
         return rejected(unit.reject("recording_too_short", detail));
     }
 
-    let n_holdout_frames = (config.holdout_share * n_frames as f64).round() as i64;
+    let n_holdout_frames = (HOLDOUT_SHARE * n_frames as f64).round() as i64;
     let first_holdout_frame = max_frame + 1 - n_holdout_frames;
     let present = tracks_by_window(&tracks, min_frame, n_windows, stride, n_timesteps as i64);
     let recording = Arc::new(Recording { unit, tracks, horizon, first_holdout_frame });

@@ -26,8 +26,11 @@ use crate::pipeline::StageId;
 use crate::pipeline::cluster::ClusterConfig;
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
+use crate::scene::Split;
 use crate::settings::{self, Issue};
-use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
+use crate::train::{
+    BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig, OwnScenes,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -59,6 +62,14 @@ pub struct PipelineConfig {
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {
+    /// Splits of this run's scenes to train on. Empty: `train`, or all unsplit scenes if there is no such split.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub splits: Vec<Split>,
+    /// Places of this run's scenes to train on. Empty: all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub places: Vec<String>,
     /// The diffusion model that generates scenarios.
     pub denoiser: Option<DenoiserTrainingConfig>,
     /// The distilled model, which samples in few evaluations; for sweeps with `model = "distilled"`.
@@ -67,6 +78,13 @@ pub struct TrainConfig {
     pub classifier: Option<ClassifierTrainingConfig>,
     /// Scene Transformer, the baseline; for sweeps with `model = "baseline"`.
     pub baseline: Option<BaselineTrainingConfig>,
+}
+
+impl TrainConfig {
+    /// The scenes of this run that models train on.
+    pub fn own_scenes(&self) -> OwnScenes<'_> {
+        OwnScenes { splits: &self.splits, places: &self.places }
+    }
 }
 
 /// Settings of all stages.
