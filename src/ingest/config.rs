@@ -65,8 +65,8 @@ pub struct IngestConfig {
     #[serde(default)]
     #[schemars(range(min = 1, max = 1_000_000_000_000_u64))]
     pub limit: Option<u64>,
-    /// Seed of the choice of an ego if the recording marks none.
-    #[serde(default)]
+    /// Seed of the choice of an ego if the recording marks none: that of the run.
+    #[serde(skip)]
     pub seed: u64,
 }
 

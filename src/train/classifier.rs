@@ -26,8 +26,6 @@ training_section! {
     pub struct ClassifierTrainingConfig in "train.classifier", each Own {
         /// Name of the behavior, which must be mined.
         pub behavior: String,
-        /// The network.
-        pub network: BehaviorClassifierConfig,
         /// Places to train on. Empty: those of `train.places`.
         #[schemars(extend("uniqueItems" = true))]
         pub places: Vec<String>,
@@ -38,12 +36,10 @@ impl Default for ClassifierTrainingConfig {
     fn default() -> Self {
         Self {
             behavior: "cut_in".to_owned(),
-            network: BehaviorClassifierConfig::default(),
             places: Vec::new(),
             steps: 6_000,
             batch_size: 128,
             evaluate_every: 1_000,
-            save_every: 500,
             checkpoint: None,
         }
     }
@@ -140,7 +136,7 @@ fn describe(
         kind: ClassifierKind::BehaviorClassifier,
         behavior: config.behavior.clone(),
         roles: data.roles.clone(),
-        network: config.network.clone(),
+        network: BehaviorClassifierConfig::default(),
         edm: denoiser.edm,
         normalizer: denoiser.normalizer.clone(),
         n_history: denoiser.n_history,

@@ -59,7 +59,6 @@ impl Default for DistillTrainingConfig {
             steps: 2_000,
             batch_size: 8,
             evaluate_every: 500,
-            save_every: 250,
             checkpoint: None,
         }
     }

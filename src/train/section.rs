@@ -107,12 +107,9 @@ macro_rules! training_section {
             /// Examples per step: scenes, or the classifier's pairs, half of them positive.
             #[schemars(range(min = 1, max = 16_384))]
             pub batch_size: $value<usize>,
-            /// Steps between evaluations.
+            /// Steps between evaluations; the state is saved twice as often, unless a setting says otherwise.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub evaluate_every: $value<u64>,
-            /// Steps between saved states.
-            #[schemars(range(min = 1, max = 1_000_000_000))]
-            pub save_every: $value<u64>,
             /// A trained checkpoint to use instead of training.
             pub checkpoint: Option<std::path::PathBuf>,
         }
@@ -124,10 +121,11 @@ macro_rules! training_section {
             /// The schedule of `base` with the section's settings over it.
             fn schedule(&self, base: &FitConfig) -> FitConfig {
                 use crate::train::section::or;
+                let evaluate_every = or(self.evaluate_every, base.evaluate_every);
                 FitConfig {
                     steps: or(self.steps, base.steps),
-                    evaluate_every: or(self.evaluate_every, base.evaluate_every),
-                    save_every: or(self.save_every, base.save_every),
+                    evaluate_every,
+                    save_every: (evaluate_every / 2).max(1),
                     ..base.clone()
                 }
             }

@@ -36,13 +36,13 @@ pub(super) const PARAMETERS: &[&str] = &[
     "min_distance_m",
 ];
 
-/// Options of [`CutInPaper`]. The defaults are the definition of the DJINN paper, to the letter.
+/// The ego must reach the other's place less than this much later, seconds (the paper's).
+const MAX_DELAY_S: f64 = 3.0;
+
+/// Options of [`CutInPaper`]; vehicles take part. The defaults are the definition of the DJINN paper, to the letter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutInPaperConfig {
-    /// The ego must reach the other's place less than this much later, seconds. Default 3.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_delay_s: f64,
     /// A pair without a cut-in is a hard negative if its boxes come closer than this, meters. Default 5.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
@@ -64,7 +64,6 @@ pub struct CutInPaperConfig {
 impl Default for CutInPaperConfig {
     fn default() -> Self {
         Self {
-            max_delay_s: 3.0,
             negative_distance_m: 5.0,
             max_heading_difference_rad: None,
             min_shift_m: None,
@@ -138,7 +137,7 @@ impl CutInPaper {
             })
         };
         let overlap =
-            ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, self.max_delay(scene.dt_s), same_way)?;
+            ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, Self::max_delay(scene.dt_s), same_way)?;
         let initial = other.at(present)?;
         let is_following = ego.overlaps_any(initial, 0..scene.n_timesteps);
         let collides = self.config.collision_free
@@ -153,9 +152,9 @@ impl CutInPaper {
     }
 
     /// The largest number of timesteps that is strictly less than the longest delay.
-    fn max_delay(&self, dt_s: f64) -> usize {
+    fn max_delay(dt_s: f64) -> usize {
         // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
-        (self.config.max_delay_s / dt_s - 1e-6).floor().max(0.0) as usize
+        (MAX_DELAY_S / dt_s - 1e-6).floor().max(0.0) as usize
     }
 
     fn positive(&self, scene: &Scene, pair: [usize; 2], (t_other, t_ego): (usize, usize)) -> BehaviorEvent {

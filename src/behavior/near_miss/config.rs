@@ -16,6 +16,9 @@ const NEGATIVE_DISTANCE_M: f64 = 2.0;
 /// Boxes on a collision course are a hard negative up to this multiple of the time to collision of a near miss.
 const NEGATIVE_TTC_FACTOR: f64 = 2.0;
 
+/// Who is slower than this stands, m/s: errors of tracks reach it.
+pub(super) const MIN_SPEED_MPS: f64 = 1.0;
+
 /// Options of [`super::NearMiss`]; all road users take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -34,14 +37,11 @@ pub struct NearMissConfig {
     /// turning off a second behind an oncoming vehicle is usual.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// One of the two must move at least this fast, m/s. Default 1.
-    #[schemars(range(min = 0.0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for NearMissConfig {
     fn default() -> Self {
-        Self { recorded_sizes: true, max_distance_m: 0.2, max_ttc_s: 1.5, max_pet_s: 0.5, min_speed_mps: 1.0 }
+        Self { recorded_sizes: true, max_distance_m: 0.2, max_ttc_s: 1.5, max_pet_s: 0.5 }
     }
 }
 

@@ -148,7 +148,7 @@ impl NearMiss {
             if one.overlaps(other) {
                 return None;
             }
-            if a.speed_mps().max(b.speed_mps()) >= config.min_speed_mps {
+            if a.speed_mps().max(b.speed_mps()) >= config::MIN_SPEED_MPS {
                 let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity).filter(|ttc| *ttc <= MAX_TTC_S);
                 let reaches_in = || {
                     let inner = first.inner.at(timestep).zip(second.inner.at(timestep));
@@ -171,7 +171,7 @@ impl NearMiss {
             return None;
         }
         let moves = |body: &Body<'_>, timestep: usize| {
-            body.state(timestep).is_some_and(|state| state.speed_mps() >= self.config.min_speed_mps)
+            body.state(timestep).is_some_and(|state| state.speed_mps() >= config::MIN_SPEED_MPS)
         };
         // Delays that are a whole number of timesteps but for rounding are excluded.
         let max_delay = (self.config.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;

@@ -139,7 +139,7 @@ impl<'a> Search<'a> {
         let pairs =
             |delay: usize| (0..n_steps.saturating_sub(delay)).flat_map(move |t| [(t, t + delay), (t + delay, t)]);
         let crosses = |(t, u): (usize, usize)| {
-            one.speeds_mps[t].min(other.speeds_mps[u]) >= config.min_speed_mps
+            one.speeds_mps[t].min(other.speeds_mps[u]) >= MIN_SPEED_MPS
                 && one.inner[t].forward.dot(other.inner[u].forward) < FOLLOWING_RAD.cos()
                 && one.inner[t].overlaps(&other.inner[u])
         };

@@ -59,8 +59,8 @@ pub struct ValidityConfig {
     /// there, and every table says so. Default 0.03; 1 to judge them by any map.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_recorded_offroad: f64,
-    /// Places where departures are not judged: those that `max_recorded_offroad` excludes, found from the recordings.
-    #[serde(skip)]
+    /// Places where departures are not judged, in addition to those that `max_recorded_offroad` excludes.
+    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub places_without_road: BTreeSet<String>,
     /// Whether requested agents may collide with each other, whatever the requested behavior; if it is `collision`,
     /// they always may. Default false.

@@ -93,7 +93,7 @@ impl TrainConfig {
 pub struct RunConfig {
     /// Name of the pipeline: the folder of its runs. Empty: the name of the pipeline file.
     pub name: String,
-    /// Seed of everything random; sections that name a seed of their own are exempt.
+    /// Seed of everything random; samples are drawn with `generate.seed` if that is set.
     pub seed: u64,
     /// Number of worker threads; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
@@ -133,7 +133,7 @@ impl RunConfig {
 }
 
 impl PipelineConfig {
-    /// Reads a pipeline file (none: all defaults) and applies overrides such as `mine.splits=["val"]`.
+    /// Reads a pipeline file (none: all defaults) and applies overrides such as `run.seed=7`.
     pub fn load(path: Option<&Path>, overrides: &[String]) -> Result<Self> {
         let text = match path {
             Some(path) => regular(path).and_then(|_| fs_err::read_to_string(path)).map_err(Failure::input)?,

@@ -19,7 +19,7 @@ use crate::store::{
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The stage.
 pub struct Evaluate<'a> {
@@ -126,6 +126,15 @@ impl Sharded for Evaluate<'_> {
         }
         shards.check_whole()?;
         maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
+        let places: BTreeSet<&str> = store.index().iter().map(|entry| entry.place).collect();
+        let named = self.config.validity.places_without_road.iter();
+        for place in named.filter(|place| !places.contains(place.as_str())) {
+            let there_are = places.iter().copied().collect::<Vec<_>>().join(", ");
+            context.progress.warn(&format!(
+                "evaluate.validity.places_without_road names {place}, of which there is no scene; there are scenes of \
+                 {there_are}"
+            ));
+        }
         let figures = |idx: usize| read_binary::<ShardFigures>(&shards.file(idx), FIGURES_FORMAT);
         let mut tracks = TrackPool::default();
         (0..samples.shards.len()).try_for_each(|idx| figures(idx).map(|figures| figures.pool_tracks(&mut tracks)))?;

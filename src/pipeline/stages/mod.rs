@@ -91,7 +91,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
     let precision = run.precision;
     let own = train.own_scenes();
     Some(match id {
-        StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
+        StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()?, seed: run.seed }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => {
             Box::new(Train { recipe: train.denoiser.as_ref()?, own, seed: run.seed, precision, layout })
