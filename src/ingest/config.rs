@@ -1,6 +1,7 @@
 //! The `[ingest]` section: which recordings become scenes, and how much of each is kept.
 
 use super::error::Error;
+use super::table::TableMapping;
 use crate::files::paths_as_text;
 use crate::scene::{Dataset, Split};
 use crate::settings::{self, Issue};
@@ -19,6 +20,9 @@ pub struct IngestConfig {
     /// feature `cloud`, also such in object stores (`s3://bucket/x.zip`, `gs://bucket/folder`).
     #[serde(serialize_with = "paths_as_text")]
     pub inputs: Vec<PathBuf>,
+    /// With `dataset = "table"`: what the columns of the recordings mean.
+    #[serde(default)]
+    pub table: Option<TableMapping>,
     /// Whether scenes must have maps.
     #[serde(default)]
     pub maps: MapsConfig,
@@ -34,20 +38,25 @@ pub struct IngestConfig {
     #[serde(default)]
     #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
-    /// Observed timesteps of a scene; default: the dataset's (INTERACTION and CommonRoad 10,
+    /// Observed timesteps of a scene; default: the dataset's (INTERACTION, CommonRoad and tables 10,
     /// Argoverse 1 20, Argoverse 2 50).
     #[serde(default)]
     #[schemars(range(min = 1, max = 10_000))]
     pub n_history: Option<usize>,
-    /// Future timesteps of a scene; default: the dataset's (INTERACTION, Argoverse 1 and
-    /// CommonRoad 30, Argoverse 2 60).
+    /// Future timesteps of a scene; default: the dataset's (INTERACTION, Argoverse 1,
+    /// CommonRoad and tables 30, Argoverse 2 60).
     #[serde(default)]
     #[schemars(range(max = 10_000))]
     pub n_future: Option<usize>,
-    /// INTERACTION v1.1 recordings and CommonRoad: timesteps between the starts of consecutive scenes.
+    /// INTERACTION v1.1 recordings, CommonRoad and tables: timesteps between the starts of consecutive scenes.
     #[serde(default = "default_window_stride")]
     #[schemars(range(min = 1, max = 1_000_000))]
     pub window_stride: usize,
+    /// INTERACTION v1.1 recordings and tables: the last share of each recording becomes the val split; scenes across
+    /// the cut are dropped.
+    #[serde(default = "default_holdout_share")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub holdout_share: f64,
     /// Argoverse 1: whether tracks, which are recorded with decimeters of noise and at uneven times, are smoothed and
     /// resampled to even times. Default true; false keeps one recorded position per timestep, as in the benchmarks.
     #[serde(default = "default_smooth_tracks")]
@@ -87,6 +96,7 @@ impl IngestConfig {
         Self {
             dataset,
             inputs,
+            table: None,
             maps: MapsConfig::Required,
             map_inputs: Vec::new(),
             splits: Vec::new(),
@@ -94,6 +104,7 @@ impl IngestConfig {
             n_history: None,
             n_future: None,
             window_stride: default_window_stride(),
+            holdout_share: default_holdout_share(),
             smooth_tracks: default_smooth_tracks(),
             max_agents: default_max_agents(),
             map_radius_m: default_map_radius_m(),
@@ -129,12 +140,21 @@ impl IngestConfig {
         if (1..self.inputs.len()).any(|i| self.inputs[..i].contains(&self.inputs[i])) {
             return refuse("inputs", "names an input twice; its scenes would not be unique");
         }
+        match (&self.table, self.dataset) {
+            (Some(table), Dataset::Table) => table.validate()?,
+            (Some(_), _) => return refuse("table", "is for dataset = \"table\" alone"),
+            (None, _) => {}
+        }
         settings::check_ranges(self).map_err(|Issue { key, message }| Error::Config { key, detail: message })
     }
 }
 
 const fn default_window_stride() -> usize {
     40
+}
+
+const fn default_holdout_share() -> f64 {
+    0.2
 }
 
 const fn default_smooth_tracks() -> bool {

@@ -18,6 +18,8 @@ pub(super) enum Malformed {
     #[error(transparent)]
     Json(#[from] serde_json::Error),
     #[error(transparent)]
+    Csv(#[from] csv::Error),
+    #[error(transparent)]
     Parquet(#[from] parquet::errors::ParquetError),
     #[error(transparent)]
     Arrow(#[from] arrow::error::ArrowError),

@@ -75,14 +75,19 @@ fn split_of_name(name: &str) -> Option<Split> {
     })
 }
 
-/// The bytes of an entry. An entry that cannot be read or is too large is a reject: one broken file among many.
+/// The bytes of an entry of usual size.
 pub(super) fn read_whole(entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<u8>, Reject> {
-    let mut bytes = Vec::with_capacity(entry.size.unwrap_or(0).min(MAX_WHOLE_FILE_BYTES) as usize);
+    read_at_most(entry, reader, MAX_WHOLE_FILE_BYTES)
+}
+
+/// The bytes of an entry. An entry that cannot be read or is too large is a reject: one broken file among many.
+pub(super) fn read_at_most(entry: &Entry, reader: &mut dyn BufRead, max_bytes: u64) -> Result<Vec<u8>, Reject> {
+    let mut bytes = Vec::with_capacity(entry.size.unwrap_or(0).min(max_bytes) as usize);
     let reject = |reason, detail| Reject { reason, detail: format!("{}: {detail}", entry.path) };
-    match reader.take(MAX_WHOLE_FILE_BYTES + 1).read_to_end(&mut bytes) {
+    match reader.take(max_bytes + 1).read_to_end(&mut bytes) {
         Err(error) => Err(reject("unreadable", error.to_string())),
-        Ok(_) if bytes.len() as u64 > MAX_WHOLE_FILE_BYTES => {
-            Err(reject("too_large", format!("more than {} MiB", MAX_WHOLE_FILE_BYTES >> 20)))
+        Ok(_) if bytes.len() as u64 > max_bytes => {
+            Err(reject("too_large", format!("more than {} MiB", max_bytes >> 20)))
         }
         Ok(_) => Ok(bytes),
     }

@@ -31,15 +31,20 @@ mod map_catalog;
 mod map_report;
 mod map_text;
 mod one_file;
+mod pairing;
+mod parquet_columns;
 mod places;
 mod plausible_lanes;
 mod plausible_tracks;
 mod quotes;
 mod raw;
+mod recorded_track;
 mod report;
 mod source;
+mod table;
 #[cfg(test)]
 mod test_data;
+mod windows;
 mod word;
 
 pub use config::{IngestConfig, MapsConfig};
@@ -48,6 +53,7 @@ pub use error::{BoxError, Error};
 pub use raw::{Companion, Finding, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
+pub use table::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 #[cfg(test)]
 pub(crate) use test_data::test_data;
 
@@ -68,5 +74,6 @@ fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Err
         Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
         Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
         Dataset::CommonRoad => Box::new(commonroad::CommonRoad::new(config)?),
+        Dataset::Table => Box::new(table::Tables::new(config)?),
     })
 }

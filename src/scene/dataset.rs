@@ -16,6 +16,8 @@ pub enum Dataset {
     /// Scenarios in CommonRoad's XML, recorded or generated.
     #[serde(rename = "commonroad")]
     CommonRoad,
+    /// Tables in no format of their own, with a mapping.
+    Table,
 }
 
 /// The facts about a dataset.
@@ -69,7 +71,7 @@ pub enum Benchmark {
 
 impl Dataset {
     /// Every dataset.
-    pub const ALL: [Self; 4] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2, Self::CommonRoad];
+    pub const ALL: [Self; 5] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2, Self::CommonRoad, Self::Table];
 
     /// The facts about it.
     pub const fn facts(self) -> &'static DatasetFacts {
@@ -124,6 +126,20 @@ impl Dataset {
                 has_headings: true,
                 has_velocities: true,
                 // Of NGSIM's recordings there, hardly one is within the limits of accelerations and jerks.
+                has_clean_motion: false,
+                has_chosen_focal: false,
+                begins_at_ns: false,
+                miss_rule: MissRule::Radial,
+                benchmark: None,
+            },
+            Self::Table => &DatasetFacts {
+                name: "table",
+                terms: "recordings read by a mapping: under the terms of their owner, which `evaluate.terms` states.",
+                country: None,
+                has_classes: true,
+                // Where no column has them, they are derived, and marked as such.
+                has_headings: true,
+                has_velocities: true,
                 has_clean_motion: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,

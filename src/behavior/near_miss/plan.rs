@@ -3,6 +3,7 @@
 
 use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
+use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;

@@ -1,13 +1,12 @@
 //! Argoverse 2 motion forecasting: one parquet file and one map a scenario.
 
-mod columns;
 mod map;
-mod pairing;
 mod tracks;
 
 use super::config::IngestConfig;
 use super::error::Error;
 use super::files::split_of_path;
+use super::pairing::{PairNames, PairReader};
 use super::raw::{RawScene, RawUnit, Reject};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use std::sync::Arc;
@@ -17,6 +16,9 @@ pub(super) use tracks::tests::scenario_bytes;
 
 /// The length of recordings: 5 s of past and 6 s of future at 10 Hz.
 const RECORDED: Horizon = Horizon { n_history: 50, n_future: 60 };
+
+/// Bytes that may wait for their counterpart. Archives have the two files of a scenario side by side.
+const MAX_WAITING_BYTES: u64 = 128 << 20;
 
 /// The formats of Argoverse 2.
 pub(super) struct Argoverse2<'a> {
@@ -40,16 +42,11 @@ impl RecordingSource for Argoverse2<'_> {
     }
 
     fn is_recording(&self, path: &str) -> bool {
-        let wanted = match pairing::part_of(path) {
-            Some((_, pairing::ScenarioFile::Scenario)) => true,
-            Some((_, pairing::ScenarioFile::Map)) => self.config.wants_maps(),
-            None => false,
-        };
-        wanted && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+        self.names().part_of(path).is_some() && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
-        Box::new(pairing::PairReader::new(self.config.wants_maps()))
+        Box::new(PairReader::new(self.names()))
     }
 
     fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {
@@ -62,6 +59,15 @@ impl RecordingSource for Argoverse2<'_> {
 }
 
 impl Argoverse2<'_> {
+    fn names(&self) -> PairNames<'static> {
+        PairNames {
+            recordings: "scenario_*.parquet",
+            companions: self.config.wants_maps().then_some("log_map_archive_*.json"),
+            max_bytes: MAX_WAITING_BYTES,
+            alone: ("no_map", "; or set `ingest.maps = \"none\"`"),
+        }
+    }
+
     fn parse_scenario(&self, unit: &RawUnit) -> Result<RawScene, Reject> {
         let mut scene = tracks::parse(unit, self.horizon)?;
         if let Some(companion) = &unit.companion {

@@ -1,9 +1,9 @@
 //! Argoverse 2 recordings: from the rows of a parquet file to the tracks of a scene.
 
 use super::RECORDED;
-use super::columns::Columns;
 use crate::geometry::Vec2;
 use crate::ingest::ids;
+use crate::ingest::parquet_columns::{Columns, Limits};
 use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
@@ -30,9 +30,13 @@ const START: &str = "start_timestamp";
 
 const DT_S: f64 = 0.1;
 
+/// A scenario has some hundred tracks of at most 110 rows, and its columns some hundred kilobytes.
+const LIMITS: Limits = Limits { n_rows: 1 << 17, n_bytes: 64 << 20 };
+
 /// The scene of a file, cut to `horizon` around the present of the dataset. Rows are counted from 0.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
-    let table = Columns::read(&unit.bytes, &COLUMNS, &[START]).map_err(|detail| unit.reject("bad_parquet", detail))?;
+    let table =
+        Columns::read(&unit.bytes, &COLUMNS, &[START], LIMITS).map_err(|detail| unit.reject("bad_parquet", detail))?;
     let missing = table.missing(&COLUMNS);
     if !missing.is_empty() {
         return Err(unit.reject("missing_column", format!("no column {}", missing.join(", "))));

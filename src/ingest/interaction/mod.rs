@@ -21,7 +21,7 @@
 //!   after a second header;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
 //! - `recording_repeated`: a file of a recording comes twice, or is named as a copy (`… (1).csv`);
-//! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`scenes`];
+//! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`Recording::windows`](super::windows);
 //! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
 //! Tolerated: cases whose rows do not stand together (see [`scattered`]), columns in any order and unknown ones, CRLF,
@@ -47,9 +47,6 @@ use std::io::BufRead;
 
 /// Observed and future timesteps of a v1.2 case, and of v1.1 windows unless configured.
 const CASE_HORIZON: Horizon = Horizon { n_history: 10, n_future: 30 };
-
-/// INTERACTION is recorded at 10 Hz.
-const DT_S: f64 = 0.1;
 
 /// INTERACTION, v1.1 and v1.2.
 #[derive(Debug)]

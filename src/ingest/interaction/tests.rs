@@ -135,36 +135,35 @@ fn the_present_of_a_case_is_fixed() {
 
 #[test]
 fn recordings_are_cut_into_windows_and_divided_by_time() {
-    // 240 frames: windows begin at 1, 41, 81, 121, 161 and 201; val begins at 193.
-    let vehicles = [V1_1, &car("", 1, 1..=240), &car("", 2, 50..=70)].concat();
+    // 200 frames: windows begin at 1, 41, 81, 121 and 161; val begins at 141.
+    let vehicles = [V1_1, &car("", 1, 1..=200), &car("", 2, 50..=70)].concat();
     let pedestrians = [V1_1_PEDESTRIANS, "P1,90,9000,pedestrian/bicycle,0,0,1,1\n"].concat();
     let folder = folder_of(&[
         ("recorded_trackfiles/SIM_A/vehicle_tracks_003.csv", &vehicles),
         ("recorded_trackfiles/SIM_A/pedestrian_tracks_003.csv", &pedestrians),
     ]);
-    let config = config(folder.path());
+    let config = IngestConfig { holdout_share: 0.3, ..config(folder.path()) };
     let scenes = read_scenes(&config);
     let expected = [
         "interaction/train/SIM_A/003@1",
         "interaction/train/SIM_A/003@41",
         "interaction/train/SIM_A/003@81",
-        "interaction/train/SIM_A/003@121",
         "window_across_holdout",
-        "interaction/val/SIM_A/003@201",
+        "interaction/val/SIM_A/003@161",
     ];
     assert_eq!(outcomes(&scenes), expected);
     let tracks = |index: usize| -> Vec<&str> {
         scenes[index].as_ref().unwrap().tracks.iter().map(|track| track.id.0.as_str()).collect()
     };
-    assert_eq!((tracks(0), tracks(1), tracks(2), tracks(5)), (vec!["1"], vec!["1", "2"], vec!["1", "P1"], vec!["1"]));
+    assert_eq!((tracks(0), tracks(1), tracks(2), tracks(4)), (vec!["1"], vec!["1", "2"], vec!["1", "P1"], vec!["1"]));
     let source = &scenes[1].as_ref().unwrap().source;
     assert_eq!((source.version.as_str(), source.case_id.as_str(), source.first_frame.as_str()), ("v1.1", "003", "41"));
 
     // Any stride; the windows before the cut are train, those after it val.
-    let config = IngestConfig { window_stride: 7, ..config };
+    let config = IngestConfig { window_stride: 7, holdout_share: 0.5, ..config };
     let scenes = read_scenes(&config);
     let n_windows = scenes.iter().filter(|scene| scene.is_ok()).count();
-    assert_eq!((scenes.len(), n_windows), ((240 - 40) / 7 + 1, 22 + 1));
+    assert_eq!((scenes.len(), n_windows), ((200 - 40) / 7 + 1, 9 + 8));
 }
 
 #[test]

@@ -1,19 +1,15 @@
-//! The tracks of a table, in the frames of the recording.
+//! The tracks of a table.
 
+use super::CASE_HORIZON;
 use super::columns::TrackColumns;
 use super::row::{Flaw, TrackRow};
-use super::{CASE_HORIZON, DT_S};
-use crate::geometry::Vec2;
 use crate::ingest::Reject;
 use crate::ingest::csv_rows::lines_of;
 use crate::ingest::ids;
-use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::quotes::printable;
-use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory, velocity_at};
+use crate::ingest::recorded_track::{Observation, RecordedTrack};
+use crate::scene::{AgentClass, Extent, TrackId, TrackRole};
 use std::collections::BTreeMap;
-
-/// Below this speed the direction of a velocity is noise, so the heading is held.
-const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 
 /// Rows of one file.
 pub(super) struct TrackTable<'a> {
@@ -25,29 +21,6 @@ pub(super) struct TrackTable<'a> {
     pub(super) first_line: u64,
     /// The line of each row if the rows are scattered; else empty.
     pub(super) lines: &'a [u64],
-}
-
-/// One agent over all frames in which it was tracked.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct RecordedTrack {
-    id: TrackId,
-    class: AgentClass,
-    role: TrackRole,
-    extent: Option<Extent>,
-    /// By ascending frame.
-    states: Vec<(i64, State, HeadingSource)>,
-}
-
-/// The source of a heading.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum HeadingSource {
-    Recorded,
-    /// The direction of the motion.
-    Motion,
-    /// The agent is slow: the last heading that was known.
-    Held,
-    /// The agent has been slow from the start: the direction of its velocity, which is noise.
-    Unknown,
 }
 
 /// Reads the tracks of all tables in order of their first rows.
@@ -117,16 +90,13 @@ struct Builder<'a> {
     extent: Option<Extent>,
     is_interesting: bool,
     is_to_predict: bool,
-    observations: Vec<Observation<'a>>,
+    observations: Vec<(Observation, Line<'a>)>,
 }
 
-struct Observation<'a> {
-    frame_id: i64,
-    position: Vec2,
-    velocity: Vec2,
-    heading_rad: Option<f64>,
+/// The line of a state.
+struct Line<'a> {
     file: &'a str,
-    line: u64,
+    number: u64,
 }
 
 impl<'a> Builder<'a> {
@@ -160,109 +130,38 @@ impl<'a> Builder<'a> {
         self.extent = self.extent.or(row.extent);
         self.is_interesting |= row.is_interesting;
         self.is_to_predict |= row.is_to_predict;
-        let TrackRow { frame_id, position, velocity, heading_rad, .. } = *row;
-        self.observations.push(Observation { frame_id, position, velocity, heading_rad, file, line });
+        let TrackRow { frame_id: frame, position, velocity, heading_rad, .. } = *row;
+        let observation = Observation { frame, position, velocity, heading_rad };
+        self.observations.push((observation, Line { file, number: line }));
         Ok(())
     }
 
     fn finish(mut self) -> Result<RecordedTrack, Reject> {
         let id = String::from_utf8_lossy(self.id).into_owned();
-        if !self.observations.is_sorted_by_key(|observation| observation.frame_id) {
-            self.observations.sort_by_key(|observation| observation.frame_id);
+        if !self.observations.is_sorted_by_key(|(observation, _)| observation.frame) {
+            self.observations.sort_by_key(|(observation, _)| observation.frame);
         }
-        let repeated = self.observations.windows(2).find(|pair| pair[0].frame_id == pair[1].frame_id);
-        if let Some([_, again]) = repeated {
-            let detail = format!("track {id} is at frame {} already", again.frame_id);
-            return Err(reject_at(again.file, again.line, ("duplicate_frame", detail)));
+        let repeated = self.observations.windows(2).find(|pair| pair[0].0.frame == pair[1].0.frame);
+        if let Some([_, (again, line)]) = repeated {
+            let detail = format!("track {id} is at frame {} already", again.frame);
+            return Err(reject_at(line.file, line.number, ("duplicate_frame", detail)));
         }
-        Ok(RecordedTrack {
-            id: TrackId(id),
-            class: self.class,
-            role: match (self.is_interesting, self.is_to_predict) {
-                (true, _) => TrackRole::Focal,
-                (false, true) => TrackRole::Scored,
-                (false, false) => TrackRole::Context,
-            },
-            extent: self.extent,
-            states: states(&self.observations, self.class),
-        })
-    }
-}
-
-/// The states by frame. A heading that is not recorded is the direction of the motion up to then, held while the agent
-/// is slow.
-fn states(observations: &[Observation<'_>], class: AgentClass) -> Vec<(i64, State, HeadingSource)> {
-    let mut known_rad: Option<f64> = None;
-    let mut states = Vec::with_capacity(observations.len());
-    for (index, Observation { frame_id, position, velocity, heading_rad, .. }) in observations.iter().enumerate() {
-        let before = |offset: isize| {
-            let observation = observations.get(index.checked_add_signed(offset)?)?;
-            (offset <= 0 && observation.frame_id - frame_id == offset as i64).then_some(observation.position)
+        let role = match (self.is_interesting, self.is_to_predict) {
+            (true, _) => TrackRole::Focal,
+            (false, true) => TrackRole::Scored,
+            (false, false) => TrackRole::Context,
         };
-        let motion = velocity_at(before, DT_S).unwrap_or(*velocity);
-        let is_moving = motion.norm() >= MIN_HEADING_SPEED_MPS;
-        let (heading_rad, source) = match (heading_rad, known_rad) {
-            (Some(recorded_rad), _) => (recorded_heading(*recorded_rad, class), HeadingSource::Recorded),
-            (None, _) if is_moving => (motion.angle(), HeadingSource::Motion),
-            (None, Some(known_rad)) => (known_rad, HeadingSource::Held),
-            (None, None) => (motion.angle(), HeadingSource::Unknown),
-        };
-        if source != HeadingSource::Unknown {
-            known_rad = Some(heading_rad);
-        }
-        states.push((*frame_id, State { position: *position, heading_rad, velocity: *velocity }, source));
-    }
-    states
-}
-
-impl RecordedTrack {
-    /// First and last frame.
-    pub(super) fn frames(&self) -> Option<(i64, i64)> {
-        Some((self.states.first()?.0, self.states.last()?.0))
-    }
-
-    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` if it was
-    /// not tracked in any of them.
-    ///
-    /// An agent that is slow from its start on has one heading until it moves: that of its first motion, if it is
-    /// observed moving; else the direction of its first velocity. Looking further ahead would leak the future direction
-    /// of the agent into the past.
-    pub(super) fn cut(&self, first_frame: i64, n_timesteps: usize, n_history: usize) -> Option<Track> {
-        let end_frame = first_frame + n_timesteps as i64;
-        let within = |end_frame: i64| {
-            let first = self.states.partition_point(|(frame, ..)| *frame < first_frame);
-            let end = self.states.partition_point(|(frame, ..)| *frame < end_frame);
-            &self.states[first..end]
-        };
-        let states = within(end_frame);
-        let observed = within(first_frame + n_history as i64);
-        let told_by = if observed.is_empty() { states } else { observed };
-        let known = told_by.iter().find(|(.., source)| *source != HeadingSource::Unknown);
-        let moving = || told_by.iter().find(|(_, state, _)| state.velocity != Vec2::ZERO);
-        let (_, first, _) = known.or_else(moving).or(told_by.first())?;
-
-        let mut entries = vec![None; n_timesteps];
-        let mut held_headings = vec![false; n_timesteps];
-        for (frame, state, source) in states {
-            let timestep = usize::try_from(frame - first_frame).ok()?;
-            let is_unknown = *source == HeadingSource::Unknown;
-            let heading_rad = if is_unknown { first.heading_rad } else { state.heading_rad };
-            entries[timestep] = Some(State { heading_rad, ..*state });
-            held_headings[timestep] = is_unknown || *source == HeadingSource::Held;
-        }
-        let trajectory = Trajectory::new(entries);
-        let is_recorded = states.iter().all(|(.., source)| *source == HeadingSource::Recorded);
-        let trajectory = match is_recorded {
-            true => trajectory,
-            false => trajectory.derived(Derivation { held_headings, recorded: Vec::new() }),
-        };
-        Some(Track { id: self.id.clone(), class: self.class, role: self.role, extent: self.extent, trajectory })
+        let observations: Vec<Observation> =
+            self.observations.into_iter().map(|(observation, _)| observation).collect();
+        Ok(RecordedTrack::new(TrackId(id), self.class, role, self.extent, &observations))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Vec2;
+    use crate::ingest::recorded_track::DT_S;
 
     const HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width";
 

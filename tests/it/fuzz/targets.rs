@@ -47,6 +47,20 @@ pub(super) const TARGETS: &[Target] = &[
             interaction(folder, &files)
         },
     },
+    Target {
+        name: "table",
+        seeds: |_| vec![head(VEHICLES, 60)],
+        read: |folder, bytes| {
+            write(folder, "tracks.csv", bytes);
+            let mapping = "time_unit_s = 0.001
+                columns = { track = 'track_id', time = 'timestamp_ms', x = 'x', y = 'y', heading = 'psi_rad' }";
+            let table = Some(toml::from_str(mapping).unwrap());
+            let config = IngestConfig::new(Dataset::Table, vec![folder.to_owned()]);
+            let config =
+                IngestConfig { table, maps: MapsConfig::None, n_history: Some(2), n_future: Some(3), ..config };
+            ingest(&config, None, &Silent, &mut |_| Ok(())).is_ok()
+        },
+    },
     Target { name: "zip", seeds: zipped, read: |folder, bytes| entries(folder, "input.zip", bytes) },
     Target { name: "tar_gz", seeds: tarball, read: |folder, bytes| entries(folder, "input.tar.gz", bytes) },
     Target {

@@ -1,7 +1,7 @@
-//! The columns of a scenario file, in any encoding.
+//! The columns of a Parquet file, in any encoding.
 
+use super::error::Malformed;
 use crate::containment::contained;
-use crate::ingest::error::Malformed;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::{cast, concat_batches};
 use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
@@ -12,30 +12,39 @@ use parquet::arrow::{ProjectionMask, parquet_to_arrow_schema};
 use parquet::file::metadata::ParquetMetaDataPushDecoder;
 use std::sync::Arc;
 
-/// A scenario has some hundred tracks of at most 110 rows.
-const MAX_ROWS: usize = 1 << 17;
-
-/// Limit of its columns, and of the text in one of them; real ones have some hundred kilobytes.
-const MAX_BYTES: usize = 64 << 20;
+/// Limits of a file: a small one may hold gigabytes.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limits {
+    pub(super) n_rows: usize,
+    /// Of its columns, and of the text in one of them.
+    pub(super) n_bytes: usize,
+}
 
 /// Some columns of a file in memory.
-pub(super) struct Columns(RecordBatch);
+pub(super) struct Columns {
+    batch: RecordBatch,
+    /// Of all columns of the file.
+    names: Vec<String>,
+    max_text_bytes: usize,
+}
 
 impl Columns {
     /// Decodes the columns of a Parquet file with these `names`, and with those `numbers` that are numbers.
-    pub(super) fn read(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<Self, Malformed> {
+    pub(super) fn read(bytes: &[u8], names: &[&str], numbers: &[&str], limits: Limits) -> Result<Self, Malformed> {
         let damaged = || Err("the file is damaged beyond decoding".into());
-        contained(|| decode(bytes, names, numbers)).unwrap_or_else(damaged).map(Self)
+        let decoded = contained(|| decode(bytes, names, numbers, limits)).unwrap_or_else(damaged)?;
+        let (batch, names) = decoded;
+        Ok(Self { batch, names, max_text_bytes: limits.n_bytes })
     }
 
     /// Number of rows.
     pub(super) fn n_rows(&self) -> usize {
-        self.0.num_rows()
+        self.batch.num_rows()
     }
 
     /// The entries of `names` that are not columns.
     pub(super) fn missing<'a>(&self, names: &[&'a str]) -> Vec<&'a str> {
-        names.iter().copied().filter(|name| self.0.column_by_name(name).is_none()).collect()
+        names.iter().copied().filter(|name| self.batch.column_by_name(name).is_none()).collect()
     }
 
     /// A column of text (plain, large, view or dictionary), or of whole numbers, which can be names, too.
@@ -52,7 +61,7 @@ impl Columns {
 
     /// A column of whole numbers of any width, which may be stored as floating-point numbers.
     pub(super) fn integer(&self, name: &str) -> Result<Int64Array, Malformed> {
-        if self.0.column_by_name(name).is_some_and(|column| column.data_type().is_floating()) {
+        if self.batch.column_by_name(name).is_some_and(|column| column.data_type().is_floating()) {
             let numbers = self.float(name)?;
             if let Some(row) = numbers.values().iter().position(|number| number.fract() != 0.0) {
                 let number = numbers.value(row);
@@ -63,8 +72,26 @@ impl Columns {
         column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
     }
 
-    /// The column in type `wanted`, without missing values. Only `accepted` types are converted: text that looks like
-    /// numbers means another table, or a broken one.
+    /// A column of numbers of any width; missing ones are NaN.
+    pub(super) fn float_or_nan(&self, name: &str) -> Result<Vec<f64>, Malformed> {
+        let column = self.converted(name, &DataType::Float64, "numbers", DataType::is_numeric)?;
+        let numbers: Float64Array = column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))?;
+        Ok(numbers.iter().map(|number| number.unwrap_or(f64::NAN)).collect())
+    }
+
+    /// A column of text or whole numbers, of which some may be missing.
+    pub(super) fn text_or_null(&self, name: &str) -> Result<StringArray, Malformed> {
+        let is_text = |found: &DataType| is_string(found) || found.is_integer();
+        let column = self.converted(name, &DataType::Utf8, "text", is_text)?;
+        column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
+    }
+
+    /// The names of all columns of the file.
+    pub(super) fn into_names(self) -> Vec<String> {
+        self.names
+    }
+
+    /// The column in type `wanted`, without missing values.
     fn column(
         &self,
         name: &str,
@@ -72,7 +99,23 @@ impl Columns {
         expected: &str,
         accepted: impl Fn(&DataType) -> bool,
     ) -> Result<ArrayRef, Malformed> {
-        let column = self.0.column_by_name(name).ok_or_else(|| format!("no column {name}"))?;
+        let column = self.converted(name, wanted, expected, accepted)?;
+        match (0..column.len()).find(|row| column.is_null(*row)) {
+            Some(row) => Err(format!("column {name} has no value in row {row}").into()),
+            None => Ok(column),
+        }
+    }
+
+    /// The column in type `wanted`. Only `accepted` types are converted: text that looks like
+    /// numbers means another table, or a broken one.
+    fn converted(
+        &self,
+        name: &str,
+        wanted: &DataType,
+        expected: &str,
+        accepted: impl Fn(&DataType) -> bool,
+    ) -> Result<ArrayRef, Malformed> {
+        let column = self.batch.column_by_name(name).ok_or_else(|| format!("no column {name}"))?;
         let found = match column.data_type() {
             DataType::Dictionary(_, values) => values,
             plain => plain,
@@ -84,16 +127,12 @@ impl Columns {
         // Views share texts; only here does every row get a copy.
         if let Some(views) = column.as_string_view_opt() {
             let n_bytes: usize = views.iter().flatten().map(str::len).sum();
-            if n_bytes > MAX_BYTES {
-                let (n_mib, most) = (n_bytes >> 20, MAX_BYTES >> 20);
+            if n_bytes > self.max_text_bytes {
+                let (n_mib, most) = (n_bytes >> 20, self.max_text_bytes >> 20);
                 return Err(format!("column {name} has {n_mib} MiB of text, expected at most {most}").into());
             }
         }
-        let column = cast(column, wanted).map_err(|error| format!("column {name}: {error}"))?;
-        match (0..column.len()).find(|row| column.is_null(*row)) {
-            Some(row) => Err(format!("column {name} has no value in row {row}").into()),
-            None => Ok(column),
-        }
+        cast(column, wanted).map_err(|error| format!("column {name}: {error}").into())
     }
 }
 
@@ -126,7 +165,12 @@ fn views(schema: &Schema, names: &[&str]) -> Result<SchemaRef, Malformed> {
     Ok(Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone())))
 }
 
-fn decode(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<RecordBatch, Malformed> {
+fn decode(
+    bytes: &[u8],
+    names: &[&str],
+    numbers: &[&str],
+    limits: Limits,
+) -> Result<(RecordBatch, Vec<String>), Malformed> {
     let whole = 0..bytes.len() as u64;
     let mut metadata_decoder = ParquetMetaDataPushDecoder::try_new(whole.end)?;
     metadata_decoder.push_range(whole.clone(), bytes.to_vec().into())?;
@@ -134,8 +178,8 @@ fn decode(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<RecordBatch,
         return Err("the file is cut short".into());
     };
     let n_rows = metadata.file_metadata().num_rows();
-    if !(0..=MAX_ROWS as i64).contains(&n_rows) {
-        return Err(format!("{n_rows} rows, expected at most {MAX_ROWS}").into());
+    if !(0..=limits.n_rows as i64).contains(&n_rows) {
+        return Err(format!("{n_rows} rows, expected at most {}", limits.n_rows).into());
     }
     let file = metadata.file_metadata();
     let schema = parquet_to_arrow_schema(file.schema_descr(), file.key_value_metadata())?;
@@ -144,13 +188,13 @@ fn decode(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<RecordBatch,
     let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
     let wanted = columns.filter(|column| names.contains(&column.column_path().string().as_str()));
     let n_bytes: u64 = wanted.map(|column| column.uncompressed_size().unsigned_abs()).fold(0, u64::saturating_add);
-    if n_bytes > MAX_BYTES as u64 {
-        return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, MAX_BYTES >> 20).into());
+    if n_bytes > limits.n_bytes as u64 {
+        return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, limits.n_bytes >> 20).into());
     }
     let options = ArrowReaderOptions::new().with_schema(views(&schema, &names)?);
     let mask = ProjectionMask::columns(file.schema_descr(), names.iter().copied());
     let mut decoder = ParquetPushDecoderBuilder::try_new_decoder_with_options(Arc::new(metadata), options)
-        .and_then(|builder| builder.with_projection(mask).with_batch_size(MAX_ROWS).build())?;
+        .and_then(|builder| builder.with_projection(mask).with_batch_size(limits.n_rows).build())?;
     decoder.push_range(whole, bytes.to_vec().into())?;
     let mut batches = Vec::new();
     loop {
@@ -161,5 +205,6 @@ fn decode(bytes: &[u8], names: &[&str], numbers: &[&str]) -> Result<RecordBatch,
         }
     }
     let first = batches.first().ok_or("the file has no rows")?;
-    Ok(concat_batches(&first.schema(), &batches)?)
+    let all_names = schema.fields().iter().map(|field| field.name().clone()).collect();
+    Ok((concat_batches(&first.schema(), &batches)?, all_names))
 }

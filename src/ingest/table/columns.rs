@@ -1,0 +1,202 @@
+//! The columns of a table that a mapping names, from CSV or Parquet.
+
+use crate::ingest::error::Malformed;
+use crate::ingest::parquet_columns::{Columns, Limits};
+use crate::ingest::quotes::printable;
+use std::collections::BTreeMap;
+
+/// Limits of a Parquet file: ten hours of dense traffic have half as many rows.
+const LIMITS: Limits = Limits { n_rows: 1 << 27, n_bytes: 4 << 30 };
+
+/// What Parquet files begin with.
+const PARQUET: &[u8] = b"PAR1";
+
+/// The kind of a column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Blank cells are NaN.
+    Number,
+    Text,
+}
+
+/// Texts, each different one stored once.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Texts {
+    pub(super) different: Vec<String>,
+    /// The index of the text of each row.
+    pub(super) of_row: Vec<u32>,
+    indices: BTreeMap<String, u32>,
+}
+
+impl Texts {
+    fn push(&mut self, text: &str) {
+        // Rows of a track usually stand together.
+        let last = self.of_row.last().filter(|last| self.different[**last as usize] == text).copied();
+        let index = last.or_else(|| self.indices.get(text).copied()).unwrap_or_else(|| {
+            let index = self.different.len() as u32;
+            self.different.push(text.to_owned());
+            self.indices.insert(text.to_owned(), index);
+            index
+        });
+        self.of_row.push(index);
+    }
+}
+
+/// Some columns of a table.
+#[derive(Debug, Default)]
+pub(super) struct Table {
+    pub(super) n_rows: usize,
+    numbers: BTreeMap<String, Vec<f64>>,
+    texts: BTreeMap<String, Texts>,
+    /// The line of each row; empty if the table is no text.
+    lines: Vec<u32>,
+    /// The names of all columns, for messages.
+    names: Vec<String>,
+}
+
+impl Table {
+    /// Reads those of the `wanted` columns that the table has.
+    pub(super) fn read(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
+        if bytes.starts_with(PARQUET) { Self::of_parquet(bytes, wanted) } else { Self::of_csv(bytes, wanted) }
+    }
+
+    /// A column of numbers, if the table has it.
+    pub(super) fn number(&self, name: Option<&str>) -> Option<&[f64]> {
+        self.numbers.get(name?).map(Vec::as_slice)
+    }
+
+    /// A column of texts, if the table has it.
+    pub(super) fn text(&self, name: Option<&str>) -> Option<&Texts> {
+        self.texts.get(name?)
+    }
+
+    /// Where a row is, as messages say it.
+    pub(super) fn place_of(&self, row: usize) -> String {
+        self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("line {line}"))
+    }
+
+    /// The error that the table has none of these columns.
+    pub(super) fn lacks(&self, names: &[&str]) -> String {
+        let (missing, found) = (names.join(", "), self.names.join(", "));
+        format!("no column {missing}; the table has {found}: name its columns in ingest.table.columns")
+    }
+
+    fn of_csv(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
+        let count = |separator: &u8| header.iter().filter(|byte| *byte == separator).count();
+        let separator = *b",;\t".iter().max_by_key(|separator| count(separator)).unwrap_or(&b',');
+        let mut reader = csv::ReaderBuilder::new()
+            .delimiter(separator)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .buffer_capacity(1 << 16)
+            .from_reader(bytes);
+        let names: Vec<String> = reader.byte_headers()?.iter().map(printable).collect();
+        let mut table = Self { names, ..Self::default() };
+        let mut found = Vec::new();
+        for (name, kind) in wanted {
+            let mut places = table.names.iter().enumerate().filter(|(_, found)| found == name);
+            let Some((index, _)) = places.next() else { continue };
+            if places.next().is_some() {
+                return Err(format!("line 1: the column {name} appears twice").into());
+            }
+            found.push((index, *name, *kind));
+        }
+        let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); found.len()];
+        let mut texts: Vec<Texts> = found.iter().map(|_| Texts::default()).collect();
+        let mut record = csv::ByteRecord::new();
+        // The position of a row after CRLF is that of the LF.
+        let n_behind = u64::from(header.ends_with(b"\r"));
+        while reader.read_byte_record(&mut record)? {
+            let line = record.position().map_or(0, csv::Position::line) + n_behind;
+            if record.len() != table.names.len() {
+                let (n, expected) = (record.len(), table.names.len());
+                return Err(format!("line {line}: {n} cells, expected {expected}").into());
+            }
+            for (slot, (index, name, kind)) in found.iter().enumerate() {
+                let cell = &record[*index];
+                let text = std::str::from_utf8(cell)
+                    .map_err(|_| format!("line {line}: column {name} is not in UTF-8: {}", printable(cell)))?;
+                match kind {
+                    Kind::Text => texts[slot].push(text),
+                    Kind::Number if text.is_empty() => numbers[slot].push(f64::NAN),
+                    Kind::Number => numbers[slot].push(text.parse().map_err(|_| {
+                        format!("line {line}: column {name} is \"{}\", expected a number", printable(cell))
+                    })?),
+                }
+            }
+            table.lines.push(u32::try_from(line).unwrap_or(u32::MAX));
+        }
+        table.n_rows = table.lines.len();
+        for ((_, name, kind), (numbers, texts)) in found.into_iter().zip(numbers.into_iter().zip(texts)) {
+            match kind {
+                Kind::Number => drop(table.numbers.insert(name.to_owned(), numbers)),
+                Kind::Text => drop(table.texts.insert(name.to_owned(), texts)),
+            }
+        }
+        Ok(table)
+    }
+
+    fn of_parquet(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
+        let names: Vec<&str> = wanted.iter().map(|(name, _)| *name).collect();
+        let columns = Columns::read(bytes, &names, &[], LIMITS)?;
+        let mut table = Self { n_rows: columns.n_rows(), ..Self::default() };
+        let missing = columns.missing(&names);
+        for (name, kind) in wanted.iter().filter(|(name, _)| !missing.contains(name)) {
+            match kind {
+                Kind::Number => drop(table.numbers.insert((*name).to_owned(), columns.float_or_nan(name)?)),
+                Kind::Text => {
+                    let mut texts = Texts::default();
+                    columns.text_or_null(name)?.iter().for_each(|text| texts.push(text.unwrap_or_default()));
+                    table.texts.insert((*name).to_owned(), texts);
+                }
+            }
+        }
+        table.names = columns.into_names();
+        Ok(table)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WANTED: [(&str, Kind); 3] = [("id", Kind::Text), ("x", Kind::Number), ("nowhere", Kind::Number)];
+
+    fn read(text: &str) -> Result<Table, String> {
+        Table::read(text.as_bytes(), &WANTED).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn tables_are_read_whatever_separates_their_cells() {
+        for text in [
+            "id,y,x\na,9,1.5\nb,9,\na,9,nan\n",
+            "\u{feff}id;y;x\r\na;9;1.5\r\nb;9;\r\na;9;NaN",
+            "id\ty\tx\n\"a\"\t9\t 1.5\nb\t9\t\na\t9\tnan",
+        ] {
+            let table = read(text).unwrap();
+            assert_eq!((table.n_rows, table.place_of(1)), (3, "line 3".to_owned()), "{text}");
+            let ids = table.text(Some("id")).unwrap();
+            assert_eq!(
+                (ids.different.as_slice(), ids.of_row.as_slice()),
+                (&["a".to_owned(), "b".to_owned()][..], &[0, 1, 0][..])
+            );
+            let x = table.number(Some("x")).unwrap();
+            assert!(x[0] == 1.5 && x[1].is_nan() && x[2].is_nan(), "{x:?}");
+            assert!(table.number(Some("nowhere")).is_none() && table.number(None).is_none());
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_line() {
+        for (text, expected) in [
+            ("id,x\na,1\nb\n", "line 3: 1 cells, expected 2"),
+            ("id,x\na,1\nb,one\n", "line 3: column x is \"one\", expected a number"),
+            ("id,x,x\n", "line 1: the column x appears twice"),
+        ] {
+            assert_eq!(read(text).unwrap_err(), expected);
+        }
+        assert!(read("id,x\n").unwrap().lacks(&["y"]).starts_with("no column y; the table has id, x: name"));
+    }
+}

@@ -1,0 +1,181 @@
+//! The `[ingest.table]` section: what the columns of recordings mean that are in no format of their own.
+
+use crate::ingest::Error;
+use crate::scene::AgentClass;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The meaning of tables that have a row for each agent and time, as CSV (cells separated by commas, semicolons or
+/// tabs; also `.gz`) or Parquet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TableMapping {
+    /// The names of the files with recordings; `*` stands for any text.
+    #[serde(default = "default_files")]
+    pub files: String,
+    /// The names of tables with a row for each track, which hold the columns that recordings lack, such as sizes and
+    /// classes; `*` stands for the same text as in `files`.
+    #[serde(default)]
+    pub track_files: Option<String>,
+    /// The columns.
+    pub columns: TableColumns,
+    /// Rows of a track per second, where `columns.frame` counts them.
+    #[serde(default)]
+    #[schemars(range(min = 0.5, max = 1000.0))]
+    pub frame_rate_hz: Option<f64>,
+    /// The unit of `columns.time`, seconds: 0.001 where times are in milliseconds.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1e-9, max = 1e3))]
+    pub time_unit_s: f64,
+    /// The unit of positions and sizes, meters: 0.3048 where they are in feet.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1e-6, max = 1e6))]
+    pub length_unit_m: f64,
+    /// Whether y points down, as in images: positions and headings are mirrored.
+    #[serde(default)]
+    pub y_points_down: bool,
+    /// The point of an agent that its position is.
+    #[serde(default)]
+    pub position: PositionOf,
+    /// How headings are written. Where no column has any, they follow from the motion.
+    #[serde(default)]
+    pub heading: HeadingUnit,
+    /// The class of all agents, where no column names them.
+    #[serde(default = "vehicle")]
+    #[schemars(schema_with = "class_schema")]
+    pub class: AgentClass,
+    /// The class for each text of `columns.class`.
+    #[serde(default)]
+    #[schemars(schema_with = "classes_schema")]
+    pub classes: BTreeMap<String, AgentClass>,
+    /// The place of all recordings, where no column names it; default: the name of the file. Its map is the Lanelet2
+    /// file of that name.
+    #[serde(default)]
+    pub place: Option<String>,
+    /// Times at which a track is missing are filled in if they last no longer, seconds.
+    #[serde(default = "one")]
+    #[schemars(range(min = 0.0, max = 10.0))]
+    pub max_gap_s: f64,
+}
+
+/// The names of columns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TableColumns {
+    /// The id of the agent.
+    pub track: String,
+    /// Position.
+    pub x: String,
+    /// Position.
+    pub y: String,
+    /// The time of a row; either this or `frame`.
+    #[serde(default)]
+    pub time: Option<String>,
+    /// The number of its frame.
+    #[serde(default)]
+    pub frame: Option<String>,
+    /// Heading.
+    #[serde(default)]
+    pub heading: Option<String>,
+    /// Size along the heading.
+    #[serde(default)]
+    pub length: Option<String>,
+    /// Size across the heading.
+    #[serde(default)]
+    pub width: Option<String>,
+    /// Class.
+    #[serde(default)]
+    pub class: Option<String>,
+    /// The recording, where a file has several.
+    #[serde(default)]
+    pub recording: Option<String>,
+    /// The place.
+    #[serde(default)]
+    pub place: Option<String>,
+}
+
+/// A point of an agent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PositionOf {
+    /// The center of its box.
+    #[default]
+    Center,
+    /// The middle of its front (NGSIM, SUMO).
+    Front,
+    /// The corner with the least x and y of a box along the axes, as `length` by x and `width` by y (highD).
+    Corner,
+}
+
+/// How headings are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum HeadingUnit {
+    /// Radians, from x toward y.
+    #[default]
+    Radians,
+    /// Degrees, from x toward y.
+    Degrees,
+    /// Degrees, clockwise from y, as on a compass (SUMO).
+    CompassDegrees,
+}
+
+impl TableMapping {
+    /// Refuses mappings that cannot work.
+    ///
+    /// # Errors
+    /// [`Error::Config`] names the key.
+    pub(in crate::ingest) fn validate(&self) -> Result<(), Error> {
+        let refuse =
+            |key: &str, detail: &str| Err(Error::Config { key: format!("table.{key}"), detail: detail.to_owned() });
+        let TableColumns { time, frame, length, width, class, .. } = &self.columns;
+        match (time, frame, self.frame_rate_hz) {
+            (None, None, _) => return refuse("columns", "has neither time nor frame: name the column of the time"),
+            (Some(_), Some(_), _) => return refuse("columns", "has both time and frame: name one of them"),
+            (None, Some(_), None) => return refuse("frame_rate_hz", "is missing: how many frames are a second?"),
+            (Some(_), None, Some(_)) => return refuse("frame_rate_hz", "is of columns.frame, which is not named"),
+            _ => {}
+        }
+        if length.is_some() != width.is_some() {
+            return refuse("columns", "has only one of length and width: name both or neither");
+        }
+        if self.position == PositionOf::Corner && length.is_none() {
+            return refuse("position", "is corner, which needs columns.length and columns.width");
+        }
+        if class.is_some() == self.classes.is_empty() {
+            return refuse("classes", "and columns.class belong together: name both or neither");
+        }
+        for (key, pattern) in [("files", Some(&self.files)), ("track_files", self.track_files.as_ref())] {
+            let Some(pattern) = pattern else { continue };
+            if pattern.matches('*').count() > 1 || pattern.contains('/') || pattern.is_empty() {
+                return refuse(key, "is the name of a file without its folders, with at most one *");
+            }
+        }
+        if self.track_files.as_ref() == Some(&self.files) {
+            return refuse("track_files", "is the same as files");
+        }
+        Ok(())
+    }
+}
+
+fn default_files() -> String {
+    "*.csv".to_owned()
+}
+
+const fn one() -> f64 {
+    1.0
+}
+
+const fn vehicle() -> AgentClass {
+    AgentClass::Vehicle
+}
+
+fn class_schema(_: &mut SchemaGenerator) -> Schema {
+    json_schema!({ "type": "string", "enum": AgentClass::ALL.map(AgentClass::name) })
+}
+
+fn classes_schema(_: &mut SchemaGenerator) -> Schema {
+    let class = json_schema!({ "type": "string", "enum": AgentClass::ALL.map(AgentClass::name) });
+    json_schema!({ "type": "object", "additionalProperties": class })
+}

@@ -1,0 +1,114 @@
+//! Tables in no format of their own, read as a mapping in the configuration says.
+//!
+//! A file has one recording or several, each with any number of tracks, whose rows may be in any order and at any
+//! times: they are resampled to 10 Hz. The scenes of a recording are windows of it. A map is a Lanelet2 file that has
+//! the name of the place.
+//!
+//! Reasons of rejects, of whole files:
+//!
+//! - `bad_table`: no CSV or Parquet, rows of different lengths, a cell that is no number;
+//! - `missing_column`, `missing_track`: of those that the mapping names, and of the table of tracks;
+//! - `non_finite`, `out_of_range`, `implausible_times`: a blank position or time; a size beyond 1 km; rows that are
+//!   seconds apart;
+//! - `duplicate_time`: a track is at two positions at one time;
+//! - `unknown_class`: a class that the mapping does not list;
+//! - `no_track_file`: the table of tracks is not beside the recording;
+//! - `no_rows`, `unreadable`, `too_large`, and those of [`windows`](super::windows).
+
+mod columns;
+mod mapping;
+mod resample;
+#[cfg(test)]
+mod tests;
+mod tracks;
+
+pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
+
+use super::archive::Entry;
+use super::files::{file_stem, split_of_path};
+use super::pairing::{PairNames, PairReader};
+use super::{
+    Error, Horizon, IngestConfig, MapFile, PendingScene, RawUnit, RecordingSource, Reject, UnitReader, UnitSplit,
+    lanelet2, map_id,
+};
+use crate::scene::{Dataset, MapId, Split};
+use std::io::BufRead;
+
+/// One second of past and three to come.
+const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
+
+/// Maximum size of a file, which is held in memory while it is read: ten hours of dense traffic.
+const MAX_FILE_BYTES: u64 = 4 << 30;
+
+/// Tables with a mapping.
+pub(super) struct Tables<'a> {
+    config: &'a IngestConfig,
+    mapping: &'a TableMapping,
+    horizon: Horizon,
+}
+
+impl<'a> Tables<'a> {
+    pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
+        let detail = "is missing: dataset = \"table\" needs the meaning of its columns, see configs/README.md";
+        let missing = || Error::Config { key: "table".to_owned(), detail: detail.to_owned() };
+        let mapping = config.table.as_ref().ok_or_else(missing)?;
+        Ok(Self { config, mapping, horizon: Horizon::of(config, USUAL) })
+    }
+
+    fn names(&self) -> PairNames<'a> {
+        PairNames {
+            recordings: &self.mapping.files,
+            companions: self.mapping.track_files.as_deref(),
+            max_bytes: MAX_FILE_BYTES,
+            alone: ("no_track_file", ", where ingest.table.track_files expects it"),
+        }
+    }
+}
+
+impl RecordingSource for Tables<'_> {
+    fn horizon(&self) -> Horizon {
+        self.horizon
+    }
+
+    fn is_recording(&self, path: &str) -> bool {
+        self.names().part_of(path).is_some() && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+    }
+
+    fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
+        Box::new(PairReader::new(self.names()))
+    }
+
+    fn parse(&self, mut unit: RawUnit) -> Vec<PendingScene<'_>> {
+        if unit.split == UnitSplit::All(Split::Unsplit) {
+            unit.split = UnitSplit::Divided;
+        }
+        // Files of one name in different folders are different recordings.
+        unit.case_id = unit.file.rsplit_once('.').map_or(unit.file.as_str(), |(path, _)| path).replace('/', "-");
+        let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
+        match tracks::recordings(unit, self.mapping) {
+            Ok(recordings) => {
+                recordings.into_iter().flat_map(|recording| recording.windows(self.horizon, self.config)).collect()
+            }
+            Err(reject) => rejected(reject),
+        }
+    }
+
+    fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
+        // Columns and states take about as much memory as the text.
+        unit.n_bytes() * 2
+    }
+
+    fn map_at(&self, path: &str) -> Option<MapId> {
+        let place = path.strip_suffix(".osm").map(|_| file_stem(path))?;
+        self.config.wants_place(place).then(|| map_id(Dataset::Table, place))
+    }
+
+    fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
+        let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
+        Ok(MapFile { graph, rank: 0, report })
+    }
+
+    fn place_at(&self, path: &str) -> Option<String> {
+        path.strip_suffix(".osm").map(|_| file_stem(path).to_owned())
+    }
+}

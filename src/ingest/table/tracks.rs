@@ -1,0 +1,393 @@
+//! The tracks of a table: what its rows say of each agent, at the frames of scenes.
+
+use super::columns::{Kind, Table, Texts};
+use super::mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
+use super::resample::{TimedState, resampled};
+use crate::geometry::Vec2;
+use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
+use crate::ingest::windows::Recording;
+use crate::ingest::{Finding, RawUnit, Reject};
+use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole};
+use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
+
+/// Frames are numbered as the recording's times say unless these are further from 0, such as times of day, seconds.
+const MAX_START_S: f64 = 1e6;
+/// No agent is larger, meters.
+const MAX_SIZE_M: f64 = 1e3;
+/// Rows of a track that are usually further apart are no motion, seconds.
+const MAX_USUAL_S: f64 = 1.0;
+/// Two rows of a track at one time are one if their positions are this near, meters.
+const SAME_M: f64 = 1e-6;
+
+/// The recordings of a file, in the order of their first rows.
+pub(super) fn recordings(mut unit: RawUnit, mapping: &TableMapping) -> Result<Vec<Recording>, Reject> {
+    let rows = Rows::read(&unit, mapping)?;
+    (unit.bytes, unit.companion) = (Vec::new(), None);
+    rows.groups().into_iter().map(|group| rows.recording(&unit, &group)).collect()
+}
+
+/// The rows of a file with those of its table of tracks.
+struct Rows<'a> {
+    mapping: &'a TableMapping,
+    file: String,
+    table: Table,
+    of_tracks: Option<OfTracks>,
+}
+
+/// A table with a row for each track.
+struct OfTracks {
+    file: String,
+    table: Table,
+    /// The row of each track.
+    rows: BTreeMap<String, usize>,
+}
+
+/// The rows of one recording: the row indices of each track, in the order of their first rows.
+struct Group {
+    /// Empty if the file is one recording.
+    recording: String,
+    place: Option<String>,
+    tracks: Vec<(u32, Vec<u32>)>,
+}
+
+impl<'a> Rows<'a> {
+    fn read(unit: &RawUnit, mapping: &'a TableMapping) -> Result<Self, Reject> {
+        let wanted = wanted(&mapping.columns);
+        let read = |file: &str, bytes: &[u8]| {
+            let bad = |detail| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
+            Table::read(bytes, &wanted).map_err(bad)
+        };
+        let table = read(&unit.file, &unit.bytes)?;
+        let of_tracks = match &unit.companion {
+            Some(companion) => {
+                let table = read(&companion.file, &companion.bytes)?;
+                let key = &mapping.columns.track;
+                let ids = table.text(Some(key)).ok_or_else(|| Reject {
+                    reason: "missing_column",
+                    detail: format!("{}: {}", companion.file, table.lacks(&[key])),
+                })?;
+                let row = |(row, id): (usize, &u32)| (ids.different[*id as usize].clone(), row);
+                let rows = ids.of_row.iter().enumerate().map(row).collect();
+                Some(OfTracks { file: companion.file.clone(), table, rows })
+            }
+            None => None,
+        };
+        let has = |name: &str, kind: Kind, table: &Table| match kind {
+            Kind::Number => table.number(Some(name)).is_some(),
+            Kind::Text => table.text(Some(name)).is_some(),
+        };
+        let TableColumns { track, x, y, time, frame, heading, recording, place, .. } = &mapping.columns;
+        let of_rows = [
+            Some(track),
+            Some(x),
+            Some(y),
+            time.as_ref(),
+            frame.as_ref(),
+            heading.as_ref(),
+            recording.as_ref(),
+            place.as_ref(),
+        ];
+        let is_of_rows = |name: &str| of_rows.iter().flatten().any(|of_rows| *of_rows == name);
+        let is_missing = |(name, kind): &&(&str, Kind)| {
+            let elsewhere = of_tracks.as_ref().filter(|_| !is_of_rows(name));
+            !has(name, *kind, &table) && !elsewhere.is_some_and(|of_tracks| has(name, *kind, &of_tracks.table))
+        };
+        let missing: Vec<&str> = wanted.iter().filter(is_missing).map(|(name, _)| *name).collect();
+        if !missing.is_empty() {
+            return Err(unit.reject("missing_column", table.lacks(&missing)));
+        }
+        if table.n_rows == 0 {
+            return Err(unit.reject("no_rows", "the table has no rows"));
+        }
+        Ok(Self { mapping, file: unit.file.clone(), table, of_tracks })
+    }
+
+    fn groups(&self) -> Vec<Group> {
+        let TableColumns { track, recording, place, .. } = &self.mapping.columns;
+        let texts = |name: Option<&String>| self.table.text(name.map(String::as_str));
+        let (tracks, recordings, places) = (texts(Some(track)), texts(recording.as_ref()), texts(place.as_ref()));
+        let at = |texts: Option<&Texts>, row: usize| texts.map(|texts| texts.of_row[row]);
+        let name = |texts: Option<&Texts>, id: Option<u32>| {
+            texts.zip(id).map(|(texts, id)| texts.different[id as usize].clone())
+        };
+        let mut groups: Vec<Group> = Vec::new();
+        let mut group_at = BTreeMap::new();
+        let mut track_at = BTreeMap::new();
+        for row in 0..self.table.n_rows {
+            let Some(track) = at(tracks, row) else { continue };
+            let key = (at(recordings, row), at(places, row));
+            let group = *group_at.entry(key).or_insert_with(|| {
+                let recording = name(recordings, key.0).unwrap_or_default();
+                groups.push(Group { recording, place: name(places, key.1), tracks: Vec::new() });
+                groups.len() - 1
+            });
+            let tracks = &mut groups[group].tracks;
+            let index = *track_at.entry((group, track)).or_insert_with(|| {
+                tracks.push((track, Vec::new()));
+                tracks.len() - 1
+            });
+            tracks[index].1.push(row as u32);
+        }
+        groups
+    }
+
+    fn recording(&self, unit: &RawUnit, group: &Group) -> Result<Recording, Reject> {
+        let mut unit = unit.clone();
+        if !group.recording.is_empty() {
+            unit.case_id = format!("{}:{}", unit.case_id, group.recording);
+        }
+        let own_name = || unit.case_id.clone();
+        unit.place = group.place.clone().or_else(|| self.mapping.place.clone()).unwrap_or_else(own_name);
+
+        let start_s = self.start_s(group)?;
+        let names = self.table.text(Some(&self.mapping.columns.track));
+        let mut counts = Counts::default();
+        let mut tracks = Vec::new();
+        for (id, rows) in &group.tracks {
+            let id = names.map_or("", |names| names.different[*id as usize].as_str());
+            if id.is_empty() {
+                counts.n_without_track += rows.len();
+                continue;
+            }
+            tracks.extend(self.track(id, rows, start_s, &mut counts)?);
+        }
+        let findings = counts.findings(&self.file);
+        Ok(Recording { dataset: Dataset::Table, unit, tracks, findings })
+    }
+
+    /// The time of frame 0, seconds in the unit of rows: 0, unless the recording begins far from it.
+    fn start_s(&self, group: &Group) -> Result<f64, Reject> {
+        let rows = group.tracks.iter().flat_map(|(_, rows)| rows);
+        let mut first_s = f64::INFINITY;
+        for row in rows {
+            first_s = first_s.min(self.time_s(*row as usize)?);
+        }
+        // Frames are counted from the first row, so that rows at 10 Hz stay as they are.
+        let first_frame = if first_s.abs() < MAX_START_S { (first_s / DT_S).round() } else { 0.0 };
+        Ok(first_s - first_frame * DT_S)
+    }
+
+    fn time_s(&self, row: usize) -> Result<f64, Reject> {
+        let TableColumns { time, frame, .. } = &self.mapping.columns;
+        let name = time.as_ref().or(frame.as_ref()).map_or("", String::as_str);
+        let value = self.finite(name, row)?;
+        Ok(match self.mapping.frame_rate_hz {
+            Some(rate_hz) if time.is_none() => value / rate_hz,
+            _ => value * self.mapping.time_unit_s,
+        })
+    }
+
+    /// A number that every row must have.
+    fn finite(&self, name: &str, row: usize) -> Result<f64, Reject> {
+        match self.table.number(Some(name)).map(|numbers| numbers[row]) {
+            Some(number) if number.is_finite() => Ok(number),
+            found => {
+                let found = found.map_or_else(|| "blank".to_owned(), |number| number.to_string());
+                Err(self.reject("non_finite", row, &format!("column {name} is {found}, expected a number")))
+            }
+        }
+    }
+
+    fn reject(&self, reason: &'static str, row: usize, detail: &str) -> Reject {
+        Reject { reason, detail: format!("{}, {}: {detail}", self.file, self.table.place_of(row)) }
+    }
+
+    /// The track of these rows; `None` if it is never at a frame.
+    fn track(
+        &self,
+        id: &str,
+        rows: &[u32],
+        start_s: f64,
+        counts: &mut Counts,
+    ) -> Result<Option<RecordedTrack>, Reject> {
+        let class = self.class(id, rows[0] as usize)?;
+        let extent = self.extent(id, rows)?;
+        let mut states = Vec::with_capacity(rows.len());
+        for row in rows {
+            states.push((self.state(*row as usize, extent, start_s)?, *row));
+        }
+        states.sort_by(|(a, _), (b, _)| a.time_s.total_cmp(&b.time_s));
+        for pair in states.windows(2) {
+            let ([(first, _), (again, row)], same_s) = ([pair[0], pair[1]], 1e-9);
+            if again.time_s - first.time_s < same_s && first.position.distance(again.position) > SAME_M {
+                let detail = format!(
+                    "track {id} is at two positions at one time; if the table has several recordings, name the column \
+                     that distinguishes them in ingest.table.columns.recording"
+                );
+                return Err(self.reject("duplicate_time", row as usize, &detail));
+            }
+        }
+        let n_rows = states.len();
+        states.dedup_by(|(again, _), (first, _)| again.time_s - first.time_s < 1e-9);
+        counts.n_repeated += n_rows - states.len();
+        let states: Vec<TimedState> = states.into_iter().map(|(state, _)| state).collect();
+        let gaps = Gaps::of(&states, self.mapping.max_gap_s);
+        if gaps.usual_s > MAX_USUAL_S.max(self.mapping.max_gap_s) {
+            let detail = format!(
+                "the rows of track {id} are {:.3} s apart, expected {MAX_USUAL_S} s at most; are \
+                 ingest.table.time_unit_s and frame_rate_hz right?",
+                gaps.usual_s
+            );
+            return Err(self.reject("implausible_times", rows[0] as usize, &detail));
+        }
+        counts.n_gaps += gaps.n_filled;
+        let resampled = resampled(&states, self.mapping.max_gap_s);
+        let observation = |(frame, state): &(i64, TimedState)| Observation {
+            frame: *frame,
+            position: state.position,
+            velocity: Vec2::ZERO,
+            heading_rad: state.heading_rad,
+        };
+        let mut observations: Vec<Observation> = resampled.iter().map(observation).collect();
+        // Scenes derive velocities anew; these matter for states without neighbors alone.
+        for i in 1..observations.len() {
+            let [before, now] = [observations[i - 1], observations[i]];
+            let elapsed_s = (now.frame - before.frame) as f64 * DT_S;
+            observations[i].velocity = (now.position - before.position) * (1.0 / elapsed_s);
+        }
+        if let [first, second, ..] = observations.as_mut_slice() {
+            first.velocity = second.velocity;
+        }
+        if observations.is_empty() {
+            return Ok(None);
+        }
+        let mut track = RecordedTrack::new(TrackId(id.to_owned()), class, TrackRole::Context, extent, &observations);
+        if self.mapping.position == PositionOf::Front {
+            let back_m = extent.unwrap_or_else(|| class.nominal_extent()).length_m / 2.0;
+            for (_, state, _) in &mut track.states {
+                state.position = state.position - Vec2::from_angle(state.heading_rad) * back_m;
+            }
+        }
+        Ok(Some(track))
+    }
+
+    /// Center (or front) and heading at a row.
+    fn state(&self, row: usize, extent: Option<Extent>, start_s: f64) -> Result<TimedState, Reject> {
+        let TableColumns { x, y, heading, .. } = &self.mapping.columns;
+        let time_s = self.time_s(row)? - start_s;
+        let mut position = Vec2::new(self.finite(x, row)?, self.finite(y, row)?) * self.mapping.length_unit_m;
+        if let (PositionOf::Corner, Some(Extent { length_m, width_m })) = (self.mapping.position, extent) {
+            position = position + Vec2::new(length_m, width_m) * 0.5;
+        }
+        let heading = self.table.number(heading.as_deref()).map(|headings| headings[row]);
+        let mut heading_rad = heading.filter(|heading| heading.is_finite()).map(|heading| match self.mapping.heading {
+            HeadingUnit::Radians => heading,
+            HeadingUnit::Degrees => heading.to_radians(),
+            HeadingUnit::CompassDegrees => FRAC_PI_2 - heading.to_radians(),
+        });
+        if self.mapping.y_points_down {
+            position.y = -position.y;
+            heading_rad = heading_rad.map(|heading_rad| -heading_rad);
+        }
+        Ok(TimedState { time_s, position, heading_rad })
+    }
+
+    /// The class of a track, by one of its rows or the table of tracks.
+    fn class(&self, id: &str, row: usize) -> Result<AgentClass, Reject> {
+        let name = self.mapping.columns.class.as_deref();
+        let Some(name) = name else { return Ok(self.mapping.class) };
+        let of_row = |table: &Table, row: usize| {
+            table.text(Some(name)).map(|texts| texts.different[texts.of_row[row] as usize].clone())
+        };
+        let (found, file, place) = match (of_row(&self.table, row), &self.of_tracks) {
+            (Some(found), _) => (found, self.file.clone(), self.table.place_of(row)),
+            (None, Some(of_tracks)) => {
+                let row = of_tracks.row_of(id)?;
+                let found = of_row(&of_tracks.table, row).unwrap_or_default();
+                (found, of_tracks.file.clone(), of_tracks.table.place_of(row))
+            }
+            (None, None) => (String::new(), self.file.clone(), self.table.place_of(row)),
+        };
+        self.mapping.classes.get(&found).copied().ok_or_else(|| Reject {
+            reason: "unknown_class",
+            detail: format!(
+                "{file}, {place}: column {name} is \"{found}\", which ingest.table.classes does not list; add it, as \
+                 one of {}",
+                AgentClass::ALL.map(AgentClass::name).join(", ")
+            ),
+        })
+    }
+
+    /// The size of a track: of its first row with one, or of the table of tracks.
+    fn extent(&self, id: &str, rows: &[u32]) -> Result<Option<Extent>, Reject> {
+        let TableColumns { length, width, .. } = &self.mapping.columns;
+        let Some((length, width)) = length.as_deref().zip(width.as_deref()) else { return Ok(None) };
+        let size = |table: &Table, name: &str, row: usize| {
+            let size_m = table.number(Some(name))?[row] * self.mapping.length_unit_m;
+            (size_m > 0.0).then_some(size_m)
+        };
+        let of = |table: &Table, row: usize| size(table, length, row).zip(size(table, width, row));
+        let of_rows = rows.iter().find_map(|row| of(&self.table, *row as usize));
+        let found = match (of_rows, &self.of_tracks) {
+            (None, Some(of_tracks)) if self.table.number(Some(length)).is_none() => {
+                of(&of_tracks.table, of_tracks.row_of(id)?)
+            }
+            (found, _) => found,
+        };
+        match found {
+            Some((length_m, width_m)) if length_m.max(width_m) > MAX_SIZE_M => {
+                let detail = format!("track {id} is {length_m} by {width_m} m; is ingest.table.length_unit_m right?");
+                Err(self.reject("out_of_range", rows[0] as usize, &detail))
+            }
+            found => Ok(found.map(|(length_m, width_m)| Extent { length_m, width_m })),
+        }
+    }
+}
+
+impl OfTracks {
+    fn row_of(&self, id: &str) -> Result<usize, Reject> {
+        self.rows
+            .get(id)
+            .copied()
+            .ok_or_else(|| Reject { reason: "missing_track", detail: format!("{}: no row for track {id}", self.file) })
+    }
+}
+
+/// The columns that a mapping names, with what they hold.
+fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
+    let TableColumns { track, x, y, time, frame, heading, length, width, class, recording, place } = columns;
+    let texts = [Some(track), class.as_ref(), recording.as_ref(), place.as_ref()];
+    let numbers = [Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref(), length.as_ref(), width.as_ref()];
+    let texts = texts.into_iter().flatten().map(|name| (name.as_str(), Kind::Text));
+    texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).collect()
+}
+
+/// How far the rows of a track are apart in time.
+struct Gaps {
+    usual_s: f64,
+    /// The number of longer ones that are filled in.
+    n_filled: usize,
+}
+
+impl Gaps {
+    fn of(states: &[TimedState], max_gap_s: f64) -> Self {
+        let mut gaps_s: Vec<f64> = states.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+        gaps_s.sort_by(f64::total_cmp);
+        let usual_s = gaps_s.get(gaps_s.len() / 2).copied().unwrap_or_default();
+        let n_filled = gaps_s.iter().filter(|gap_s| (1.5 * usual_s..=max_gap_s).contains(*gap_s)).count();
+        Self { usual_s, n_filled }
+    }
+}
+
+/// What is remarkable in a recording.
+#[derive(Debug, Default)]
+struct Counts {
+    n_without_track: usize,
+    n_repeated: usize,
+    n_gaps: usize,
+}
+
+impl Counts {
+    fn findings(&self, file: &str) -> Vec<Finding> {
+        let finding = |what: &'static str, n: usize, detail: &str| {
+            (n > 0).then(|| Finding { what, n: n as u64, detail: format!("{file}: {detail}") })
+        };
+        let all = [
+            finding("rows_without_track", self.n_without_track, "rows without an id are left out"),
+            finding("rows_repeated", self.n_repeated, "rows that repeat the one before are left out"),
+            finding("gaps_filled", self.n_gaps, "gaps within tracks are filled in"),
+        ];
+        all.into_iter().flatten().collect()
+    }
+}

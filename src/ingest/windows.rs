@@ -1,0 +1,156 @@
+//! The scenes of a long recording: windows of equal length, cut from its tracks.
+
+use super::config::IngestConfig;
+use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use super::recorded_track::{DT_S, RecordedTrack};
+use super::source::{Horizon, PendingScene};
+use crate::scene::{Dataset, SceneId, SceneSource, Split};
+use std::sync::Arc;
+
+/// Longest recording, 28 hours: frames further apart are a fault.
+const MAX_RECORDING_FRAMES: i64 = 1_000_000;
+
+/// The tracks of a whole recording.
+pub(super) struct Recording {
+    pub(super) dataset: Dataset,
+    /// Where they come from, without the text.
+    pub(super) unit: RawUnit,
+    pub(super) tracks: Vec<RecordedTrack>,
+    /// What is doubtful in it; reported with its first scene.
+    pub(super) findings: Vec<Finding>,
+}
+
+impl Recording {
+    /// Its windows, [`IngestConfig::window_stride`] apart, whole ones only.
+    ///
+    /// If no split is named, the last [`IngestConfig::holdout_share`] of the recording is val and the rest is train.
+    /// Windows across the cut are rejects, and so are windows without tracks.
+    pub(super) fn windows(mut self, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
+        let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
+        let Some((min_frame, max_frame)) = frames(&self.tracks) else {
+            return rejected(self.unit.reject("no_rows", "the recording has no rows"));
+        };
+        let n_frames = max_frame - min_frame + 1;
+        let (stride, n_timesteps) = (config.window_stride.max(1) as i64, horizon.n_timesteps());
+        if n_frames > MAX_RECORDING_FRAMES {
+            let detail = format!("frames {min_frame} to {max_frame}, expected at most {MAX_RECORDING_FRAMES}");
+            return rejected(self.unit.reject("frame_out_of_range", detail));
+        }
+        let n_windows = (n_frames - n_timesteps as i64).div_euclid(stride) + 1;
+        if n_windows <= 0 {
+            let detail = format!("{n_frames} frames, a scene has {n_timesteps}");
+            return rejected(self.unit.reject("recording_too_short", detail));
+        }
+
+        let n_holdout_frames = (config.holdout_share * n_frames as f64).round() as i64;
+        let first_holdout_frame = max_frame + 1 - n_holdout_frames;
+        let present = tracks_by_window(&self.tracks, min_frame, n_windows, stride, n_timesteps as i64);
+        let mut findings = std::mem::take(&mut self.findings);
+        let recording = Arc::new(self);
+        let window = |(index, present): (usize, Vec<usize>)| -> PendingScene<'static> {
+            let recording = Arc::clone(&recording);
+            let findings = if present.is_empty() { Vec::new() } else { std::mem::take(&mut findings) };
+            let first_frame = min_frame + index as i64 * stride;
+            Box::new(move || {
+                let scene = recording.window(first_frame, horizon, first_holdout_frame, present)?;
+                Ok(RawScene { findings, ..scene })
+            })
+        };
+        present.into_iter().enumerate().map(window).collect()
+    }
+
+    /// The scene that begins at `first_frame`, of the tracks that are `present`.
+    fn window(
+        &self,
+        first_frame: i64,
+        horizon: Horizon,
+        first_holdout_frame: i64,
+        present: Vec<usize>,
+    ) -> Result<RawScene, Reject> {
+        let Self { dataset, unit, .. } = self;
+        let n_timesteps = horizon.n_timesteps();
+        let end_frame = first_frame + n_timesteps as i64;
+        let reject = |reason, detail: &str| {
+            Err(unit.reject(reason, format!("frames {first_frame} to {}{detail}", end_frame - 1)))
+        };
+        let split = match unit.split {
+            UnitSplit::All(split) => split,
+            UnitSplit::Divided if end_frame <= first_holdout_frame => Split::Train,
+            UnitSplit::Divided if first_frame >= first_holdout_frame => Split::Val,
+            UnitSplit::Divided => {
+                return reject("window_across_holdout", &format!(": val begins at {first_holdout_frame}"));
+            }
+        };
+        if present.is_empty() {
+            return reject("empty_window", ": nobody is tracked");
+        }
+        let case = format!("{}@{first_frame}", unit.case_id);
+        let cut = Cut { dataset: *dataset, unit, split, case, first_frame, n_timesteps, n_history: horizon.n_history };
+        Ok(cut.scene(&self.tracks, present))
+    }
+}
+
+/// First and last frame of all tracks.
+pub(super) fn frames(tracks: &[RecordedTrack]) -> Option<(i64, i64)> {
+    tracks.iter().filter_map(RecordedTrack::frames).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+}
+
+/// The tracks whose frames reach into each window, in their order.
+fn tracks_by_window(
+    tracks: &[RecordedTrack],
+    min_frame: i64,
+    n_windows: i64,
+    stride: i64,
+    n_timesteps: i64,
+) -> Vec<Vec<usize>> {
+    let mut present = vec![Vec::new(); usize::try_from(n_windows).unwrap_or(0)];
+    for (index, track) in tracks.iter().enumerate() {
+        let Some((first, last)) = track.frames() else { continue };
+        let first_window = (first - min_frame - n_timesteps).div_euclid(stride) + 1;
+        let last_window = (last - min_frame).div_euclid(stride);
+        for window in first_window.max(0)..=last_window.min(n_windows - 1) {
+            present[window as usize].push(index);
+        }
+    }
+    present
+}
+
+/// A stretch of a unit that is a scene.
+pub(super) struct Cut<'a> {
+    pub(super) dataset: Dataset,
+    pub(super) unit: &'a RawUnit,
+    pub(super) split: Split,
+    /// The last part of the scene's id.
+    pub(super) case: String,
+    pub(super) first_frame: i64,
+    pub(super) n_timesteps: usize,
+    pub(super) n_history: usize,
+}
+
+impl Cut<'_> {
+    /// The scene with those of `tracks` at `present` that are tracked at any time in it.
+    pub(super) fn scene(self, tracks: &[RecordedTrack], present: impl IntoIterator<Item = usize>) -> RawScene {
+        let Self { dataset, unit, split, case, first_frame, n_timesteps, n_history } = self;
+        let cut = |index: usize| tracks[index].cut(first_frame, n_timesteps, n_history);
+        RawScene {
+            id: SceneId(format!("{}/{}/{}/{case}", dataset.name(), split.name(), unit.place)),
+            source: SceneSource {
+                dataset,
+                version: unit.version.to_owned(),
+                split,
+                place: unit.place.clone(),
+                file: unit.file.clone(),
+                case_id: unit.case_id.clone(),
+                first_frame: first_frame.to_string(),
+            },
+            dt_s: DT_S,
+            n_timesteps,
+            n_history,
+            tracks: present.into_iter().filter_map(cut).collect(),
+            heading_gaps: Vec::new(),
+            map_id: map_id(dataset, &unit.place),
+            own_map: None,
+            findings: Vec::new(),
+        }
+    }
+}
