@@ -31,6 +31,7 @@ mod map_catalog;
 mod map_report;
 mod map_text;
 mod one_file;
+mod opendrive;
 mod pairing;
 mod parquet_columns;
 mod places;
@@ -46,6 +47,7 @@ mod table;
 mod test_data;
 mod windows;
 mod word;
+mod xml_tree;
 
 pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};

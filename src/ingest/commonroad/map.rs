@@ -1,12 +1,12 @@
 //! The lanelets of a scenario as a lane graph.
 
-use super::xml_tree::Element;
 use crate::geometry::{Polyline, Vec2};
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::error::Malformed;
 use crate::ingest::lane_topology::connect;
 use crate::ingest::map_report::MapReport;
 use crate::ingest::plausible_lanes::{plausible, turn_around};
+use crate::ingest::xml_tree::Element;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
 use std::collections::BTreeMap;
 

@@ -7,7 +7,6 @@ mod map;
 #[cfg(test)]
 mod tests;
 mod tracks;
-mod xml_tree;
 
 use super::config::IngestConfig;
 use super::error::Error;
@@ -16,10 +15,10 @@ use super::map_text::read_text;
 use super::one_file::OneFileOneUnit;
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
+use super::xml_tree::Element;
 use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, Split};
 use std::sync::Arc;
 use tracks::Obstacle;
-use xml_tree::Element;
 
 /// One second of past and three to come, as INTERACTION has them.
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };

@@ -1,6 +1,6 @@
 //! Scenarios of both versions, whole and broken.
 
-use super::xml_tree::Element;
+use crate::ingest::xml_tree::Element;
 use crate::ingest::{Error, IngestConfig, IngestReport, ingest};
 use crate::progress::Silent;
 use crate::scene::{AgentClass, Dataset, LaneId, Scene, TurnDirection};

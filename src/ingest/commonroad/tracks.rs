@@ -1,10 +1,10 @@
 //! The obstacles of a scenario as tracks.
 
 use super::map::point;
-use super::xml_tree::Element;
 use crate::geometry::Vec2;
 use crate::ingest::error::Malformed;
 use crate::ingest::plausible_tracks::recorded_heading;
+use crate::ingest::xml_tree::Element;
 use crate::scene::{AgentClass, Extent, State, Track, TrackId, TrackRole, Trajectory};
 
 /// The longest scenario, timesteps: times further apart are a fault.

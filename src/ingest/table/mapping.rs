@@ -49,8 +49,8 @@ pub struct TableMapping {
     #[serde(default)]
     #[schemars(schema_with = "classes_schema")]
     pub classes: BTreeMap<String, AgentClass>,
-    /// The place of all recordings, where no column names it; default: the name of the file. Its map is the Lanelet2
-    /// file of that name.
+    /// The place of all recordings, where no column names it; default: the name of the file. Its map is the
+    /// Lanelet2 (`.osm`) or OpenDRIVE (`.xodr`) file of that name.
     #[serde(default)]
     pub place: Option<String>,
     /// Times at which a track is missing are filled in if they last no longer, seconds.

@@ -1,8 +1,8 @@
 //! Tables in no format of their own, read as a mapping in the configuration says.
 //!
 //! A file has one recording or several, each with any number of tracks, whose rows may be in any order and at any
-//! times: they are resampled to 10 Hz. The scenes of a recording are windows of it. A map is a Lanelet2 file that has
-//! the name of the place.
+//! times: they are resampled to 10 Hz. The scenes of a recording are windows of it. A map is a file in Lanelet2 or
+//! OpenDRIVE that has the name of the place.
 //!
 //! Reasons of rejects, of whole files:
 //!
@@ -29,7 +29,7 @@ use super::files::{file_stem, split_of_path};
 use super::pairing::{PairNames, PairReader};
 use super::{
     Error, Horizon, IngestConfig, MapFile, PendingScene, RawUnit, RecordingSource, Reject, UnitReader, UnitSplit,
-    lanelet2, map_id,
+    lanelet2, map_id, opendrive,
 };
 use crate::scene::{Dataset, MapId, Split};
 use std::io::BufRead;
@@ -99,16 +99,23 @@ impl RecordingSource for Tables<'_> {
     }
 
     fn map_at(&self, path: &str) -> Option<MapId> {
-        let place = path.strip_suffix(".osm").map(|_| file_stem(path))?;
+        let place = place_of_map(path)?;
         self.config.wants_place(place).then(|| map_id(Dataset::Table, place))
     }
 
     fn read_map(&self, entry: &Entry, reader: &mut dyn BufRead) -> Result<MapFile, Error> {
-        let (graph, report) = lanelet2::read_map(reader, &entry.path)?;
-        Ok(MapFile { graph, rank: 0, report })
+        let is_opendrive = entry.path.ends_with(".xodr");
+        let read = if is_opendrive { opendrive::read_map } else { lanelet2::read_map };
+        let (graph, report) = read(reader, &entry.path)?;
+        Ok(MapFile { graph, rank: u8::from(is_opendrive), report })
     }
 
     fn place_at(&self, path: &str) -> Option<String> {
-        path.strip_suffix(".osm").map(|_| file_stem(path).to_owned())
+        place_of_map(path).map(str::to_owned)
     }
+}
+
+/// The place that a map is named for.
+fn place_of_map(path: &str) -> Option<&str> {
+    [".osm", ".xodr"].iter().any(|suffix| path.ends_with(suffix)).then(|| file_stem(path))
 }

@@ -1,6 +1,6 @@
 //! An XML document as a tree of elements.
 
-use crate::ingest::error::Malformed;
+use super::error::Malformed;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
@@ -43,9 +43,9 @@ impl Element {
                     }
                     None
                 }
-                // Entities could grow without bound, and no scenario has any.
+                // Entities could grow without bound, and no file of these formats has any.
                 Event::DocType(_) => {
-                    return Err(within("a document type declaration, which scenarios never have".into()));
+                    return Err(within("a document type declaration, which these formats never have".into()));
                 }
                 Event::Eof => break,
                 _ => None,
@@ -99,6 +99,16 @@ impl Element {
         let text = self.attribute(name).unwrap_or_default();
         let expected = || format!("<{}> has {name} \"{text}\", expected a whole number", self.name);
         text.trim().parse().map_err(|_| expected().into())
+    }
+
+    /// The finite number of an attribute; `default` if it is not there.
+    pub(super) fn float(&self, name: &str, default: Option<f64>) -> Result<f64, Malformed> {
+        let text = self.attribute(name);
+        let value = text.map_or(default, |text| text.trim().parse().ok()).filter(|value: &f64| value.is_finite());
+        value.ok_or_else(|| {
+            let found = text.map_or_else(|| format!("no {name}"), |text| format!("{name} \"{text}\""));
+            format!("<{}> has {found}, expected a number", self.name).into()
+        })
     }
 
     /// Its text.

@@ -1,0 +1,39 @@
+//! The piecewise cubic functions of a road: widths and offsets of lanes.
+
+use crate::ingest::error::Malformed;
+use crate::ingest::xml_tree::Element;
+
+/// a + b d + c d² + d d³ of the distance d from `start_m`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Cubic {
+    pub(super) start_m: f64,
+    pub(super) coefficients: [f64; 4],
+}
+
+impl Cubic {
+    /// The function of an element, whose distance stands in the attribute `start`.
+    pub(super) fn of(element: &Element, start: &str) -> Result<Self, Malformed> {
+        let mut coefficients = [0.0; 4];
+        for (coefficient, name) in coefficients.iter_mut().zip(["a", "b", "c", "d"]) {
+            *coefficient = element.float(name, Some(0.0))?;
+        }
+        Ok(Self { start_m: element.float(start, Some(0.0))?, coefficients })
+    }
+}
+
+/// a + b x + c x² + d x³.
+pub(super) fn cubic([a, b, c, d]: [f64; 4], x: f64) -> f64 {
+    a + x * (b + x * (c + x * d))
+}
+
+/// The slope of the same.
+pub(super) fn cubic_slope([_, b, c, d]: [f64; 4], x: f64) -> f64 {
+    b + x * (2.0 * c + x * 3.0 * d)
+}
+
+/// The value at `s_m` of functions by ascending start: that of the last one that has begun; before the first, 0.
+pub(super) fn value_at(functions: &[Cubic], s_m: f64) -> f64 {
+    let n_begun = functions.partition_point(|function| function.start_m <= s_m);
+    let begun = n_begun.checked_sub(1).and_then(|last| functions.get(last));
+    begun.map_or(0.0, |function| cubic(function.coefficients, s_m - function.start_m))
+}

@@ -1,0 +1,185 @@
+//! Reads maps in OpenDRIVE 1.4 to 1.8: roads with reference lines, lane sections and lanes.
+//!
+//! Lanes on which motor vehicles drive become lanes, one for each section. They are numbered in the order of the file,
+//! and have the road and the lane in their tags. Elevation, superelevation, shapes of the surface and objects are not
+//! read. Coordinates are those of the file; an offset in its header is not applied.
+
+mod cubic;
+mod links;
+mod outline;
+mod plan_view;
+mod road;
+#[cfg(test)]
+mod tests;
+
+use super::assemble::MAX_COORDINATE_M;
+use super::error::{Error, Malformed};
+use super::lane_topology::connect;
+use super::map_report::MapReport;
+use super::map_text::read_text;
+use super::plausible_lanes::plausible;
+use super::xml_tree::Element;
+use crate::geometry::{Vec2, angle_difference};
+use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
+use links::{Connection, LaneKey, touching};
+use road::{Road, RoadLane};
+use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_6;
+use std::io::BufRead;
+
+/// Maximum size of a map; towns have some megabytes.
+const MAX_MAP_BYTES: u64 = 256 << 20;
+/// Maximum number of points in the edges of all lanes.
+const MAX_POINTS: usize = 10_000_000;
+/// Longest road, meters: the size of a file does not bound it.
+const MAX_ROAD_M: f64 = 1e5;
+
+/// Reads a map: its vehicle lanes, and a report of its defects. Roads that cannot be read are left out and reported.
+///
+/// # Errors
+/// [`Error::Map`], naming `file`, when the document is no OpenDRIVE, is beyond all bounds, or when no lane remains.
+pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
+    let error = |what: Malformed| Error::map(file, "", what);
+    let text = read_text(reader, MAX_MAP_BYTES, file)?;
+    let root = Element::parse(&text).map_err(error)?;
+    if root.name != "OpenDRIVE" {
+        return Err(error(format!("begins with <{}>, expected <OpenDRIVE>", root.name).into()));
+    }
+    let mut report = MapReport::default();
+    if let Some(offset) = root.find(&["header", "offset"]) {
+        let at = ["x", "y"].map(|name| offset.attribute(name).unwrap_or("0"));
+        if at.iter().any(|at| at.parse() != Ok(0.0)) {
+            report.warn("map_offsets_ignored", format!("the header has an offset of ({}, {}) m", at[0], at[1]));
+        }
+    }
+    let mut roads = Vec::new();
+    for element in root.all("road") {
+        match Road::of(element).and_then(checked) {
+            Ok(road) => roads.push(road),
+            Err(what) => {
+                let name = element.attribute("id").unwrap_or("without id");
+                report.warn("broken_roads", format!("road {name}: {what}"));
+            }
+        }
+    }
+    let mut connections = Vec::new();
+    for junction in root.all("junction") {
+        match Connection::all(junction) {
+            Ok(found) => connections.extend(found),
+            Err(what) => {
+                let name = junction.attribute("id").unwrap_or("without id");
+                report.warn("broken_junctions", format!("junction {name}: {what}"));
+            }
+        }
+    }
+    let lanes = lanes(&roads, &connections, &mut report).map_err(error)?;
+    let lanes = plausible(lanes, &mut report);
+    if lanes.is_empty() {
+        let detail = format!("has no vehicle lane on {} roads; {}", roads.len(), report.summary());
+        return Err(error(detail.into()));
+    }
+    report.n_lanes = lanes.len() as u64;
+    Ok((connect(lanes), report))
+}
+
+fn checked(road: Road) -> Result<Road, Malformed> {
+    match road.length_m {
+        length_m if (0.0..=MAX_ROAD_M).contains(&length_m) => Ok(road),
+        length_m => Err(format!("is {length_m} m long, expected at most {MAX_ROAD_M}").into()),
+    }
+}
+
+fn lanes(roads: &[Road], connections: &[Connection], report: &mut MapReport) -> Result<Vec<Lane>, Malformed> {
+    let mut lanes: Vec<Lane> = Vec::new();
+    let mut index_of: BTreeMap<LaneKey, usize> = BTreeMap::new();
+    let mut n_points = 0;
+    for (road_idx, road) in roads.iter().enumerate() {
+        for section_idx in 0..road.sections.len() {
+            let Some(edges) = outline::edges(road, section_idx) else { continue };
+            let of_section = &road.sections[section_idx].lanes;
+            let first = lanes.len();
+            for (lane, edges) in of_section.iter().zip(edges) {
+                report.n_lanelets += 1;
+                if !lane.is_drivable() {
+                    report.n_not_drivable += 1;
+                    continue;
+                }
+                let mut outline = edges.in_direction(is_along(road, lane));
+                outline.iter_mut().for_each(|line| line.0.dedup());
+                let [center, left, right] = outline;
+                n_points += 3 * center.0.len();
+                if n_points > MAX_POINTS {
+                    return Err(format!("its lanes have more than {MAX_POINTS} points together").into());
+                }
+                let is_beyond =
+                    |point: &Vec2| !point.is_finite() || point.x.abs().max(point.y.abs()) > MAX_COORDINATE_M;
+                if center.0.iter().any(is_beyond) {
+                    let detail = format!("road {}, lane {}: lies beyond {MAX_COORDINATE_M} m", road.id, lane.id);
+                    report.warn("broken_lanes", detail);
+                    continue;
+                }
+                index_of.insert((road_idx, section_idx, lane.id), lanes.len());
+                let attributes = attributes(road, lane, &center.0);
+                let id = lanes.len() as i64 + 1;
+                lanes.push(Lane { attributes: attributes.into(), ..Lane::unconnected(id, center, [left, right]) });
+            }
+            let neighbor = |place: Option<usize>| {
+                let lane = of_section.get(place?)?;
+                index_of.get(&(road_idx, section_idx, lane.id)).map(|index| LaneId(*index as i64 + 1))
+            };
+            for (place, lane) in of_section.iter().enumerate() {
+                let Some(index) = index_of.get(&(road_idx, section_idx, lane.id)).filter(|index| **index >= first)
+                else {
+                    continue;
+                };
+                let [on_left, on_right] = [neighbor(place.checked_sub(1)), neighbor(Some(place + 1))];
+                let [left, right] = if is_along(road, lane) { [on_left, on_right] } else { [on_right, on_left] };
+                (lanes[*index].left_neighbor, lanes[*index].right_neighbor) = (left, right);
+            }
+        }
+    }
+    for ends in touching(roads, connections) {
+        let found = ends.map(|((road, section, lane), end)| {
+            let index = *index_of.get(&(road, section, lane))?;
+            let of_section = &roads[road].sections.get(section)?.lanes;
+            let lane = of_section.iter().find(|found| found.id == lane)?;
+            Some((index, (end == 1) == is_along(&roads[road], lane)))
+        });
+        let [Some((one, one_ends)), Some((other, other_ends))] = found else { continue };
+        let (from, to) = if one_ends { (one, other) } else { (other, one) };
+        if one_ends == other_ends {
+            let [one, other] = [one, other].map(|index| lanes[index].id.0);
+            report.warn("lane_links_against_traffic", format!("lanes {one} and {other} meet head on"));
+            continue;
+        }
+        let id = lanes[to].id;
+        lanes[from].successors.push(id);
+    }
+    Ok(lanes)
+}
+
+/// Whether traffic on a lane runs in the direction of its road.
+const fn is_along(road: &Road, lane: &RoadLane) -> bool {
+    (lane.id < 0) != road.is_left_hand
+}
+
+fn attributes(road: &Road, lane: &RoadLane, center: &[Vec2]) -> LaneAttributes {
+    let direction = |pair: &[Vec2]| (pair[1] - pair[0]).angle();
+    let ends = center.windows(2).next().zip(center.windows(2).last());
+    let turned_rad = ends.map_or(0.0, |(first, last)| angle_difference(direction(last), direction(first)));
+    let is_intersection = road.junction.is_some();
+    let mut tags = BTreeMap::from([("road".to_owned(), road.id.clone()), ("lane".to_owned(), lane.id.to_string())]);
+    tags.extend(road.speed_limit_mps.clone().map(|limit| ("speed_limit_mps".to_owned(), limit)));
+    LaneAttributes {
+        kind: lane.kind.clone(),
+        turn: match turned_rad {
+            turned_rad if !is_intersection || turned_rad.abs() < FRAC_PI_6 => TurnDirection::None,
+            turned_rad if turned_rad > 0.0 => TurnDirection::Left,
+            _ => TurnDirection::Right,
+        },
+        is_intersection,
+        has_traffic_control: false,
+        one_way: !lane.is_both_ways(),
+        tags,
+    }
+}

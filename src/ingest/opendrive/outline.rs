@@ -1,0 +1,106 @@
+//! The edges of lanes as points.
+
+use super::cubic::value_at;
+use super::plan_view::pose_at;
+use super::road::{Road, RoadLane};
+use crate::geometry::{Polyline, Vec2, angle_difference};
+
+/// Points are at most this far apart along the road, meters, and as near as a bend needs for an error of millimeters.
+const MAX_STEP_M: f64 = 2.0;
+const MIN_STEP_M: f64 = 0.1;
+const MAX_ERROR_M: f64 = 0.005;
+/// Between two distances that are nearer, meters, there is no room for a lane.
+const SAME_M: f64 = 1e-6;
+
+/// The edges of each lane of a section, from left to right in the direction of the road: the left edge of the first,
+/// the right one of the first, … Points of all edges belong together. `None` if the section has no length.
+pub(super) fn edges(road: &Road, section: usize) -> Option<Vec<Edges>> {
+    let [start_m, end_m] = road.range_of(section);
+    let distances_m = distances(road, section, [start_m, end_m])?;
+    let lanes = &road.sections[section].lanes;
+    let mut edges: Vec<Edges> = lanes.iter().map(|_| Edges::default()).collect();
+    for s_m in distances_m {
+        let (at, heading_rad) = pose_at(&road.plan_view, s_m)?;
+        let aside = Vec2::new(-heading_rad.sin(), heading_rad.cos());
+        let center_m = value_at(&road.lane_offset, s_m);
+        let mut place = |index: usize, [left_m, right_m]: [f64; 2]| {
+            let point = |t_m: f64| at + aside * (center_m + t_m);
+            edges[index].left.0.push(point(left_m));
+            edges[index].right.0.push(point(right_m));
+        };
+        let mut outward_m = 0.0;
+        for (index, lane) in lanes.iter().enumerate().rev().filter(|(_, lane)| lane.id > 0) {
+            let inner_m = outward_m;
+            outward_m = outer_m(lane, s_m - start_m, inner_m, 1.0);
+            place(index, [outward_m, inner_m]);
+        }
+        outward_m = 0.0;
+        for (index, lane) in lanes.iter().enumerate().filter(|(_, lane)| lane.id < 0) {
+            let inner_m = outward_m;
+            outward_m = outer_m(lane, s_m - start_m, inner_m, -1.0);
+            place(index, [inner_m, outward_m]);
+        }
+    }
+    Some(edges)
+}
+
+/// The edges of a lane, left and right in the direction of the road.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Edges {
+    pub(super) left: Polyline,
+    pub(super) right: Polyline,
+}
+
+impl Edges {
+    /// Center, left and right edge in the direction of traffic.
+    pub(super) fn in_direction(self, is_along: bool) -> [Polyline; 3] {
+        let Self { mut left, mut right } = self;
+        if !is_along {
+            left.0.reverse();
+            right.0.reverse();
+            (left, right) = (right, left);
+        }
+        let center = left.0.iter().zip(&right.0).map(|(left, right)| left.lerp(*right, 0.5)).collect();
+        [Polyline(center), left, right]
+    }
+}
+
+/// The offset of the outer edge of a lane, whose side is 1 on the left.
+fn outer_m(lane: &RoadLane, along_m: f64, inner_m: f64, side: f64) -> f64 {
+    if lane.widths.is_empty() && !lane.borders.is_empty() {
+        return value_at(&lane.borders, along_m);
+    }
+    inner_m + side * value_at(&lane.widths, along_m).max(0.0)
+}
+
+/// The distances along a road at which the edges of a section have points.
+fn distances(road: &Road, section: usize, [start_m, end_m]: [f64; 2]) -> Option<Vec<f64>> {
+    if end_m - start_m < SAME_M {
+        return None;
+    }
+    let lanes = &road.sections[section].lanes;
+    let of_lanes =
+        lanes.iter().flat_map(|lane| lane.widths.iter().chain(&lane.borders)).map(|cubic| cubic.start_m + start_m);
+    let of_road =
+        road.plan_view.iter().map(|piece| piece.start_m).chain(road.lane_offset.iter().map(|cubic| cubic.start_m));
+    let within = of_lanes.chain(of_road).filter(|s_m| *s_m > start_m + SAME_M && *s_m < end_m - SAME_M);
+    let mut knots_m: Vec<f64> = within.chain([start_m, end_m]).collect();
+    knots_m.sort_by(f64::total_cmp);
+    knots_m.dedup_by(|a, b| (*a - *b).abs() < SAME_M);
+    let mut distances_m = vec![start_m];
+    for pair in knots_m.windows(2) {
+        let [from_m, to_m] = [pair[0], pair[1]];
+        // The largest curvature at a few places, of which every lane is within a road's width.
+        let heading =
+            |share: f64| pose_at(&road.plan_view, from_m + share * (to_m - from_m) * 0.999).map(|pose| pose.1);
+        let turns = [0.0, 0.25, 0.5, 0.75].map(|share| {
+            let turned_rad = heading(share).zip(heading(share + 0.25)).map(|(a, b)| angle_difference(b, a).abs());
+            turned_rad.unwrap_or_default() / (0.25 * (to_m - from_m))
+        });
+        let curvature_per_m = turns.into_iter().fold(0.0, f64::max);
+        let step_m = (8.0 * MAX_ERROR_M / curvature_per_m).sqrt().clamp(MIN_STEP_M, MAX_STEP_M);
+        let n_steps = ((to_m - from_m) / step_m).ceil().max(1.0);
+        distances_m.extend((1..=n_steps as usize).map(|step| from_m + (to_m - from_m) * step as f64 / n_steps));
+    }
+    Some(distances_m)
+}

@@ -1,0 +1,155 @@
+//! From a document to lanes.
+
+use super::*;
+
+fn road(id: &str, more: &str, plan_view: &str, sections: &str) -> String {
+    format!(
+        "<road id='{id}' length='100' {more}>{}<planView>{plan_view}</planView><lanes>{sections}</lanes></road>",
+        if more.contains("junction='7'") { "" } else { "<type s='0' type='town'><speed max='36' unit='km/h'/></type>" }
+    )
+}
+
+fn read(body: &str) -> (LaneGraph, MapReport) {
+    let text = format!("<OpenDRIVE><header revMajor='1' revMinor='6'/>{body}</OpenDRIVE>");
+    read_map(&mut text.as_bytes(), "a.xodr").unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn lane(id: i64, kind: &str, width: &str, link: &str) -> String {
+    format!("<lane id='{id}' type='{kind}'><link>{link}</link>{width}</lane>")
+}
+
+const STRAIGHT: &str = "<geometry s='0' x='0' y='0' hdg='0' length='100'><line/></geometry>";
+const WIDE: &str = "<width sOffset='0' a='3' b='0' c='0' d='0'/>";
+
+/// One lane against the road, two along it, and a sidewalk.
+fn two_way() -> String {
+    format!(
+        "<laneSection s='0'><left>{}</left><center><lane id='0' type='none'/></center><right>{}{}{}</right></laneSection>",
+        lane(1, "driving", WIDE, ""),
+        lane(-1, "driving", WIDE, ""),
+        lane(-2, "driving", "<width sOffset='0' a='2' b='0.02' c='0' d='0'/>", ""),
+        lane(-3, "sidewalk", WIDE, ""),
+    )
+}
+
+fn by_lane<'g>(graph: &'g LaneGraph, road: &str, lane: &str) -> Vec<&'g Lane> {
+    let is_it = |found: &&Lane| found.attributes.tags["road"] == road && found.attributes.tags["lane"] == lane;
+    graph.lanes().iter().filter(is_it).collect()
+}
+
+#[test]
+fn lanes_lie_where_widths_put_them_and_run_with_traffic() {
+    let (graph, report) = read(&road("1", "junction='-1'", STRAIGHT, &two_way()));
+    assert_eq!((graph.lanes().len(), report.n_lanelets, report.n_not_drivable), (3, 4, 1));
+    let [against, inner, outer] = ["1", "-1", "-2"].map(|lane| by_lane(&graph, "1", lane)[0]);
+    let ends = |lane: &Lane| [lane.centerline.0[0], *lane.centerline.0.last().unwrap()].map(|point| (point.x, point.y));
+    assert_eq!(ends(against), [(100.0, 1.5), (0.0, 1.5)]);
+    assert_eq!(ends(inner), [(0.0, -1.5), (100.0, -1.5)]);
+    // 2 m wide at the start, 4 m at the end.
+    assert_eq!(ends(outer), [(0.0, -4.0), (100.0, -5.0)]);
+    assert_eq!((inner.left_neighbor, inner.right_neighbor), (None, Some(outer.id)));
+    assert_eq!((outer.left_neighbor, outer.right_neighbor), (Some(inner.id), None));
+    assert_eq!(inner.attributes.tags["opposite_left_neighbor"], against.id.0.to_string());
+    assert_eq!((inner.attributes.tags["speed_limit_mps"].as_str(), inner.attributes.one_way), ("10", true));
+    assert_eq!((against.left.0[0].y, against.right.0[0].y), (0.0, 3.0));
+    let (left_hand, _) = read(&road("1", "rule='LHT'", STRAIGHT, &two_way()));
+    assert_eq!(ends(by_lane(&left_hand, "1", "1")[0]), [(0.0, 1.5), (100.0, 1.5)]);
+}
+
+#[test]
+fn bends_are_followed_to_millimeters() {
+    // A circle of radius 20 to the left around (0, 20), with an offset of the lanes by 1 m to the left.
+    let arc = "<geometry s='0' x='0' y='0' hdg='0' length='100'><arc curvature='0.05'/></geometry>";
+    let sections = format!("<laneOffset s='0' a='1' b='0' c='0' d='0'/>{}", two_way());
+    let (graph, _) = read(&road("1", "", arc, &sections));
+    for (lane, radius_m) in [("1", 17.5), ("-1", 20.5)] {
+        let lane = by_lane(&graph, "1", lane)[0];
+        for pair in lane.centerline.0.windows(2) {
+            for point in [pair[0], pair[0].lerp(pair[1], 0.5)] {
+                assert!((point.distance(Vec2::new(0.0, 20.0)) - radius_m).abs() < 0.01, "{point:?}");
+            }
+        }
+        assert!(lane.centerline.0.len() > 100, "{}", lane.centerline.0.len());
+    }
+}
+
+#[test]
+fn sections_roads_and_junctions_connect_lanes() {
+    let section = |s: f64, links: [&str; 2]| {
+        format!(
+            "<laneSection s='{s}'><left>{}</left><right>{}</right></laneSection>",
+            lane(1, "driving", WIDE, links[0]),
+            lane(-1, "driving", WIDE, links[1])
+        )
+    };
+    let [next, before, both] =
+        ["<successor id='{}'/>", "<predecessor id='{}'/>", "<predecessor id='{}'/><successor id='{}'/>"];
+    let of = |link: &str, id: i64| link.replace("{}", &id.to_string());
+    let shifted = |x: f64| STRAIGHT.replace("x='0'", &format!("x='{x}'"));
+    // Road 1 with two sections, then road 2 that is drawn the other way, then a junction with a turn to road 4.
+    let body = [
+        road(
+            "1",
+            "",
+            STRAIGHT,
+            &(section(0.0, [&of(next, 1), &of(next, -1)]) + &section(40.0, [&of(both, 1).replace("<successor id='1'", "<successor id='-1'"), &of(both, -1).replace("<successor id='-1'", "<successor id='1'")])),
+        )
+        .replace("<planView>", "<link><successor elementType='road' elementId='2' contactPoint='end'/></link><planView>"),
+        road("2", "", &STRAIGHT.replace("x='0' y='0' hdg='0'", "x='200' y='0' hdg='3.141592653589793'"), &section(0.0, ["", ""]))
+            .replace("<planView>", "<link><predecessor elementType='junction' elementId='7'/></link><planView>"),
+        road("3", "junction='7'", "<geometry s='0' x='200' y='0' hdg='0' length='100'><arc curvature='0.0157'/></geometry>",
+            &format!("<laneSection s='0'><right>{}</right></laneSection>", lane(-1, "driving", WIDE, &(of(before, 1) + &of(next, -1)))))
+            .replace("<planView>", "<link><predecessor elementType='road' elementId='2' contactPoint='start'/><successor elementType='road' elementId='4' contactPoint='start'/></link><planView>"),
+        road("4", "", &shifted(400.0), &section(0.0, ["", ""])),
+        "<junction id='7'><connection id='0' incomingRoad='2' connectingRoad='3' contactPoint='start'><laneLink from='1' to='-1'/></connection></junction>".to_owned(),
+    ]
+    .concat();
+    let (graph, _) = read(&body);
+    let successors = |road: &str, lane: &str| -> Vec<Vec<String>> {
+        let name = |id: &LaneId| {
+            let tags = &graph.get(*id).unwrap().attributes.tags;
+            format!("{}:{}", tags["road"], tags["lane"])
+        };
+        by_lane(&graph, road, lane).iter().map(|lane| lane.successors.iter().map(name).collect()).collect()
+    };
+    // Along: both sections of road 1, then the left lane of road 2, which runs the other way, the junction, road 4.
+    assert_eq!(successors("1", "-1"), [["1:-1"], ["2:1"]]);
+    assert_eq!(successors("2", "1"), [["3:-1"]]);
+    assert_eq!(successors("3", "-1"), [["4:-1"]]);
+    // Back: road 2 into road 1.
+    assert_eq!(successors("2", "-1"), [["1:1"]]);
+    assert_eq!(successors("1", "1"), [vec![], vec!["1:1".to_owned()]]);
+    let turn = by_lane(&graph, "3", "-1")[0];
+    assert_eq!((turn.attributes.turn, turn.attributes.is_intersection), (TurnDirection::Left, true));
+}
+
+#[test]
+fn broken_parts_are_reported_and_the_rest_is_read() {
+    let good = road("1", "", STRAIGHT, &two_way());
+    for (bad, expected) in [
+        (good.replace("<line/>", "<helix/>"), "road 1: <geometry> holds <helix>"),
+        (good.replace("length='100' >", "length='1e9' >"), "road 1: is 1000000000 m long"),
+        (good.replace("id='-1'", "id='one'"), "road 1: <lane> has id \"one\", expected a whole number"),
+        (good.replace("id='-2'", "id='-1'"), "road 1: has lane -1 twice"),
+        (road("1", "", "", &two_way()), "road 1: has no geometry"),
+        (
+            "<junction id='7'><connection incomingRoad='1' connectingRoad='2'><laneLink from='x'/></connection></junction>"
+                .to_owned(),
+            "junction 7: <laneLink> has from \"x\"",
+        ),
+        ("<header><offset x='3' y='0'/></header>".to_owned(), ""),
+    ] {
+        let other = good.replace("id='1' length", "id='9' length");
+        let (graph, report) = read(&(bad + &other));
+        let found = format!("{:?}", report.findings("a.xodr"));
+        assert!(found.contains(&expected.replace('"', "\\\"")) && !by_lane(&graph, "9", "-1").is_empty(), "{found}");
+    }
+    for (text, expected) in [
+        ("<OpenDRIVE/>", "has no vehicle lane on 0 roads"),
+        ("<osm/>", "begins with <osm>, expected <OpenDRIVE>"),
+        ("<OpenDRIVE>", "ends within <OpenDRIVE>"),
+    ] {
+        let error = read_map(&mut text.as_bytes(), "a.xodr").unwrap_err().to_string();
+        assert!(error.contains("a.xodr") && error.contains(expected), "{error}");
+    }
+}
