@@ -20,6 +20,8 @@ pub(super) const PARAMETERS: &[&str] = &["duration_s", "mean_speed_mps", "path_m
 /// A vehicle drives against a lane if it points opposite to it within this, radians.
 const OPPOSITE_RAD: f64 = FRAC_PI_4;
 
+/// The vehicle drives forward at least this fast, m/s: who maneuvers is slower.
+const MIN_SPEED_MPS: f64 = 2.0;
 /// A time that is too short, but at least this part of the least one, is a hard negative (0.5 of 1.5 s).
 const NEGATIVE_PART: f64 = 3.0;
 
@@ -30,14 +32,11 @@ pub struct WrongWayConfig {
     /// How long this lasts without a break, from the first to the last timestep, seconds. Default 1.5.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_duration_s: f64,
-    /// The vehicle drives forward at least this fast, m/s. Default 2: who maneuvers is slower.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for WrongWayConfig {
     fn default() -> Self {
-        Self { min_duration_s: 1.5, min_speed_mps: 2.0 }
+        Self { min_duration_s: 1.5 }
     }
 }
 
@@ -69,9 +68,9 @@ impl WrongWay {
         Self { config }
     }
 
-    fn is_against(&self, lanes: &SceneLanes<'_>, state: &State) -> bool {
+    fn is_against(lanes: &SceneLanes<'_>, state: &State) -> bool {
         let is_opposite = |lane_rad: f64| angle_difference(lane_rad, state.heading_rad).abs() > PI - OPPOSITE_RAD;
-        if state.velocity.dot(Vec2::from_angle(state.heading_rad)) < self.config.min_speed_mps {
+        if state.velocity.dot(Vec2::from_angle(state.heading_rad)) < MIN_SPEED_MPS {
             return false;
         }
         let mut own = lanes.lanes_at(state.position).peekable();
@@ -79,9 +78,9 @@ impl WrongWay {
     }
 
     /// The longest run of timesteps at which an agent drives against its lane.
-    fn longest(&self, lanes: &SceneLanes<'_>, track: &Track) -> Option<RangeInclusive<usize>> {
+    fn longest(lanes: &SceneLanes<'_>, track: &Track) -> Option<RangeInclusive<usize>> {
         let states = track.trajectory.valid().filter(|(_, state)| state.is_finite());
-        let against = states.filter(|(_, state)| self.is_against(lanes, state)).map(|(timestep, _)| timestep);
+        let against = states.filter(|(_, state)| Self::is_against(lanes, state)).map(|(timestep, _)| timestep);
         let mut runs: Vec<RangeInclusive<usize>> = Vec::new();
         for timestep in against {
             match runs.last_mut() {
@@ -95,7 +94,7 @@ impl WrongWay {
 
     fn event(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<BehaviorEvent> {
         let track = &scene.tracks[agent_idx];
-        let run = self.longest(lanes, track)?;
+        let run = Self::longest(lanes, track)?;
         let duration_s = (run.end() - run.start()) as f64 * scene.dt_s;
         let lasts = |least_s: f64| duration_s >= least_s - 1e-9;
         let label = match lasts(self.config.min_duration_s) {

@@ -100,7 +100,7 @@ mod tests {
             }
             let states = Tensor::from_vec(states, traffic.states.shape(), traffic.states.device()).unwrap();
             traffic.states = Var::from_tensor(&states).unwrap();
-            traffic.potential(&SlipLimit { limit_rad: 0.01, ..objective() })[0]
+            traffic.potential(&SlipLimit { limit_rad: 0.01 })[0]
         };
         assert!(about(1.5) == 0.0 && about(-1.5) == 0.0 && about(6.0) < 0.0);
         // A turn that leads all the way around is none.
