@@ -102,5 +102,9 @@ fn distances(road: &Road, section: usize, [start_m, end_m]: [f64; 2]) -> Option<
         let n_steps = ((to_m - from_m) / step_m).ceil().max(1.0);
         distances_m.extend((1..=n_steps as usize).map(|step| from_m + (to_m - from_m) * step as f64 / n_steps));
     }
+    // Where the next section begins, the lanes may be shifted by a new offset, which is none of this section.
+    if let Some(last_m) = distances_m.last_mut() {
+        *last_m -= SAME_M;
+    }
     Some(distances_m)
 }

@@ -42,7 +42,8 @@ fn lanes_lie_where_widths_put_them_and_run_with_traffic() {
     let (graph, report) = read(&road("1", "junction='-1'", STRAIGHT, &two_way()));
     assert_eq!((graph.lanes().len(), report.n_lanelets, report.n_not_drivable), (3, 4, 1));
     let [against, inner, outer] = ["1", "-1", "-2"].map(|lane| by_lane(&graph, "1", lane)[0]);
-    let ends = |lane: &Lane| [lane.centerline.0[0], *lane.centerline.0.last().unwrap()].map(|point| (point.x, point.y));
+    let rounded = |point: Vec2| ((point.x * 1e3).round() / 1e3, (point.y * 1e3).round() / 1e3);
+    let ends = |lane: &Lane| [lane.centerline.0[0], *lane.centerline.0.last().unwrap()].map(rounded);
     assert_eq!(ends(against), [(100.0, 1.5), (0.0, 1.5)]);
     assert_eq!(ends(inner), [(0.0, -1.5), (100.0, -1.5)]);
     // 2 m wide at the start, 4 m at the end.
@@ -54,6 +55,19 @@ fn lanes_lie_where_widths_put_them_and_run_with_traffic() {
     assert_eq!((against.left.0[0].y, against.right.0[0].y), (0.0, 3.0));
     let (left_hand, _) = read(&road("1", "rule='LHT'", STRAIGHT, &two_way()));
     assert_eq!(ends(by_lane(&left_hand, "1", "1")[0]), [(0.0, 1.5), (100.0, 1.5)]);
+}
+
+#[test]
+fn lanes_end_where_they_are_before_the_next_section_shifts_them() {
+    let [first, second] = [two_way(), two_way().replace("<laneSection s='0'>", "<laneSection s='60'>")];
+    let offsets = "<laneOffset s='0' a='1'/><laneOffset s='60' a='4'/>";
+    let (graph, _) = read(&road("1", "", STRAIGHT, &format!("{offsets}{first}{second}")));
+    let lanes = by_lane(&graph, "1", "-1");
+    for (lane, [from, to]) in lanes.into_iter().zip([[(0.0, -0.5), (60.0, -0.5)], [(60.0, 2.5), (100.0, 2.5)]]) {
+        let near = |point: Vec2, (x, y): (f64, f64)| assert!(point.distance(Vec2::new(x, y)) < 1e-5, "{point:?}");
+        near(lane.centerline.0[0], from);
+        near(*lane.centerline.0.last().unwrap(), to);
+    }
 }
 
 #[test]
