@@ -122,7 +122,7 @@ def step_cost_s(arguments, name, settings, log):
     table = TABLES[arguments.pipeline.stem]
     spent = []
     for steps in CALIBRATION_STEPS:
-        quick = [*settings, f"{table.section}.steps={steps}", f"{table.section}.n_eval_scenes=1"]
+        quick = [*settings, f"{table.section}.steps={steps}", "train.denoiser.n_eval_scenes=1"]
         spent.append(run(arguments, f"{name}-steps-{steps}", quick, table.stages, log))
         shutil.rmtree(arguments.output / arguments.pipeline.stem / f"{name}-steps-{steps}")
     return (spent[1] - spent[0]) / (CALIBRATION_STEPS[1] - CALIBRATION_STEPS[0])

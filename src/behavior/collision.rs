@@ -2,11 +2,9 @@
 
 use super::maneuver::Maneuver;
 use super::swept_boxes::SweptBoxes;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel, NoOptions};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Extent, Scene, Track};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
 /// Name of the behavior in configs and tables.
@@ -17,25 +15,10 @@ pub(super) const ROLES: &[&str] = &["first", "second"];
 pub(super) const PARAMETERS: &[&str] =
     &["relative_speed_mps", "first_speed_mps", "second_speed_mps", "heading_difference_rad", "bearing_rad"];
 
-/// Options of [`Collision`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CollisionConfig {
-    /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
-    pub agents: AgentFilter,
-    /// Smallest relative speed before they touch, m/s. Default 0.5: below it, overlaps are errors of boxes and tracks.
-    #[schemars(range(min = 0.0))]
-    pub min_relative_mps: f64,
-    /// Boxes that come closer than this without touching are a hard negative, meters. Default 1.
-    #[schemars(range(min = 0.0))]
-    pub negative_distance_m: f64,
-}
-
-impl Default for CollisionConfig {
-    fn default() -> Self {
-        Self { agents: AgentFilter::RoadUsers, min_relative_mps: 0.5, negative_distance_m: 1.0 }
-    }
-}
+/// Smallest relative speed before they touch, m/s: below it, overlaps are errors of boxes and tracks.
+const MIN_RELATIVE_MPS: f64 = 0.5;
+/// Boxes that come closer than this without touching are a hard negative, meters.
+const NEGATIVE_DISTANCE_M: f64 = 1.0;
 
 /// Two road users (`first` and `second`) drive into each other.
 ///
@@ -52,28 +35,21 @@ impl Default for CollisionConfig {
 /// `first_speed_mps`, `second_speed_mps`, `heading_difference_rad` (0 to π: from behind, from the side, head-on), and
 /// `bearing_rad`, where the second is as seen from the first (0 to π: ahead, beside, behind).
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Collision {
-    config: CollisionConfig,
-}
+pub struct Collision;
 
 impl Collision {
-    /// The behavior with these options.
-    pub const fn new(config: CollisionConfig) -> Self {
-        Self { config }
+    /// The behavior, which has no options.
+    pub const fn new(_: NoOptions) -> Self {
+        Self
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &CollisionConfig {
-        &self.config
-    }
-
-    fn detect_pair(&self, scene: &Scene, pair: [usize; 2], [first, second]: [&SweptBoxes; 2]) -> Option<BehaviorEvent> {
+    fn detect_pair(scene: &Scene, pair: [usize; 2], [first, second]: [&SweptBoxes; 2]) -> Option<BehaviorEvent> {
         let both = || first.both_at(second, 0..scene.n_timesteps);
         let present = scene.current_timestep();
         let touches = both().find(|(_, one, other)| one.overlaps(other)).map(|(timestep, ..)| timestep);
         let Some(timestep) = touches else {
             let near: Vec<usize> = both()
-                .filter(|(_, one, other)| one.is_closer_than(other, self.config.negative_distance_m))
+                .filter(|(_, one, other)| one.is_closer_than(other, NEGATIVE_DISTANCE_M))
                 .map(|(timestep, ..)| timestep)
                 .collect();
             let span = *near.first()?..=*near.last()?;
@@ -84,7 +60,7 @@ impl Collision {
         let state = |agent_idx: usize| scene.state(agent_idx, before).filter(|state| state.is_finite());
         let [one, other] = [state(pair[0])?, state(pair[1])?];
         let relative_mps = (one.velocity - other.velocity).norm();
-        if overlaps_at_present || relative_mps < self.config.min_relative_mps {
+        if overlaps_at_present || relative_mps < MIN_RELATIVE_MPS {
             return None;
         }
         let toward = other.position - one.position;
@@ -104,7 +80,7 @@ impl Behavior for Collision {
     }
 
     fn admits(&self, class: AgentClass) -> bool {
-        self.config.agents.admits(class)
+        class.is_road_user()
     }
 
     /// Events name the two in the order of tracks, so requests must do the same.
@@ -123,14 +99,14 @@ impl Behavior for Collision {
     /// At most one event a pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let cores = with_cores(scene);
-        let admitted = cores.tracks.iter().enumerate().filter(|(_, track)| self.config.agents.admits(track.class));
+        let admitted = cores.tracks.iter().enumerate().filter(|(_, track)| track.class.is_road_user());
         let sweeps: Vec<(usize, SweptBoxes)> =
             admitted.filter_map(|(agent_idx, track)| Some((agent_idx, SweptBoxes::new(track)?))).collect();
         let pairs =
             sweeps.iter().enumerate().flat_map(|(i, one)| sweeps[i + 1..].iter().map(move |other| (one, other)));
         pairs
-            .filter(|((_, first), (_, second))| first.may_come_within(second, self.config.negative_distance_m))
-            .filter_map(|((i, first), (j, second))| self.detect_pair(&cores, [*i, *j], [first, second]))
+            .filter(|((_, first), (_, second))| first.may_come_within(second, NEGATIVE_DISTANCE_M))
+            .filter_map(|((i, first), (j, second))| Self::detect_pair(&cores, [*i, *j], [first, second]))
             .collect()
     }
 }

@@ -3,7 +3,7 @@
 use super::following::{Ahead, Follower};
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use schemars::JsonSchema;
@@ -20,42 +20,29 @@ pub(super) const PARAMETERS: &[&str] =
 
 /// How long the leader must stay out of the lane, seconds.
 const SETTLING_S: f64 = 1.0;
+/// The revealed vehicle drives at most at this share of the ego's speed, and the leader faster.
+const SLOW_SHARE: f64 = 0.5;
+/// The leader is at most this far ahead of the ego at present, as a time headway, seconds: one farther ahead hides
+/// nothing.
+const MAX_HEADWAY_S: f64 = 4.0;
+/// Until it is out of the lane, the leader heads along it within this, radians: one that turns off surprises nobody.
+const ALONG_RAD: f64 = FRAC_PI_6;
 
-/// Options of [`CutOut`].
+/// Options of [`CutOut`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutOutConfig {
-    /// Road users that take part. Default `motorized`.
-    pub agents: AgentFilter,
     /// The ego must be on course to reach the revealed vehicle in less than this, seconds. Default 4.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_ttc_s: f64,
-    /// The revealed vehicle drives at most at this share of the ego's speed, and the leader faster. Default 0.5.
-    #[schemars(range(min = 0.0, max = 1.0))]
-    pub max_speed_share: f64,
     /// The ego drives at least this fast at the reveal, m/s. Default 4.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_speed_mps: f64,
-    /// The leader is at most this far ahead of the ego at present, as a time headway, seconds. Default 4: a leader
-    /// farther ahead hides nothing.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_headway_s: f64,
-    /// Until it is out of the lane, the leader heads along it within this, radians; a leader that turns off surprises
-    /// nobody. Default π/6 (30 degrees).
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
-    pub max_heading_difference_rad: f64,
 }
 
 impl Default for CutOutConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            max_ttc_s: 4.0,
-            max_speed_share: 0.5,
-            min_speed_mps: 4.0,
-            max_headway_s: 4.0,
-            max_heading_difference_rad: FRAC_PI_6,
-        }
+        Self { max_ttc_s: 4.0, min_speed_mps: 4.0 }
     }
 }
 
@@ -107,11 +94,6 @@ impl CutOut {
         Self { config }
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &CutOutConfig {
-        &self.config
-    }
-
     /// The vehicle that the ego follows at present, and the next one beyond it.
     pub(super) fn queue(&self, ego: &Follower<'_>, present: usize) -> Option<[Ahead; 2]> {
         let speed_mps = ego.speed_mps(present);
@@ -119,22 +101,22 @@ impl CutOut {
             return None;
         }
         // To be reached in time at the reveal, it can be at most this far away now, plus the way of the ego until then.
-        match ego.ahead(present, (self.config.max_headway_s + self.config.max_ttc_s) * speed_mps)[..] {
-            [leader, revealed, ..] if leader.gap_m <= self.config.max_headway_s * speed_mps => Some([leader, revealed]),
+        match ego.ahead(present, (MAX_HEADWAY_S + self.config.max_ttc_s) * speed_mps)[..] {
+            [leader, revealed, ..] if leader.gap_m <= MAX_HEADWAY_S * speed_mps => Some([leader, revealed]),
             _ => None,
         }
     }
 
     /// Whether a vehicle at this speed is slow compared with an ego at that speed.
-    pub(super) fn is_slow(&self, speed_mps: f64, ego_mps: f64) -> bool {
-        speed_mps <= self.config.max_speed_share * ego_mps
+    pub(super) fn is_slow(speed_mps: f64, ego_mps: f64) -> bool {
+        speed_mps <= SLOW_SHARE * ego_mps
     }
 
     /// Whether the ego reaches a vehicle at this gap in time.
     pub(super) fn is_reached(&self, revealed: &Ahead) -> bool {
         let closing_mps = revealed.own_mps - revealed.their_mps;
         revealed.own_mps >= self.config.min_speed_mps
-            && self.is_slow(revealed.their_mps, revealed.own_mps)
+            && Self::is_slow(revealed.their_mps, revealed.own_mps)
             && revealed.gap_m > 0.0
             && revealed.gap_m < self.config.max_ttc_s * closing_mps
     }
@@ -147,7 +129,7 @@ impl CutOut {
         let is_along = |t: usize| {
             state(t).is_none_or(|state| {
                 let heading_rad = lane.project(state.position).map_or(state.heading_rad, |place| place.heading_rad);
-                angle_difference(state.heading_rad, heading_rad).abs() < self.config.max_heading_difference_rad
+                angle_difference(state.heading_rad, heading_rad).abs() < ALONG_RAD
             })
         };
         let settled = scene.n_timesteps.min(timestep + (SETTLING_S / scene.dt_s).round() as usize);
@@ -174,7 +156,7 @@ impl CutOut {
     }
 
     fn event(&self, scene: &Scene, lanes: &SceneLanes<'_>, ego_idx: usize) -> Option<BehaviorEvent> {
-        let ego = Follower::of(scene, lanes, self.config.agents, ego_idx)?;
+        let ego = Follower::of(scene, lanes, ego_idx)?;
         let [leader, next] = self.queue(&ego, scene.current_timestep())?;
         let reveal = self.reveal(scene, &ego, leader.agent_idx)?;
         let reach_m = next.gap_m + ego.speed_mps(reveal.timestep) * self.config.max_ttc_s;
@@ -182,7 +164,7 @@ impl CutOut {
         if revealed.agent_idx != next.agent_idx {
             return None;
         }
-        let is_sudden = self.is_reached(&revealed) && !self.is_slow(reveal.leader_mps, revealed.own_mps);
+        let is_sudden = self.is_reached(&revealed) && !Self::is_slow(reveal.leader_mps, revealed.own_mps);
         let label = if is_sudden { EventLabel::Positive } else { EventLabel::Negative };
         let relative_mps = revealed.own_mps - revealed.their_mps;
         let agents = [ego_idx, revealed.agent_idx, leader.agent_idx];
@@ -205,7 +187,7 @@ impl Behavior for CutOut {
 
     fn completed(&self, scene: &Scene, [ego_idx, revealed_idx]: [usize; 2]) -> Option<Vec<usize>> {
         let lanes = SceneLanes::new(&scene.lanes);
-        let ego = Follower::as_observed(scene, &lanes, self.config.agents, ego_idx)?;
+        let ego = Follower::as_observed(scene, &lanes, ego_idx)?;
         let [leader, next] = self.queue(&ego, scene.current_timestep())?;
         (next.agent_idx == revealed_idx).then(|| vec![ego_idx, revealed_idx, leader.agent_idx])
     }
@@ -224,7 +206,7 @@ impl Behavior for CutOut {
         let may_follow = |idx: &usize| {
             let present = scene.state(*idx, scene.current_timestep()).filter(|state| state.is_finite());
             let is_fast = present.is_some_and(|state| state.speed_mps() >= self.config.min_speed_mps);
-            is_fast && self.config.agents.admits(scene.tracks[*idx].class)
+            is_fast && scene.tracks[*idx].class.is_motorized()
         };
         let egos = (0..scene.tracks.len()).filter(may_follow);
         egos.filter_map(|ego_idx| self.event(scene, &lanes, ego_idx)).collect()

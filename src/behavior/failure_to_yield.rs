@@ -3,7 +3,7 @@
 use super::conflict::{Conflict, Course};
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene, State};
 use schemars::JsonSchema;
@@ -22,19 +22,17 @@ const EASES_OFF_MPS2: f64 = 1.0;
 /// A rule applies to conflicts at most this far from the end of the lanes that it names, meters.
 const RULE_REACH_M: f64 = 40.0;
 
-/// Options of [`FailureToYield`].
+/// Without braking, a post-encroachment time that is too long by less than this is a hard negative, seconds.
+const NEGATIVE_MORE_S: f64 = 1.5;
+
+/// Options of [`FailureToYield`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FailureToYieldConfig {
-    /// Road users that take part. Default `motorized`.
-    pub agents: AgentFilter,
     /// A post-encroachment time below this is short, seconds. Default 1. Who would come later without braking does not
     /// have to brake.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// Without braking, one below this is a hard negative, seconds. Default 2.5.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub negative_pet_s: f64,
     /// Who has the right of way brakes if it does so with at least this, m/s². Default 3.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_deceleration_mps2: f64,
@@ -48,14 +46,7 @@ pub struct FailureToYieldConfig {
 
 impl Default for FailureToYieldConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            max_pet_s: 1.0,
-            negative_pet_s: 2.5,
-            min_deceleration_mps2: 3.0,
-            max_time_to_arrival_s: 4.0,
-            min_speed_mps: 3.0,
-        }
+        Self { max_pet_s: 1.0, min_deceleration_mps2: 3.0, max_time_to_arrival_s: 4.0, min_speed_mps: 3.0 }
     }
 }
 
@@ -134,14 +125,10 @@ impl FailureToYield {
         Self { config }
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &FailureToYieldConfig {
-        &self.config
-    }
-
     fn event(&self, scene: &Scene, entering: &Agent<'_>, priority: &Agent<'_>) -> Option<BehaviorEvent> {
         let config = &self.config;
-        let within_s = config.negative_pet_s.max(config.max_time_to_arrival_s);
+        let negative_pet_s = config.max_pet_s + NEGATIVE_MORE_S;
+        let within_s = negative_pet_s.max(config.max_time_to_arrival_s);
         let conflict = Conflict::between(&entering.course, &priority.course, within_s)?;
         let own = entering.course.state(conflict.enters).filter(|own| entering.yields_to(priority, own.position))?;
         let speed_mps = priority.course.state(conflict.enters).map(State::speed_mps);
@@ -157,7 +144,7 @@ impl FailureToYield {
         let acts = brakes(config.min_deceleration_mps2) || (brakes(EASES_OFF_MPS2) && is_below(config.max_pet_s));
         let label = match has_to_act && acts {
             true => EventLabel::Positive,
-            false if is_below(config.negative_pet_s) => EventLabel::Negative,
+            false if is_below(negative_pet_s) => EventLabel::Negative,
             false => return None,
         };
         let timesteps = conflict.enters..=conflict.last_timestep();
@@ -188,7 +175,7 @@ impl Behavior for FailureToYield {
     /// At most one event for each ordered pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let lanes = SceneLanes::new(&scene.lanes);
-        let admitted = (0..scene.tracks.len()).filter(|idx| self.config.agents.admits(scene.tracks[*idx].class));
+        let admitted = (0..scene.tracks.len()).filter(|idx| scene.tracks[*idx].class.is_motorized());
         let agents: Vec<Agent<'_>> = admitted.filter_map(|agent_idx| Agent::of(scene, &lanes, agent_idx)).collect();
         let with = |wanted: LaneDuty| {
             agents.iter().filter(move |agent| agent.duties.iter().any(|(_, duty, _)| *duty == wanted))

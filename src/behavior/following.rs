@@ -1,6 +1,5 @@
 //! Which agents are in the way of a vehicle in its lane, and how far ahead?
 
-use super::AgentFilter;
 use super::footprint::Footprint;
 use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
@@ -15,7 +14,6 @@ const ALONG_RAD: f64 = FRAC_PI_4;
 pub(super) struct Follower<'a> {
     scene: &'a Scene,
     agent_idx: usize,
-    agents: AgentFilter,
     /// The lane.
     pub(super) lane: KeptLane,
 }
@@ -32,22 +30,16 @@ pub(super) struct Ahead {
 }
 
 impl<'a> Follower<'a> {
-    /// The agent with the lane that it turns out to keep, among others that `agents` admits. `None` if it is in no lane
-    /// at present.
-    pub(super) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agents: AgentFilter, agent_idx: usize) -> Option<Self> {
+    /// The agent with the lane that it turns out to keep, among other vehicles. `None` if it is in no lane at present.
+    pub(super) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let lane = KeptLane::of(scene, lanes, agent_idx)?;
-        Some(Self { scene, agent_idx, agents, lane })
+        Some(Self { scene, agent_idx, lane })
     }
 
     /// As [`Self::of`], with the lane predicted from the past alone.
-    pub(super) fn as_observed(
-        scene: &'a Scene,
-        lanes: &SceneLanes<'_>,
-        agents: AgentFilter,
-        agent_idx: usize,
-    ) -> Option<Self> {
+    pub(super) fn as_observed(scene: &'a Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let lane = KeptLane::as_observed(scene, lanes, agent_idx)?;
-        Some(Self { scene, agent_idx, agents, lane })
+        Some(Self { scene, agent_idx, lane })
     }
 
     /// Its speed, m/s; 0 where it is not tracked.
@@ -68,7 +60,7 @@ impl<'a> Follower<'a> {
             let track = &self.scene.tracks[agent_idx];
             let nearest_m = reach_m + half_length_m + track.extent_or_nominal().length_m;
             let is_near = |state: &State| state.position.distance(own.position) <= nearest_m;
-            let is_eligible = self.agents.admits(track.class) && self.state(agent_idx, timestep).is_some_and(is_near);
+            let is_eligible = track.class.is_motorized() && self.state(agent_idx, timestep).is_some_and(is_near);
             let Some(state) = is_eligible.then(|| self.state_in_lane(agent_idx, timestep)).flatten() else { continue };
             let Some(theirs) = self.lane.project(state.position) else { continue };
             let along = Vec2::from_angle(theirs.heading_rad);

@@ -2,7 +2,7 @@
 
 use super::maneuver::Maneuver;
 use super::speed_profile::smoothed_accelerations_mps2;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::scene::{Scene, Track};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,43 +16,31 @@ pub(super) const ROLES: &[&str] = &["agent"];
 pub(super) const PARAMETERS: &[&str] =
     &["speed_mps", "end_speed_mps", "max_deceleration_mps2", "mean_deceleration_mps2", "duration_s"];
 
-/// Options of [`HardBrake`].
+/// Weaker braking that reaches this share of the least deceleration is a hard negative (2.5 of 4 m/s²).
+const NEGATIVE_SHARE: f64 = 0.625;
+/// Runs with a deceleration beyond this are errors of the tracker, not braking, m/s².
+const IMPLAUSIBLE_MPS2: f64 = 12.0;
+/// Time over which speeds are smoothed, seconds: noise of positions is less than a brake then.
+const SMOOTHING_S: f64 = 0.4;
+
+/// Options of [`HardBrake`]; vehicles are considered.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HardBrakeConfig {
-    /// Road users to consider. Default `motorized`.
-    pub agents: AgentFilter,
     /// Least deceleration of hard braking, m/s². Default 4.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_deceleration_mps2: f64,
-    /// Weaker braking that reaches this is a hard negative, m/s². Default 2.5.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub negative_deceleration_mps2: f64,
-    /// Runs with a deceleration beyond this are errors of the tracker, not braking, m/s². Default 12.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub max_deceleration_mps2: f64,
     /// How long the deceleration must last, from its first to its last timestep, seconds. Default 0.3.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_duration_s: f64,
     /// Least speed at the start, m/s. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_speed_mps: f64,
-    /// Time over which speeds are smoothed, seconds. Default 0.4; the positions of Argoverse 1 need three times that.
-    #[schemars(range(min = 0.0, max = 5.0))]
-    pub smoothing_s: f64,
 }
 
 impl Default for HardBrakeConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            min_deceleration_mps2: 4.0,
-            negative_deceleration_mps2: 2.5,
-            max_deceleration_mps2: 12.0,
-            min_duration_s: 0.3,
-            min_speed_mps: 3.0,
-            smoothing_s: 0.4,
-        }
+        Self { min_deceleration_mps2: 4.0, min_duration_s: 0.3, min_speed_mps: 3.0 }
     }
 }
 
@@ -92,19 +80,18 @@ impl HardBrake {
     fn detect_agent(&self, scene: &Scene, agent_idx: usize, track: &Track) -> Vec<BehaviorEvent> {
         let config = &self.config;
         let accelerations =
-            smoothed_accelerations_mps2(&track.trajectory, scene.current_timestep(), scene.dt_s, config.smoothing_s);
+            smoothed_accelerations_mps2(&track.trajectory, scene.current_timestep(), scene.dt_s, SMOOTHING_S);
         let lasts =
             |run: &RangeInclusive<usize>| (run.end() - run.start()) as f64 * scene.dt_s >= config.min_duration_s - 1e-9;
-        let is_plausible = |run: &RangeInclusive<usize>| {
-            accelerations[run.clone()].iter().flatten().all(|a| -a <= config.max_deceleration_mps2)
-        };
+        let is_plausible =
+            |run: &RangeInclusive<usize>| accelerations[run.clone()].iter().flatten().all(|a| -a <= IMPLAUSIBLE_MPS2);
         let starts_fast =
             |run: &RangeInclusive<usize>| speed_at(track, *run.start()).is_some_and(|v| v >= config.min_speed_mps);
         let hard: Vec<_> = runs_at_or_below(&accelerations, -config.min_deceleration_mps2)
             .into_iter()
             .filter(|run| lasts(run) && is_plausible(run) && starts_fast(run))
             .collect();
-        let near: Vec<_> = runs_at_or_below(&accelerations, -config.negative_deceleration_mps2)
+        let near: Vec<_> = runs_at_or_below(&accelerations, -NEGATIVE_SHARE * config.min_deceleration_mps2)
             .into_iter()
             .filter(|run| lasts(run) && is_plausible(run) && !hard.iter().any(|h| run.contains(h.start())))
             .collect();
@@ -132,7 +119,7 @@ impl Behavior for HardBrake {
     /// Agents come in the order of tracks; for each agent, positive events come first, then negative ones, each by
     /// time.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
-        let considered = scene.tracks.iter().enumerate().filter(|(_, track)| self.config.agents.admits(track.class));
+        let considered = scene.tracks.iter().enumerate().filter(|(_, track)| track.class.is_motorized());
         considered.flat_map(|(agent_idx, track)| self.detect_agent(scene, agent_idx, track)).collect()
     }
 }

@@ -3,11 +3,9 @@
 use super::lane_relation::SceneLanes;
 use super::lane_tracker::{LaneMove, LaneTrace};
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel, NoOptions};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "lane_change";
@@ -17,17 +15,8 @@ pub(super) const ROLES: &[&str] = &["agent"];
 pub(super) const PARAMETERS: &[&str] =
     &["side", "crossing_timestep", "speed_mps", "lateral_speed_mps", "duration_s", "margin_m"];
 
-/// Options of [`LaneChange`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct LaneChangeConfig {
-    /// Road users to consider. Default `motorized`.
-    pub agents: AgentFilter,
-    /// How long the center must stay in the new lane, seconds. Default 1.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub min_stay_s: f64,
-}
-
+/// How long the center must stay in the new lane, seconds.
+const MIN_STAY_S: f64 = 1.0;
 /// How far the center must be beyond the lane's side before it has left the lane, meters: more than a center wavers
 /// that is driven along a side.
 const HYSTERESIS_M: f64 = 0.3;
@@ -35,12 +24,6 @@ const HYSTERESIS_M: f64 = 0.3;
 const START_OFFSET_M: f64 = 0.5;
 /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, meters.
 const NEGATIVE_MARGIN_M: f64 = 0.5;
-
-impl Default for LaneChangeConfig {
-    fn default() -> Self {
-        Self { agents: AgentFilter::Motorized, min_stay_s: 1.0 }
-    }
-}
 
 /// One agent (`agent`) changes lanes. Scenes without lanes have no events.
 ///
@@ -62,28 +45,20 @@ impl Default for LaneChangeConfig {
 /// (toward the new lane); `duration_s` from start to end; `margin_m` (smallest distance to the side of the lane, for
 /// agents that never cross).
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct LaneChange {
-    config: LaneChangeConfig,
-}
+pub struct LaneChange;
 
 impl LaneChange {
-    /// The behavior with these options.
-    pub const fn new(config: LaneChangeConfig) -> Self {
-        Self { config }
+    /// The behavior, which has no options.
+    pub const fn new(_: NoOptions) -> Self {
+        Self
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &LaneChangeConfig {
-        &self.config
-    }
-
-    fn detect_agent<'a>(&self, scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
-        let config = &self.config;
+    fn detect_agent<'a>(scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
-        let stay = (config.min_stay_s / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
+        let stay = (MIN_STAY_S / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
         let trace = LaneTrace::follow(lanes, trajectory, HYSTERESIS_M, stay);
         if trace.crossings.is_empty() {
-            return self.drift(scene, lanes, &trace, agent_idx).into_iter().collect();
+            return Self::drift(scene, lanes, &trace, agent_idx).into_iter().collect();
         }
         let mut events = Vec::new();
         let mut crossings = trace.crossings.iter().peekable();
@@ -97,13 +72,12 @@ impl LaneChange {
                 None => (EventLabel::Positive, crossing.timestep + stay),
             };
             let start = trace.departure(crossing, START_OFFSET_M);
-            events.push(self.crossing_event(scene, agent_idx, crossing, label, start, end));
+            events.push(Self::crossing_event(scene, agent_idx, crossing, label, start, end));
         }
         events
     }
 
     fn crossing_event(
-        &self,
         scene: &Scene,
         agent_idx: usize,
         crossing: &LaneMove<'_>,
@@ -123,7 +97,6 @@ impl LaneChange {
 
     /// The hard negative of an agent that nears a lane beside its own without crossing.
     fn drift<'a>(
-        &self,
         scene: &Scene,
         lanes: &'a SceneLanes<'a>,
         trace: &LaneTrace<'a>,
@@ -160,7 +133,7 @@ impl Behavior for LaneChange {
             return Vec::new();
         }
         let lanes = SceneLanes::new(&scene.lanes);
-        let considered = (0..scene.tracks.len()).filter(|i| self.config.agents.admits(scene.tracks[*i].class));
-        considered.flat_map(|agent_idx| self.detect_agent(scene, &lanes, agent_idx)).collect()
+        let considered = (0..scene.tracks.len()).filter(|i| scene.tracks[*i].class.is_motorized());
+        considered.flat_map(|agent_idx| Self::detect_agent(scene, &lanes, agent_idx)).collect()
     }
 }

@@ -8,7 +8,6 @@
 //! draw up candidates, one file each in `maneuver`; kept are those that stay on the road, within the limits of vehicles
 //! and clear of others, and in which the behavior's own miner finds the event.
 
-mod agent_filter;
 mod collision;
 mod conflict;
 mod cut_in;
@@ -46,15 +45,14 @@ mod turn;
 mod unprotected_left_turn;
 mod wrong_way;
 
-pub use agent_filter::AgentFilter;
-pub use collision::{Collision, CollisionConfig};
+pub use collision::Collision;
 pub use cut_in::{CutIn, CutInConfig};
 pub use cut_in_paper::{CutInPaper, CutInPaperConfig};
 pub use cut_out::{CutOut, CutOutConfig};
 pub use event::{BehaviorEvent, EventLabel};
 pub use failure_to_yield::{FailureToYield, FailureToYieldConfig};
 pub use hard_brake::{HardBrake, HardBrakeConfig};
-pub use lane_change::{LaneChange, LaneChangeConfig};
+pub use lane_change::LaneChange;
 pub use left_turn::LeftTurn;
 pub use maneuver::Maneuver;
 pub use near_miss::{NearMiss, NearMissConfig};
@@ -65,7 +63,6 @@ pub use runs_stop_line::{RunsStopLine, RunsStopLineConfig};
 pub use subject::Subject;
 pub use tailgating::{Tailgating, TailgatingConfig};
 pub use template::Template;
-pub use turn::TurnConfig;
 pub use unprotected_left_turn::{UnprotectedLeftTurn, UnprotectedLeftTurnConfig};
 pub use wrong_way::{WrongWay, WrongWayConfig};
 
@@ -130,6 +127,11 @@ pub trait Behavior: Send + Sync {
     }
 }
 
+/// The options of a behavior that has none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NoOptions {}
+
 /// Lists the behaviors: each has a module with its `ID`, `ROLES` and `PARAMETERS`, a type of its name, and options.
 macro_rules! behaviors {
     ($($(#[$doc:meta])* $Behavior:ident($Config:ident) in $module:ident {
@@ -178,13 +180,13 @@ behaviors! {
     }:
         "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
     /// An agent turns left.
-    LeftTurn(TurnConfig) in left_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
+    LeftTurn(NoOptions) in left_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
         "an agent turns left by at least 60 degrees, as at an intersection",
     /// An agent turns right.
-    RightTurn(TurnConfig) in right_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
+    RightTurn(NoOptions) in right_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
         "an agent turns right by at least 60 degrees, as at an intersection",
     /// An agent changes lanes.
-    LaneChange(LaneChangeConfig) in lane_change {
+    LaneChange(NoOptions) in lane_change {
         subject: Subject::Role("agent"), is_collision: false, needs_lanes: true
     }:
         "an agent moves over to the lane beside its own and stays there for at least 1 s",
@@ -196,7 +198,7 @@ behaviors! {
         "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without \
          touching",
     /// Two road users drive into each other.
-    Collision(CollisionConfig) in collision { subject: Subject::WhoComesUpon, is_collision: true, needs_lanes: false }:
+    Collision(NoOptions) in collision { subject: Subject::WhoComesUpon, is_collision: true, needs_lanes: false }:
         "two road users drive into each other",
     /// One vehicle drives too close behind another.
     Tailgating(TailgatingConfig) in tailgating {
@@ -233,54 +235,12 @@ behaviors! {
 }
 
 impl BehaviorConfig {
-    /// Refuses options with which nothing could be found, or with which the events would contradict the definition.
+    /// Refuses options with which nothing could be found.
     ///
     /// # Errors
     /// Names the option.
     pub fn validate(&self) -> settings::Result {
-        settings::check_ranges(self)?;
-        match self {
-            Self::HardBrake(config) => {
-                let least = ("min_deceleration_mps2", config.min_deceleration_mps2);
-                settings::ascending(("negative_deceleration_mps2", config.negative_deceleration_mps2), least)?;
-                settings::ascending(least, ("max_deceleration_mps2", config.max_deceleration_mps2))
-            }
-            Self::LeftTurn(config) | Self::RightTurn(config) => {
-                let negative = ("negative_heading_change_rad", config.negative_heading_change_rad);
-                settings::ascending(negative, ("min_heading_change_rad", config.min_heading_change_rad))?;
-                settings::ascending(("min_radius_m", config.min_radius_m), ("max_radius_m", config.max_radius_m))
-            }
-            Self::Tailgating(config) => {
-                let least = ("max_headway_s", config.max_headway_s);
-                settings::ascending(least, ("negative_headway_s", config.negative_headway_s))
-            }
-            Self::PedestrianStepsOut(config) => {
-                let most = ("negative_time_to_arrival_s", config.negative_time_to_arrival_s);
-                settings::ascending(("max_time_to_arrival_s", config.max_time_to_arrival_s), most)
-            }
-            Self::UnprotectedLeftTurn(config) => {
-                let most = ("negative_pet_s", config.negative_pet_s);
-                settings::ascending(("max_pet_s", config.max_pet_s), most)
-            }
-            Self::WrongWay(config) => {
-                let least = ("negative_duration_s", config.negative_duration_s);
-                settings::ascending(least, ("min_duration_s", config.min_duration_s))
-            }
-            Self::RunsStopLine(config) => {
-                let least = ("negative_speed_mps", config.negative_speed_mps);
-                settings::ascending(least, ("max_rolling_mps", config.max_rolling_mps))
-            }
-            Self::FailureToYield(config) => {
-                let most = ("negative_pet_s", config.negative_pet_s);
-                settings::ascending(("max_pet_s", config.max_pet_s), most)
-            }
-            Self::CutIn(_)
-            | Self::CutInPaper(_)
-            | Self::LaneChange(_)
-            | Self::NearMiss(_)
-            | Self::Collision(_)
-            | Self::CutOut(_) => Ok(()),
-        }
+        settings::check_ranges(self)
     }
 
     /// The behavior of this name with default options. `None` when there is no such behavior.

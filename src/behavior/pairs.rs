@@ -1,16 +1,15 @@
 //! Ordered pairs of agents: which of them show a behavior, and which only come close?
 
 use super::swept_boxes::SweptBoxes;
-use super::{AgentFilter, BehaviorEvent, EventLabel};
+use super::{BehaviorEvent, EventLabel};
 use crate::scene::Scene;
 use std::ops::Range;
 
-/// A search over the ordered pairs of agents that are tracked at present.
+/// A search over the ordered pairs of vehicles that are tracked at present.
 pub(super) struct PairSearch<'a> {
     pub(super) scene: &'a Scene,
     /// Name and roles of the behavior.
     pub(super) names: (&'static str, &'static [&'static str]),
-    pub(super) agents: AgentFilter,
     /// Pairs without the behavior are hard negatives if their boxes come closer than this, meters. Pairs that stay
     /// farther apart are skipped.
     pub(super) negative_distance_m: f64,
@@ -35,7 +34,7 @@ impl PairSearch<'_> {
             return Vec::new();
         }
         let takes_part = |agent_idx: &usize| {
-            self.agents.admits(scene.tracks[*agent_idx].class)
+            scene.tracks[*agent_idx].class.is_motorized()
                 && scene.state(*agent_idx, present).is_some_and(|state| state.is_finite())
         };
         let sweeps: Vec<(usize, SweptBoxes)> = (0..scene.tracks.len())

@@ -3,7 +3,7 @@
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::{AgentClass, Scene, State};
 use schemars::JsonSchema;
@@ -16,6 +16,11 @@ pub(super) const ROLES: &[&str] = &["ego", "pedestrian"];
 /// Names of the parameters of its events, defined at [`PedestrianStepsOut`].
 pub(super) const PARAMETERS: &[&str] = &["time_to_arrival_s", "gap_m", "ego_speed_mps", "pedestrian_speed_mps", "side"];
 
+/// An agent that is ever faster than this is a cyclist, m/s: some recordings do not separate pedestrians from cyclists.
+pub(super) const MAX_PEDESTRIAN_MPS: f64 = 3.0;
+/// Times to arrival that are too long by less than this are a hard negative, seconds.
+const NEGATIVE_MORE_S: f64 = 2.0;
+
 /// Options of [`PedestrianStepsOut`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -23,26 +28,14 @@ pub struct PedestrianStepsOutConfig {
     /// The vehicle is this far away at most at its speed when the pedestrian steps out, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_time_to_arrival_s: f64,
-    /// Up to this time to arrival it is a hard negative, seconds. Default 5.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub negative_time_to_arrival_s: f64,
     /// The vehicle drives at least this fast then, m/s. Default 3: a slower one is waiting.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_speed_mps: f64,
-    /// An agent that is ever faster than this is a cyclist, m/s: some recordings do not separate pedestrians from
-    /// cyclists. Default 3.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub max_pedestrian_mps: f64,
 }
 
 impl Default for PedestrianStepsOutConfig {
     fn default() -> Self {
-        Self {
-            max_time_to_arrival_s: 3.0,
-            negative_time_to_arrival_s: 5.0,
-            min_speed_mps: 3.0,
-            max_pedestrian_mps: 3.0,
-        }
+        Self { max_time_to_arrival_s: 3.0, min_speed_mps: 3.0 }
     }
 }
 
@@ -93,17 +86,12 @@ impl PedestrianStepsOut {
         Self { config }
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &PedestrianStepsOutConfig {
-        &self.config
-    }
-
     /// Whether the agent is on foot, judged from its timesteps before `end`, and beside the road at present.
     pub(super) fn is_beside_road(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> bool {
         let track = &scene.tracks[agent_idx];
         let mut states = track.trajectory.valid().filter(|(t, state)| *t < end && state.is_finite());
         is_on_foot(track.class)
-            && states.all(|(_, state)| state.speed_mps() <= self.config.max_pedestrian_mps)
+            && states.all(|(_, state)| state.speed_mps() <= MAX_PEDESTRIAN_MPS)
             && finite(scene, agent_idx, scene.current_timestep())
                 .is_some_and(|state| lanes.lanes_at(state.position).next().is_none())
     }
@@ -129,7 +117,7 @@ impl PedestrianStepsOut {
         let arrives_within = |time_s: f64| step.gap_m < time_s * step.ego_mps;
         let label = match step.ego_mps >= config.min_speed_mps && arrives_within(config.max_time_to_arrival_s) {
             true => EventLabel::Positive,
-            false if arrives_within(config.negative_time_to_arrival_s) => EventLabel::Negative,
+            false if arrives_within(config.max_time_to_arrival_s + NEGATIVE_MORE_S) => EventLabel::Negative,
             false => return None,
         };
         let half_width_m = scene.tracks[pair[1]].extent_or_nominal().width_m / 2.0;
@@ -190,7 +178,7 @@ impl Behavior for PedestrianStepsOut {
             return Vec::new();
         }
         let egos = agents.filter(|idx| scene.tracks[*idx].class.is_motorized());
-        let with_lane = |idx: usize| Some((idx, Follower::of(scene, &lanes, AgentFilter::Motorized, idx)?));
+        let with_lane = |idx: usize| Some((idx, Follower::of(scene, &lanes, idx)?));
         egos.filter_map(with_lane)
             .flat_map(|(ego_idx, ego)| {
                 let of_ego = |pedestrian_idx: &usize| self.event(scene, &ego, [ego_idx, *pedestrian_idx]);

@@ -3,8 +3,8 @@
 pub(super) use super::turn::{PARAMETERS, ROLES};
 
 use super::maneuver::{Maneuver, turn_maneuvers};
-use super::turn::{TurnConfig, TurnSide, turns};
-use super::{Behavior, BehaviorEvent};
+use super::turn::{TurnSide, turns};
+use super::{Behavior, BehaviorEvent, NoOptions};
 use crate::scene::Scene;
 
 /// Name of the behavior in configs and tables.
@@ -29,14 +29,12 @@ pub(super) const ID: &str = "right_turn";
 /// (path per change of heading), `path_m`, `duration_s`, `mean_speed_mps` and `lateral_acceleration_mps2` (mean speed
 /// squared per radius).
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct RightTurn {
-    config: TurnConfig,
-}
+pub struct RightTurn;
 
 impl RightTurn {
-    /// The behavior with these options.
-    pub const fn new(config: TurnConfig) -> Self {
-        Self { config }
+    /// The behavior, which has no options.
+    pub const fn new(_: NoOptions) -> Self {
+        Self
     }
 }
 
@@ -50,12 +48,11 @@ impl Behavior for RightTurn {
     }
 
     fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {
-        let maneuvers = |agent_idx: &usize| turn_maneuvers(&self.config, scene, *agent_idx);
-        agents.first().map_or_else(Vec::new, maneuvers)
+        agents.first().map_or_else(Vec::new, |agent_idx| turn_maneuvers(scene, *agent_idx))
     }
 
     /// At most one event an agent, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
-        turns(ID, TurnSide::Right, &self.config, scene)
+        turns(ID, TurnSide::Right, scene)
     }
 }

@@ -3,7 +3,7 @@
 use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::scene::{LaneDuty, Scene};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,18 +15,16 @@ pub(super) const ROLES: &[&str] = &["agent"];
 /// Names of the parameters of its events, defined at [`RunsStopLine`].
 pub(super) const PARAMETERS: &[&str] = &["speed_mps", "min_speed_mps"];
 
-/// Options of [`RunsStopLine`].
+/// Who rolled, but was never slower than this, is a hard negative, m/s; who was has stopped.
+const STOPPED_MPS: f64 = 0.5;
+
+/// Options of [`RunsStopLine`]; vehicles are considered.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RunsStopLineConfig {
-    /// Road users to consider. Default `motorized`.
-    pub agents: AgentFilter,
     /// Who was slower than this has stopped as most drivers do, by rolling, m/s. Default 2.2 (8 km/h).
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub max_rolling_mps: f64,
-    /// Who was slower than that, but never slower than this, is a hard negative, m/s. Default 0.5.
-    #[schemars(range(min = 0.0))]
-    pub negative_speed_mps: f64,
 }
 
 /// Over this way before the line the vehicle must have stopped, meters, and it must be tracked there: less hides stops
@@ -35,7 +33,7 @@ const APPROACH_M: f64 = 10.0;
 
 impl Default for RunsStopLineConfig {
     fn default() -> Self {
-        Self { agents: AgentFilter::Motorized, max_rolling_mps: 2.2, negative_speed_mps: 0.5 }
+        Self { max_rolling_mps: 2.2 }
     }
 }
 
@@ -67,11 +65,6 @@ impl RunsStopLine {
         Self { config }
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &RunsStopLineConfig {
-        &self.config
-    }
-
     fn events(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let Some(lane) = KeptLane::of(scene, lanes, agent_idx) else { return Vec::new() };
         let track = &scene.tracks[agent_idx];
@@ -90,14 +83,13 @@ impl RunsStopLine {
     }
 
     fn event(&self, scene: &Scene, agent_idx: usize, fronts: &[Front], line_m: f64) -> Option<BehaviorEvent> {
-        let config = &self.config;
         let passed = fronts.iter().position(|front| front.station_m >= line_m)?;
         let first = fronts[..passed].iter().rposition(|front| front.station_m < line_m - APPROACH_M)? + 1;
         let approach = &fronts[first..=passed];
         let min_mps = approach.iter().map(|front| front.speed_mps).reduce(f64::min)?;
-        let label = match min_mps >= config.max_rolling_mps {
+        let label = match min_mps >= self.config.max_rolling_mps {
             true => EventLabel::Positive,
-            false if min_mps >= config.negative_speed_mps => EventLabel::Negative,
+            false if min_mps >= STOPPED_MPS => EventLabel::Negative,
             false => return None,
         };
         let timesteps = approach[0].timestep..=fronts[passed].timestep;
@@ -134,7 +126,7 @@ impl Behavior for RunsStopLine {
         if !scene.lanes.lanes().iter().any(|lane| lane.attributes.duties().any(|(_, duty)| duty == LaneDuty::Stops)) {
             return Vec::new();
         }
-        let considered = (0..scene.tracks.len()).filter(|idx| self.config.agents.admits(scene.tracks[*idx].class));
+        let considered = (0..scene.tracks.len()).filter(|idx| scene.tracks[*idx].class.is_motorized());
         considered.flat_map(|agent_idx| self.events(scene, &lanes, agent_idx)).collect()
     }
 }

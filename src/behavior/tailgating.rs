@@ -3,7 +3,7 @@
 use super::following::Follower;
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,18 +16,16 @@ pub(super) const ROLES: &[&str] = &["follower", "leader"];
 /// Names of the parameters of its events, defined at [`Tailgating`].
 pub(super) const PARAMETERS: &[&str] = &["time_headway_s", "mean_speed_mps", "duration_s"];
 
-/// Options of [`Tailgating`].
+/// Headways that are too long by less than this, over the same duration, are a hard negative, seconds.
+const NEGATIVE_MORE_S: f64 = 0.5;
+
+/// Options of [`Tailgating`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TailgatingConfig {
-    /// Road users that take part. Default `motorized`.
-    pub agents: AgentFilter,
     /// Time headways below this are too short, seconds. Default 0.9.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
     pub max_headway_s: f64,
-    /// Headways below this over the same duration are a hard negative, seconds. Default 1.4.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
-    pub negative_headway_s: f64,
     /// Both drive at least this fast, m/s. Default 8 (29 km/h): slower is dense traffic.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_speed_mps: f64,
@@ -38,13 +36,7 @@ pub struct TailgatingConfig {
 
 impl Default for TailgatingConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            max_headway_s: 0.9,
-            negative_headway_s: 1.4,
-            min_speed_mps: 8.0,
-            min_duration_s: 2.0,
-        }
+        Self { max_headway_s: 0.9, min_speed_mps: 8.0, min_duration_s: 2.0 }
     }
 }
 
@@ -142,9 +134,14 @@ impl Tailgating {
         (duration_s >= self.config.min_duration_s - 1e-9).then(|| longest.to_vec())
     }
 
+    /// Headways below this are a hard negative, seconds.
+    fn negative_headway_s(&self) -> f64 {
+        self.config.max_headway_s + NEGATIVE_MORE_S
+    }
+
     /// The gap beyond which a vehicle at this speed follows nobody, meters.
     fn reach_m(&self, speed_mps: f64) -> f64 {
-        self.config.max_headway_s.max(self.config.negative_headway_s) * speed_mps
+        self.negative_headway_s() * speed_mps
     }
 
     /// Whether any agent is ever near enough ahead for this one to follow it; faster than a test by lanes.
@@ -166,7 +163,7 @@ impl Tailgating {
         let event = |(leader_idx, moments): (usize, Vec<FollowingMoment>)| {
             let run = |limit_s: f64| self.longest(&moments, limit_s, scene.dt_s);
             let positive = run(self.config.max_headway_s).map(|run| (EventLabel::Positive, run));
-            let negative = || run(self.config.negative_headway_s).map(|run| (EventLabel::Negative, run));
+            let negative = || run(self.negative_headway_s()).map(|run| (EventLabel::Negative, run));
             let (label, run) = positive.or_else(negative)?;
             let (headway_s, speed_mps) = means(&run);
             let timesteps = run.first()?.timestep..=run.last()?.timestep;
@@ -197,9 +194,9 @@ impl Behavior for Tailgating {
     /// At most one event an ordered pair, in the order of the tracks of followers, then of leaders.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let lanes = SceneLanes::new(&scene.lanes);
-        let drives = |idx: &usize| self.config.agents.admits(scene.tracks[*idx].class) && self.may_follow(scene, *idx);
+        let drives = |idx: &usize| scene.tracks[*idx].class.is_motorized() && self.may_follow(scene, *idx);
         let followers = (0..scene.tracks.len()).filter(drives);
-        let with_lane = |idx: usize| Some((Follower::of(scene, &lanes, self.config.agents, idx)?, idx));
+        let with_lane = |idx: usize| Some((Follower::of(scene, &lanes, idx)?, idx));
         followers.filter_map(with_lane).flat_map(|(follower, idx)| self.events_of(scene, &follower, idx)).collect()
     }
 }

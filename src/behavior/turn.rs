@@ -1,11 +1,9 @@
 //! Turning by a large angle in a small space: what left and right turns have in common.
 
 use super::lane_relation::SceneLanes;
-use super::{AgentFilter, BehaviorEvent, EventLabel};
+use super::{BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Lane, Scene, Track};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use std::cell::OnceCell;
 use std::f64::consts::{FRAC_PI_3, FRAC_PI_4, FRAC_PI_6};
 
@@ -21,46 +19,18 @@ const END_SHARE: f64 = 0.9;
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 
-/// Options of [`super::LeftTurn`] and [`super::RightTurn`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct TurnConfig {
-    /// Road users to consider. Default `motorized`.
-    pub agents: AgentFilter,
-    /// Smallest change of heading of a turn, radians. Default π/3 (60 degrees).
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_heading_change_rad: f64,
-    /// A smaller change of heading, but at least this, is a hard negative, radians. Default π/6 (30 degrees).
-    #[schemars(range(min = 0.0))]
-    pub negative_heading_change_rad: f64,
-    /// Largest mean radius of a turn, meters; a wider one is a bend of the road and a hard negative. Default 50.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub max_radius_m: f64,
-    /// Smallest mean radius of a turn, meters; less is tighter than a vehicle can steer, so the heading is noise.
-    /// Default 3.
-    #[schemars(range(min = 0.0))]
-    pub min_radius_m: f64,
-    /// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is
-    /// farther. Default 250; at 0, nothing is a roundabout.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
-    pub max_roundabout_m: f64,
-}
-
+/// Smallest change of heading of a turn, radians (60 degrees); one of at least 30 degrees is a hard negative.
+const MIN_HEADING_CHANGE_RAD: f64 = FRAC_PI_3;
+const NEGATIVE_HEADING_CHANGE_RAD: f64 = FRAC_PI_6;
+/// Largest mean radius of a turn, meters; a wider one is a bend of the road and a hard negative.
+const MAX_RADIUS_M: f64 = 50.0;
+/// Smallest mean radius of a turn, meters; less is tighter than a vehicle can steer, so the heading is noise.
+const MIN_RADIUS_M: f64 = 3.0;
+/// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is
+/// farther.
+const MAX_ROUNDABOUT_M: f64 = 250.0;
 /// Shortest path between start and end, meters; less is noise of the heading at low speed.
 const MIN_PATH_M: f64 = 3.0;
-
-impl Default for TurnConfig {
-    fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            min_heading_change_rad: FRAC_PI_3,
-            negative_heading_change_rad: FRAC_PI_6,
-            max_radius_m: 50.0,
-            min_radius_m: 3.0,
-            max_roundabout_m: 250.0,
-        }
-    }
-}
 
 /// Which way a turn goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,32 +50,24 @@ impl TurnSide {
 }
 
 /// The turns of all agents to `side`, in the order of tracks: at most one an agent.
-pub(crate) fn turns(id: &str, side: TurnSide, config: &TurnConfig, scene: &Scene) -> Vec<BehaviorEvent> {
-    let considered = scene.tracks.iter().enumerate().filter(|(_, track)| config.agents.admits(track.class));
+pub(crate) fn turns(id: &str, side: TurnSide, scene: &Scene) -> Vec<BehaviorEvent> {
+    let considered = scene.tracks.iter().enumerate().filter(|(_, track)| track.class.is_motorized());
     let lanes = OnceCell::new();
     let is_at_roundabout = |pose: &TurnedPose| {
         let lanes = lanes.get_or_init(|| SceneLanes::new(&scene.lanes));
-        is_at_roundabout(lanes, config.max_roundabout_m, pose.position, pose.heading_rad)
+        is_at_roundabout(lanes, pose.position, pose.heading_rad)
     };
-    considered
-        .filter_map(|(agent_idx, track)| turn((id, side), config, scene, agent_idx, track, &is_at_roundabout))
-        .collect()
+    considered.filter_map(|(agent_idx, track)| turn((id, side), scene, agent_idx, track, &is_at_roundabout)).collect()
 }
 
 /// Whether an agent with this pose is in a lane of a roundabout, or in one that leads to such a lane or comes from it.
-/// Lanes that lead back to themselves within `max_roundabout_m` are a roundabout.
-pub(super) fn is_at_roundabout(
-    lanes: &SceneLanes<'_>,
-    max_roundabout_m: f64,
-    position: Vec2,
-    heading_rad: f64,
-) -> bool {
+pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, position: Vec2, heading_rad: f64) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
     // The outer lane of a roundabout may lead to exits only; the lane beside it is the one that leads around.
     let is_of_roundabout = |lane: &Lane| {
         let beside = [lane.left_neighbor, lane.right_neighbor].into_iter().flatten();
         let beside = beside.filter_map(|id| lanes.get(id)).map(|lane| lane.lane);
-        beside.chain([lane]).any(|lane| lanes.is_on_loop(lane, max_roundabout_m))
+        beside.chain([lane]).any(|lane| lanes.is_on_loop(lane, MAX_ROUNDABOUT_M))
     };
     let mut along = lanes.lanes_at(position).filter(|(_, place)| is_along(place.heading_rad));
     along.any(|(lane, _)| {
@@ -116,7 +78,6 @@ pub(super) fn is_at_roundabout(
 
 fn turn(
     (id, side): (&str, TurnSide),
-    config: &TurnConfig,
     scene: &Scene,
     agent_idx: usize,
     track: &Track,
@@ -124,7 +85,7 @@ fn turn(
 ) -> Option<BehaviorEvent> {
     let poses = poses_turned(track, side);
     let turned_rad = poses.last()?.turned_rad;
-    if turned_rad < config.negative_heading_change_rad || turned_rad <= 0.0 {
+    if turned_rad < NEGATIVE_HEADING_CHANGE_RAD {
         return None;
     }
     let end = poses.iter().position(|pose| pose.turned_rad >= END_SHARE * turned_rad)?;
@@ -132,14 +93,14 @@ fn turn(
     let (first, last) = (&poses[start], &poses[end]);
     let path_m: f64 = poses[start..=end].windows(2).map(|pair| pair[0].position.distance(pair[1].position)).sum();
     let radius_m = path_m / (last.turned_rad - first.turned_rad);
-    if path_m < MIN_PATH_M || radius_m < config.min_radius_m {
+    if path_m < MIN_PATH_M || radius_m < MIN_RADIUS_M {
         return None;
     }
     let halfway = (start..=end).find(|at| 2.0 * poses[*at].turned_rad >= turned_rad).unwrap_or(end);
     // An agent may reach a roundabout after the turn, or may have left it before.
     let looked_at = [0, start, halfway, end, poses.len() - 1];
-    let is_turn = turned_rad >= config.min_heading_change_rad
-        && radius_m <= config.max_radius_m
+    let is_turn = turned_rad >= MIN_HEADING_CHANGE_RAD
+        && radius_m <= MAX_RADIUS_M
         && !looked_at.iter().any(|at| is_at_roundabout(&poses[*at]));
     let label = if is_turn { EventLabel::Positive } else { EventLabel::Negative };
     let duration_s = (last.timestep - first.timestep) as f64 * scene.dt_s;

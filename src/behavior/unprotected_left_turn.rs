@@ -5,7 +5,7 @@ use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
 use super::turn::is_at_roundabout;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, State};
 use schemars::JsonSchema;
@@ -25,44 +25,30 @@ const ARM_M: f64 = 25.0;
 /// Lanes from opposite arms differ from opposite directions by less than this, and the turner heads along its lane
 /// within this, radians.
 const ALONG_RAD: f64 = FRAC_PI_4;
+/// Smallest change of direction of the turner's lane to the left, radians.
+const MIN_HEADING_CHANGE_RAD: f64 = FRAC_PI_4;
 /// A change of direction beyond this is a U-turn, radians (150 degrees).
 const U_TURN_RAD: f64 = 2.618;
 
-/// Options of [`UnprotectedLeftTurn`].
+/// A post-encroachment time that is too long by less than this is a hard negative, seconds.
+const NEGATIVE_MORE_S: f64 = 2.0;
+
+/// Options of [`UnprotectedLeftTurn`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct UnprotectedLeftTurnConfig {
-    /// Road users that take part. Default `motorized`.
-    pub agents: AgentFilter,
     /// A post-encroachment time below this is short, seconds. Default 2.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// A longer one, but below this, is a hard negative, seconds. Default 4.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub negative_pet_s: f64,
     /// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s. Default 5: who is slower
     /// leaves the gap.
     #[schemars(range(min = 0.0))]
     pub min_speed_mps: f64,
-    /// Smallest change of direction of the lane to the left, radians. Default π/4 (45 degrees).
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 2.6))]
-    pub min_heading_change_rad: f64,
-    /// Lanes that lead back to themselves within this length are a roundabout, meters. Default 250; at 0, nothing is a
-    /// roundabout.
-    #[schemars(range(min = 0.0, max = 10_000.0))]
-    pub max_roundabout_m: f64,
 }
 
 impl Default for UnprotectedLeftTurnConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            max_pet_s: 2.0,
-            negative_pet_s: 4.0,
-            min_speed_mps: 5.0,
-            min_heading_change_rad: FRAC_PI_4,
-            max_roundabout_m: 250.0,
-        }
+        Self { max_pet_s: 2.0, min_speed_mps: 5.0 }
     }
 }
 
@@ -111,11 +97,6 @@ impl UnprotectedLeftTurn {
         Self { config }
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &UnprotectedLeftTurnConfig {
-        &self.config
-    }
-
     fn event(
         &self,
         scene: &Scene,
@@ -124,14 +105,15 @@ impl UnprotectedLeftTurn {
         oncoming: &Agent<'_>,
     ) -> Option<BehaviorEvent> {
         let config = &self.config;
-        let conflict = Conflict::between(&turner.course, &oncoming.course, config.negative_pet_s)?;
+        let negative_pet_s = config.max_pet_s + NEGATIVE_MORE_S;
+        let conflict = Conflict::between(&turner.course, &oncoming.course, negative_pet_s)?;
         if conflict.merges {
             return None;
         }
         let speed_mps = |agent: &Agent<'_>| agent.course.state(conflict.enters).map(State::speed_mps);
         let oncoming_mps = speed_mps(oncoming).filter(|mps| *mps >= config.min_speed_mps)?;
-        let pet_s = conflict.pet_s(&oncoming.course, scene.dt_s).filter(|pet_s| *pet_s < config.negative_pet_s)?;
-        if !self.turns_across(lanes, turner, oncoming, &conflict)? {
+        let pet_s = conflict.pet_s(&oncoming.course, scene.dt_s).filter(|pet_s| *pet_s < negative_pet_s)?;
+        if !Self::turns_across(lanes, turner, oncoming, &conflict)? {
             return None;
         }
         let label = if pet_s < config.max_pet_s { EventLabel::Positive } else { EventLabel::Negative };
@@ -148,24 +130,22 @@ impl UnprotectedLeftTurn {
     /// Whether the lanes come from opposite arms and cross because the first leads to the left, and the turner follows
     /// its lane.
     fn turns_across(
-        &self,
         lanes: &SceneLanes<'_>,
         turner: &Agent<'_>,
         oncoming: &Agent<'_>,
         conflict: &Conflict,
     ) -> Option<bool> {
-        let config = &self.config;
         let midway = turner.course.state(usize::midpoint(conflict.enters, conflict.leaves))?;
         let left = turner.course.state(conflict.leaves)?;
         let [own, theirs] = [&turner.course.lane, &oncoming.course.lane].map(|lane| Arms::of(lane, midway.position));
         let (own, theirs) = (own?, theirs?);
         let follows = angle_difference(turner.course.lane.project(left.position)?.heading_rad, left.heading_rad).abs();
         Some(
-            (config.min_heading_change_rad..U_TURN_RAD).contains(&own.turned_rad())
-                && theirs.turned_rad() < config.min_heading_change_rad
+            (MIN_HEADING_CHANGE_RAD..U_TURN_RAD).contains(&own.turned_rad())
+                && theirs.turned_rad() < MIN_HEADING_CHANGE_RAD
                 && angle_difference(own.from_rad, theirs.from_rad).abs() > PI - ALONG_RAD
                 && follows < ALONG_RAD
-                && !is_at_roundabout(lanes, config.max_roundabout_m, midway.position, midway.heading_rad),
+                && !is_at_roundabout(lanes, midway.position, midway.heading_rad),
         )
     }
 }
@@ -211,7 +191,7 @@ impl Behavior for UnprotectedLeftTurn {
     /// At most one event for each ordered pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let lanes = SceneLanes::new(&scene.lanes);
-        let admitted = (0..scene.tracks.len()).filter(|idx| self.config.agents.admits(scene.tracks[*idx].class));
+        let admitted = (0..scene.tracks.len()).filter(|idx| scene.tracks[*idx].class.is_motorized());
         let agents: Vec<Agent<'_>> = admitted
             .filter_map(|agent_idx| Some(Agent { agent_idx, course: Course::of(scene, &lanes, agent_idx)? }))
             .collect();

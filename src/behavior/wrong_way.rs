@@ -2,7 +2,7 @@
 
 use super::lane_relation::SceneLanes;
 use super::maneuver::Maneuver;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
 use schemars::JsonSchema;
@@ -20,26 +20,23 @@ pub(super) const PARAMETERS: &[&str] = &["duration_s", "mean_speed_mps", "path_m
 /// A vehicle drives against a lane if it points opposite to it within this, radians.
 const OPPOSITE_RAD: f64 = FRAC_PI_4;
 
-/// Options of [`WrongWay`].
+/// The vehicle drives forward at least this fast, m/s: who maneuvers is slower.
+const MIN_SPEED_MPS: f64 = 2.0;
+/// A time that is too short, but at least this part of the least one, is a hard negative (0.5 of 1.5 s).
+const NEGATIVE_PART: f64 = 3.0;
+
+/// Options of [`WrongWay`]; vehicles are considered.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WrongWayConfig {
-    /// Road users to consider. Default `motorized`.
-    pub agents: AgentFilter,
     /// How long this lasts without a break, from the first to the last timestep, seconds. Default 1.5.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_duration_s: f64,
-    /// A shorter time, but at least this, is a hard negative, seconds. Default 0.5.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub negative_duration_s: f64,
-    /// The vehicle drives forward at least this fast, m/s. Default 2: who maneuvers is slower.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for WrongWayConfig {
     fn default() -> Self {
-        Self { agents: AgentFilter::Motorized, min_duration_s: 1.5, negative_duration_s: 0.5, min_speed_mps: 2.0 }
+        Self { min_duration_s: 1.5 }
     }
 }
 
@@ -71,14 +68,9 @@ impl WrongWay {
         Self { config }
     }
 
-    /// Its options.
-    pub(super) const fn config(&self) -> &WrongWayConfig {
-        &self.config
-    }
-
-    fn is_against(&self, lanes: &SceneLanes<'_>, state: &State) -> bool {
+    fn is_against(lanes: &SceneLanes<'_>, state: &State) -> bool {
         let is_opposite = |lane_rad: f64| angle_difference(lane_rad, state.heading_rad).abs() > PI - OPPOSITE_RAD;
-        if state.velocity.dot(Vec2::from_angle(state.heading_rad)) < self.config.min_speed_mps {
+        if state.velocity.dot(Vec2::from_angle(state.heading_rad)) < MIN_SPEED_MPS {
             return false;
         }
         let mut own = lanes.lanes_at(state.position).peekable();
@@ -86,9 +78,9 @@ impl WrongWay {
     }
 
     /// The longest run of timesteps at which an agent drives against its lane.
-    fn longest(&self, lanes: &SceneLanes<'_>, track: &Track) -> Option<RangeInclusive<usize>> {
+    fn longest(lanes: &SceneLanes<'_>, track: &Track) -> Option<RangeInclusive<usize>> {
         let states = track.trajectory.valid().filter(|(_, state)| state.is_finite());
-        let against = states.filter(|(_, state)| self.is_against(lanes, state)).map(|(timestep, _)| timestep);
+        let against = states.filter(|(_, state)| Self::is_against(lanes, state)).map(|(timestep, _)| timestep);
         let mut runs: Vec<RangeInclusive<usize>> = Vec::new();
         for timestep in against {
             match runs.last_mut() {
@@ -102,12 +94,12 @@ impl WrongWay {
 
     fn event(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<BehaviorEvent> {
         let track = &scene.tracks[agent_idx];
-        let run = self.longest(lanes, track)?;
+        let run = Self::longest(lanes, track)?;
         let duration_s = (run.end() - run.start()) as f64 * scene.dt_s;
         let lasts = |least_s: f64| duration_s >= least_s - 1e-9;
         let label = match lasts(self.config.min_duration_s) {
             true => EventLabel::Positive,
-            false if lasts(self.config.negative_duration_s) => EventLabel::Negative,
+            false if lasts(self.config.min_duration_s / NEGATIVE_PART) => EventLabel::Negative,
             false => return None,
         };
         let places: Vec<Vec2> = run.clone().filter_map(|t| Some(track.trajectory.get(t)?.position)).collect();
@@ -136,7 +128,7 @@ impl Behavior for WrongWay {
     /// At most one event an agent, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let lanes = SceneLanes::new(&scene.lanes);
-        let considered = (0..scene.tracks.len()).filter(|idx| self.config.agents.admits(scene.tracks[*idx].class));
+        let considered = (0..scene.tracks.len()).filter(|idx| scene.tracks[*idx].class.is_motorized());
         considered.filter_map(|agent_idx| self.event(scene, &lanes, agent_idx)).collect()
     }
 }

@@ -119,8 +119,8 @@ mod tests {
         for wrong in [
             "duplicate_distance_m = -1.0",
             "duplicate_distance_m = inf",
-            "[validity]\nwindow_s = 700.0",
-            "[validity]\nwindow_s = 0.0",
+            "[validity]\nmax_recorded_offroad = 1.5",
+            "[validity]\nmax_slip_rad = -0.1",
             "[validity]\nmax_jerk_mps3 = inf",
             "[validity]\nmax_jerk_mps3 = nan",
         ] {

@@ -230,7 +230,6 @@ mod tests {
         let (dir, _) = written(std::slice::from_ref(&scene));
         let config = IngestConfig {
             maps: MapsConfig::None,
-            agents_present: crate::ingest::AgentsPresent::InHistory,
             ..IngestConfig::new(Dataset::Interaction, vec![dir.path().to_owned()])
         };
         let mut found = Vec::new();

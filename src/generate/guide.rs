@@ -31,18 +31,8 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
     let may_collide = may_collide.filter(|_| sweep.asks_for_collision());
-    let agents = AgentSelector::default();
-    [
-        ObjectiveConfig::new(
-            1.0,
-            NoCollision {
-                agents: agents.clone(),
-                except: may_collide.map(|roles| roles.map(AgentSelector::new)),
-                margin_m: 0.3,
-            },
-        ),
-        ObjectiveConfig::new(3.0, StayOnRoad { agents }),
-    ]
+    let except = may_collide.map(|roles| roles.map(AgentSelector::new));
+    [ObjectiveConfig::new(1.0, NoCollision { except, margin_m: 0.3 }), ObjectiveConfig::new(3.0, StayOnRoad {})]
 }
 
 /// A batch to be guided.

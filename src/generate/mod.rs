@@ -44,7 +44,7 @@ pub use config::{GenerateConfig, PairRanking, PairSelectionConfig};
 pub use error::Error;
 pub use futures::{Continued, Futures};
 pub use generator::{Generator, Models, SceneLoader};
-pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice, TimestepRange};
+pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice};
 pub use plan::{Cell, Plan, ShardPlan, Shortfall};
 pub use regenerate::SampleKey;
 pub use request::{

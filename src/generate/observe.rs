@@ -51,7 +51,7 @@ pub enum AgentChoice {
     NRandom(usize),
 }
 
-/// Times: `"all"`, `"history"`, `"future"`, `"goal"`, or a range in timesteps or seconds.
+/// Times: `"all"`, `"history"`, `"future"`, `"goal"`, or a range in seconds.
 #[derive(Debug, Clone, PartialEq, Serialize, DeserializeDerive, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TimeChoice {
@@ -63,28 +63,8 @@ pub enum TimeChoice {
     Future,
     /// The last timestep, for agents that are tracked then.
     Goal,
-    /// Some timesteps, which count from 0 at the beginning of the history.
-    Timesteps(TimestepRange),
     /// A stretch of time around the present.
     Seconds(SecondRange),
-}
-
-/// The timesteps `from`, `from + every`, … before `to`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, DeserializeDerive, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct TimestepRange {
-    /// The first timestep.
-    #[serde(default)]
-    #[schemars(range(max = 20_000))]
-    pub from: usize,
-    /// The end, exclusive; left out: the end of the scene.
-    #[serde(default)]
-    #[schemars(range(max = 20_000))]
-    pub to: Option<usize>,
-    /// The distance of neighboring timesteps.
-    #[serde(default = "one")]
-    #[schemars(range(min = 1, max = 20_000))]
-    pub every: usize,
 }
 
 /// The timesteps between two times, inclusive.
@@ -97,10 +77,6 @@ pub struct SecondRange {
     /// The last time, seconds after the present.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub to_s: f64,
-}
-
-const fn one() -> usize {
-    1
 }
 
 /// A scene with requested agents.
@@ -256,11 +232,6 @@ impl TimeChoice {
             Self::History => timestep < scene.n_history,
             Self::Future => timestep >= scene.n_history,
             Self::Goal => scene.has_future() && timestep + 1 == scene.n_timesteps,
-            Self::Timesteps(range) => {
-                timestep >= range.from
-                    && range.to.is_none_or(|to| timestep < to)
-                    && (timestep - range.from).is_multiple_of(range.every)
-            }
             Self::Seconds(range) => {
                 // Times are written with few digits, so a range includes a timestep that lies a rounding error beyond
                 // its end.
@@ -310,9 +281,9 @@ mod tests {
             { agents = { role = 'other' }, times = { seconds = { from_s = 0.2, to_s = 0.5 } }, hide = true }]";
         let all: Vec<usize> = (0..12).collect();
         assert_eq!(observed(window, 0), [all.clone(), vec![0, 1, 2, 3, 4, 9, 10, 11], all.clone()]);
-        let strided = "[{ agents = { track = '1' }, times = { timesteps = { from = 1, to = 11, every = 5 } } },
+        let one = "[{ agents = { track = '1' }, times = { seconds = { from_s = -0.2, to_s = 0.1 } } },
             { agents = 'ego', times = 'future' }]";
-        assert_eq!(observed(strided, 0), [vec![1, 6], (4..12).collect(), vec![]]);
+        assert_eq!(observed(one, 0), [(1..5).collect(), (4..12).collect(), vec![]]);
     }
 
     #[test]
@@ -355,7 +326,9 @@ mod tests {
 
     #[test]
     fn what_is_written_reads_as_itself() {
-        for toml in ["'imputation'", "[{ agents = { n_random = 2 }, times = { timesteps = { from = 3 } } }]"] {
+        for toml in
+            ["'imputation'", "[{ agents = { n_random = 2 }, times = { seconds = { from_s = 0.0, to_s = 1.5 } } }]"]
+        {
             let config = parse(toml);
             let text = toml::to_string(&Observing { observe: config.clone() }).unwrap();
             assert_eq!(toml::from_str::<Observing>(&text).unwrap().observe, config);

@@ -39,7 +39,7 @@ impl ObjectiveSum<'_> {
     pub fn terms(&self, x0: &Tensor) -> Result<Vec<Tensor>> {
         let states = self.batch.decode(x0)?;
         let term = |objective: &ObjectiveConfig| {
-            let potential = objective.objective().log_potential(&states, self.context)?;
+            let potential = objective.log_potential(&states, self.context)?;
             nothing(&states)? + (potential * objective.weight)?
         };
         self.objectives.iter().map(term).collect()

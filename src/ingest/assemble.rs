@@ -1,6 +1,6 @@
 //! Turns a recorded scene into a `Scene`: chooses the ego, the other agents and the lanes.
 
-use super::config::{AgentsPresent, IngestConfig};
+use super::config::IngestConfig;
 use super::lane_index::{Circle, LaneIndex};
 use super::plausible_tracks::{judge, judge_place};
 use super::raw::{HeadingGap, RawScene, Reject};
@@ -179,18 +179,16 @@ fn choose_agents(
     config: &IngestConfig,
     counts: &mut IngestReport,
 ) -> Vec<usize> {
-    let last_observed = |idx: usize| tracks[idx].trajectory.valid().rev().find(|(timestep, _)| *timestep <= present);
-    let ego_position = last_observed(ego_idx).map_or(Vec2::ZERO, |(_, state)| state.position);
+    let at_present = |idx: usize| tracks[idx].trajectory.get(present);
+    let ego_position = at_present(ego_idx).map_or(Vec2::ZERO, |state| state.position);
     let mut by_distance: Vec<(f64, usize)> = Vec::with_capacity(tracks.len());
     for (idx, track) in tracks.iter().enumerate() {
-        let Some((timestep, state)) = last_observed(idx) else {
+        let is_ego = idx == ego_idx;
+        let Some(state) = at_present(idx) else {
             counts.count_dropped("agents_absent", 1);
             continue;
         };
-        let is_ego = idx == ego_idx;
-        if config.agents_present == AgentsPresent::AtCurrent && timestep != present {
-            counts.count_dropped("agents_absent", 1);
-        } else if track.class == AgentClass::Static && !config.keep_static && !is_ego {
+        if track.class == AgentClass::Static && !is_ego {
             counts.count_dropped("agents_static", 1);
         } else {
             // The ego comes first even if another agent is recorded at the same place.

@@ -61,16 +61,10 @@ pub struct IngestConfig {
     /// resampled to even times. Default true; false keeps one recorded position per timestep, as in the benchmarks.
     #[serde(default = "default_smooth_tracks")]
     pub smooth_tracks: bool,
-    /// Agents of a scene: the nearest to the ego at present are kept, the ego always.
+    /// Agents of a scene: of those at present, without static objects, the nearest to the ego are kept, the ego always.
     #[serde(default = "default_max_agents")]
     #[schemars(range(min = 1, max = 10_000))]
     pub max_agents: usize,
-    /// Which agents belong to a scene.
-    #[serde(default)]
-    pub agents_present: AgentsPresent,
-    /// Whether to keep static objects (Argoverse 2's static, background, construction, riderless bicycle).
-    #[serde(default)]
-    pub keep_static: bool,
     /// Lanes with any point within this distance of the ego's present position belong to the scene, and those that any
     /// agent of it can reach, meters.
     #[serde(default = "default_map_radius_m")]
@@ -80,8 +74,8 @@ pub struct IngestConfig {
     #[serde(default)]
     #[schemars(range(min = 1, max = 1_000_000_000_000_u64))]
     pub limit: Option<u64>,
-    /// Seed of the choice of an ego if the recording marks none.
-    #[serde(default)]
+    /// Seed of the choice of an ego if the recording marks none: that of the run.
+    #[serde(skip)]
     pub seed: u64,
 }
 
@@ -94,17 +88,6 @@ pub enum MapsConfig {
     Required,
     /// Maps are not read; scenes have no lanes.
     None,
-}
-
-/// Which agents belong to a scene.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum AgentsPresent {
-    /// Those tracked at the last observed timestep.
-    #[default]
-    AtCurrent,
-    /// Those tracked at any observed timestep.
-    InHistory,
 }
 
 impl IngestConfig {
@@ -124,8 +107,6 @@ impl IngestConfig {
             holdout_share: default_holdout_share(),
             smooth_tracks: default_smooth_tracks(),
             max_agents: default_max_agents(),
-            agents_present: AgentsPresent::AtCurrent,
-            keep_static: false,
             map_radius_m: default_map_radius_m(),
             limit: None,
             seed: 0,

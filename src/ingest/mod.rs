@@ -50,7 +50,7 @@ mod windows;
 mod word;
 mod xml_tree;
 
-pub use config::{AgentsPresent, IngestConfig, MapsConfig};
+pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
 pub use explanation::Explanation;

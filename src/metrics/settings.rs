@@ -88,6 +88,9 @@ mod tests {
         let unsaid = BTreeSet::from([leaving.source.place.clone()]);
         let validity = ValidityConfig { places_without_road: unsaid, ..ValidityConfig::default() };
         let unsaid = MetricSettings { validity };
+        // Workers read the settings from the plan.
+        let read = serde_json::from_value::<MetricSettings>(serde_json::to_value(&unsaid).unwrap()).unwrap();
+        assert_eq!(read, unsaid);
         for (id, value) in [("offroad_rate", 1.0), ("drivable_area_compliance", 0.0)] {
             let by = |settings: &MetricSettings| settings.by_id(id).expect("known").evaluate(&group);
             assert_eq!((by(&MetricSettings::default()), by(&unsaid)), (Some(value), None), "{id}");

@@ -5,21 +5,17 @@ use crate::nn::{Mlp, Params, Scope, sinusoidal};
 use crate::seed::Seed;
 use crate::tensor::PairFeatures;
 use candle_core::{Result, Tensor};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Shape of the classifier.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BehaviorClassifierConfig {
     /// Features of each hidden layer (the paper's 128).
-    #[schemars(range(min = 1, max = 16_384))]
     pub width: usize,
     /// Number of hidden layers (the paper's 2).
-    #[schemars(range(max = 100))]
     pub n_hidden: usize,
     /// Features of the sinusoidal encoding of the noise level; even.
-    #[schemars(range(min = 2, max = 16_384), extend("multipleOf" = 2))]
     pub encoding: usize,
 }
 

@@ -11,7 +11,7 @@ use super::stages::checkpoint_file;
 use crate::engine::plan::{Action, PlannedStage};
 use crate::engine::{DeviceChoice, Failure, Result};
 use crate::ingest::usual_horizon;
-use crate::model::{DenoiserSpec, NetworkConfig, NumberCounts, SceneSize, TrainedModel};
+use crate::model::{BehaviorClassifierConfig, DenoiserSpec, NetworkConfig, NumberCounts, SceneSize, TrainedModel};
 use crate::nn::Compute;
 use crate::store::SceneStore;
 
@@ -147,14 +147,14 @@ impl<'a> Sizes<'a> {
             StageId::TrainClassifier => match &train.classifier {
                 Some(section) if section.checkpoint.is_none() => {
                     let scene = self.scene(N_AGENTS, 0, None)?;
-                    trained(section.network.number_counts(scene), section.batch_size, scene)
+                    trained(BehaviorClassifierConfig::default().number_counts(scene), section.batch_size, scene)
                 }
                 _ => None,
             },
             StageId::TrainBaseline => match &train.baseline {
                 Some(section) if section.checkpoint.is_none() => {
                     let resolved = section.resolve()?;
-                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, section.state_dim)?;
+                    let scene = self.scene(resolved.max_agents, resolved.max_lanes, None)?;
                     trained(resolved.network.number_counts(scene), resolved.common.batch_size, scene)
                 }
                 _ => None,

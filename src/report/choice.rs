@@ -13,6 +13,9 @@ use crate::scene::SceneId;
 use crate::store::SceneSet;
 use std::collections::BTreeMap;
 
+/// Samples of a scene that are drawn over each other: as many as a sweep has by default.
+const N_SAMPLES_DRAWN: usize = 6;
+
 /// How much of a sweep is drawn, and the setting that limits it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drawn {
@@ -86,7 +89,7 @@ impl<'a> Choice<'a> {
                 (None, Verdict::Recorded) => asked.recorded.offer(record, scene_idx),
                 (None, Verdict::NotVerified | Verdict::NotAsked) => asked.failed.offer(record, scene_idx),
             },
-            Candidates::Galleries(galleries) => galleries.offer(record, scene_idx, self.config.n_samples_drawn),
+            Candidates::Galleries(galleries) => galleries.offer(record, scene_idx, N_SAMPLES_DRAWN),
         }
     }
 

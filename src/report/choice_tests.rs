@@ -126,16 +126,18 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
 
 #[test]
 fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
-    let config = ReportConfig { n_scenes_drawn: 2, n_samples_drawn: 2, ..ReportConfig::default() };
+    let config = ReportConfig { n_scenes_drawn: 2, ..ReportConfig::default() };
     let mut records = Vec::new();
     for scene in ["a", "b", "c"] {
-        records.extend((0..3).map(|i| record("one", scene, 0.0, i)));
+        records.extend((0..8).map(|i| record("one", scene, 0.0, i)));
     }
     // The second sweep comes to the scenes in another order, at two strengths, and does not have b.
     for scene in ["d", "c", "a"] {
         records.extend([0.0, 1.0].map(|strength| record("two", scene, strength, 0)));
     }
-    let expected = ["one-a-0-0 one-a-0-1", "one-b-0-0 one-b-0-1", "two-a-0-0", "two-a-1-0", "two-d-0-0", "two-d-1-0"];
+    let six = |scene: &str| (0..6).map(|i| format!("one-{scene}-0-{i}")).collect::<Vec<_>>().join(" ");
+    let (a, b) = (six("a"), six("b"));
+    let expected = [&a, &b, "two-a-0-0", "two-a-1-0", "two-d-0-0", "two-d-1-0"];
     assert_eq!(choose(&config, &records), expected);
 }
 

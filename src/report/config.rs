@@ -22,9 +22,6 @@ pub struct ReportConfig {
     /// Scenes to draw per sweep without a behavior, at each strength; the same scenes in all of them.
     #[schemars(range(max = 100_000))]
     pub n_scenes_drawn: usize,
-    /// Samples to draw of each of these scenes, overlaid.
-    #[schemars(range(max = 100_000))]
-    pub n_samples_drawn: usize,
     /// Recorded scenes, and scenarios of each kind, whose motion is compared.
     #[schemars(range(max = 100_000))]
     pub n_compared: usize,
@@ -38,7 +35,6 @@ impl Default for ReportConfig {
             n_failed_drawn: 3,
             n_drawn_per_bucket: 2,
             n_scenes_drawn: 2,
-            n_samples_drawn: 6,
             n_compared: 300,
         }
     }

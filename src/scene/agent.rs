@@ -63,6 +63,11 @@ impl AgentClass {
         matches!(self, Self::Vehicle | Self::Bus | Self::Motorcyclist | Self::Unknown)
     }
 
+    /// Whether it takes part in traffic.
+    pub const fn is_road_user(self) -> bool {
+        !matches!(self, Self::Static)
+    }
+
     /// Whether its heading is recorded. Only INTERACTION has this class, and it records no headings of pedestrians and
     /// cyclists: they are derived from motion, and noise while the agent stands.
     pub const fn has_recorded_heading(self) -> bool {

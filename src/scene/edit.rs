@@ -10,10 +10,21 @@ use crate::settings::{self, Issue};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A change of one agent's future.
+/// A change of one agent's future: `{ kind = "scale_speed", agent = "ego", factor = 0.5 }`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(extend("unevaluatedProperties" = false))]
+pub struct SceneEdit {
+    /// Who is moved.
+    pub agent: AgentRef,
+    /// The change with its options.
+    #[serde(flatten)]
+    pub kind: EditKind,
+}
+
+/// The changes with their options.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub enum SceneEdit {
+pub enum EditKind {
     /// The agent goes the same way earlier or later.
     ShiftTime(ShiftTime),
     /// The agent is shifted sideways, forward or backward from its recorded course.
@@ -31,8 +42,6 @@ pub enum SceneEdit {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ShiftTime {
-    /// Who.
-    pub agent: AgentRef,
     /// How much later, seconds; negative: earlier.
     #[schemars(range(min = -60.0, max = 60.0))]
     pub by_s: f64,
@@ -46,8 +55,6 @@ pub struct ShiftTime {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Shift {
-    /// Who.
-    pub agent: AgentRef,
     /// How far ahead, meters; negative: behind.
     #[serde(default)]
     #[schemars(range(min = -1e4, max = 1e4))]
@@ -66,8 +73,6 @@ pub struct Shift {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScaleSpeed {
-    /// Who.
-    pub agent: AgentRef,
     /// By which the recorded speed is multiplied; 0 stops.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub factor: f64,
@@ -81,8 +86,6 @@ pub struct ScaleSpeed {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetPositions {
-    /// Who.
-    pub agent: AgentRef,
     /// The points, in the order of their times.
     pub points: Vec<TimedPoint>,
 }
@@ -107,8 +110,6 @@ pub struct TimedPoint {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Meet {
-    /// Who is moved.
-    pub agent: AgentRef,
     /// Whom it meets.
     pub with: AgentRef,
     /// When, seconds after the present.
@@ -123,12 +124,9 @@ pub struct Meet {
 impl SceneEdit {
     /// The agents it names.
     pub fn agents(&self) -> Vec<&AgentRef> {
-        match self {
-            Self::ShiftTime(ShiftTime { agent, .. })
-            | Self::Shift(Shift { agent, .. })
-            | Self::ScaleSpeed(ScaleSpeed { agent, .. })
-            | Self::SetPositions(SetPositions { agent, .. }) => vec![agent],
-            Self::Meet(Meet { agent, with, .. }) => vec![agent, with],
+        match &self.kind {
+            EditKind::Meet(Meet { with, .. }) => vec![&self.agent, with],
+            _ => vec![&self.agent],
         }
     }
 
@@ -138,23 +136,23 @@ impl SceneEdit {
     /// When there is one.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
-        match self {
-            Self::ShiftTime(e) if e.by_s >= e.onset_s / 1.5 => {
+        match &self.kind {
+            EditKind::ShiftTime(e) if e.by_s >= e.onset_s / 1.5 => {
                 let message =
                     format!("is {}, expected more than 1.5 times by_s: the agent would drive backwards", e.onset_s);
                 Err(Issue::new("onset_s", message))
             }
-            Self::SetPositions(e) if e.points.is_empty() => {
+            EditKind::SetPositions(e) if e.points.is_empty() => {
                 Err(Issue::new("points", "is empty, expected at least one entry"))
             }
-            Self::SetPositions(e) => match e.points.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
+            EditKind::SetPositions(e) => match e.points.windows(2).position(|pair| pair[1].t_s <= pair[0].t_s) {
                 Some(i) => {
                     let (key, t_s) = (format!("points.{}.t_s", i + 1), e.points[i + 1].t_s);
                     Err(Issue::new(key, format_args!("is {t_s}, expected more than at the previous point")))
                 }
                 None => Ok(()),
             },
-            Self::Meet(e) if e.agent == e.with => {
+            EditKind::Meet(e) if self.agent == e.with => {
                 Err(Issue::new("with", format_args!("is {}, the agent that is moved; name another agent", e.with)))
             }
             _ => Ok(()),
@@ -181,20 +179,20 @@ impl SceneEdit {
         let timesteps = (present + 1..scene.n_timesteps).map(|timestep| timestep as f64);
         let now = present as f64;
         let after = |seconds: f64| now + seconds / scene.dt_s;
-        let positions: Vec<Vec2> = match self {
-            Self::ShiftTime(e) => timesteps
+        let positions: Vec<Vec2> = match &self.kind {
+            EditKind::ShiftTime(e) => timesteps
                 .map(|t| own.at(t - smooth_step(t, now, after(e.onset_s)) * e.by_s / scene.dt_s).position)
                 .collect(),
-            Self::Shift(e) => timesteps
+            EditKind::Shift(e) => timesteps
                 .map(|t| {
                     let state = own.at(t);
                     let shift = Vec2::new(e.along_m, e.left_m).rotated(state.heading_rad);
                     state.position + shift * smooth_step(t, now, after(e.onset_s))
                 })
                 .collect(),
-            Self::ScaleSpeed(e) => e.positions(scene, &own),
-            Self::SetPositions(e) => timesteps.map(|t| e.position(&own.at(now), (t - now) * scene.dt_s)).collect(),
-            Self::Meet(e) => {
+            EditKind::ScaleSpeed(e) => e.positions(scene, &own),
+            EditKind::SetPositions(e) => timesteps.map(|t| e.position(&own.at(now), (t - now) * scene.dt_s)).collect(),
+            EditKind::Meet(e) => {
                 let Some(other) = motion(1) else { return Ok(scene.clone()) };
                 let met = other.at(after(e.at_s));
                 let place = met.position + Vec2::from_angle(met.heading_rad) * e.ahead_m;

@@ -1,9 +1,8 @@
 //! The `[train.baseline]` section: training of Scene Transformer, with which the denoiser is compared.
 
 use super::section::{SceneTraining, check_tasks};
-use super::{Error, Preset, SceneChoice};
+use super::{Error, OwnScenes, Preset, SceneChoice};
 use crate::model::SceneTransformerConfig;
-use crate::scene::Split;
 use crate::settings;
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
@@ -16,17 +15,8 @@ use serde::{Deserialize, Serialize};
 pub struct BaselineTrainingConfig {
     /// Size of the network: `tiny`, `small` or `paper`.
     pub preset: Preset,
-    /// Dimensions of a predicted state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
-    #[schemars(range(min = 2, max = 3))]
-    pub state_dim: Option<usize>,
     /// How often each observation task is drawn.
     pub tasks: TaskWeights,
-    /// Splits to train on. Empty: `train`, or all unsplit scenes if there is no such split.
-    #[schemars(extend("uniqueItems" = true))]
-    pub splits: Vec<Split>,
-    /// Places to train on. Empty: all.
-    #[schemars(extend("uniqueItems" = true))]
-    pub places: Vec<String>,
     /// Optimizer steps in all.
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: Option<u64>,
@@ -58,8 +48,8 @@ impl BaselineTrainingConfig {
     pub const SECTION: &'static str = "train.baseline";
 
     /// The scenes it trains on.
-    pub fn scene_choice(&self) -> SceneChoice<'_> {
-        SceneChoice { section: Self::SECTION, splits: &self.splits, places: &self.places, own_weight: 1.0, data: &[] }
+    pub const fn scene_choice(own: OwnScenes<'_>) -> SceneChoice<'_> {
+        SceneChoice { section: Self::SECTION, own, own_weight: 1.0, data: &[] }
     }
 
     /// The preset with the section's settings over it.

@@ -55,15 +55,8 @@ fn train(denoiser: &DenoiserSpec, steps: u64, dir: &Path, progress: &dyn Progres
         held_out: &held_out,
         fingerprint: "events".to_owned(),
     };
-    let config = ClassifierTrainingConfig {
-        seed: 4,
-        steps,
-        batch_size: 32,
-        warmup_steps: 10,
-        evaluate_every: 50,
-        save_every: 7,
-        ..ClassifierTrainingConfig::default()
-    };
+    let config =
+        ClassifierTrainingConfig { steps, batch_size: 32, evaluate_every: 50, ..ClassifierTrainingConfig::default() };
     let job = TrainJob { progress, ..job(4, dir) };
     train_classifier(&config, denoiser, &data, job)
 }

@@ -13,21 +13,22 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 
+/// Pairs to train on at most; negative ones are dropped first, until half are positive. They are held in memory, some
+/// kilobytes each.
+pub const MAX_EXAMPLES: usize = 50_000;
+/// Held-out pairs of an evaluation at most: enough for two digits of every figure.
+pub const MAX_HELD_OUT: usize = 4_000;
+/// Steps over which the learning rate rises from 0.
+const WARMUP_STEPS: u64 = 100;
+
 training_section! {
     /// How to train the classifier of a behavior: the `[train.classifier]` section.
     pub struct ClassifierTrainingConfig in "train.classifier", each Own {
         /// Name of the behavior, which must be mined.
         pub behavior: String,
-        /// The network.
-        pub network: BehaviorClassifierConfig,
-        /// Maximum number of pairs to train on; negative ones are dropped first, until half are positive.
-        #[schemars(range(min = 1, max = 1_000_000_000))]
-        pub max_examples: usize,
-        /// Maximum number of held-out pairs per evaluation.
-        #[schemars(range(max = 1_000_000_000))]
-        pub max_held_out: usize,
-        /// Seed of everything random.
-        pub seed: u64,
+        /// Places to train on. Empty: those of `train.places`.
+        #[schemars(extend("uniqueItems" = true))]
+        pub places: Vec<String>,
     }
 }
 
@@ -35,19 +36,11 @@ impl Default for ClassifierTrainingConfig {
     fn default() -> Self {
         Self {
             behavior: "cut_in".to_owned(),
-            network: BehaviorClassifierConfig::default(),
-            splits: Vec::new(),
             places: Vec::new(),
-            max_examples: 50_000,
-            max_held_out: 4_000,
             steps: 6_000,
             batch_size: 128,
-            learning_rate: 1e-3,
-            warmup_steps: 100,
             evaluate_every: 1_000,
-            save_every: 500,
             checkpoint: None,
-            seed: 0,
         }
     }
 }
@@ -59,7 +52,7 @@ impl ClassifierTrainingConfig {
     /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
-        Ok(self.schedule(&FitConfig { ema_decay: 0.0, ..FitConfig::default() }))
+        Ok(self.schedule(&FitConfig { ema_decay: 0.0, warmup_steps: WARMUP_STEPS, ..FitConfig::default() }))
     }
 }
 
@@ -143,7 +136,7 @@ fn describe(
         kind: ClassifierKind::BehaviorClassifier,
         behavior: config.behavior.clone(),
         roles: data.roles.clone(),
-        network: config.network.clone(),
+        network: BehaviorClassifierConfig::default(),
         edm: denoiser.edm,
         normalizer: denoiser.normalizer.clone(),
         n_history: denoiser.n_history,

@@ -3,7 +3,7 @@
 use super::testing::{arcs, collator, draws_of_four, job, one_source};
 use super::*;
 use crate::diffusion::{NoiseDistribution, NoiseSource};
-use crate::guidance::{AccelerationLimit, AgentSelector, ObjectiveConfig};
+use crate::guidance::{AccelerationLimit, ObjectiveConfig};
 use crate::model::{DenoiserSpec, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::testing::{scalar, values};
 use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
@@ -70,8 +70,7 @@ fn objectives_shape_clean_estimates() {
     let final_cost = |weight: f64| {
         let mut training = training(200);
         // Nobody was recorded to turn that hard, but what is left of noise looks like it.
-        training.objectives =
-            vec![ObjectiveConfig::new(weight, AccelerationLimit { agents: AgentSelector::default(), limit_mps2: 8.0 })];
+        training.objectives = vec![ObjectiveConfig::new(weight, AccelerationLimit { limit_mps2: 8.0 })];
         let dir = tempfile::tempdir().unwrap();
         let outcome = train(&arcs(24), &training, dir.path()).unwrap();
         outcome.statistics.last().unwrap().evaluation["held_out_cost_of_acceleration_limit"]

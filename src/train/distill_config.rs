@@ -31,6 +31,11 @@ fn refused(issue: Issue) -> Error {
     DistillTrainingConfig::refusal(issue.within("method"))
 }
 
+/// The learning rate of distillation, and the steps over which it rises from 0: those of further training, because the
+/// student begins with the weights of the denoiser.
+const LEARNING_RATE: f64 = 3e-4;
+const WARMUP_STEPS: u64 = 50;
+
 scene_training_section! {
     /// How to distill a trained denoiser into one of the same network, scales and masks that needs few evaluations.
     pub struct DistillTrainingConfig in "train.distill", each Own {
@@ -51,15 +56,9 @@ impl Default for DistillTrainingConfig {
             tasks: TaskWeights::default(),
             data: Vec::new(),
             own_weight: None,
-            splits: Vec::new(),
-            places: Vec::new(),
             steps: 2_000,
             batch_size: 8,
-            learning_rate: 3e-4,
-            warmup_steps: 50,
-            n_eval_scenes: 48,
             evaluate_every: 500,
-            save_every: 250,
             checkpoint: None,
         }
     }
@@ -85,10 +84,11 @@ impl DistillTrainingConfig {
         self.check_ranges()?;
         self.method.validate().map_err(refused)?;
         check_objectives("train.distill.objectives", &self.objectives)?;
+        let fit = FitConfig { learning_rate: LEARNING_RATE, warmup_steps: WARMUP_STEPS, ..FitConfig::default() };
         Ok(DistillTraining {
             method: self.method.clone(),
             objectives: self.objectives.clone(),
-            common: self.scene_training(&SceneTraining::default())?,
+            common: self.scene_training(&SceneTraining { fit, ..SceneTraining::default() })?,
         })
     }
 }

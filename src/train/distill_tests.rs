@@ -4,7 +4,7 @@ use super::testing::{MadeScenes, ONLY_PREDICTIVE, draws_of_four, fork, job, one_
 use super::*;
 use crate::diffusion::sampler::StepGrid;
 use crate::diffusion::{NoiseDistribution, NoiseSource, SamplerConfig};
-use crate::guidance::{AgentSelector, ObjectiveConfig, SpeedLimit};
+use crate::guidance::{ObjectiveConfig, SpeedLimit};
 use crate::model::{DenoiserSpec, Distillation, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::testing::{assert_gradients, values};
 use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
@@ -54,15 +54,11 @@ fn two_steps() -> StepDistillation {
 }
 
 fn distillation(steps: u64, method: StepDistillation) -> DistillTraining {
-    let config = DistillTrainingConfig {
-        method,
-        tasks: ONLY_PREDICTIVE,
-        steps,
-        learning_rate: 3e-3,
-        n_eval_scenes: 8,
-        ..DistillTrainingConfig::default()
-    };
-    config.resolve().unwrap()
+    let config = DistillTrainingConfig { method, tasks: ONLY_PREDICTIVE, steps, ..DistillTrainingConfig::default() };
+    let mut training = config.resolve().unwrap();
+    training.common.fit.learning_rate = 3e-3;
+    training.common.n_eval_scenes = 8;
+    training
 }
 
 #[test]
@@ -144,7 +140,7 @@ fn one_large_step_leads_where_many_small_ones_lead() {
 }
 
 fn speed_limit(weight: f64) -> ObjectiveConfig {
-    ObjectiveConfig::new(weight, SpeedLimit { agents: AgentSelector::default(), limit_mps: 12.0 })
+    ObjectiveConfig::new(weight, SpeedLimit { limit_mps: 12.0 })
 }
 
 #[test]

@@ -47,7 +47,9 @@ pub use baseline::train_baseline;
 pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
 pub use changed_losses::map_warnings;
 pub use classification::{ClassificationTask, REPORT_SIGMAS};
-pub use classifier::{ClassifierReport, ClassifierTrainingConfig, PairData, train_classifier};
+pub use classifier::{
+    ClassifierReport, ClassifierTrainingConfig, MAX_EXAMPLES, MAX_HELD_OUT, PairData, train_classifier,
+};
 pub use classifier_report::NoiseLevelReport;
 pub use denoiser::train_denoiser;
 pub use denoising::DenoisingTask;
@@ -61,7 +63,7 @@ pub use labeled_pairs::{LabeledPair, Labels, MinedEvent};
 pub use pair_examples::{NoisyPairs, PairExample, PairExamples};
 pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
 pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, WeightedGroups};
-pub use section::{MoreScenes, SceneChoice, SceneTraining};
+pub use section::{MoreScenes, OwnScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
 pub use task::TrainTask;
 use trainable::Trainable;

@@ -14,7 +14,11 @@ pub(super) fn check_objectives(key: &str, objectives: &[ObjectiveConfig]) -> Res
 
 /// Objectives in the form of a checkpoint.
 pub(super) fn described(objectives: &[ObjectiveConfig]) -> Result<Vec<serde_json::Value>, Error> {
-    Ok(objectives.iter().map(serde_json::to_value).collect::<Result<_, _>>().map_err(std::io::Error::from)?)
+    Ok(objectives
+        .iter()
+        .map(|objective| serde_json::to_value(objective.spelled_out()))
+        .collect::<Result<_, _>>()
+        .map_err(std::io::Error::from)?)
 }
 
 /// The cost of `x0` (B, A, T, D) by each objective J beyond that of the recording, (B) each, at least 0.
@@ -29,7 +33,7 @@ pub(super) fn objective_costs(
     let Some(context) = drawn.context.as_ref().filter(|_| !objectives.is_empty()) else { return Ok(Vec::new()) };
     let (states, recorded) = (drawn.batch.decode(x0)?, drawn.batch.decode(&drawn.batch.x0)?);
     let cost = |objective: &ObjectiveConfig, states: &Tensor| -> Result<Tensor, Error> {
-        let potential = objective.objective().log_potential(states, context)?;
+        let potential = objective.log_potential(states, context)?;
         Ok(((1.0 - (potential * 2.0)?)?.sqrt()? - 1.0)?)
     };
     objectives.iter().map(|objective| Ok((cost(objective, &states)? - cost(objective, &recorded)?)?.relu()?)).collect()

@@ -48,6 +48,18 @@ scene_training_section! {
         pub network: Option<NetworkConfig>,
         /// What is diffused: `scene` (the paper's) or `motion`.
         pub state_parametrization: Option<StateParametrization>,
+        /// Learning rate after warm-up.
+        #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1000))]
+        pub learning_rate: Option<f64>,
+        /// Steps over which the learning rate rises from 0.
+        #[schemars(range(max = 1_000_000_000))]
+        pub warmup_steps: Option<u64>,
+        /// Steps between saved states. Left out: half of those between evaluations.
+        #[schemars(range(min = 1, max = 1_000_000_000))]
+        pub save_every: Option<u64>,
+        /// Held-out scenes of each evaluation during training.
+        #[schemars(range(max = 1_000_000))]
+        pub n_eval_scenes: Option<usize>,
         /// Decay of the moving average of the weights; 0 for none.
         #[schemars(range(min = 0.0), extend("exclusiveMaximum" = 1))]
         pub ema_decay: Option<f64>,
@@ -114,6 +126,10 @@ impl DenoiserTrainingConfig {
         let base = self.preset.settings();
         self.check_ranges()?;
         let mut common = self.scene_training(&base.common)?;
+        common.n_eval_scenes = self.n_eval_scenes.unwrap_or(common.n_eval_scenes);
+        common.fit.save_every = self.save_every.unwrap_or(common.fit.save_every);
+        common.fit.learning_rate = self.learning_rate.unwrap_or(common.fit.learning_rate);
+        common.fit.warmup_steps = self.warmup_steps.unwrap_or(common.fit.warmup_steps);
         common.fit.ema_decay = self.ema_decay.unwrap_or(common.fit.ema_decay);
         check_objectives("train.denoiser.objectives", &self.objectives)?;
         let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
@@ -211,7 +227,6 @@ impl Preset {
             warmup_steps: warmup,
             ema_decay: ema,
             evaluate_every: every,
-            save_every: every / 2,
             ..FitConfig::default()
         };
         SceneTraining { batch_size: batch, n_eval_scenes: n_eval, fit, ..SceneTraining::default() }

@@ -32,7 +32,7 @@ impl Default for SceneTraining {
     }
 }
 
-/// Ingested scenes of another run, to train on as well.
+/// Ingested scenes of another run, to train on as well: those of `train`, or all unsplit ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MoreScenes {
@@ -42,18 +42,19 @@ pub struct MoreScenes {
     #[serde(default = "one")]
     #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
-    /// Splits to train on, as in the section.
-    #[serde(default)]
-    #[schemars(extend("uniqueItems" = true))]
-    pub splits: Vec<Split>,
-    /// Places to train on, as in the section.
-    #[serde(default)]
-    #[schemars(extend("uniqueItems" = true))]
-    pub places: Vec<String>,
 }
 
 const fn one() -> f64 {
     1.0
+}
+
+/// Which of the run's own scenes models train on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct OwnScenes<'a> {
+    /// Splits; empty: `train`, or all unsplit scenes if there is no such split.
+    pub splits: &'a [Split],
+    /// Places; empty: all.
+    pub places: &'a [String],
 }
 
 /// Which scenes a section trains on.
@@ -61,10 +62,8 @@ const fn one() -> f64 {
 pub struct SceneChoice<'a> {
     /// The section.
     pub section: &'static str,
-    /// Splits of the run's own scenes; empty for the default ones.
-    pub splits: &'a [Split],
-    /// Their places; empty for all.
-    pub places: &'a [String],
+    /// The run's own scenes.
+    pub own: OwnScenes<'a>,
     /// Their weight; 0 for none of them.
     pub own_weight: f64,
     /// Scenes of other runs.
@@ -102,30 +101,15 @@ macro_rules! training_section {
         #[serde(deny_unknown_fields, default)]
         pub struct $name {
             $($own)*
-            /// Splits to train on. Empty: `train`, or all unsplit scenes if there is no such split.
-            #[schemars(extend("uniqueItems" = true))]
-            pub splits: Vec<crate::scene::Split>,
-            /// Places to train on. Empty: all.
-            #[schemars(extend("uniqueItems" = true))]
-            pub places: Vec<String>,
             /// Optimizer steps in all.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub steps: $value<u64>,
             /// Examples per step: scenes, or the classifier's pairs, half of them positive.
             #[schemars(range(min = 1, max = 16_384))]
             pub batch_size: $value<usize>,
-            /// Learning rate after warm-up.
-            #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1000))]
-            pub learning_rate: $value<f64>,
-            /// Steps over which the learning rate rises from 0.
-            #[schemars(range(max = 1_000_000_000))]
-            pub warmup_steps: $value<u64>,
-            /// Steps between evaluations.
+            /// Steps between evaluations; the state is saved twice as often, unless a setting says otherwise.
             #[schemars(range(min = 1, max = 1_000_000_000))]
             pub evaluate_every: $value<u64>,
-            /// Steps between saved states.
-            #[schemars(range(min = 1, max = 1_000_000_000))]
-            pub save_every: $value<u64>,
             /// A trained checkpoint to use instead of training.
             pub checkpoint: Option<std::path::PathBuf>,
         }
@@ -137,12 +121,11 @@ macro_rules! training_section {
             /// The schedule of `base` with the section's settings over it.
             fn schedule(&self, base: &FitConfig) -> FitConfig {
                 use crate::train::section::or;
+                let evaluate_every = or(self.evaluate_every, base.evaluate_every);
                 FitConfig {
                     steps: or(self.steps, base.steps),
-                    learning_rate: or(self.learning_rate, base.learning_rate),
-                    warmup_steps: or(self.warmup_steps, base.warmup_steps),
-                    evaluate_every: or(self.evaluate_every, base.evaluate_every),
-                    save_every: or(self.save_every, base.save_every),
+                    evaluate_every,
+                    save_every: (evaluate_every / 2).max(1),
                     ..base.clone()
                 }
             }
@@ -170,9 +153,6 @@ macro_rules! scene_training_section {
                 /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains
                 /// for prediction alone.
                 pub tasks: TaskWeights,
-                /// Held-out scenes of each evaluation during training.
-                #[schemars(range(max = 1_000_000))]
-                pub n_eval_scenes: $value<usize>,
                 /// Ingested scenes of other runs to train on as well, each with a weight.
                 #[serde(skip_serializing_if = "Vec::is_empty")]
                 pub data: Vec<crate::train::MoreScenes>,
@@ -185,11 +165,10 @@ macro_rules! scene_training_section {
 
         impl $name {
             /// The scenes it trains on.
-            pub fn scene_choice(&self) -> crate::train::SceneChoice<'_> {
+            pub fn scene_choice<'a>(&'a self, own: crate::train::OwnScenes<'a>) -> crate::train::SceneChoice<'a> {
                 crate::train::SceneChoice {
                     section: Self::SECTION,
-                    splits: &self.splits,
-                    places: &self.places,
+                    own,
                     own_weight: self.own_weight.unwrap_or(1.0),
                     data: &self.data,
                 }
@@ -203,7 +182,7 @@ macro_rules! scene_training_section {
                 Ok(SceneTraining {
                     tasks: self.tasks,
                     batch_size: or(self.batch_size, base.batch_size),
-                    n_eval_scenes: or(self.n_eval_scenes, base.n_eval_scenes),
+                    n_eval_scenes: base.n_eval_scenes,
                     fit: self.schedule(&base.fit),
                 })
             }

@@ -56,7 +56,7 @@ fn a_dry_run_prints_the_resolved_configuration_and_the_plan_and_writes_nothing()
     let outcome = workspace.run("out", &more).expect(0);
     let printed: toml::Table = outcome.stdout.parse().unwrap();
     assert_eq!(printed["run"]["seed"].as_integer(), Some(9));
-    assert_eq!(printed["ingest"]["seed"].as_integer(), Some(9), "sections inherit the seed");
+    assert_eq!(printed["generate"]["seed"].as_integer(), Some(9), "generation inherits the seed");
     assert_eq!(printed["ingest"]["map_radius_m"].as_float(), Some(100.0), "defaults are spelled out");
     assert_eq!(printed["generate"]["sweeps"][1]["strengths"][1].as_float(), Some(4.0));
     assert!(outcome.stdout.contains("#   report            fresh (not done yet)"), "{}", outcome.stdout);

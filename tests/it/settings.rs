@@ -139,6 +139,6 @@ fn more_threads_than_any_machine_has_are_refused() {
 fn a_number_of_the_file_is_refused_where_it_stands() {
     let text = SMALL_PIPELINE.replace("kind = \"heun\", n_steps = 2", "kind = \"heun\", n_steps = 0");
     let error = parse(Some("p.toml".as_ref()), &text, &["run.seed=4".to_owned()]).unwrap_err().to_string();
-    assert!(error.starts_with("p.toml:39:38: "), "{error}");
+    assert!(error.starts_with("p.toml:34:38: "), "{error}");
     assert!(error.ends_with("generate.sampler.n_steps is 0, expected 1 to 10000"), "{error}");
 }

@@ -70,7 +70,7 @@ const RARELY_SAVED: [&str; 6] = [
     "--set",
     "train.denoiser.save_every=1000",
     "--set",
-    "train.classifier.save_every=1000",
+    "train.classifier.evaluate_every=2000",
     "--set",
     "train.denoiser.steps=60",
 ];

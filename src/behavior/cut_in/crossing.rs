@@ -98,7 +98,7 @@ impl LaneCrossing<'_> {
         let is_along = |t: usize| {
             let found = state(other, t).and_then(|state| Some((state, self.lane.project(state.position)?)));
             found.is_none_or(|(state, place)| {
-                angle_difference(state.heading_rad, place.heading_rad).abs() < self.config.max_heading_difference_rad
+                angle_difference(state.heading_rad, place.heading_rad).abs() < super::ALONG_RAD
             })
         };
         let crossing = (self.scene.n_history..end).find(|timestep| is_in(*timestep))?;

@@ -8,7 +8,7 @@ use crate::behavior::limits::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, eff
 use crate::behavior::outcome::Outcome;
 use crate::behavior::template::settled_mps;
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::{Scene, Track};
+use crate::scene::Scene;
 
 /// Spacing of the tried accelerations, m/s², and times, seconds.
 const SPACING: f64 = 0.5;
@@ -76,7 +76,6 @@ impl CutIn {
     pub(super) fn pair(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Pair> {
         let lanes = SceneLanes::new(&scene.lanes);
         let (ego, other) = (scene.tracks.get(ego_idx)?, scene.tracks.get(other_idx)?);
-        let admits = |track: &Track| self.config.agents.admits(track.class);
         let at_present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
         let (own, theirs) = (at_present(ego_idx)?, at_present(other_idx)?);
         let lane = KeptLane::as_observed(scene, &lanes, ego_idx)?;
@@ -88,9 +87,8 @@ impl CutIn {
         let their_mps = theirs.velocity.dot(Vec2::from_angle(place.heading_rad));
         let own_mps = settled_mps(scene, ego_idx, own.speed_mps());
         let their_mps = settled_mps(scene, other_idx, their_mps);
-        let is_possible = admits(ego)
-            && admits(other)
-            && turned_rad < self.config.max_heading_difference_rad
+        let is_possible = [ego, other].iter().all(|track| track.class.is_motorized())
+            && turned_rad < super::ALONG_RAD
             && own_mps.min(their_mps) >= STANDING_MPS
             && !lane.holds(theirs.position);
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());

@@ -10,7 +10,7 @@ use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::pairs::PairSearch;
 use super::swept_boxes::SweptBoxes;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel, Outcome, Template};
+use super::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::scene::Scene;
 use crossing::{Crossing, LaneCrossing};
 use schemars::JsonSchema;
@@ -44,24 +44,20 @@ pub(super) const PARAMETERS: &[&str] = &[
     "min_distance_m",
 ];
 
-/// Options of [`CutIn`].
+/// A pair without a cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene,
+/// meters.
+const NEGATIVE_DISTANCE_M: f64 = 5.0;
+/// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. This
+/// excludes agents that turn into the lane, enter a roundabout or come toward the ego.
+const ALONG_RAD: f64 = FRAC_PI_6;
+
+/// Options of [`CutIn`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutInConfig {
-    /// Road users that take part. Default `motorized`.
-    pub agents: AgentFilter,
     /// The ego must reach the other's place less than this much later, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_delay_s: f64,
-    /// A pair without a cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene,
-    /// meters. Default 5.
-    #[schemars(range(min = 0.0))]
-    pub negative_distance_m: f64,
-    /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians.
-    /// This excludes agents that turn into the lane, enter a roundabout or come toward the ego. Default π/6 (30
-    /// degrees).
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
-    pub max_heading_difference_rad: f64,
     /// The other must move over by at least this, across the lane of the ego, meters. Default 0.5.
     #[schemars(range(min = 0.0))]
     pub min_shift_m: f64,
@@ -71,14 +67,7 @@ pub struct CutInConfig {
 
 impl Default for CutInConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::Motorized,
-            max_delay_s: 3.0,
-            negative_distance_m: 5.0,
-            max_heading_difference_rad: FRAC_PI_6,
-            min_shift_m: 0.5,
-            collision_free: false,
-        }
+        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false }
     }
 }
 
@@ -193,8 +182,7 @@ impl Behavior for CutIn {
         let search = PairSearch {
             scene,
             names: (ID, ROLES),
-            agents: self.config.agents,
-            negative_distance_m: self.config.negative_distance_m,
+            negative_distance_m: NEGATIVE_DISTANCE_M,
             judged: 0..scene.n_timesteps,
             same_time: false,
         };

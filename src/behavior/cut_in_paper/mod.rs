@@ -7,7 +7,7 @@ mod tests;
 use super::intrusion::Intrusion;
 use super::pairs::PairSearch;
 use super::swept_boxes::SweptBoxes;
-use super::{AgentFilter, Behavior, BehaviorEvent, EventLabel};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
 use crate::scene::Scene;
 use schemars::JsonSchema;
@@ -36,15 +36,13 @@ pub(super) const PARAMETERS: &[&str] = &[
     "min_distance_m",
 ];
 
-/// Options of [`CutInPaper`]. The defaults are the definition of the DJINN paper, to the letter.
+/// The ego must reach the other's place less than this much later, seconds (the paper's).
+const MAX_DELAY_S: f64 = 3.0;
+
+/// Options of [`CutInPaper`]; vehicles take part. The defaults are the definition of the DJINN paper, to the letter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutInPaperConfig {
-    /// Road users that take part. Default `motorized`.
-    pub agents: AgentFilter,
-    /// The ego must reach the other's place less than this much later, seconds. Default 3.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_delay_s: f64,
     /// A pair without a cut-in is a hard negative if its boxes come closer than this, meters. Default 5.
     #[schemars(range(min = 0.0))]
     pub negative_distance_m: f64,
@@ -59,9 +57,6 @@ pub struct CutInPaperConfig {
     pub min_shift_m: Option<f64>,
     /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
     pub same_time: bool,
-    /// Whether lane following and the distance for hard negatives are judged from the present on. Default false: over
-    /// the whole scene.
-    pub future_only: bool,
     /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
 }
@@ -69,13 +64,10 @@ pub struct CutInPaperConfig {
 impl Default for CutInPaperConfig {
     fn default() -> Self {
         Self {
-            agents: AgentFilter::Motorized,
-            max_delay_s: 3.0,
             negative_distance_m: 5.0,
             max_heading_difference_rad: None,
             min_shift_m: None,
             same_time: false,
-            future_only: false,
             collision_free: false,
         }
     }
@@ -145,9 +137,9 @@ impl CutInPaper {
             })
         };
         let overlap =
-            ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, self.max_delay(scene.dt_s), same_way)?;
+            ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, Self::max_delay(scene.dt_s), same_way)?;
         let initial = other.at(present)?;
-        let is_following = ego.overlaps_any(initial, self.judged_timesteps(scene));
+        let is_following = ego.overlaps_any(initial, 0..scene.n_timesteps);
         let collides = self.config.collision_free
             && ego.both_at(other, present..scene.n_timesteps).any(|(_, own, theirs)| own.overlaps(theirs));
         let moves_over = || {
@@ -160,14 +152,9 @@ impl CutInPaper {
     }
 
     /// The largest number of timesteps that is strictly less than the longest delay.
-    fn max_delay(&self, dt_s: f64) -> usize {
+    fn max_delay(dt_s: f64) -> usize {
         // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
-        (self.config.max_delay_s / dt_s - 1e-6).floor().max(0.0) as usize
-    }
-
-    fn judged_timesteps(&self, scene: &Scene) -> std::ops::Range<usize> {
-        let start = if self.config.future_only { scene.current_timestep() } else { 0 };
-        start..scene.n_timesteps
+        (MAX_DELAY_S / dt_s - 1e-6).floor().max(0.0) as usize
     }
 
     fn positive(&self, scene: &Scene, pair: [usize; 2], (t_other, t_ego): (usize, usize)) -> BehaviorEvent {
@@ -192,9 +179,8 @@ impl Behavior for CutInPaper {
         let search = PairSearch {
             scene,
             names: (ID, ROLES),
-            agents: self.config.agents,
             negative_distance_m: self.config.negative_distance_m,
-            judged: self.judged_timesteps(scene),
+            judged: 0..scene.n_timesteps,
             same_time: self.config.same_time,
         };
         search.events(|pair, ego, other| Some(self.positive(scene, pair, self.overlap(scene, pair, ego, other)?)))

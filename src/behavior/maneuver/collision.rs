@@ -41,7 +41,7 @@ impl Collision {
     /// Maneuvers in which two agents collide, each along one of its ways with one acceleration.
     pub(in crate::behavior) fn crashes(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let lanes = SceneLanes::new(&scene.lanes);
-        if !agents.iter().all(|idx| self.config().agents.admits(scene.tracks[*idx].class)) {
+        if !agents.iter().all(|idx| scene.tracks[*idx].class.is_road_user()) {
             return Vec::new();
         }
         let drivers = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
@@ -74,7 +74,7 @@ impl Collision {
                 let relative_mps = (a.velocity(step, scene.dt_s) - b.velocity(step, scene.dt_s)).norm();
                 let apart = |step: usize| a.positions[step + 1] - b.positions[step + 1];
                 let crush_m = (step..a.boxes.len()).map(|then| apart(then).distance(apart(step))).fold(0.0, f64::max);
-                if relative_mps < self.config().min_relative_mps.max(LEAST_RELATIVE_MPS) || crush_m > MOST_CRUSH_M {
+                if relative_mps < LEAST_RELATIVE_MPS || crush_m > MOST_CRUSH_M {
                     continue;
                 }
                 maneuvers.push(Maneuver {

@@ -25,9 +25,9 @@ impl CutOut {
     }
 
     fn among(&self, scene: &Scene, [ego_idx, revealed_idx, leader_idx]: [usize; 3]) -> Option<Vec<Maneuver>> {
-        let (config, lanes) = (self.config(), SceneLanes::new(&scene.lanes));
-        let is_admitted = config.agents.admits(scene.tracks[ego_idx].class);
-        let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, config.agents, ego_idx)).flatten()?;
+        let lanes = SceneLanes::new(&scene.lanes);
+        let is_admitted = scene.tracks[ego_idx].class.is_motorized();
+        let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, ego_idx)).flatten()?;
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
         let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };

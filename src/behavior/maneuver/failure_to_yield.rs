@@ -13,7 +13,7 @@ impl FailureToYield {
     /// Maneuvers in which one vehicle passes ahead of the other along any of its ways. The miner decides which of them
     /// take the right of way.
     pub(in crate::behavior) fn enters_ahead(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
-        let are_admitted = agents.iter().all(|idx| self.config().agents.admits(scene.tracks[*idx].class));
+        let are_admitted = agents.iter().all(|idx| scene.tracks[*idx].class.is_motorized());
         let [entering, priority] = agents;
         let comes_along = |agent_idx: usize, duty: LaneDuty| {
             let present = scene.state(agent_idx, scene.current_timestep());

@@ -18,7 +18,7 @@ impl HardBrake {
     /// Maneuvers of an agent that keeps its speed and then brakes.
     pub(in crate::behavior) fn brakings(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
         let config = self.config();
-        let driver = config.agents.admits(scene.tracks[agent_idx].class).then(|| SceneLanes::new(&scene.lanes));
+        let driver = scene.tracks[agent_idx].class.is_motorized().then(|| SceneLanes::new(&scene.lanes));
         let driver = driver.and_then(|lanes| Driver::new(scene, &lanes, agent_idx));
         let Some(driver) = driver.filter(|driver| driver.state.speed_mps() >= config.min_speed_mps) else {
             return Vec::new();
@@ -26,7 +26,7 @@ impl HardBrake {
         let mut maneuvers = Vec::new();
         for (i, more_mps2) in MORE_MPS2.into_iter().enumerate() {
             let deceleration_mps2 = config.min_deceleration_mps2 + more_mps2;
-            if deceleration_mps2 > config.max_deceleration_mps2.min(HARDEST_MPS2) {
+            if deceleration_mps2 > HARDEST_MPS2 {
                 continue;
             }
             for (rail, from_s) in (0..driver.rails.len()).flat_map(|rail| BEGINS_S.map(|from_s| (rail, from_s))) {

@@ -10,7 +10,7 @@ use crate::scene::Scene;
 impl LaneChange {
     /// Maneuvers of an agent that moves over.
     pub(in crate::behavior) fn changes(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
-        if !self.config().agents.admits(scene.tracks[agent_idx].class) {
+        if !scene.tracks[agent_idx].class.is_motorized() {
             return Vec::new();
         }
         let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();

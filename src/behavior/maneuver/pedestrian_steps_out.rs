@@ -1,11 +1,10 @@
 //! Stepping out: a pedestrian walks into the lane of a vehicle, which brakes.
 
 use super::{Driver, Maneuver, Pace};
-use crate::behavior::AgentFilter;
 use crate::behavior::following::Follower;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
-use crate::behavior::pedestrian_steps_out::PedestrianStepsOut;
+use crate::behavior::pedestrian_steps_out::{MAX_PEDESTRIAN_MPS, PedestrianStepsOut};
 use crate::behavior::template::InTheWay;
 use crate::geometry::Vec2;
 use crate::scene::Scene;
@@ -30,10 +29,10 @@ impl PedestrianStepsOut {
     }
 
     fn across(&self, scene: &Scene, [ego_idx, walker_idx]: [usize; 2]) -> Option<Vec<Maneuver>> {
-        let (config, lanes) = (self.config(), SceneLanes::new(&scene.lanes));
+        let lanes = SceneLanes::new(&scene.lanes);
         let is_possible = scene.tracks[ego_idx].class.is_motorized()
             && self.is_beside_road(scene, &lanes, walker_idx, scene.n_history);
-        let ego = is_possible.then(|| Follower::as_observed(scene, &lanes, AgentFilter::Motorized, ego_idx))??;
+        let ego = is_possible.then(|| Follower::as_observed(scene, &lanes, ego_idx))??;
         let present = scene.current_timestep();
         let (own, theirs) = (ego.state_in_lane(ego_idx, present)?, scene.state(walker_idx, present)?);
         let (place, there) = (ego.lane.project(own.position)?, ego.lane.project(theirs.position)?);
@@ -68,7 +67,7 @@ impl PedestrianStepsOut {
                     let Some(driven_m) = stopping else { continue };
                     maneuvers.push(Maneuver {
                         kind: [i, (begins_s * 10.0) as usize],
-                        effort: effort(own_mps2).max(walks_mps / config.max_pedestrian_mps),
+                        effort: effort(own_mps2).max(walks_mps / MAX_PEDESTRIAN_MPS),
                         parameters: &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"],
                         in_the_way: Some(InTheWay::Ahead),
                         positions: vec![driver.positions(rail, &driven_m), walked.clone()],

@@ -10,7 +10,7 @@ impl RunsStopLine {
     /// Drives along all ways ahead of an agent. The miner decides which of them lead over a stop line.
     pub(in crate::behavior) fn drives_through(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
         let stops = |lane: &Lane| lane.attributes.duties().any(|(_, duty)| duty == LaneDuty::Stops);
-        let is_admitted = self.config().agents.admits(scene.tracks[agent_idx].class);
+        let is_admitted = scene.tracks[agent_idx].class.is_motorized();
         if !is_admitted || !scene.lanes.lanes().iter().any(stops) {
             return Vec::new();
         }

@@ -23,8 +23,8 @@ impl Tailgating {
     /// Maneuvers in which the follower closes in on the leader, or falls back, to a short headway.
     pub(in crate::behavior) fn approaches(&self, scene: &Scene, [own_idx, leader_idx]: [usize; 2]) -> Vec<Maneuver> {
         let (config, lanes) = (self.config(), SceneLanes::new(&scene.lanes));
-        let is_admitted = [own_idx, leader_idx].iter().all(|idx| config.agents.admits(scene.tracks[*idx].class));
-        let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, config.agents, own_idx)).flatten();
+        let is_admitted = [own_idx, leader_idx].iter().all(|idx| scene.tracks[*idx].class.is_motorized());
+        let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, own_idx)).flatten();
         let ahead = follower.and_then(|own| own.ahead(scene.current_timestep(), REACH_M).first().copied());
         let Some(now) = ahead.filter(|ahead| ahead.agent_idx == leader_idx) else { return Vec::new() };
         let drivers = [own_idx, leader_idx].map(|agent_idx| Driver::new(scene, &lanes, agent_idx));

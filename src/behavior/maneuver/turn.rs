@@ -4,7 +4,6 @@ use super::{Driver, Maneuver, Pace};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
 use crate::behavior::template::InTheWay;
-use crate::behavior::turn::TurnConfig;
 use crate::scene::Scene;
 
 /// Accelerations until the agent brakes for the bend, m/s².
@@ -14,8 +13,8 @@ const ACCELERATIONS_MPS2: [f64; 5] = [-1.0, -0.5, 0.0, 0.8, 1.6];
 const BRISKNESS: [f64; 2] = [1.0, 1.15];
 
 /// Drives along all ways ahead of an agent. The miner decides which of them turn.
-pub(in crate::behavior) fn maneuvers(config: &TurnConfig, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
-    let lanes = config.agents.admits(scene.tracks[agent_idx].class).then(|| SceneLanes::new(&scene.lanes));
+pub(in crate::behavior) fn maneuvers(scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
+    let lanes = scene.tracks[agent_idx].class.is_motorized().then(|| SceneLanes::new(&scene.lanes));
     let Some(driver) = lanes.and_then(|lanes| Driver::new(scene, &lanes, agent_idx)) else { return Vec::new() };
     let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
     let tried = tried.flat_map(|(rail, mps2)| BRISKNESS.map(|briskness| (rail, mps2, briskness)));

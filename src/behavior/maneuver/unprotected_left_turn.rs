@@ -17,7 +17,7 @@ impl UnprotectedLeftTurn {
     pub(in crate::behavior) fn turns_ahead(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let heading_rad = |agent_idx| scene.state(agent_idx, scene.current_timestep()).map(|state| state.heading_rad);
         let [Some(own_rad), Some(their_rad)] = agents.map(heading_rad) else { return Vec::new() };
-        let are_admitted = agents.iter().all(|idx| self.config().agents.admits(scene.tracks[*idx].class));
+        let are_admitted = agents.iter().all(|idx| scene.tracks[*idx].class.is_motorized());
         if !are_admitted || scene.lanes.is_empty() || angle_difference(own_rad, their_rad).abs() < ONCOMING_RAD {
             return Vec::new();
         }

@@ -10,7 +10,7 @@ use crate::scene::Scene;
 impl WrongWay {
     /// Maneuvers in which an agent moves over to an oncoming lane.
     pub(in crate::behavior) fn drives_against(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
-        if !self.config().agents.admits(scene.tracks[agent_idx].class) {
+        if !scene.tracks[agent_idx].class.is_motorized() {
             return Vec::new();
         }
         let lanes = SceneLanes::new(&scene.lanes);

@@ -1,6 +1,6 @@
 //! A road user in the analysis of near misses: its box, the inner part of the box, and the path that it drives.
 
-use super::config::NearMissConfig;
+use super::config::{MIN_OVERLAP_M, NearMissConfig};
 use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::swept_boxes::SweptBoxes;
@@ -30,10 +30,10 @@ impl<'a> Body<'a> {
     /// The agent at this index. `None` if it cannot take part.
     pub(super) fn new(scene: &'a Scene, agent_idx: usize, config: &NearMissConfig) -> Option<Self> {
         let track = &scene.tracks[agent_idx];
-        if !config.agents.admits(track.class) || (config.recorded_sizes && track.extent.is_none()) {
+        if !track.class.is_road_user() || (config.recorded_sizes && track.extent.is_none()) {
             return None;
         }
-        let [extent, inner_extent] = extents(track, config);
+        let [extent, inner_extent] = extents(track);
         let sweep = |extent: Extent| SweptBoxes::new(&Track { extent: Some(extent), ..track.clone() });
         let (first, _) = track.trajectory.valid().find(|(_, state)| state.is_finite())?;
         Some(Self {
@@ -94,12 +94,12 @@ impl<'a> Body<'a> {
 }
 
 /// The box of an agent, of half the nominal size where none is recorded, and its inner part.
-pub(super) fn extents(track: &Track, config: &NearMissConfig) -> [Extent; 2] {
+pub(super) fn extents(track: &Track) -> [Extent; 2] {
     let nominal = track.extent_or_nominal();
     let half = Extent { length_m: nominal.length_m / 2.0, width_m: nominal.width_m / 2.0 };
     let extent = track.extent.unwrap_or(half);
     // Each of the two boxes shrinks by half of the required overlap.
-    let inside = |side_m: f64| (side_m - config.min_overlap_m / 2.0).max(side_m / 2.0);
+    let inside = |side_m: f64| (side_m - MIN_OVERLAP_M / 2.0).max(side_m / 2.0);
     [extent, Extent { length_m: inside(extent.length_m), width_m: inside(extent.width_m) }]
 }
 

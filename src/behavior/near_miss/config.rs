@@ -1,15 +1,28 @@
 //! The options of near misses.
 
-use crate::behavior::AgentFilter;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Options of [`super::NearMiss`].
+/// Smallest difference of velocities of two that pass each other closely, m/s: less is overtaking in the next lane.
+pub(super) const MIN_PASSING_MPS: f64 = 8.0;
+/// Smallest deceleration that avoids the collision on a collision course, m/s²: less is ordinary stopping behind each
+/// other.
+const MIN_DRAC_MPS2: f64 = 3.4;
+/// How far boxes must overlap on a collision course or in a crossing, meters; at most half their size. Less is grazing,
+/// for which courses are not known precisely enough.
+pub(super) const MIN_OVERLAP_M: f64 = 0.5;
+/// Boxes that come closer than this without a near miss are a hard negative, meters.
+const NEGATIVE_DISTANCE_M: f64 = 2.0;
+/// Boxes on a collision course are a hard negative up to this multiple of the time to collision of a near miss.
+const NEGATIVE_TTC_FACTOR: f64 = 2.0;
+
+/// Who is slower than this stands, m/s: errors of tracks reach it.
+pub(super) const MIN_SPEED_MPS: f64 = 1.0;
+
+/// Options of [`super::NearMiss`]; all road users take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NearMissConfig {
-    /// Road users that take part. Default `road_users`: includes pedestrians, excludes static objects.
-    pub agents: AgentFilter,
     /// Whether only road users of recorded size take part. Default true. If false, the others take part with half their
     /// nominal length and width; their tracks usually cannot separate near misses from noise.
     pub recorded_sizes: bool,
@@ -17,58 +30,34 @@ pub struct NearMissConfig {
     /// dense traffic 1 m is usual. Applies only to road users of recorded size.
     #[schemars(range(min = 0.0))]
     pub max_distance_m: f64,
-    /// Smallest difference of velocities of two that pass this closely, m/s. Default 8: less is overtaking in the next
-    /// lane.
-    #[schemars(range(min = 0.0))]
-    pub min_passing_mps: f64,
     /// Boxes on a collision course with less time to collision than this are a near miss, seconds. Default 1.5.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_ttc_s: f64,
-    /// Smallest deceleration that avoids the collision on that course, m/s². Default 3.4: less is ordinary stopping
-    /// behind each other.
-    #[schemars(range(min = 0.0))]
-    pub min_drac_mps2: f64,
     /// Crossing a place less than this after the other, on a different course, is a near miss, seconds. Default 0.5:
     /// turning off a second behind an oncoming vehicle is usual.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// How far boxes must overlap on a collision course or in a crossing, meters; at most half their size. Default 0.5:
-    /// less is grazing, for which courses are not known precisely enough.
-    #[schemars(range(min = 0.0, max = 10.0))]
-    pub min_overlap_m: f64,
-    /// Boxes that come closer than this without a near miss are a hard negative, meters. Default 2.
-    #[schemars(range(min = 0.0))]
-    pub negative_distance_m: f64,
-    /// Boxes on a collision course with less time to collision than this, without a near miss, are a hard negative,
-    /// seconds. Default 3.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub negative_ttc_s: f64,
-    /// One of the two must move at least this fast, m/s. Default 1.
-    #[schemars(range(min = 0.0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for NearMissConfig {
     fn default() -> Self {
-        Self {
-            agents: AgentFilter::RoadUsers,
-            recorded_sizes: true,
-            max_distance_m: 0.2,
-            min_passing_mps: 8.0,
-            max_ttc_s: 1.5,
-            min_drac_mps2: 3.4,
-            max_pet_s: 0.5,
-            min_overlap_m: 0.5,
-            negative_distance_m: 2.0,
-            negative_ttc_s: 3.0,
-            min_speed_mps: 1.0,
-        }
+        Self { recorded_sizes: true, max_distance_m: 0.2, max_ttc_s: 1.5, max_pet_s: 0.5 }
     }
 }
 
 impl NearMissConfig {
+    /// Boxes that come closer than this are a hard negative at least, meters.
+    pub(super) const fn negative_distance_m(&self) -> f64 {
+        NEGATIVE_DISTANCE_M.max(self.max_distance_m)
+    }
+
+    /// Boxes on a collision course with less time than this to go are a hard negative at least, seconds.
+    pub(super) fn negative_ttc_s(&self) -> f64 {
+        NEGATIVE_TTC_FACTOR * self.max_ttc_s
+    }
+
     /// Whether a collision in `time_s` is imminent, and hard to avoid at this relative speed.
     pub(in crate::behavior) fn is_urgent(&self, time_s: f64, relative_mps: f64) -> bool {
-        time_s < self.max_ttc_s && relative_mps >= 2.0 * time_s * self.min_drac_mps2
+        time_s < self.max_ttc_s && relative_mps >= 2.0 * time_s * MIN_DRAC_MPS2
     }
 }

@@ -100,7 +100,7 @@ impl NearMiss {
         };
         let are_sized = first.track.extent.is_some() && second.track.extent.is_some();
         let passes = |e: &Encounter| {
-            are_sized && e.distance_m < config.max_distance_m && e.relative_mps >= config.min_passing_mps
+            are_sized && e.distance_m < config.max_distance_m && e.relative_mps >= config::MIN_PASSING_MPS
         };
         let known_s = first.last_timestep()?.min(second.last_timestep()?) as f64 * scene.dt_s;
         let escapes = |e: &Encounter| {
@@ -114,8 +114,8 @@ impl NearMiss {
         let joined = both.map(|(a, b)| *a.start().min(b.start())..=*a.end().max(b.end()));
         let positive = joined.or(close).or(crossing).map(|span| (EventLabel::Positive, span));
         let is_near = |e: &Encounter| {
-            e.distance_m < config.negative_distance_m
-                || e.conflict_s.is_some_and(|time_s| time_s < config.negative_ttc_s)
+            e.distance_m < config.negative_distance_m()
+                || e.conflict_s.is_some_and(|time_s| time_s < config.negative_ttc_s())
         };
         let negative = || span(&is_near).map(|span| (EventLabel::Negative, span));
         let (label, timesteps) = positive.or_else(negative)?;
@@ -136,8 +136,8 @@ impl NearMiss {
     /// The timesteps at which the pair could meet the limits of hard negatives. `None` if the boxes ever overlap.
     fn encounters(&self, scene: &Scene, first: &Body<'_>, second: &Body<'_>) -> Option<Vec<Encounter>> {
         let config = &self.config;
-        let wide_distance_m = config.max_distance_m.max(config.negative_distance_m);
-        let wide_ttc_s = config.max_ttc_s.max(config.negative_ttc_s);
+        let wide_distance_m = config.negative_distance_m();
+        let wide_ttc_s = config.negative_ttc_s();
         let mut encounters = Vec::new();
         for (timestep, one, other) in first.outer.both_at(&second.outer, 0..scene.n_timesteps) {
             let (Some(a), Some(b)) = (first.state(timestep), second.state(timestep)) else { continue };
@@ -148,7 +148,7 @@ impl NearMiss {
             if one.overlaps(other) {
                 return None;
             }
-            if a.speed_mps().max(b.speed_mps()) >= config.min_speed_mps {
+            if a.speed_mps().max(b.speed_mps()) >= config::MIN_SPEED_MPS {
                 let ttc_s = time_to_collision_s(one, a.velocity, other, b.velocity).filter(|ttc| *ttc <= MAX_TTC_S);
                 let reaches_in = || {
                     let inner = first.inner.at(timestep).zip(second.inner.at(timestep));
@@ -171,7 +171,7 @@ impl NearMiss {
             return None;
         }
         let moves = |body: &Body<'_>, timestep: usize| {
-            body.state(timestep).is_some_and(|state| state.speed_mps() >= self.config.min_speed_mps)
+            body.state(timestep).is_some_and(|state| state.speed_mps() >= config::MIN_SPEED_MPS)
         };
         // Delays that are a whole number of timesteps but for rounding are excluded.
         let max_delay = (self.config.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
@@ -189,8 +189,8 @@ impl NearMiss {
         let config = &self.config;
         let states = scene.tracks.iter().flat_map(|track| track.trajectory.valid());
         let max_speed_mps = states.map(|(_, state)| state.speed_mps()).filter(|v| v.is_finite()).fold(0.0, f64::max);
-        let wide_ttc_s = config.max_ttc_s.max(config.negative_ttc_s);
-        config.max_distance_m.max(config.negative_distance_m).max(2.0 * max_speed_mps * wide_ttc_s)
+        let wide_ttc_s = config.negative_ttc_s();
+        config.negative_distance_m().max(2.0 * max_speed_mps * wide_ttc_s)
     }
 }
 
@@ -200,7 +200,7 @@ impl Behavior for NearMiss {
     }
 
     fn admits(&self, class: AgentClass) -> bool {
-        self.config.agents.admits(class)
+        class.is_road_user()
     }
 
     /// Events name the two in the order of tracks, so requests must do the same.

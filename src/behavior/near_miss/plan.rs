@@ -3,6 +3,7 @@
 
 use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
+use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
@@ -54,7 +55,7 @@ impl NearMiss {
         let config = self.config();
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
-            config.agents.admits(track.class) && (!config.recorded_sizes || track.extent.is_some())
+            track.class.is_road_user() && (!config.recorded_sizes || track.extent.is_some())
         };
         let search = agents.iter().all(takes_part).then(|| Search::new(self, scene, agents)).flatten();
         search.map_or_else(Vec::new, |search| search.drafts())
@@ -67,7 +68,7 @@ impl<'a> Search<'a> {
         let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let drivers = [first?, second?];
         let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
-        let extents = agents.map(|agent_idx| extents(&scene.tracks[agent_idx], behavior.config()));
+        let extents = agents.map(|agent_idx| extents(&scene.tracks[agent_idx]));
         Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s })
     }
 
@@ -139,7 +140,7 @@ impl<'a> Search<'a> {
         let pairs =
             |delay: usize| (0..n_steps.saturating_sub(delay)).flat_map(move |t| [(t, t + delay), (t + delay, t)]);
         let crosses = |(t, u): (usize, usize)| {
-            one.speeds_mps[t].min(other.speeds_mps[u]) >= config.min_speed_mps
+            one.speeds_mps[t].min(other.speeds_mps[u]) >= MIN_SPEED_MPS
                 && one.inner[t].forward.dot(other.inner[u].forward) < FOLLOWING_RAD.cos()
                 && one.inner[t].overlaps(&other.inner[u])
         };

@@ -3,7 +3,7 @@
 use super::*;
 use crate::export::testing::{self, add_all, read};
 use crate::geometry::Transform2;
-use crate::ingest::{AgentsPresent, IngestBatch, IngestConfig, ingest};
+use crate::ingest::{IngestBatch, IngestConfig, ingest};
 use crate::progress::Silent;
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
 use crate::scene::{Dataset, Extent, Scene, TrackId, Trajectory};
@@ -123,10 +123,7 @@ fn our_own_reader_finds_the_same_states_and_lanes() {
     scene.lanes = testing::scene().lanes;
     scene.source.place = "austin".to_owned();
     let (dir, _) = written(&scene);
-    let config = IngestConfig {
-        agents_present: AgentsPresent::InHistory,
-        ..IngestConfig::new(Dataset::Argoverse2, vec![dir.path().to_owned()])
-    };
+    let config = IngestConfig::new(Dataset::Argoverse2, vec![dir.path().to_owned()]);
     let mut found = Vec::new();
     let mut maps = Vec::new();
     let collected = &mut |batch: IngestBatch| {

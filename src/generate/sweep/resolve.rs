@@ -7,6 +7,7 @@ use super::{
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerKind;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
+use crate::guidance::ObjectiveConfig;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
 use crate::tensor::MaskTask;
@@ -188,7 +189,7 @@ impl SweepConfig {
                 classifier_scope: self.classifier_scope,
                 classifier_input: self.classifier_input,
                 classifier_potential: self.classifier_potential,
-                objectives: self.objectives.clone(),
+                objectives: self.objectives.iter().map(ObjectiveConfig::spelled_out).collect(),
                 objective_guidance: self.objective_guidance,
             },
             classifier_free: self.classifier_free.clone(),

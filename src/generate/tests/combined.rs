@@ -87,7 +87,7 @@ fn masks_that_a_classifier_cannot_see_through_are_refused() {
         ("observe = 'goal_conditioned'", "need classifier_input = \"clean_estimate\""),
         ("observe = 'windowed'\nclassifier_input = 'clean_estimate'", "which observe must show"),
         (
-            "observe = [{ agents = 'all', times = { timesteps = { from = 1, to = 4 } } }]\n\
+            "observe = [{ agents = 'all', times = { seconds = { from_s = -0.2, to_s = 0.0 } } }]\n\
              classifier_input = 'clean_estimate'",
             "unobserved at timestep 0 of its history",
         ),

@@ -13,9 +13,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AccelerationLimit {
-    /// Whose acceleration: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
     /// The limit a_max, m/s².
     #[serde(default = "default_limit_mps2")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -30,14 +27,10 @@ const fn default_limit_mps2() -> f64 {
 }
 
 impl SceneObjective for AccelerationLimit {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let velocity_mps = rate(&positions(states)?, context.dt_s)?;
         let acceleration_mps2 = norm(&rate(&velocity_mps, context.dt_s)?)?;
         let values = penalty(&(acceleration_mps2 - self.limit_mps2)?.relu()?, TOLERANCE_MPS2)?;
-        integral(&values, &context.terms(2)?, &context.selected(&self.agents)?, context.dt_s)
+        integral(&values, &context.terms(2)?, &context.selected(agents)?, context.dt_s)
     }
 }

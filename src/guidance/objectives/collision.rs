@@ -2,7 +2,7 @@
 
 use super::approach::Approach;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, first, interval, one_agent, second};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -16,9 +16,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Collision {
-    /// One of the two: `ego` or a role.
-    #[serde(default = "first")]
-    pub agents: AgentSelector,
     /// The other of the two.
     #[serde(default = "second")]
     pub to: AgentSelector,
@@ -41,8 +38,12 @@ const ANY_SPEED_MPS: [f64; 2] = [2.0, 30.0];
 const OVERLAP_M: f64 = 0.4;
 
 impl SceneObjective for Collision {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents, &self.to]
+    fn whose(&self) -> Whose {
+        Whose::One("first")
+    }
+
+    fn others(&self) -> Vec<&AgentSelector> {
+        vec![&self.to]
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
@@ -50,14 +51,12 @@ impl SceneObjective for Collision {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("agents", &self.agents)?;
         one_agent("to", &self.to)?;
         interval("relative_speed_mps", self.relative_speed_mps)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let Some((pairs, separation_m, approach)) = Approach::between(states, context, [&self.agents, &self.to])?
-        else {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let Some((pairs, separation_m, approach)) = Approach::between(states, context, [agents, &self.to])? else {
             return nothing(states);
         };
         let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
@@ -74,8 +73,7 @@ mod tests {
     use super::*;
 
     fn objective(relative_speed_mps: Option<[f64; 2]>) -> Collision {
-        let defaults: Collision =
-            toml::from_str("agents = 'ego'\nto = 'other'").expect("everything else has a default");
+        let defaults: Collision = toml::from_str("").expect("everything has a default");
         Collision { relative_speed_mps, ..defaults }
     }
 

@@ -4,7 +4,7 @@ use super::box_separation::separation_between_m;
 use super::encroachment::Encroachment;
 use super::motion::{best_moment, nothing, penalty};
 use super::pairs::{self, Agents};
-use super::{AgentSelector, SceneContext, SceneObjective, first, interval, one_agent, second};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, interval, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -23,9 +23,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CrossAhead {
-    /// Who crosses first: `ego` or a role.
-    #[serde(default = "first")]
-    pub agents: AgentSelector,
     /// Who comes later: `ego` or a role.
     #[serde(default = "second")]
     pub to: AgentSelector,
@@ -46,8 +43,12 @@ const ANY_PET_S: [f64; 2] = [0.6, 1.4];
 const SEPARATION_TOLERANCE_M: f64 = 0.3;
 
 impl SceneObjective for CrossAhead {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents, &self.to]
+    fn whose(&self) -> Whose {
+        Whose::One("first")
+    }
+
+    fn others(&self) -> Vec<&AgentSelector> {
+        vec![&self.to]
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
@@ -55,13 +56,12 @@ impl SceneObjective for CrossAhead {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("agents", &self.agents)?;
         one_agent("to", &self.to)?;
         interval(PET, self.pet_s)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let [first, other] = [&self.agents, &self.to].map(|selector| Agents::named(states, context, selector));
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let [first, other] = [agents, &self.to].map(|selector| Agents::named(states, context, selector));
         let (first, other) = (first?, other?);
         let wanted_s = context.wanted(PET, self.pet_s, ANY_PET_S, states)?;
         let Some(crossing) = Encroachment::new(&[[&first, &other]], &wanted_s, context.dt_s)? else {
@@ -80,8 +80,7 @@ mod tests {
     use super::*;
 
     fn objective(pet_s: Option<[f64; 2]>) -> CrossAhead {
-        let defaults: CrossAhead =
-            toml::from_str("agents = 'ego'\nto = 'other'").expect("everything else has a default");
+        let defaults: CrossAhead = toml::from_str("").expect("everything has a default");
         CrossAhead { pet_s, ..defaults }
     }
 

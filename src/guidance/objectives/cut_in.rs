@@ -2,7 +2,7 @@
 
 use super::driven_paths::PathFrame;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, beyond, ego, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, ego, interval, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -26,9 +26,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CutIn {
-    /// The agent that moves over: a role, or `ego`.
-    #[serde(default = "other")]
-    pub agents: AgentSelector,
     /// The agent whose path it enters: a role, or `ego`.
     #[serde(default = "ego")]
     pub before: AgentSelector,
@@ -56,10 +53,6 @@ const fn default_max_delay_s() -> f64 {
     3.0
 }
 
-fn other() -> AgentSelector {
-    AgentSelector::new("other")
-}
-
 /// The parameters at which it aims, as the events report them.
 const GAP: &str = "gap_m";
 const RELATIVE_SPEED: &str = "relative_speed_mps";
@@ -79,8 +72,12 @@ const LEAST_GAP_M: f64 = 1.0;
 const DELAY_SHARE: f64 = 0.9;
 
 impl SceneObjective for CutIn {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents, &self.before]
+    fn whose(&self) -> Whose {
+        Whose::One("other")
+    }
+
+    fn others(&self) -> Vec<&AgentSelector> {
+        vec![&self.before]
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
@@ -88,15 +85,14 @@ impl SceneObjective for CutIn {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("agents", &self.agents)?;
         one_agent("before", &self.before)?;
         interval(GAP, self.gap_m)?;
         interval(RELATIVE_SPEED, self.relative_speed_mps)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let n_timesteps = states.dim(2)?;
-        let frame = PathFrame::between(states, context, &self.before, &self.agents)?;
+        let frame = PathFrame::between(states, context, &self.before, agents)?;
         let gap_m = &frame.gap_m;
         let excess_m = frame.beside_m.broadcast_sub(&frame.half_widths_m)?;
         let left_s = |t: usize| DELAY_SHARE * self.max_delay_s.min((n_timesteps - 1 - t) as f64 * context.dt_s);
@@ -236,7 +232,6 @@ mod tests {
         let good = objective([1.0, 2.0], None);
         assert!(good.validate().is_ok());
         assert!(CutIn { gap_m: Some([2.0, 1.0]), ..good.clone() }.validate().is_err());
-        assert!(CutIn { relative_speed_mps: Some([f64::NAN, 1.0]), ..good.clone() }.validate().is_err());
-        assert!(CutIn { agents: AgentSelector::default(), ..good }.validate().is_err());
+        assert!(CutIn { relative_speed_mps: Some([f64::NAN, 1.0]), ..good }.validate().is_err());
     }
 }

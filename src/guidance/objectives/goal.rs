@@ -1,7 +1,7 @@
 //! Be at a given place at a given time.
 
 use super::motion::{headings, penalty, positions};
-use super::{AgentSelector, SceneContext, SceneObjective, ego};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,9 +12,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Goal {
-    /// The agents that must be there: `all`, `ego` or a role.
-    #[serde(default = "ego")]
-    pub agents: AgentSelector,
     /// The place g, meters ahead of where each agent is at present, along its heading there.
     #[schemars(range(min = -1e6, max = 1e6))]
     pub x_m: f64,
@@ -31,17 +28,17 @@ pub struct Goal {
 const TOLERANCE_M: f64 = 1.0;
 
 impl SceneObjective for Goal {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+    fn whose(&self) -> Whose {
+        Whose::Any(AgentSelector::EGO)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let n_timesteps = states.dim(2)?;
         let (present, last) = (context.n_history.saturating_sub(1), n_timesteps.saturating_sub(1));
         let ahead = self.time_s.map_or(last, |time_s| (time_s / context.dt_s).round() as usize);
         let timestep = present.saturating_add(ahead).min(last);
         let at = |tensor: &Tensor, timestep: usize| tensor.narrow(2, timestep, 1)?.squeeze(2);
-        let counts = (at(&context.terms(0)?, timestep)? * context.selected(&self.agents)?)?;
+        let counts = (at(&context.terms(0)?, timestep)? * context.selected(agents)?)?;
         let counts = (counts * at(&context.valid, present)?)?;
         let start = at(states, present)?.unsqueeze(2)?;
         let (sin, cos) = (headings(&start)?.sin()?, headings(&start)?.cos()?);

@@ -1,7 +1,7 @@
 //! Brake hard.
 
 use super::motion::{best_potential, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, agent, beyond, interval};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, interval};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -15,9 +15,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HardBrake {
-    /// The agents that brake: `all`, `ego` or a role.
-    #[serde(default = "agent")]
-    pub agents: AgentSelector,
     /// The range of the deceleration, m/s². Left out: that of the target (`max_deceleration_mps2`), else 5 to 8.
     #[serde(default)]
     pub deceleration_mps2: Option<[f64; 2]>,
@@ -38,8 +35,8 @@ const ANY_MPS2: [f64; 2] = [5.0, 8.0];
 const WINDOW_S: f64 = 0.6;
 
 impl SceneObjective for HardBrake {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+    fn whose(&self) -> Whose {
+        Whose::Any("agent")
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
@@ -50,7 +47,7 @@ impl SceneObjective for HardBrake {
         interval("deceleration_mps2", self.deceleration_mps2)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
         let n_window = (WINDOW_S / context.dt_s).round().max(1.0) as usize;
         // Speeds lie between timesteps: there is one less, and a moment needs two of them, a window apart.
@@ -65,7 +62,7 @@ impl SceneObjective for HardBrake {
         let missed = beyond(&braking, &wanted)?.reshape((n_rows, n_agents, n_moments))?;
         let slow = (LEAST_SPEED_MPS - before)?.relu()?;
         let parts = [penalty(&missed, TOLERANCE_MPS2)?, penalty(&slow, 1.0)?];
-        (best_potential(&parts, &context.terms(n_window + 1)?)? * context.selected(&self.agents)?)?.sum(1)
+        (best_potential(&parts, &context.terms(n_window + 1)?)? * context.selected(agents)?)?.sum(1)
     }
 }
 
@@ -75,8 +72,7 @@ mod tests {
     use super::*;
 
     fn objective(deceleration_mps2: Option<[f64; 2]>) -> HardBrake {
-        let defaults: HardBrake = toml::from_str("agents = 'ego'").expect("everything else has a default");
-        HardBrake { deceleration_mps2, ..defaults }
+        HardBrake { deceleration_mps2 }
     }
 
     /// A car that drives 12 m/s and brakes with 5.5 m/s² from the first generated timestep on.

@@ -15,9 +15,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct KeepDistance {
-    /// The agents that keep a distance: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
     /// The agents to keep it from: `all`, `ego` or a role.
     #[serde(default)]
     pub to: AgentSelector,
@@ -34,18 +31,18 @@ pub struct KeepDistance {
 const TOLERANCE_M: f64 = 1.0;
 
 impl SceneObjective for KeepDistance {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents, &self.to]
+    fn others(&self) -> Vec<&AgentSelector> {
+        vec![&self.to]
     }
 
     fn validate(&self) -> settings::Result {
         settings::ascending(("min_m", self.min_m), ("max_m", self.max_m.unwrap_or(f64::INFINITY)))
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let reach = Reach { per_radius: 0.0, beyond_m: self.min_m + 1.0 };
         let reach = self.max_m.is_none().then_some(reach);
-        let query = PairQuery { reach, ..PairQuery::of(&self.agents, &self.to) };
+        let query = PairQuery { reach, ..PairQuery::of(agents, &self.to) };
         let Some(pairs) = Pairs::gather(states, context, &query)? else { return nothing(states) };
         let distance_m = norm(&(positions(&pairs.second.states)? - positions(&pairs.first.states)?)?)?;
         let mut values = penalty(&(self.min_m - &distance_m)?.relu()?, TOLERANCE_M)?;
@@ -58,12 +55,11 @@ impl SceneObjective for KeepDistance {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Traffic, after_ascent, assert_gradients_match};
+    use super::super::testing::{Of, Traffic, after_ascent, assert_gradients_match};
     use super::*;
 
-    fn objective() -> KeepDistance {
-        let (agents, to) = (AgentSelector::new("other"), AgentSelector::new("ego"));
-        KeepDistance { agents, to, min_m: 8.0, max_m: Some(12.0) }
+    fn objective() -> Of<Box<KeepDistance>> {
+        Of("other", Box::new(KeepDistance { to: AgentSelector::new("ego"), min_m: 8.0, max_m: Some(12.0) }))
     }
 
     #[test]

@@ -2,9 +2,8 @@
 
 use super::motion::{nothing, penalty};
 use super::one_agent::{OneAgent, SIDE};
-use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, Whose};
 use crate::geometry::Polyline;
-use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,9 +17,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneChange {
-    /// The agent that changes lanes: `ego` or a role.
-    #[serde(default = "agent")]
-    pub agents: AgentSelector,
     /// The side to which it changes. Left out: that of the target, else the side that costs less.
     #[serde(default)]
     pub side: Option<Side>,
@@ -36,20 +32,16 @@ const WITHIN_M: f64 = 0.7;
 const TOLERANCE_M: f64 = 0.5;
 
 impl SceneObjective for LaneChange {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+    fn whose(&self) -> Whose {
+        Whose::One("agent")
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
         &[SIDE]
     }
 
-    fn validate(&self) -> settings::Result {
-        one_agent("agents", &self.agents)
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let asked = OneAgent::gather(states, context, &self.agents)?;
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let asked = OneAgent::gather(states, context, agents)?;
         let line = |row: usize| asked.line_beside(context, row, self.side);
         settled(states, context, &asked, line, [SETTLED_S, WITHIN_M, TOLERANCE_M])
     }
@@ -84,8 +76,7 @@ mod tests {
     use super::*;
 
     fn objective(side: Option<Side>) -> LaneChange {
-        let defaults: LaneChange = toml::from_str("agents = 'ego'").expect("everything else has a default");
-        LaneChange { side, ..defaults }
+        LaneChange { side }
     }
 
     /// A car in the right one of two lanes along x, whose center lines are at y = 0 and 3.5 m.

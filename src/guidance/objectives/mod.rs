@@ -63,8 +63,14 @@ use serde::{Deserialize, Serialize};
 
 /// An objective for the trajectories of a scene.
 pub trait SceneObjective {
-    /// The agents whose motion it judges.
-    fn agents(&self) -> Vec<&AgentSelector>;
+    /// Whose motion it judges if its settings do not say.
+    fn whose(&self) -> Whose {
+        Whose::Any(AgentSelector::ALL)
+    }
+    /// The other agents that its settings name.
+    fn others(&self) -> Vec<&AgentSelector> {
+        Vec::new()
+    }
     /// The parameters of an event at which it can aim, row by row ([`super::Target`]).
     fn aims_at(&self) -> &'static [&'static str] {
         &[]
@@ -76,12 +82,22 @@ pub trait SceneObjective {
     fn validate(&self) -> settings::Result {
         Ok(())
     }
-    /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight. `states` (B, A, T, 3) are
-    /// positions and headings in meters and radians of each row's ego frame. Differentiable in them, row by row.
+    /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight, for the motion of `agents`.
+    /// `states` (B, A, T, 3) are positions and headings in meters and radians of each row's ego frame. Differentiable
+    /// in them, row by row.
     ///
     /// # Errors
     /// When shapes do not fit, or no agent has a role.
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
+}
+
+/// Whose motion an objective judges if its settings do not say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Whose {
+    /// Those of this name; others may be named, several at once.
+    Any(&'static str),
+    /// The one of this name; another one may be named.
+    One(&'static str),
 }
 
 /// An objective with its options and its weight: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
@@ -93,6 +109,10 @@ pub struct ObjectiveConfig {
     #[serde(default = "default_weight")]
     #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1_000_000))]
     pub weight: f64,
+    /// Whose motion: a role, `ego`, or `all` unless a single agent is meant. Left out: those that the objective usually
+    /// concerns, `all` for rules of traffic.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub agents: Option<AgentSelector>,
     /// The objective with its options.
     #[serde(flatten)]
     pub kind: ObjectiveKind,
@@ -182,7 +202,27 @@ pub enum InvalidObjective {
 impl ObjectiveConfig {
     /// The objective with this weight.
     pub fn new(weight: f64, objective: impl Into<ObjectiveKind>) -> Self {
-        Self { weight, kind: objective.into() }
+        Self { weight, agents: None, kind: objective.into() }
+    }
+
+    /// Whose motion it judges.
+    pub fn agents(&self) -> AgentSelector {
+        let (Whose::Any(usual) | Whose::One(usual)) = self.objective().whose();
+        self.agents.clone().unwrap_or_else(|| AgentSelector::new(usual))
+    }
+
+    /// The same with the name of the agents spelled out.
+    #[must_use]
+    pub fn spelled_out(&self) -> Self {
+        Self { agents: Some(self.agents()), ..self.clone() }
+    }
+
+    /// Its log potential of each row, (B): [`SceneObjective::log_potential`].
+    ///
+    /// # Errors
+    /// When shapes do not fit, or no agent has a role.
+    pub fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        self.objective().log_potential(&self.agents(), states, context)
     }
 
     /// Rejects settings that cannot work in a sweep whose behavior has these `roles`.
@@ -190,9 +230,13 @@ impl ObjectiveConfig {
     /// # Errors
     /// When something does.
     pub fn validate(&self, roles: &[&str]) -> settings::Result<(), InvalidObjective> {
-        let objective = self.objective();
-        settings::check_ranges(self).and_then(|()| objective.validate())?;
-        match objective.agents().into_iter().find(|agents| !agents.is_known(roles)) {
+        let (objective, agents) = (self.objective(), self.agents());
+        settings::check_ranges(self)?;
+        if let Whose::One(_) = objective.whose() {
+            one_agent("agents", &agents)?;
+        }
+        objective.validate()?;
+        match std::iter::once(&agents).chain(objective.others()).find(|agents| !agents.is_known(roles)) {
             Some(agents) => {
                 let others = roles.iter().copied().filter(|role| *role != AgentSelector::EGO);
                 let known: Vec<&str> = [AgentSelector::ALL, AgentSelector::EGO].into_iter().chain(others).collect();
@@ -208,17 +252,7 @@ fn ego() -> AgentSelector {
     AgentSelector::new(AgentSelector::EGO)
 }
 
-/// The one agent of a behavior without others.
-fn agent() -> AgentSelector {
-    AgentSelector::new("agent")
-}
-
-/// The first of two of whom neither is the ego.
-fn first() -> AgentSelector {
-    AgentSelector::new("first")
-}
-
-/// The second of the two.
+/// The second of two of whom neither is the ego.
 fn second() -> AgentSelector {
     AgentSelector::new("second")
 }

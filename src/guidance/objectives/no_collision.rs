@@ -16,9 +16,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoCollision {
-    /// The agents that must not collide: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
     /// Two agents that may touch each other: `["first", "second"]`. Left out: none.
     #[serde(default)]
     pub except: Option<[AgentSelector; 2]>,
@@ -36,16 +33,16 @@ const fn default_margin_m() -> f64 {
 }
 
 impl SceneObjective for NoCollision {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        std::iter::once(&self.agents).chain(self.except.iter().flatten()).collect()
+    fn others(&self) -> Vec<&AgentSelector> {
+        self.except.iter().flatten().collect()
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         // Two of the axes are perpendicular: the separation is at least d / √2 less the radii of both boxes and the
         // smoothing, for centers d apart. Pairs beyond that cost nothing.
         let reach = Reach { per_radius: 2f64.sqrt(), beyond_m: 2f64.sqrt() * (self.margin_m + SMOOTHING_M) };
         let query = PairQuery {
-            one: &self.agents,
+            one: agents,
             other: &AgentSelector::default(),
             reach: Some(reach),
             except: self.except.as_ref(),
@@ -70,7 +67,7 @@ mod tests {
     use super::*;
 
     fn objective() -> NoCollision {
-        NoCollision { agents: AgentSelector::default(), except: None, margin_m: 0.5 }
+        NoCollision { except: None, margin_m: 0.5 }
     }
 
     /// A fast car behind a slow one, and another that crosses.
@@ -112,11 +109,9 @@ mod tests {
         let objective = objective();
         for x in [4.0, 6.0, 7.0, 8.0] {
             let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 3.0), (x, 4.0, 0.7, 0.0)]);
-            let pairs = Pairs::gather(
-                traffic.states.as_tensor(),
-                &traffic.context,
-                &PairQuery::of(&objective.agents, &objective.agents),
-            );
+            let all = AgentSelector::default();
+            let query = PairQuery::of(&all, &all);
+            let pairs = Pairs::gather(traffic.states.as_tensor(), &traffic.context, &query);
             let pairs = pairs.unwrap().unwrap();
             let separation_m = separation_m(&pairs).unwrap();
             let at_present = separation_m.narrow(1, traffic.context.n_history - 1, 1).unwrap();

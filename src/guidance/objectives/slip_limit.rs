@@ -16,9 +16,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SlipLimit {
-    /// Whose slip: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
     /// The largest angle β between heading and motion, radians.
     #[serde(default = "default_limit_rad")]
     #[schemars(extend("exclusiveMinimum" = 0))]
@@ -33,11 +30,7 @@ const fn default_limit_rad() -> f64 {
 }
 
 impl SceneObjective for SlipLimit {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         if !context.generates_headings {
             return nothing(states);
         }
@@ -56,7 +49,7 @@ impl SceneObjective for SlipLimit {
         let across = ((velocity(1)? * cos)? - (velocity(0)? * sin)?)?.div(&length)?;
         let allowed_mps = ((norm(&velocity_mps)? * self.limit_rad.sin())? + turning_mps)?;
         let values = penalty(&(across.squeeze(D::Minus1)?.abs()? - allowed_mps)?.relu()?, TOLERANCE_MPS)?;
-        let agents = (context.selected(&self.agents)? * &context.motorized)?;
+        let agents = (context.selected(agents)? * &context.motorized)?;
         integral(&values, &context.terms(1)?, &agents, context.dt_s)
     }
 }
@@ -68,7 +61,7 @@ mod tests {
     use candle_core::Var;
 
     fn objective() -> SlipLimit {
-        SlipLimit { agents: AgentSelector::default(), limit_rad: 0.1 }
+        SlipLimit { limit_rad: 0.1 }
     }
 
     /// One car at 10 m/s along x whose heading is `heading_rad` throughout.
@@ -107,7 +100,7 @@ mod tests {
             }
             let states = Tensor::from_vec(states, traffic.states.shape(), traffic.states.device()).unwrap();
             traffic.states = Var::from_tensor(&states).unwrap();
-            traffic.potential(&SlipLimit { limit_rad: 0.01, ..objective() })[0]
+            traffic.potential(&SlipLimit { limit_rad: 0.01 })[0]
         };
         assert!(about(1.5) == 0.0 && about(-1.5) == 0.0 && about(6.0) < 0.0);
         // A turn that leads all the way around is none.

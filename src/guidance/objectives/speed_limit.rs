@@ -12,9 +12,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpeedLimit {
-    /// Whose speed: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
     /// The limit v_max, m/s.
     #[schemars(range(min = 0.0))]
     pub limit_mps: f64,
@@ -24,13 +21,9 @@ pub struct SpeedLimit {
 const TOLERANCE_MPS: f64 = 1.0;
 
 impl SceneObjective for SpeedLimit {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let speed_mps = norm(&rate(&positions(states)?, context.dt_s)?)?;
         let values = penalty(&(speed_mps - self.limit_mps)?.relu()?, TOLERANCE_MPS)?;
-        integral(&values, &context.terms(1)?, &context.selected(&self.agents)?, context.dt_s)
+        integral(&values, &context.terms(1)?, &context.selected(agents)?, context.dt_s)
     }
 }

@@ -21,22 +21,14 @@ use serde::{Deserialize, Serialize};
 /// that are not motorized do not count.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct StayOnRoad {
-    /// The agents that must stay on the road: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
-}
+pub struct StayOnRoad {}
 
 /// The distance τ off the road that costs ½ a second, meters.
 const TOLERANCE_M: f64 = 0.5;
 
 impl SceneObjective for StayOnRoad {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let agents = (context.selected(&self.agents)? * &context.motorized)?;
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let agents = (context.selected(agents)? * &context.motorized)?;
         let terms = context.terms(0)?;
         let counts = terms.broadcast_mul(&agents.unsqueeze(2)?)?;
         let last_observed = last_observed(context)?.broadcast_mul(&agents.unsqueeze(2)?)?;
@@ -97,7 +89,7 @@ mod tests {
     use std::sync::Arc;
 
     fn on_road() -> StayOnRoad {
-        StayOnRoad { agents: AgentSelector::default() }
+        StayOnRoad {}
     }
 
     /// Cars that drift off a lane along y = 0 whose edges are at ±1.75 m.

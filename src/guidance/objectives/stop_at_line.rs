@@ -1,7 +1,7 @@
 //! Come to a halt before a line.
 
 use super::motion::{headings, integral, norm, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, ego};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose};
 use candle_core::{D, Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,9 +17,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StopAtLine {
-    /// The agents that must stop: `all`, `ego` or a role.
-    #[serde(default = "ego")]
-    pub agents: AgentSelector,
     /// How far ahead of the agent's front the line lies at present, meters.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub distance_m: f64,
@@ -32,18 +29,18 @@ const TOLERANCE_MPS: f64 = 0.5;
 const TOLERANCE_M: f64 = 1.0;
 
 impl SceneObjective for StopAtLine {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+    fn whose(&self) -> Whose {
+        Whose::Any(AgentSelector::EGO)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let (present, dt_s) = (context.n_history.saturating_sub(1), context.dt_s);
         let start = states.narrow(2, present, 1)?;
         let along = Tensor::cat(&[headings(&start)?.cos()?, headings(&start)?.sin()?], 3)?;
         let way_m = positions(states)?.broadcast_sub(&positions(&start)?)?.broadcast_mul(&along)?.sum(D::Minus1)?;
         let beyond_m = (way_m - self.distance_m)?;
         let was_there = context.valid.narrow(2, present, 1)?.squeeze(2)?;
-        let agents = (context.selected(&self.agents)? * was_there)?;
+        let agents = (context.selected(agents)? * was_there)?;
         let last = |values: &Tensor, terms: &Tensor| {
             let at = values.dim(2)? - 1;
             integral(&values.narrow(2, at, 1)?, &terms.narrow(2, at, 1)?, &agents, 1.0)

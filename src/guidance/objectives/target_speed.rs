@@ -12,9 +12,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TargetSpeed {
-    /// Whose speed: `all`, `ego` or a role.
-    #[serde(default)]
-    pub agents: AgentSelector,
     /// The speed v*, m/s.
     #[schemars(range(min = 0.0))]
     pub speed_mps: f64,
@@ -24,14 +21,10 @@ pub struct TargetSpeed {
 const TOLERANCE_MPS: f64 = 1.0;
 
 impl SceneObjective for TargetSpeed {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let speed_mps = norm(&rate(&positions(states)?, context.dt_s)?)?;
         let values = penalty(&(speed_mps - self.speed_mps)?, TOLERANCE_MPS)?;
         let terms = context.terms(1)?;
-        integral(&values, &terms, &context.selected(&self.agents)?, context.dt_s)
+        integral(&values, &terms, &context.selected(agents)?, context.dt_s)
     }
 }

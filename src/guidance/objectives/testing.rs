@@ -1,19 +1,19 @@
 //! Traffic for tests of objectives, in double precision: gradients against finite differences, and what following them
 //! does.
 
-use super::SceneObjective;
+use super::{SceneObjective, Whose};
 use crate::geometry::{OrientedBox, Polyline, Transform2, Vec2};
-use crate::guidance::SceneContext;
 use crate::guidance::lane_ways::LaneWays;
+use crate::guidance::{AgentSelector, SceneContext};
 use crate::scene::{Lane, LaneGraph};
-use candle_core::{Device, Tensor, Var};
+use candle_core::{Device, Result, Tensor, Var};
 use std::ops::Range;
 
 const N_TIMESTEPS: usize = 12;
 const N_HISTORY: usize = 3;
 const DT_S: f64 = 0.2;
 
-/// A batch of one row with its context. Agent 0 is the ego, agent 1 has the role `other`.
+/// A batch of one row with its context. Agent 0 is the ego, agent 1 the other one of every pair.
 pub(super) struct Traffic {
     pub(super) states: Var,
     pub(super) context: SceneContext,
@@ -45,7 +45,9 @@ impl Traffic {
             ways: vec![std::sync::Arc::new(ways(Vec::new()))],
             ego: vec![0],
             targets: vec![std::collections::BTreeMap::new()],
-            roles: std::iter::once(("other".to_owned(), vec![1.min(n_agents - 1)])).collect(),
+            roles: [("agent", 0), ("first", 0), ("second", 1), ("other", 1)]
+                .map(|(role, idx)| (role.to_owned(), vec![idx.min(n_agents - 1)]))
+                .into(),
         };
         let states = Tensor::from_vec(states, (1, n_agents, N_TIMESTEPS, 3), &device).unwrap();
         Self { states: Var::from_tensor(&states).unwrap(), context }
@@ -65,15 +67,33 @@ impl Traffic {
     }
 
     pub(super) fn potential(&self, objective: &dyn SceneObjective) -> Vec<f64> {
-        objective.log_potential(self.states.as_tensor(), &self.context).unwrap().to_vec1().unwrap()
+        log_potential(objective, self.states.as_tensor(), &self.context).to_vec1().unwrap()
     }
 
     /// The gradient with respect to every state.
     pub(super) fn gradient(&self, objective: &dyn SceneObjective) -> Vec<f64> {
-        let total = objective.log_potential(self.states.as_tensor(), &self.context).unwrap().sum_all().unwrap();
+        let total = log_potential(objective, self.states.as_tensor(), &self.context).sum_all().unwrap();
         let gradients = total.backward().unwrap();
         gradients.get(self.states.as_tensor()).unwrap().flatten_all().unwrap().to_vec1().unwrap()
     }
+}
+
+/// An objective for other agents than usual.
+pub(super) struct Of<O>(pub(super) &'static str, pub(super) O);
+
+impl<O: std::ops::Deref<Target: SceneObjective>> SceneObjective for Of<O> {
+    fn whose(&self) -> Whose {
+        Whose::Any(self.0)
+    }
+
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        self.1.log_potential(agents, states, context)
+    }
+}
+
+fn log_potential(objective: &dyn SceneObjective, states: &Tensor, context: &SceneContext) -> Tensor {
+    let (Whose::Any(usual) | Whose::One(usual)) = objective.whose();
+    objective.log_potential(&AgentSelector::new(usual), states, context).unwrap()
 }
 
 /// Two lanes along x beside each other, with center lines at y = 0 and 3.5 m.
@@ -116,7 +136,7 @@ pub(super) fn assert_gradients_of_match(
         let mut moved = states.clone();
         moved[at] += h;
         let moved = Tensor::from_vec(moved, traffic.states.shape(), &Device::Cpu).unwrap();
-        let potential = objective.log_potential(&moved, &traffic.context).unwrap();
+        let potential = log_potential(objective, &moved, &traffic.context);
         potential.sum_all().unwrap().to_scalar::<f64>().unwrap()
     };
     let largest = gradient.iter().map(|g| g.abs()).fold(0.0, f64::max);

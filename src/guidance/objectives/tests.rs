@@ -1,6 +1,6 @@
 //! Properties of all objectives, and the effect of single ones on trajectories.
 
-use super::testing::{Traffic, after_ascent, assert_gradients_match, assert_gradients_of_match, nested};
+use super::testing::{Of, Traffic, after_ascent, assert_gradients_match, assert_gradients_of_match, nested};
 use super::*;
 use crate::geometry::Transform2;
 use crate::guidance::road_corridors::RoadCorridors;
@@ -29,6 +29,11 @@ fn all() -> Vec<ObjectiveConfig> {
     table["objectives"].clone().try_into().unwrap()
 }
 
+/// The objective for the agents that it names.
+fn posed(config: &ObjectiveConfig) -> Of<&dyn SceneObjective> {
+    Of(config.agents().name().to_owned().leak(), config.objective())
+}
+
 /// Cars close to each other and beside the road, that accelerate.
 fn busy() -> Traffic {
     let mut traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (6.0, 2.2, 0.0, 5.0), (3.0, -5.0, 0.2, 6.0)]);
@@ -51,21 +56,22 @@ fn speeds(agent: &[Vec<f64>], dt_s: f64) -> Vec<f64> {
 fn every_gradient_agrees_with_finite_differences_and_every_potential_is_negative() {
     let traffic = busy();
     for config in all() {
+        let objective = posed(&config);
         match config.kind {
             // Whose path is cut into is held as it is.
-            ObjectiveKind::CutIn(_) => assert_gradients_of_match(config.objective(), &traffic, |agent, _| agent > 0),
+            ObjectiveKind::CutIn(_) => assert_gradients_of_match(&objective, &traffic, |agent, _| agent > 0),
             // What turning allows is held as it is.
-            ObjectiveKind::SlipLimit(_) => assert_gradients_of_match(config.objective(), &traffic, |_, i| i < 2),
-            _ => assert_gradients_match(config.objective(), &traffic),
+            ObjectiveKind::SlipLimit(_) => assert_gradients_of_match(&objective, &traffic, |_, i| i < 2),
+            _ => assert_gradients_match(&objective, &traffic),
         }
-        assert!(traffic.potential(config.objective())[0] < -1e-3, "{}", config.kind());
+        assert!(traffic.potential(&objective)[0] < -1e-3, "{}", config.kind());
     }
 }
 
 #[test]
 fn invalid_entries_never_contribute() {
     for config in all() {
-        let objective = config.objective();
+        let objective = &posed(&config);
         let mut traffic = busy();
         // The third agent is padding, the second is gone at timestep 7: whatever stands there must not matter.
         let gone = |at: usize| at / 12 == 2 || at == 12 + 7;
@@ -91,7 +97,7 @@ fn what_is_observed_alone_costs_nothing() {
     let mut traffic = busy();
     traffic.context.latent = traffic.context.latent.zeros_like().unwrap();
     for config in all() {
-        assert_eq!(traffic.potential(config.objective()), [0.0], "{}", config.kind());
+        assert_eq!(traffic.potential(&posed(&config)), [0.0], "{}", config.kind());
     }
 }
 
@@ -104,8 +110,9 @@ fn rows_are_independent() {
     both.states = Var::from_tensor(&states).unwrap();
     for config in all() {
         let mut second = Traffic { context: one.context.clone(), states: two.states.clone() };
-        let expected = [one.potential(config.objective())[0], second.potential(config.objective())[0]];
-        let found = both.potential(config.objective());
+        let objective = posed(&config);
+        let expected = [one.potential(&objective)[0], second.potential(&objective)[0]];
+        let found = both.potential(&objective);
         assert!((0..2).all(|row| (found[row] - expected[row]).abs() < 1e-9), "{}", config.kind());
         // Swapping the role changes who is meant.
         second.context.roles.insert("other".to_owned(), vec![2]);
@@ -117,8 +124,7 @@ fn rows_are_independent() {
 #[test]
 fn target_speed_is_reached_by_the_chosen_agent() {
     let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 8.0)]);
-    let agents = AgentSelector::new("other");
-    let objective = TargetSpeed { agents, speed_mps: 5.0 };
+    let objective = Of("other", &TargetSpeed { speed_mps: 5.0 });
     // 3 m/s too fast from the present on: steps 2 to 10 of 0.2 s each.
     let expected = -0.5 * 9.0 * 9.0 * 0.2;
     assert!((traffic.potential(&objective)[0] / expected - 1.0).abs() < 0.05, "{}", traffic.potential(&objective)[0]);
@@ -131,7 +137,7 @@ fn target_speed_is_reached_by_the_chosen_agent() {
 #[test]
 fn limits_bind_those_beyond_them_only() {
     let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 5.0)]);
-    let limit = SpeedLimit { agents: AgentSelector::default(), limit_mps: 6.0 };
+    let limit = SpeedLimit { limit_mps: 6.0 };
     assert_gradients_match(&limit, &traffic);
     let states = after_ascent(&limit, &traffic, 200);
     assert!(speeds(&states[0][0], 0.2)[2..].iter().all(|speed| *speed < 6.2));
@@ -143,8 +149,7 @@ fn limits_bind_those_beyond_them_only() {
     let flat: Vec<f64> = jolted.concat().concat().concat();
     let states = Tensor::from_vec(flat, traffic.states.shape(), &Device::Cpu).unwrap();
     let jolted = Traffic { states: Var::from_tensor(&states).unwrap(), context: traffic.context };
-    let agents = AgentSelector::default();
-    let limit = AccelerationLimit { agents, limit_mps2: 4.0 };
+    let limit = AccelerationLimit { limit_mps2: 4.0 };
     let expected = -0.5 * 0.2 * (21f64.powi(2) * 2.0 + 46f64.powi(2));
     assert!((jolted.potential(&limit)[0] / expected - 1.0).abs() < 0.01, "{}", jolted.potential(&limit)[0]);
     assert_gradients_match(&limit, &jolted);
@@ -158,7 +163,7 @@ fn limits_bind_those_beyond_them_only() {
 #[test]
 fn goals_are_reached_in_time() {
     let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (20.0, 5.0, std::f64::consts::FRAC_PI_2, 5.0)]);
-    let goal = |time_s: Option<f64>| Goal { agents: AgentSelector::new("other"), x_m: 12.0, y_m: 1.0, time_s };
+    let goal = |time_s: Option<f64>| Of("other", Box::new(Goal { x_m: 12.0, y_m: 1.0, time_s }));
     // The other drives along y and is at (20, 7) at present, timestep 2: 12 m ahead and 1 m to the left is (19, 19).
     for (objective, timestep, expected) in [(goal(Some(1.0)), 7, [19.0, 19.0]), (goal(None), 11, [19.0, 19.0])] {
         let now = &traffic.states_vec()[0][1][timestep];
@@ -174,7 +179,7 @@ fn goals_are_reached_in_time() {
 fn the_front_stops_at_the_line() {
     // At present, timestep 2, the car is 2 m along its way; the line lies 6 m ahead of that.
     let traffic = Traffic::straight(&[(0.0, 0.0, std::f64::consts::FRAC_PI_2, 5.0)]);
-    let objective = StopAtLine { agents: AgentSelector::new("ego"), distance_m: 6.0 };
+    let objective = StopAtLine { distance_m: 6.0 };
     assert_gradients_match(&objective, &traffic);
     let states = &after_ascent(&objective, &traffic, 500)[0][0];
     assert!(states.iter().all(|state| state[1] < 8.0 + 0.1));

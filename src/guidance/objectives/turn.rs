@@ -2,7 +2,7 @@
 
 use super::motion::{norm, penalty};
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, Side, agent, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, Whose, interval};
 use crate::geometry::Vec2;
 use crate::guidance::turning_way::{TurningWay, WantedTurn};
 use crate::settings;
@@ -25,9 +25,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Turn {
-    /// The agent that turns: `ego` or a role.
-    #[serde(default = "agent")]
-    pub agents: AgentSelector,
     /// The side to which it turns.
     pub side: Side,
     /// The range of the change of heading since the agent was first seen, toward that side, radians. Left out: that of
@@ -56,8 +53,8 @@ const ANY_SPEED_MPS: [f64; 2] = [0.0, 1e3];
 const HEADING_TOLERANCE_RAD: f64 = 0.3;
 
 impl SceneObjective for Turn {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+    fn whose(&self) -> Whose {
+        Whose::One("agent")
     }
 
     fn aims_at(&self) -> &'static [&'static str] {
@@ -65,13 +62,12 @@ impl SceneObjective for Turn {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("agents", &self.agents)?;
         interval(HEADING_CHANGE, self.heading_change_rad)?;
         interval(MEAN_SPEED, self.mean_speed_mps)
     }
 
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let asked = OneAgent::gather(states, context, &self.agents)?;
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let asked = OneAgent::gather(states, context, agents)?;
         let (n_rows, n_ahead) = (states.dim(0)?, asked.future().len());
         let (mut points, mut headings, mut is_asked) = (Vec::new(), Vec::new(), Vec::new());
         for row in 0..n_rows {

@@ -11,8 +11,7 @@ use candle_core::{Device, Var};
 use std::sync::Arc;
 
 fn objective(side: Side) -> Turn {
-    let side = if side == Side::Left { "left" } else { "right" };
-    toml::from_str(&format!("agents = 'ego'\nside = '{side}'")).expect("everything else has a default")
+    Turn { side, heading_change_rad: None, mean_speed_mps: None }
 }
 
 /// A street along x that forks 6 m on: straight, and along a quarter of a circle of 6 m to the left and to the right.
@@ -58,7 +57,7 @@ fn driven(states: &[Vec<f64>], lanes: LaneGraph) -> Scene {
 /// Whether the miner finds a turn to this side, and whether it finds one to the other.
 fn found(scene: &Scene, side: Side) -> [bool; 2] {
     let is_found = |events: Vec<BehaviorEvent>| events.iter().any(|event| event.label == EventLabel::Positive);
-    let [left, right] = [is_found(LeftTurn::default().detect(scene)), is_found(RightTurn::default().detect(scene))];
+    let [left, right] = [is_found(LeftTurn.detect(scene)), is_found(RightTurn.detect(scene))];
     if side == Side::Left { [left, right] } else { [right, left] }
 }
 

@@ -2,8 +2,7 @@
 
 use super::lane_change::settled;
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, agent, one_agent};
-use crate::settings;
+use super::{AgentSelector, SceneContext, SceneObjective, Whose};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,11 +14,7 @@ use serde::{Deserialize, Serialize};
 /// over the last 1.7 s. If there are several such lanes, the nearest one counts; 0 if there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct WrongWay {
-    /// The agent that drives the wrong way: `ego` or a role.
-    #[serde(default = "agent")]
-    pub agents: AgentSelector,
-}
+pub struct WrongWay {}
 
 /// How long the agent must be in the oncoming lane at the end, seconds.
 const AGAINST_S: f64 = 1.7;
@@ -31,16 +26,12 @@ const WITHIN_M: f64 = 1.2;
 const TOLERANCE_M: f64 = 0.5;
 
 impl SceneObjective for WrongWay {
-    fn agents(&self) -> Vec<&AgentSelector> {
-        vec![&self.agents]
+    fn whose(&self) -> Whose {
+        Whose::One("agent")
     }
 
-    fn validate(&self) -> settings::Result {
-        one_agent("agents", &self.agents)
-    }
-
-    fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
-        let asked = OneAgent::gather(states, context, &self.agents)?;
+    fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
+        let asked = OneAgent::gather(states, context, agents)?;
         let line = |row: usize| asked.oncoming_line(context, row);
         settled(states, context, &asked, line, [AGAINST_S, WITHIN_M, TOLERANCE_M])
     }
@@ -52,7 +43,7 @@ mod tests {
     use super::*;
 
     fn objective() -> WrongWay {
-        toml::from_str("agents = 'ego'").expect("everything else has a default")
+        WrongWay {}
     }
 
     fn traffic() -> Traffic {

@@ -131,16 +131,14 @@ fn the_cap_keeps_the_nearest_with_ties_by_id() {
 }
 
 #[test]
-fn presence_and_static_objects_are_configured() {
+fn who_is_not_there_at_present_and_static_objects_are_left_out() {
     let gone = track("gone", TrackRole::Context, Vec2::ZERO, 0.0, |t| t < PRESENT);
     let later = track("later", TrackRole::Context, Vec2::ZERO, 0.0, |t| t > PRESENT);
     let cone = Track { class: AgentClass::Static, ..context("cone", 1.0, 0.0) };
     let tracks = vec![context("a", 0.0, 0.0), gone, later, cone];
-    let (scene, counts) = assemble(raw(tracks.clone()), None, &config()).expect("complete");
+    let (scene, counts) = assemble(raw(tracks), None, &config()).expect("complete");
     assert_eq!(ids(&scene), ["a"]);
     assert_eq!((counts.dropped["agents_absent"], counts.dropped["agents_static"]), (2, 1));
-    let config = IngestConfig { agents_present: AgentsPresent::InHistory, keep_static: true, ..config() };
-    assert_eq!(ids(&assemble(raw(tracks), None, &config).expect("complete").0), ["a", "gone", "cone"]);
 }
 
 #[test]

@@ -20,9 +20,6 @@ pub struct ValidityConfig {
     /// acceleration, jerk, yaw rate, curvature, heading and those of the start. Default `interaction` and `argoverse2`:
     /// Argoverse 1 has positions of a tracker, unfiltered and at uneven times, so that no recorded scene would pass.
     pub motion_of: Vec<Dataset>,
-    /// Positions and headings are fitted over this time, seconds. Default 0.7.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 5.0))]
-    pub window_s: f64,
     /// Largest acceleration along the motion, m/s². Default 5: sports cars.
     #[schemars(range(min = 0.0))]
     pub max_acceleration_mps2: f64,
@@ -41,9 +38,6 @@ pub struct ValidityConfig {
     /// Largest curvature of a path, 1/m: the yaw rate may be this times the speed. Default 0.3, a circle of 3.3 m.
     #[schemars(range(min = 0.0))]
     pub max_curvature_per_m: f64,
-    /// Added to that yaw rate, rad/s, so that noise of agents that stand or creep does not count. Default 0.2.
-    #[schemars(range(min = 0.0))]
-    pub yaw_rate_slack_radps: f64,
     /// Largest angle between heading and motion for vehicles faster than 2 m/s, radians, beyond what their turning
     /// explains and the largest one among the given states of the vehicle. Default 0.07, 4 degrees:
     /// of the tracks of simulated recordings 99 % stay below 3.4 degrees.
@@ -56,10 +50,6 @@ pub struct ValidityConfig {
     /// Where given and generated states meet: largest turn from one timestep to the next, radians. Default 0.2.
     #[schemars(range(min = 0.0))]
     pub max_start_turn_rad: f64,
-    /// Where given and generated states meet: largest change of acceleration within two timesteps, m/s², beyond the
-    /// largest one among the given states of the vehicle, which shows how smooth its recording is. Default 2.
-    #[schemars(range(min = 0.0))]
-    pub max_start_acceleration_mps2: f64,
     /// How far the center of a vehicle may be outside the lanes (for lanes without boundaries: 1.9 m on either side of
     /// their center line), meters. Default 0.3.
     #[schemars(range(min = 0.0))]
@@ -82,18 +72,15 @@ impl Default for ValidityConfig {
         Self {
             skip: Vec::new(),
             motion_of: Dataset::ALL.into_iter().filter(|dataset| dataset.facts().has_clean_motion).collect(),
-            window_s: 0.7,
             max_acceleration_mps2: 5.0,
             max_deceleration_mps2: 9.0,
             max_lateral_acceleration_mps2: 9.0,
             max_jerk_mps3: 25.0,
             max_yaw_rate_radps: 1.2,
             max_curvature_per_m: 0.3,
-            yaw_rate_slack_radps: 0.2,
             max_slip_rad: 0.07,
             max_start_offset_m: 0.3,
             max_start_turn_rad: 0.2,
-            max_start_acceleration_mps2: 2.0,
             offroad_slack_m: 0.3,
             max_recorded_offroad: 0.03,
             places_without_road: BTreeSet::new(),

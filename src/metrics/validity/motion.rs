@@ -6,6 +6,10 @@ use super::{Check, Judged, LocalFit, ValidityConfig, Violation, keep_worse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{State, Track};
 
+/// Positions and headings are fitted over this time, seconds: long enough for noise to fade, shorter than a brake.
+const WINDOW_S: f64 = 0.7;
+/// Added to the largest yaw rate, rad/s, so that noise of agents that stand or creep does not count.
+const YAW_RATE_SLACK_RADPS: f64 = 0.2;
 /// Below this speed the heading is taken as the direction of motion, m/s.
 const MOVING_MPS: f64 = 1.0;
 /// Below this speed the angle between heading and motion is not checked, m/s: a maneuvering vehicle may go backward.
@@ -14,7 +18,7 @@ const SLIP_FROM_MPS: f64 = 2.0;
 /// The checks of motion that vehicles fail, each at its worst place.
 pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Violation> {
     let scene = judged.scene;
-    let fitter = Fitter::new(config.window_s, scene.dt_s);
+    let fitter = Fitter::new(WINDOW_S, scene.dt_s);
     let mut worst: [Option<Violation>; Check::ALL.len()] = [const { None }; Check::ALL.len()];
     for agent_idx in judged.generated_agents().filter(|agent_idx| judged.is_vehicle(*agent_idx)) {
         let track = &scene.tracks[agent_idx];
@@ -50,7 +54,7 @@ fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f6
         false => Vec2::from_angle(state.heading_rad),
     };
     let (along, yaw_rate) = (fit.acceleration.dot(forward), fit.yaw_rate_radps.abs());
-    let tightest = config.max_curvature_per_m * speed_mps + config.yaw_rate_slack_radps;
+    let tightest = config.max_curvature_per_m * speed_mps + YAW_RATE_SLACK_RADPS;
     [
         (Check::Acceleration, along, config.max_acceleration_mps2),
         (Check::Deceleration, -along, config.max_deceleration_mps2),

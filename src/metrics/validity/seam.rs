@@ -5,6 +5,9 @@ use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::State;
 
+/// Largest change of acceleration within two timesteps, m/s², beyond the largest one among the given states of the
+/// vehicle, which shows how smooth its recording is.
+const MAX_START_ACCELERATION_MPS2: f64 = 2.0;
 /// Motion is extrapolated from the mean velocity over at most so many timesteps.
 const N_BEFORE: usize = 3;
 
@@ -37,7 +40,7 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
                 let turn_rad = angle_difference(now.heading_rad, before.heading_rad).abs();
                 check(Check::StartHeading, turn_rad, config.max_start_turn_rad);
                 if let Some(beyond_mps2) = acceleration_step(judged, agent_idx, timestep) {
-                    check(Check::StartAcceleration, beyond_mps2, config.max_start_acceleration_mps2);
+                    check(Check::StartAcceleration, beyond_mps2, MAX_START_ACCELERATION_MPS2);
                 }
             }
         }

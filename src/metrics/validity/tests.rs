@@ -331,7 +331,7 @@ fn nonsense_is_named() {
     assert!(check_ranges(&defaults()).is_ok());
     let why = check_ranges(&ValidityConfig { max_slip_rad: -1.0, ..defaults() }).unwrap_err().to_string();
     assert!(why.contains("max_slip_rad"), "{why}");
-    assert!(check_ranges(&ValidityConfig { window_s: f64::NAN, ..defaults() }).is_err());
+    assert!(check_ranges(&ValidityConfig { max_slip_rad: f64::NAN, ..defaults() }).is_err());
 }
 
 #[test]

@@ -5,6 +5,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// How long before the end of its time a job is notified, seconds: enough for a step of training and saving its state.
+pub(super) const NOTICE_S: u32 = 120;
+
 /// How a pipeline is submitted to a cluster (`djinn submit`). Results do not depend on it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -28,9 +31,6 @@ pub struct ClusterConfig {
     pub cpus: u32,
     /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's.
     pub memory: String,
-    /// How long before the end of its time a job is notified, seconds: enough for a step of training.
-    #[schemars(range(min = 10, max = 3_600))]
-    pub notice_s: u32,
     /// On Slurm, what runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty:
     /// the program that submits.
     pub container: String,
@@ -53,7 +53,6 @@ impl Default for ClusterConfig {
             gpus: 0,
             cpus: 0,
             memory: String::new(),
-            notice_s: 120,
             container: String::new(),
             lines: Vec::new(),
             image: String::new(),

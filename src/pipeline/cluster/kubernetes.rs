@@ -4,6 +4,7 @@
 //! one worker can end its job. Older versions start jobs too early or too often, which does no harm: such a job ends
 //! with 75.
 
+use super::config::NOTICE_S;
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
 use super::{ClusterConfig, Job, JobGraph};
@@ -131,7 +132,7 @@ fn pod(graph: &JobGraph, job: &Job, cluster: &ClusterConfig, memory: Option<&str
         claims.map(|(i, claim)| json!({"name": volume(i), "persistentVolumeClaim": {"claimName": claim}})).collect();
     json!({
         "restartPolicy": "Never",
-        "terminationGracePeriodSeconds": cluster.notice_s,
+        "terminationGracePeriodSeconds": NOTICE_S,
         "securityContext": {
             "runAsNonRoot": true,
             "fsGroup": GROUP,

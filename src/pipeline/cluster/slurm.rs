@@ -4,6 +4,7 @@
 //! often as the configuration allows. Nothing depends on a signal: some sites send none, and other workers sample the
 //! shards of a killed one.
 
+use super::config::NOTICE_S;
 use super::feed::{complaint, feed};
 use super::jobs::WORKER;
 use super::{ClusterConfig, Completion, Job, JobGraph};
@@ -37,7 +38,7 @@ pub fn script(graph: &JobGraph, job: &Job, cluster: &ClusterConfig) -> String {
         format!("--output={}", quoted(&graph.directory.join(output).to_string_lossy())),
         "--open-mode=append".to_owned(),
         "--requeue".to_owned(),
-        format!("--signal=B:USR1@{}", cluster.notice_s),
+        format!("--signal=B:USR1@{NOTICE_S}"),
     ];
     directives.extend(job.workers.map(|n_workers| format!("--array=1-{n_workers}")));
     let known = [("partition", &cluster.partition), ("time", &cluster.time), ("mem", &cluster.memory)];

@@ -8,7 +8,6 @@ use super::kinds::check_kinds;
 use super::{Override, PipelineConfig};
 use crate::settings::{Issue, Unreadable};
 use serde::Deserialize;
-use serde_json::Value;
 use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -100,25 +99,11 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
     }
 }
 
-/// Gives the seed of the run to every section whose schema has a `seed` and that sets none.
+/// Gives the seed of the run to `[generate]` if it names none of its own.
 fn inherit_seed(table: &mut DeTable<'_>) {
     let Some(seed) = table.get("run").and_then(|run| run.get_ref().get("seed")).cloned() else { return };
-    let schema = schemars::schema_for!(PipelineConfig).to_value();
-    fill_seed(table, &schema, &schema, &seed);
-}
-
-fn fill_seed<'a>(table: &mut DeTable<'a>, root: &Value, schema: &Value, seed: &Spanned<DeValue<'a>>) {
-    let referred = |schema: &Value| root.pointer(schema["$ref"].as_str()?.strip_prefix('#')?);
-    // A section that may be missing is one of two alternatives: the section, or null.
-    let alternatives = schema["anyOf"].as_array().into_iter().flatten();
-    let properties = &std::iter::once(schema).chain(alternatives).find_map(referred).unwrap_or(schema)["properties"];
-    for (name, value) in table.iter_mut() {
-        if let DeValue::Table(section) = value.get_mut() {
-            fill_seed(section, root, &properties[name.get_ref().as_ref()], seed);
-        }
-    }
-    if !properties["seed"].is_null() {
-        table.entry(Spanned::new(seed.span(), "seed".into())).or_insert_with(|| seed.clone());
+    if let Some(DeValue::Table(section)) = table.get_mut("generate").map(Spanned::get_mut) {
+        section.entry(Spanned::new(seed.span(), "seed".into())).or_insert(seed);
     }
 }
 
@@ -285,14 +270,11 @@ mod tests {
     }
 
     #[test]
-    fn sections_inherit_the_seed_of_the_run() {
-        let text = "[run]\nseed = 7\n[ingest]\ndataset = \"argoverse1\"\ninputs = [\"a\"]\n\
-                    [train.denoiser]\n[train.classifier]\n[generate]\nseed = 9\n";
-        let seeds = |overrides: &[String]| {
-            let config = parse(None, text, overrides).unwrap();
-            [config.ingest.unwrap().seed, config.train.classifier.unwrap().seed, config.generate.unwrap().seed]
+    fn generation_inherits_the_seed_of_the_run() {
+        let seed = |overrides: &[&str]| {
+            let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+            parse(None, "[run]\nseed = 7\n[generate]\n", &overrides).unwrap().generate.unwrap().seed
         };
-        assert_eq!(seeds(&[]), [7, 7, 9]);
-        assert_eq!(seeds(&["ingest.seed=8".to_owned()]), [8, 7, 9]);
+        assert_eq!((seed(&[]), seed(&["run.seed=8"]), seed(&["generate.seed=9"])), (7, 8, 9));
     }
 }

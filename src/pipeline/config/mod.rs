@@ -26,8 +26,11 @@ use crate::pipeline::StageId;
 use crate::pipeline::cluster::ClusterConfig;
 use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
+use crate::scene::Split;
 use crate::settings::{self, Issue};
-use crate::train::{BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig};
+use crate::train::{
+    BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig, OwnScenes,
+};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -59,6 +62,14 @@ pub struct PipelineConfig {
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {
+    /// Splits of this run's scenes to train on. Empty: `train`, or all unsplit scenes if there is no such split.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub splits: Vec<Split>,
+    /// Places of this run's scenes to train on. Empty: all.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(extend("uniqueItems" = true))]
+    pub places: Vec<String>,
     /// The diffusion model that generates scenarios.
     pub denoiser: Option<DenoiserTrainingConfig>,
     /// The distilled model, which samples in few evaluations; for sweeps with `model = "distilled"`.
@@ -69,13 +80,20 @@ pub struct TrainConfig {
     pub baseline: Option<BaselineTrainingConfig>,
 }
 
+impl TrainConfig {
+    /// The scenes of this run that models train on.
+    pub fn own_scenes(&self) -> OwnScenes<'_> {
+        OwnScenes { splits: &self.splits, places: &self.places }
+    }
+}
+
 /// Settings of all stages.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RunConfig {
     /// Name of the pipeline: the folder of its runs. Empty: the name of the pipeline file.
     pub name: String,
-    /// Seed of everything random; sections that name a seed of their own are exempt.
+    /// Seed of everything random; samples are drawn with `generate.seed` if that is set.
     pub seed: u64,
     /// Number of worker threads; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
@@ -115,7 +133,7 @@ impl RunConfig {
 }
 
 impl PipelineConfig {
-    /// Reads a pipeline file (none: all defaults) and applies overrides such as `mine.splits=["val"]`.
+    /// Reads a pipeline file (none: all defaults) and applies overrides such as `run.seed=7`.
     pub fn load(path: Option<&Path>, overrides: &[String]) -> Result<Self> {
         let text = match path {
             Some(path) => regular(path).and_then(|_| fs_err::read_to_string(path)).map_err(Failure::input)?,

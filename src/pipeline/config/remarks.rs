@@ -8,7 +8,7 @@ use serde_json::Value;
 impl PipelineConfig {
     /// What a user may have meant otherwise, although it can work.
     pub fn remarks(&self) -> Vec<String> {
-        let TrainConfig { denoiser, distill, classifier, baseline } = &self.train;
+        let TrainConfig { denoiser, distill, classifier, baseline, .. } = &self.train;
         let sections = [
             ("denoiser", has_more_than_checkpoint(denoiser.as_ref())),
             ("distill", has_more_than_checkpoint(distill.as_ref())),

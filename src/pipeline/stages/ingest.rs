@@ -13,6 +13,8 @@ use std::path::PathBuf;
 pub struct Ingest<'a> {
     /// Its section.
     pub config: &'a IngestConfig,
+    /// The seed of the run.
+    pub seed: u64,
 }
 
 impl Stage for Ingest<'_> {
@@ -38,7 +40,9 @@ impl Stage for Ingest<'_> {
     }
 
     fn config(&self) -> anyhow::Result<Value> {
-        Ok(serde_json::to_value(self.config)?)
+        let mut config = serde_json::to_value(self.config)?;
+        config["seed"] = json!(self.seed);
+        Ok(config)
     }
 
     fn inputs(&self) -> Vec<StageInput> {
@@ -61,7 +65,7 @@ impl Whole for Ingest<'_> {
         let done: Option<IngestReport> =
             finished.map(|shard| serde_json::from_value(shard.report)).transpose().map_err(anyhow::Error::from)?;
         let mut total = done.clone().unwrap_or_default();
-        let config = on_disk(self.config)?;
+        let config = IngestConfig { seed: self.seed, ..on_disk(self.config)? };
         let report = ingest(&config, done.as_ref(), context.progress, &mut |batch: IngestBatch| {
             total.merge(&batch.report);
             let so_far = serde_json::to_value(&total)?;

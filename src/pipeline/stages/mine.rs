@@ -6,9 +6,8 @@ use crate::evaluate::MiningTally;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
 use crate::progress::Progress;
-use crate::scene::Split;
 use crate::settings::Issue;
-use crate::store::{EventWriter, SceneIndexEntry, SceneStore, write_json_atomically};
+use crate::store::{EventWriter, SceneStore, write_json_atomically};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -20,14 +19,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// memory.
 const SCENES_PER_CHUNK: usize = 256;
 
-/// Which behaviors to mine, and in which scenes.
+/// Which behaviors to mine.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct MineConfig {
     /// The behaviors with their definitions; empty: all known ones, by their default definitions.
     pub behaviors: Vec<BehaviorConfig>,
-    /// The splits to mine; empty: all.
-    pub splits: Vec<Split>,
 }
 
 impl MineConfig {
@@ -90,12 +87,7 @@ impl Whole for Mine<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let behaviors = self.config.build()?;
         let store = SceneStore::open(&self.layout.scenes)?;
-        let wanted =
-            |entry: SceneIndexEntry<'_>| self.config.splits.is_empty() || self.config.splits.contains(&entry.split);
-        let scenes: Vec<usize> = (0..store.len()).filter(|idx| wanted(store.index().get(*idx))).collect();
-        if scenes.is_empty() {
-            return Err(Failure::input_message("no scene is in the splits of mine.splits"));
-        }
+        let scenes: Vec<usize> = (0..store.len()).collect();
         let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
         let mut tally = MiningTally::new(&ids);
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));

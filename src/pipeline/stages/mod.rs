@@ -90,19 +90,21 @@ pub fn check_gates(records: &[StageRecord]) -> Result<()> {
 fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Option<Box<dyn Stage + 'a>> {
     let PipelineConfig { run, ingest, mine, train, report, .. } = config;
     let precision = run.precision;
+    let own = train.own_scenes();
     Some(match id {
-        StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()? }),
+        StageId::Ingest => Box::new(Ingest { config: ingest.as_ref()?, seed: run.seed }),
         StageId::Mine => Box::new(Mine { config: mine.as_ref()?, layout }),
         StageId::TrainDenoiser => {
-            Box::new(Train { recipe: train.denoiser.as_ref()?, seed: run.seed, precision, layout })
+            Box::new(Train { recipe: train.denoiser.as_ref()?, own, seed: run.seed, precision, layout })
         }
-        StageId::TrainDistill => Box::new(Train { recipe: train.distill.as_ref()?, seed: run.seed, precision, layout }),
+        StageId::TrainDistill => {
+            Box::new(Train { recipe: train.distill.as_ref()?, own, seed: run.seed, precision, layout })
+        }
         StageId::TrainClassifier => {
-            let recipe = train.classifier.as_ref()?;
-            Box::new(Train { recipe, seed: recipe.seed, precision, layout })
+            Box::new(Train { recipe: train.classifier.as_ref()?, own, seed: run.seed, precision, layout })
         }
         StageId::TrainBaseline => {
-            Box::new(Train { recipe: train.baseline.as_ref()?, seed: run.seed, precision, layout })
+            Box::new(Train { recipe: train.baseline.as_ref()?, own, seed: run.seed, precision, layout })
         }
         StageId::Generate => Box::new(generation(config, layout)?),
         StageId::Evaluate => Box::new(evaluation(config, layout)?),

@@ -9,7 +9,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::seed::Seed;
 use crate::store::write_atomically;
-use crate::train::{MODEL_FILE, SceneChoice, TrainJob};
+use crate::train::{MODEL_FILE, OwnScenes, SceneChoice, TrainJob};
 use candle_core::Device;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -38,8 +38,8 @@ pub trait Recipe: Serialize {
     /// The stages whose outputs it learns from.
     const LEARNS_FROM: &'static [StageId];
 
-    /// Its sources.
-    fn source(&self) -> Source<'_>;
+    /// Its sources, `own` among them.
+    fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a>;
 
     /// The resolved section, where presets decide a part of it: presets change from version to version, and the
     /// resolved values count.
@@ -51,11 +51,11 @@ pub trait Recipe: Serialize {
     /// The summary of a model that was trained elsewhere.
     fn about(spec: &Self::Spec) -> Value;
 
-    /// Trains the model, and says what it came to.
+    /// Trains the model on `own` scenes, or others, and says what it came to.
     ///
     /// # Errors
     /// When there is nothing to learn from, or training fails.
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
+    fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
 
     /// Whether a checkpoint of such a network is one of this stage.
     ///
@@ -70,7 +70,11 @@ pub trait Recipe: Serialize {
     /// # Errors
     /// When it is not one of such a model.
     fn read_start(&self, device: &Device) -> Result<Option<Checkpoint<Self::Spec>>> {
-        Ok(self.source().start_from.map(|path| read_checkpoint(&checkpoint_file(path), device)).transpose()?)
+        Ok(self
+            .source(OwnScenes::default())
+            .start_from
+            .map(|path| read_checkpoint(&checkpoint_file(path), device))
+            .transpose()?)
     }
 }
 
@@ -78,6 +82,8 @@ pub trait Recipe: Serialize {
 pub struct Train<'a, R> {
     /// The recipe.
     pub recipe: &'a R,
+    /// Which of the run's scenes it is for.
+    pub own: OwnScenes<'a>,
     /// Seed of everything random.
     pub seed: u64,
     /// How products of networks are rounded.
@@ -97,7 +103,7 @@ impl<R: Recipe> Stage for Train<'_, R> {
 
     fn check(&self) -> Result<()> {
         self.recipe.resolved()?;
-        match self.recipe.source() {
+        match self.recipe.source(self.own) {
             Source { checkpoint: None, scenes: Some(choice), .. } => check_folders(choice, &self.layout.scenes),
             // One that is not there is found among the inputs.
             Source { checkpoint: Some(path), .. } if checkpoint_file(path).exists() => {
@@ -117,11 +123,15 @@ impl<R: Recipe> Stage for Train<'_, R> {
         if let Some(resolved) = self.recipe.resolved()? {
             config["resolved"] = resolved;
         }
-        Ok(with_precision(config, self.recipe.source().checkpoint.is_none().then_some(self.precision)))
+        let is_trained = self.recipe.source(self.own).checkpoint.is_none();
+        if is_trained {
+            config["own"] = json!(self.own);
+        }
+        Ok(with_precision(config, is_trained.then_some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let Source { checkpoint, start_from, scenes: choice } = self.recipe.source();
+        let Source { checkpoint, start_from, scenes: choice } = self.recipe.source(self.own);
         if let Some(path) = checkpoint {
             return vec![StageInput::external("checkpoint", &checkpoint_file(path))];
         }
@@ -146,9 +156,9 @@ impl<R: Recipe> Whole for Train<'_, R> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let StageContext { compute, progress, .. } = *context;
         let dir = context.root.join(R::STAGE.kind().outputs[0]);
-        let Some(path) = self.recipe.source().checkpoint else {
+        let Some(path) = self.recipe.source(self.own).checkpoint else {
             let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
-            return self.recipe.train(self.layout, job);
+            return self.recipe.train(self.own, self.layout, job);
         };
         let trained = TrainedModel::<R::Spec>::read(&checkpoint_file(path), compute)?;
         fs_err::create_dir_all(&dir)?;

@@ -6,7 +6,7 @@ use crate::engine::Result;
 use crate::model::SceneTransformerSpec;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{BaselineTrainingConfig, TrainJob, train_baseline};
+use crate::train::{BaselineTrainingConfig, OwnScenes, TrainJob, train_baseline};
 use serde_json::{Value, json};
 
 impl Recipe for BaselineTrainingConfig {
@@ -15,9 +15,9 @@ impl Recipe for BaselineTrainingConfig {
     const VERSION: u32 = 1;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
-    fn source(&self) -> Source<'_> {
+    fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
         let checkpoint = self.checkpoint.as_deref();
-        Source { checkpoint, scenes: Some(self.scene_choice()), ..Source::default() }
+        Source { checkpoint, scenes: Some(Self::scene_choice(own)), ..Source::default() }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
@@ -28,9 +28,9 @@ impl Recipe for BaselineTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
-        let data = scenes.training_data(self.state_dim, false)?;
+    fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+        let scenes = OpenedScenes::open(Self::scene_choice(own), &layout.scenes)?;
+        let data = scenes.training_data(None, false)?;
         let outcome = train_baseline(&self.resolve()?, &data, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }

@@ -8,7 +8,10 @@ use crate::model::{ClassifierSpec, TrainedDenoiser};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::store::{SceneStore, read_events};
-use crate::train::{ClassifierTrainingConfig, LabeledPair, MinedEvent, PairData, TrainJob, train_classifier};
+use crate::train::{
+    ClassifierTrainingConfig, LabeledPair, MAX_EXAMPLES, MAX_HELD_OUT, MinedEvent, OwnScenes, PairData, TrainJob,
+    train_classifier,
+};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
@@ -18,7 +21,7 @@ impl Recipe for ClassifierTrainingConfig {
     const VERSION: u32 = 2;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
-    fn source(&self) -> Source<'_> {
+    fn source<'a>(&'a self, _: OwnScenes<'a>) -> Source<'a> {
         Source { checkpoint: self.checkpoint.as_deref(), ..Source::default() }
     }
 
@@ -32,17 +35,18 @@ impl Recipe for ClassifierTrainingConfig {
         json!({ "behavior": spec.behavior })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+    fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let store = SceneStore::open(&layout.scenes)?;
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.compute)?;
         let events = read_events(&layout.events, |event| event.behavior == self.behavior)?;
         let roles = roles(&self.behavior, &events)?;
-        let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), &self.splits, &self.places);
+        let places = if self.places.is_empty() { own.places } else { &self.places };
+        let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), OwnScenes { places, ..own });
         let pairs = |scenes: &[usize], max_pairs: usize, purpose: &str| {
             LabeledPair::of_events(&mined(&store, &events, scenes), max_pairs, job.seed.derive(purpose, &[]))
         };
-        let train = pairs(&train, self.max_examples, "train examples");
-        let held_out = pairs(&held_out, self.max_held_out, "held-out examples");
+        let train = pairs(&train, MAX_EXAMPLES, "train examples");
+        let held_out = pairs(&held_out, MAX_HELD_OUT, "held-out examples");
         let fingerprint = fingerprint_path(&layout.events)?.hash;
         let data = PairData { roles, dataset: &store, train: &train, held_out: &held_out, fingerprint };
         let report = train_classifier(self, &denoiser.spec, &data, job)?;

@@ -6,7 +6,7 @@ use crate::engine::Result;
 use crate::model::DenoiserSpec;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DenoiserTrainingConfig, TrainJob, train_denoiser};
+use crate::train::{DenoiserTrainingConfig, OwnScenes, TrainJob, train_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DenoiserTrainingConfig {
@@ -15,11 +15,11 @@ impl Recipe for DenoiserTrainingConfig {
     const VERSION: u32 = 4;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
-    fn source(&self) -> Source<'_> {
+    fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
         Source {
             checkpoint: self.checkpoint.as_deref(),
             start_from: self.start_from.as_deref(),
-            scenes: Some(self.scene_choice()),
+            scenes: Some(self.scene_choice(own)),
         }
     }
 
@@ -38,8 +38,8 @@ impl Recipe for DenoiserTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+    fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
         let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
         let start = self.read_start(&job.compute.device)?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;

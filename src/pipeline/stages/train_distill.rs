@@ -7,7 +7,7 @@ use crate::model::DenoiserSpec;
 use crate::nn::read_checkpoint;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DistillTrainingConfig, TrainJob, distill_denoiser};
+use crate::train::{DistillTrainingConfig, OwnScenes, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DistillTrainingConfig {
@@ -16,9 +16,9 @@ impl Recipe for DistillTrainingConfig {
     const VERSION: u32 = 2;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
-    fn source(&self) -> Source<'_> {
+    fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
         let checkpoint = self.checkpoint.as_deref();
-        Source { checkpoint, scenes: Some(self.scene_choice()), ..Source::default() }
+        Source { checkpoint, scenes: Some(self.scene_choice(own)), ..Source::default() }
     }
 
     fn check_kind(spec: &DenoiserSpec) -> std::result::Result<(), &'static str> {
@@ -38,9 +38,9 @@ impl Recipe for DistillTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
-    fn train(&self, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+    fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), &job.compute.device)?;
-        let scenes = OpenedScenes::open(self.scene_choice(), &layout.scenes)?;
+        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
         let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
         let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
         let outcome = distill_denoiser(&self.resolve()?, &data, &teacher, job)?;

@@ -6,7 +6,7 @@ use crate::engine::fingerprint_value;
 use crate::pipeline::layout::SCENES;
 use crate::scene::{Scene, Split};
 use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore};
-use crate::train::{MoreScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource};
+use crate::train::{MoreScenes, OwnScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -35,7 +35,7 @@ pub(super) struct TrainingScenes {
 impl TrainingScenes {
     /// Trains on the given splits (none: `train`, or everything unsplit where there is no such split) and places (none:
     /// all), and holds out the `val` scenes of these places.
-    pub(super) fn new(index: &SceneIndex, splits: &[Split], places: &[String]) -> Self {
+    pub(super) fn new(index: &SceneIndex, OwnScenes { splits, places }: OwnScenes<'_>) -> Self {
         let here = |entry: &SceneIndexEntry<'_>| places.is_empty() || places.iter().any(|place| place == entry.place);
         let of = |wanted: &dyn Fn(Split) -> bool| -> Vec<usize> {
             let chosen = index.iter().enumerate().filter(|(_, entry)| here(entry) && wanted(entry.split));
@@ -75,8 +75,7 @@ struct OpenedSource<'a> {
     /// Index of its first scene among those of all sources.
     first: usize,
     weight: f64,
-    splits: &'a [Split],
-    places: &'a [String],
+    chosen: OwnScenes<'a>,
 }
 
 impl SceneDataset for OpenedScenes<'_> {
@@ -93,16 +92,15 @@ impl SceneDataset for OpenedScenes<'_> {
 impl<'a> OpenedScenes<'a> {
     /// Opens the run's `own` scenes, unless they have no weight, and the others that were chosen.
     pub(super) fn open(choice: SceneChoice<'a>, own: &Path) -> StageResult<Self> {
-        let SceneChoice { section, splits, places, own_weight, data } = choice;
-        let own = (own_weight > 0.0).then(|| ("the ingest of this run".to_owned(), own, own_weight, splits, places));
-        let more = data.iter().enumerate().map(|(i, more)| {
-            let MoreScenes { scenes, weight, splits, places } = more;
-            (format!("{section}.data.{i}"), scenes.as_path(), *weight, splits.as_slice(), places.as_slice())
+        let SceneChoice { section, own: chosen, own_weight, data } = choice;
+        let own = (own_weight > 0.0).then(|| ("the ingest of this run".to_owned(), own, own_weight, chosen));
+        let more = data.iter().enumerate().map(|(i, MoreScenes { scenes, weight })| {
+            (format!("{section}.data.{i}"), scenes.as_path(), *weight, OwnScenes::default())
         });
         let mut sources: Vec<OpenedSource<'a>> = Vec::new();
-        for (name, path, weight, splits, places) in own.into_iter().chain(more) {
+        for (name, path, weight, chosen) in own.into_iter().chain(more) {
             let first = sources.last().map_or(0, |last| last.first + last.store.len());
-            sources.push(OpenedSource { name, store: SceneStore::open(path)?, first, weight, splits, places });
+            sources.push(OpenedSource { name, store: SceneStore::open(path)?, first, weight, chosen });
         }
         Ok(Self { section, sources })
     }
@@ -117,9 +115,9 @@ impl<'a> OpenedScenes<'a> {
         let mut sources: Vec<TrainingSource> = Vec::new();
         let mut has_headings = Vec::new();
         for source in &self.sources {
-            let chosen = TrainingScenes::new(source.store.index(), source.splits, source.places);
+            let chosen = TrainingScenes::new(source.store.index(), source.chosen);
             let Some(first) = chosen.train.first() else {
-                let message = format_args!("{} has no scene in the splits and places of {}", source.name, self.section);
+                let message = format_args!("{} has no scene to train on in train.splits and train.places", source.name);
                 return Err(Failure::input_message(message));
             };
             has_headings.push(source.store.index().get(*first).dataset.facts().has_headings);
@@ -198,16 +196,12 @@ impl OpenedSource<'_> {
 
 /// Refuses splits without futures, folders of other runs that hold no ingested scenes, and the run's own among them.
 pub(super) fn check_folders(
-    SceneChoice { section, splits, own_weight, data, .. }: SceneChoice<'_>,
+    SceneChoice { section, own: OwnScenes { splits, .. }, own_weight, data }: SceneChoice<'_>,
     own: &Path,
 ) -> StageResult<()> {
-    let own_splits = (own_weight > 0.0).then(|| (section.to_owned(), splits));
-    let more_splits = data.iter().enumerate().map(|(i, more)| (format!("{section}.data.{i}"), more.splits.as_slice()));
-    for (section, splits) in own_splits.into_iter().chain(more_splits) {
-        if !splits.is_empty() && splits.iter().all(|split| *split == Split::Test) {
-            let message = format!("{section}.splits is [\"test\"], whose scenes have no futures to learn from");
-            return Err(Failure::input_message(message).with_hint("add \"train\", \"val\" or \"unsplit\""));
-        }
+    if own_weight > 0.0 && !splits.is_empty() && splits.iter().all(|split| *split == Split::Test) {
+        let message = "train.splits is [\"test\"], whose scenes have no futures to learn from";
+        return Err(Failure::input_message(message).with_hint("add \"train\", \"val\" or \"unsplit\""));
     }
     let is_same = |one: &Path, other: &Path| {
         one.canonicalize().is_ok_and(|one| other.canonicalize().is_ok_and(|other| one == other))
@@ -270,18 +264,19 @@ mod tests {
     #[test]
     fn train_and_val_are_kept_apart_and_places_are_honored() {
         let index = index(&[(Split::Train, "A"), (Split::Val, "A"), (Split::Train, "B"), (Split::Test, "A")]);
-        let all = TrainingScenes::new(&index, &[], &[]);
+        let all = TrainingScenes::new(&index, OwnScenes::default());
         assert_eq!((all.train, all.held_out), (vec![0, 2], vec![1]));
-        let only_a = TrainingScenes::new(&index, &[], &["A".to_owned()]);
+        let only_a = TrainingScenes::new(&index, OwnScenes { places: &["A".to_owned()], ..OwnScenes::default() });
         assert_eq!((only_a.train, only_a.held_out), (vec![0], vec![1]));
-        let on_val = TrainingScenes::new(&index, &[Split::Train, Split::Val], &[]);
+        let on_val =
+            TrainingScenes::new(&index, OwnScenes { splits: &[Split::Train, Split::Val], ..OwnScenes::default() });
         assert_eq!((on_val.train, on_val.held_out), (vec![0, 1, 2], vec![]));
     }
 
     #[test]
     fn unsplit_scenes_hold_out_a_twentieth() {
         let index = index(&[(Split::Unsplit, "A"); 40]);
-        let selection = TrainingScenes::new(&index, &[], &[]);
+        let selection = TrainingScenes::new(&index, OwnScenes::default());
         assert_eq!(selection.held_out, vec![19, 39]);
         assert_eq!(selection.train.len(), 38);
     }

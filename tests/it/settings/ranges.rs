@@ -31,6 +31,8 @@ struct Place {
     key: String,
     before: String,
     after: String,
+    /// The entries that the table needs beside those of its kind.
+    with: String,
 }
 
 impl Place {
@@ -42,10 +44,11 @@ impl Place {
     fn entry(&self, name: &str, others: Option<&str>) -> Self {
         let key = if self.key.is_empty() { name.to_owned() } else { format!("{}.{name}", self.key) };
         match others {
-            None => Self { before: format!("{key}="), after: String::new(), key },
+            None => Self { before: format!("{key}="), key, ..Self::default() },
             Some(others) => Self {
                 before: format!("{}{{ {others}{name} = ", self.before),
                 after: format!(" }}{}", self.after),
+                with: String::new(),
                 key,
             },
         }
@@ -74,7 +77,8 @@ impl<'a> Walk<'a> {
         }
         self.cases.extend(case(schema, place));
         for part in list(&schema["allOf"]).chain(list(&schema["oneOf"])).chain(list(&schema["anyOf"])) {
-            self.visit(part, place, above);
+            let with = place.with.clone() + &self.needed(schema, "");
+            self.visit(part, &Place { with, ..place.clone() }, above);
         }
         if schema["items"].is_object() {
             let n = schema["minItems"].as_u64().unwrap_or(1).max(1) as usize;
@@ -83,12 +87,13 @@ impl<'a> Walk<'a> {
                 key: format!("{}.0", place.key),
                 before: format!("{}[", place.before),
                 after: format!("{more}]{}", place.after),
+                with: String::new(),
             };
             self.visit(&schema["items"], &item, above);
         }
         for (name, property) in schema["properties"].as_object().into_iter().flatten() {
             let is_written_out = place.before.contains(['[', '{']) || !schema["required"].is_null();
-            let others = is_written_out.then(|| self.required(schema, name));
+            let others = is_written_out.then(|| place.with.clone() + &self.required(schema, name));
             self.visit(property, &place.entry(name, others.as_deref()), above);
         }
     }
@@ -99,12 +104,16 @@ impl<'a> Walk<'a> {
 
     /// The entries that a table must have, but for `name`.
     fn required(&self, schema: &Schema, name: &str) -> String {
-        let needed = list(&schema["required"]).filter_map(Schema::as_str).filter(|other| *other != name);
-        let own: String =
-            needed.map(|other| format!("{other} = {}, ", self.sample(&schema["properties"][other]))).collect();
+        let own = self.needed(schema, name);
         // A table with entries of its own that is one of several otherwise.
         let one = list(&schema["oneOf"]).next().filter(|_| !schema["properties"].is_null());
         own + &one.map(|one| self.required(one, name)).unwrap_or_default()
+    }
+
+    /// Those that it must have whatever its kind.
+    fn needed(&self, schema: &Schema, name: &str) -> String {
+        let needed = list(&schema["required"]).filter_map(Schema::as_str).filter(|other| *other != name);
+        needed.map(|other| format!("{other} = {}, ", self.sample(&schema["properties"][other]))).collect()
     }
 
     /// A value that the schema allows.
