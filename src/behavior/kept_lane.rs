@@ -161,12 +161,18 @@ fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<
     states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()
 }
 
-/// The lanes to `start`, itself, and those that follow on, in driving direction.
+/// The lanes to `start`, itself, and those that follow on, in driving direction, each once.
+///
+/// In a small roundabout, the lanes ahead are those behind: what was driven lies behind, the rest ahead.
 fn route<'a>(lanes: &SceneLanes<'a>, start: &IndexedLane<'a>, future: &[Vec2], history: &[Vec2]) -> Vec<&'a Lane> {
     let mut route = vec![start.lane];
-    extend_route(lanes, &mut route, history, BEHIND_M, |lane| &lane.predecessors);
+    let driven_m = history.windows(2).map(|pair| pair[0].distance(pair[1])).sum::<f64>().min(BEHIND_M);
+    extend_route(lanes, &mut route, history, driven_m, |lane| &lane.predecessors);
     route.reverse();
     extend_route(lanes, &mut route, future, AHEAD_M, |lane| &lane.successors);
+    route.reverse();
+    extend_route(lanes, &mut route, history, BEHIND_M - driven_m, |lane| &lane.predecessors);
+    route.reverse();
     route
 }
 
@@ -225,6 +231,26 @@ mod tests {
     use crate::behavior::testing::lane_graph;
     use crate::scene::testing::{Drive, scene};
     use std::sync::Arc;
+
+    #[test]
+    fn a_ring_goes_on_ahead_and_not_behind() {
+        // A ring of four lanes, 10 m from corner to corner, in one direction.
+        let lanes = lane_graph(
+            "lanes = [
+                { id = 1, centerline = [[0, 0], [10, 0]], successors = [2], predecessors = [4] },
+                { id = 2, centerline = [[10, 0], [10, 10]], successors = [3], predecessors = [1] },
+                { id = 3, centerline = [[10, 10], [0, 10]], successors = [4], predecessors = [2] },
+                { id = 4, centerline = [[0, 10], [0, 0]], successors = [1], predecessors = [3] },
+            ]",
+        );
+        let scene = Scene { lanes: Arc::new(lanes), ..scene(&[Drive::straight(4.0, 0.0, 0.0, 5.0)]) };
+        let kept = KeptLane::as_observed(&scene, &SceneLanes::new(&scene.lanes), 0).unwrap();
+        assert_eq!(kept.ids().last(), Some(&LaneId(3)), "{:?}", kept.ids());
+        assert_eq!(kept.ids().len(), 4);
+        let now = kept.project(scene.state(0, scene.current_timestep()).unwrap().position).unwrap();
+        let ahead = kept.point_at(now.station_m + 12.0).unwrap();
+        assert!(ahead.x > 9.9 && ahead.y > 1.0, "around the corner: {ahead:?}");
+    }
 
     #[test]
     fn lanes_join_where_one_leads_into_the_other_or_both_into_a_third() {

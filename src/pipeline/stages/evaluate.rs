@@ -43,7 +43,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        12
+        13
     }
 
     fn check(&self) -> Result<()> {

@@ -52,7 +52,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        13
+        14
     }
 
     fn check(&self) -> Result<()> {
