@@ -77,7 +77,7 @@ Recordings are read as downloaded: folders, .zip, .tar, .tar.gz, .gz and plain f
 Examples:
   djinn ingest forecasting_train.tar.gz hd_maps.tar.gz --dataset argoverse1 -o output/argoverse1
   djinn ingest --config pipelines/cut_in_corpus.toml --set ingest.limit=1000 --output output/try
-  djinn ingest own_recordings --config configs/ngsim.toml --explain=scene.svg   # are units and axes right?";
+  djinn ingest own_folder --config configs/ngsim.toml --explain=scene.svg";
 
 /// Help after the options of `mine`.
 pub(super) const MINE: &str = "\
