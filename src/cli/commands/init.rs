@@ -3,13 +3,13 @@
 use crate::cli::args::InitArgs;
 use crate::cli::bundled::folder_of;
 use crate::cli::printer::Printer;
-use crate::engine::{Failure, Result};
+use crate::engine::Result;
 use crate::files::{NewFolder, write_atomically};
 use std::io::Write;
 
 pub(in crate::cli) fn init(args: &InitArgs, printer: &Printer) -> Result<()> {
     super::begins_anew(&args.dir);
-    let folder = NewFolder::begin(&args.dir, []).map_err(Failure::input)?;
+    let folder = NewFolder::begin(&args.dir, [])?;
     let files = folder_of(&args.pipeline);
     for (name, content) in &files {
         let path = folder.path().join(name);
