@@ -4,7 +4,7 @@
 //! times: they are resampled to 10 Hz. The scenes of a recording are windows of it. A map is a file in Lanelet2 or
 //! OpenDRIVE that has the name of the place.
 //!
-//! Reasons of rejects, of whole files:
+//! Reasons of rejects, of recordings or whole files:
 //!
 //! - `bad_table`: no CSV or Parquet, rows of different lengths, a cell that is no number;
 //! - `missing_column`, `missing_track`: of those that the mapping names, and of the table of tracks;
@@ -18,6 +18,7 @@
 mod columns;
 mod mapping;
 mod resample;
+mod rows;
 #[cfg(test)]
 mod tests;
 mod tracks;
@@ -27,6 +28,7 @@ pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use super::archive::Entry;
 use super::files::{file_stem, split_of_path};
 use super::pairing::{PairNames, PairReader};
+use super::windows::Recording;
 use super::{
     Error, Horizon, IngestConfig, MapFile, PendingScene, RawUnit, RecordingSource, Reject, UnitReader, UnitSplit,
     lanelet2, map_id, opendrive,
@@ -84,13 +86,13 @@ impl RecordingSource for Tables<'_> {
         }
         // Files of one name in different folders are different recordings.
         unit.case_id = unit.file.rsplit_once('.').map_or(unit.file.as_str(), |(path, _)| path).replace('/', "-");
-        let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
-        match tracks::recordings(unit, self.mapping) {
-            Ok(recordings) => {
-                recordings.into_iter().flat_map(|recording| recording.windows(self.horizon, self.config)).collect()
+        let scenes = |recording: Result<Recording, Reject>| -> Vec<PendingScene<'static>> {
+            match recording {
+                Ok(recording) => recording.windows(self.horizon, self.config),
+                Err(reject) => vec![Box::new(|| Err(reject))],
             }
-            Err(reject) => rejected(reject),
-        }
+        };
+        tracks::recordings(unit, self.mapping).into_iter().flat_map(scenes).collect()
     }
 
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {

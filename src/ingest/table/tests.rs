@@ -204,6 +204,11 @@ fn a_file_may_have_several_recordings_and_places() {
     assert_eq!(ids, ["North/train-all:a@0", "North/train-all:a@40", "South/train-all:b@0", "South/train-all:b@40"]);
     let without = "columns = { track = 'id', x = 'x', y = 'y', time = 't', place = 'where' }";
     assert_eq!(read(&config(folder.path(), without)).unwrap().0.len(), 4);
+    // One recording that cannot be read leaves the others.
+    let odd = text.replace("1,1,10,0,b,South", "1,1,,0,b,South");
+    fs_err::write(folder.path().join("train/all.csv"), odd).unwrap();
+    let (scenes, report) = read(&config(folder.path(), mapping)).unwrap();
+    assert_eq!((scenes.len(), report.rejects["non_finite"].count), (2, 1));
     let mixed = text.replace(",a,North", ",a,X").replace(",b,South", ",b,X").replace(",0,b", ",9,b");
     fs_err::write(folder.path().join("train/all.csv"), mixed).unwrap();
     assert!(rejects(folder.path(), without).contains("all.csv, line 3: track 1 is at two positions at one time"));

@@ -1,14 +1,14 @@
 //! The tracks of a table: what its rows say of each agent, at the frames of scenes.
 
-use super::columns::{Kind, Table, Texts};
+use super::columns::Table;
 use super::mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use super::resample::{TimedState, resampled};
+use super::rows::{Group, Rows};
 use crate::geometry::Vec2;
 use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
 use crate::ingest::windows::Recording;
 use crate::ingest::{Finding, RawUnit, Reject};
 use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole, velocity_at};
-use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
 
 /// Frames are numbered as the recording's times say unless these are further from 0, such as times of day, seconds.
@@ -20,118 +20,17 @@ const MAX_USUAL_S: f64 = 1.0;
 /// Two rows of a track at one time are one if their positions are this near, meters.
 const SAME_M: f64 = 1e-6;
 
-/// The recordings of a file, in the order of their first rows.
-pub(super) fn recordings(mut unit: RawUnit, mapping: &TableMapping) -> Result<Vec<Recording>, Reject> {
-    let rows = Rows::read(&unit, mapping)?;
+/// The recordings of a file, in the order of their first rows, or why one cannot be read.
+pub(super) fn recordings(mut unit: RawUnit, mapping: &TableMapping) -> Vec<Result<Recording, Reject>> {
+    let rows = match Rows::read(&unit, mapping) {
+        Ok(rows) => rows,
+        Err(reject) => return vec![Err(reject)],
+    };
     (unit.bytes, unit.companion) = (Vec::new(), None);
     rows.groups().into_iter().map(|group| rows.recording(&unit, &group)).collect()
 }
 
-/// The rows of a file with those of its table of tracks.
-struct Rows<'a> {
-    mapping: &'a TableMapping,
-    file: String,
-    table: Table,
-    of_tracks: Option<OfTracks>,
-}
-
-/// A table with a row for each track.
-struct OfTracks {
-    file: String,
-    table: Table,
-    /// The row of each track.
-    rows: BTreeMap<String, usize>,
-}
-
-/// The rows of one recording: the row indices of each track, in the order of their first rows.
-struct Group {
-    /// Empty if the file is one recording.
-    recording: String,
-    place: Option<String>,
-    tracks: Vec<(u32, Vec<u32>)>,
-}
-
-impl<'a> Rows<'a> {
-    fn read(unit: &RawUnit, mapping: &'a TableMapping) -> Result<Self, Reject> {
-        let wanted = wanted(&mapping.columns);
-        let read = |file: &str, bytes: &[u8]| {
-            let bad = |detail| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
-            Table::read(bytes, &wanted).map_err(bad)
-        };
-        let table = read(&unit.file, &unit.bytes)?;
-        let of_tracks = match &unit.companion {
-            Some(companion) => {
-                let table = read(&companion.file, &companion.bytes)?;
-                let key = &mapping.columns.track;
-                let ids = table.text(Some(key)).ok_or_else(|| Reject {
-                    reason: "missing_column",
-                    detail: format!("{}: {}", companion.file, table.lacks(&[key])),
-                })?;
-                let row = |(row, id): (usize, &u32)| (ids.different[*id as usize].clone(), row);
-                let rows = ids.of_row.iter().enumerate().map(row).collect();
-                Some(OfTracks { file: companion.file.clone(), table, rows })
-            }
-            None => None,
-        };
-        let has = |name: &str, kind: Kind, table: &Table| match kind {
-            Kind::Number => table.number(Some(name)).is_some(),
-            Kind::Text => table.text(Some(name)).is_some(),
-        };
-        let TableColumns { track, x, y, time, frame, heading, recording, place, .. } = &mapping.columns;
-        let of_rows = [
-            Some(track),
-            Some(x),
-            Some(y),
-            time.as_ref(),
-            frame.as_ref(),
-            heading.as_ref(),
-            recording.as_ref(),
-            place.as_ref(),
-        ];
-        let is_of_rows = |name: &str| of_rows.iter().flatten().any(|of_rows| *of_rows == name);
-        let is_missing = |(name, kind): &&(&str, Kind)| {
-            let elsewhere = of_tracks.as_ref().filter(|_| !is_of_rows(name));
-            !has(name, *kind, &table) && !elsewhere.is_some_and(|of_tracks| has(name, *kind, &of_tracks.table))
-        };
-        let missing: Vec<&str> = wanted.iter().filter(is_missing).map(|(name, _)| *name).collect();
-        if !missing.is_empty() {
-            return Err(unit.reject("missing_column", table.lacks(&missing)));
-        }
-        if table.n_rows == 0 {
-            return Err(unit.reject("no_rows", "the table has no rows"));
-        }
-        Ok(Self { mapping, file: unit.file.clone(), table, of_tracks })
-    }
-
-    fn groups(&self) -> Vec<Group> {
-        let TableColumns { track, recording, place, .. } = &self.mapping.columns;
-        let texts = |name: Option<&String>| self.table.text(name.map(String::as_str));
-        let (tracks, recordings, places) = (texts(Some(track)), texts(recording.as_ref()), texts(place.as_ref()));
-        let at = |texts: Option<&Texts>, row: usize| texts.map(|texts| texts.of_row[row]);
-        let name = |texts: Option<&Texts>, id: Option<u32>| {
-            texts.zip(id).map(|(texts, id)| texts.different[id as usize].clone())
-        };
-        let mut groups: Vec<Group> = Vec::new();
-        let mut group_at = BTreeMap::new();
-        let mut track_at = BTreeMap::new();
-        for row in 0..self.table.n_rows {
-            let Some(track) = at(tracks, row) else { continue };
-            let key = (at(recordings, row), at(places, row));
-            let group = *group_at.entry(key).or_insert_with(|| {
-                let recording = name(recordings, key.0).unwrap_or_default();
-                groups.push(Group { recording, place: name(places, key.1), tracks: Vec::new() });
-                groups.len() - 1
-            });
-            let tracks = &mut groups[group].tracks;
-            let index = *track_at.entry((group, track)).or_insert_with(|| {
-                tracks.push((track, Vec::new()));
-                tracks.len() - 1
-            });
-            tracks[index].1.push(row as u32);
-        }
-        groups
-    }
-
+impl Rows<'_> {
     fn recording(&self, unit: &RawUnit, group: &Group) -> Result<Recording, Reject> {
         let mut unit = unit.clone();
         if !group.recording.is_empty() {
@@ -329,24 +228,6 @@ impl<'a> Rows<'a> {
             found => Ok(found.map(|(length_m, width_m)| Extent { length_m, width_m })),
         }
     }
-}
-
-impl OfTracks {
-    fn row_of(&self, id: &str) -> Result<usize, Reject> {
-        self.rows
-            .get(id)
-            .copied()
-            .ok_or_else(|| Reject { reason: "missing_track", detail: format!("{}: no row for track {id}", self.file) })
-    }
-}
-
-/// The columns that a mapping names, with what they hold.
-fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
-    let TableColumns { track, x, y, time, frame, heading, length, width, class, recording, place } = columns;
-    let texts = [Some(track), class.as_ref(), recording.as_ref(), place.as_ref()];
-    let numbers = [Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref(), length.as_ref(), width.as_ref()];
-    let texts = texts.into_iter().flatten().map(|name| (name.as_str(), Kind::Text));
-    texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).collect()
 }
 
 /// The velocity that follows from the observations around one.
