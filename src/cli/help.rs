@@ -3,10 +3,10 @@
 /// Help after the options of the program itself.
 pub(super) const TOP: &str = "\
 Examples:
-  djinn init first                                    make a folder with the quickstart and what it reads
-  cd first && djinn run quickstart.toml               run all its stages, on bundled recordings
-  djinn run quickstart.toml --dry-run                 show what would run
-  djinn inspect output/quickstart/main                show the results
+  djinn init first                       make a folder with the quickstart and what it reads
+  cd first && djinn run quickstart.toml  run all its stages, on bundled recordings
+  djinn run quickstart.toml --dry-run    show what would run
+  djinn inspect output/quickstart/main   show the results
 
 Running the same command again resumes an interrupted run and redoes only what changed. djinn never removes or \
 replaces a file that it did not write.
