@@ -115,7 +115,7 @@ impl Scenario {
     }
 
     /// Its scenes: whole windows only.
-    fn windows(self, horizon: Horizon, stride: usize) -> Vec<PendingScene<'static>> {
+    fn windows(mut self, horizon: Horizon, stride: usize) -> Vec<PendingScene<'static>> {
         let (n_timesteps, stride) = (horizon.n_timesteps() as i64, stride.max(1) as i64);
         let n_steps = tracks::time_steps(&self.obstacles).map_or(0, |(first, last)| last - first + 1);
         if n_steps < n_timesteps {
@@ -124,10 +124,12 @@ impl Scenario {
             return vec![Box::new(|| Err(reject))];
         }
         let first = tracks::time_steps(&self.obstacles).map_or(0, |(first, _)| first);
+        // They are of the file, and counted once.
+        let mut findings = std::mem::take(&mut self.findings);
         let scenario = Arc::new(self);
         let window = |index: i64| -> PendingScene<'static> {
-            let scenario = Arc::clone(&scenario);
-            Box::new(move || Ok(scenario.scene(first + index * stride, horizon)))
+            let (scenario, findings) = (Arc::clone(&scenario), std::mem::take(&mut findings));
+            Box::new(move || Ok(RawScene { findings, ..scenario.scene(first + index * stride, horizon) }))
         };
         (0..=(n_steps - n_timesteps) / stride).map(window).collect()
     }
@@ -157,7 +159,7 @@ impl Scenario {
             heading_gaps: Vec::new(),
             map_id: map_id(dataset, case_id),
             own_map: self.map.clone(),
-            findings: self.findings.clone(),
+            findings: Vec::new(),
         }
     }
 }

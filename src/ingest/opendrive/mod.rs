@@ -20,8 +20,8 @@ use super::map_text::read_text;
 use super::plausible_lanes::plausible;
 use super::xml_tree::Element;
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
-use links::{Connection, LaneKey, touching};
+use crate::scene::{Lane, LaneAttributes, LaneGraph, TurnDirection};
+use links::{Connection, LaneEnd, LaneKey, touching};
 use road::{Road, RoadLane};
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_6;
@@ -90,72 +90,92 @@ fn checked(road: Road) -> Result<Road, Malformed> {
 }
 
 fn lanes(roads: &[Road], connections: &[Connection], report: &mut MapReport) -> Result<Vec<Lane>, Malformed> {
-    let mut lanes: Vec<Lane> = Vec::new();
-    let mut index_of: BTreeMap<LaneKey, usize> = BTreeMap::new();
-    let mut n_points = 0;
+    let mut map = Lanes::default();
     for (road_idx, road) in roads.iter().enumerate() {
         for section_idx in 0..road.sections.len() {
-            let Some(edges) = outline::edges(road, section_idx) else { continue };
-            let of_section = &road.sections[section_idx].lanes;
-            let first = lanes.len();
-            for (lane, edges) in of_section.iter().zip(edges) {
-                report.n_lanelets += 1;
-                if !lane.is_drivable() {
-                    report.n_not_drivable += 1;
-                    continue;
-                }
-                let mut outline = edges.in_direction(is_along(road, lane));
-                outline.iter_mut().for_each(|line| line.0.dedup());
-                let [center, left, right] = outline;
-                n_points += 3 * center.0.len();
-                if n_points > MAX_POINTS {
-                    return Err(format!("its lanes have more than {MAX_POINTS} points together").into());
-                }
-                let is_beyond =
-                    |point: &Vec2| !point.is_finite() || point.x.abs().max(point.y.abs()) > MAX_COORDINATE_M;
-                if center.0.iter().any(is_beyond) {
-                    let detail = format!("road {}, lane {}: lies beyond {MAX_COORDINATE_M} m", road.id, lane.id);
-                    report.warn("broken_lanes", detail);
-                    continue;
-                }
-                index_of.insert((road_idx, section_idx, lane.id), lanes.len());
-                let attributes = attributes(road, lane, &center.0);
-                let id = lanes.len() as i64 + 1;
-                lanes.push(Lane { attributes: attributes.into(), ..Lane::unconnected(id, center, [left, right]) });
-            }
-            let neighbor = |place: Option<usize>| {
-                let lane = of_section.get(place?)?;
-                index_of.get(&(road_idx, section_idx, lane.id)).map(|index| LaneId(*index as i64 + 1))
-            };
-            for (place, lane) in of_section.iter().enumerate() {
-                let Some(index) = index_of.get(&(road_idx, section_idx, lane.id)).filter(|index| **index >= first)
-                else {
-                    continue;
-                };
-                let [on_left, on_right] = [neighbor(place.checked_sub(1)), neighbor(Some(place + 1))];
-                let [left, right] = if is_along(road, lane) { [on_left, on_right] } else { [on_right, on_left] };
-                (lanes[*index].left_neighbor, lanes[*index].right_neighbor) = (left, right);
-            }
+            map.add_section(road, (road_idx, section_idx), report)?;
         }
     }
     for ends in touching(roads, connections) {
-        let found = ends.map(|((road, section, lane), end)| {
-            let index = *index_of.get(&(road, section, lane))?;
-            let of_section = &roads[road].sections.get(section)?.lanes;
-            let lane = of_section.iter().find(|found| found.id == lane)?;
+        map.join(roads, ends, report);
+    }
+    Ok(map.lanes)
+}
+
+/// The lanes found so far.
+#[derive(Default)]
+struct Lanes {
+    lanes: Vec<Lane>,
+    index_of: BTreeMap<LaneKey, usize>,
+    n_points: usize,
+}
+
+impl Lanes {
+    /// Adds the lanes of a section, and makes those beside each other neighbors.
+    fn add_section(
+        &mut self,
+        road: &Road,
+        (road_idx, section_idx): (usize, usize),
+        report: &mut MapReport,
+    ) -> Result<(), Malformed> {
+        let Some(edges) = outline::edges(road, section_idx) else { return Ok(()) };
+        let of_section = &road.sections[section_idx].lanes;
+        for (lane, edges) in of_section.iter().zip(edges) {
+            report.n_lanelets += 1;
+            if !lane.is_drivable() {
+                report.n_not_drivable += 1;
+                continue;
+            }
+            let mut outline = edges.in_direction(is_along(road, lane));
+            outline.iter_mut().for_each(|line| line.0.dedup());
+            let [center, left, right] = outline;
+            self.n_points += 3 * center.0.len();
+            if self.n_points > MAX_POINTS {
+                return Err(format!("its lanes have more than {MAX_POINTS} points together").into());
+            }
+            let is_beyond = |point: &Vec2| !point.is_finite() || point.x.abs().max(point.y.abs()) > MAX_COORDINATE_M;
+            if center.0.iter().any(is_beyond) {
+                let detail = format!("road {}, lane {}: lies beyond {MAX_COORDINATE_M} m", road.id, lane.id);
+                report.warn("broken_lanes", detail);
+                continue;
+            }
+            self.index_of.insert((road_idx, section_idx, lane.id), self.lanes.len());
+            let attributes = attributes(road, lane, &center.0).into();
+            let id = self.lanes.len() as i64 + 1;
+            self.lanes.push(Lane { attributes, ..Lane::unconnected(id, center, [left, right]) });
+        }
+        let at = |place: Option<usize>| {
+            let lane = of_section.get(place?)?;
+            self.index_of.get(&(road_idx, section_idx, lane.id)).copied()
+        };
+        for (place, lane) in of_section.iter().enumerate() {
+            let Some(index) = at(Some(place)) else { continue };
+            let beside =
+                [at(place.checked_sub(1)), at(Some(place + 1))].map(|index| index.map(|index| self.lanes[index].id));
+            let [left, right] = if is_along(road, lane) { beside } else { [beside[1], beside[0]] };
+            (self.lanes[index].left_neighbor, self.lanes[index].right_neighbor) = (left, right);
+        }
+        Ok(())
+    }
+
+    /// Makes the lane that ends at an end precede the one that begins there.
+    fn join(&mut self, roads: &[Road], ends: [LaneEnd; 2], report: &mut MapReport) {
+        let found = ends.map(|(key, end)| {
+            let (road, section, lane) = key;
+            let index = *self.index_of.get(&key)?;
+            let lane = roads[road].sections.get(section)?.lanes.iter().find(|found| found.id == lane)?;
             Some((index, (end == 1) == is_along(&roads[road], lane)))
         });
-        let [Some((one, one_ends)), Some((other, other_ends))] = found else { continue };
-        let (from, to) = if one_ends { (one, other) } else { (other, one) };
+        let [Some((one, one_ends)), Some((other, other_ends))] = found else { return };
         if one_ends == other_ends {
-            let [one, other] = [one, other].map(|index| lanes[index].id.0);
+            let [one, other] = [one, other].map(|index| self.lanes[index].id.0);
             report.warn("lane_links_against_traffic", format!("lanes {one} and {other} meet head on"));
-            continue;
+            return;
         }
-        let id = lanes[to].id;
-        lanes[from].successors.push(id);
+        let (from, to) = if one_ends { (one, other) } else { (other, one) };
+        let id = self.lanes[to].id;
+        self.lanes[from].successors.push(id);
     }
-    Ok(lanes)
 }
 
 /// Whether traffic on a lane runs in the direction of its road.

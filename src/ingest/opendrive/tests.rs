@@ -1,6 +1,7 @@
 //! From a document to lanes.
 
 use super::*;
+use crate::scene::LaneId;
 
 fn road(id: &str, more: &str, plan_view: &str, sections: &str) -> String {
     format!(

@@ -161,6 +161,9 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch};
+    use parquet::arrow::ArrowWriter;
+    use std::sync::Arc;
 
     const WANTED: [(&str, Kind); 3] = [("id", Kind::Text), ("x", Kind::Number), ("nowhere", Kind::Number)];
 
@@ -186,6 +189,30 @@ mod tests {
             assert!(x[0] == 1.5 && x[1].is_nan() && x[2].is_nan(), "{x:?}");
             assert!(table.number(Some("nowhere")).is_none() && table.number(None).is_none());
         }
+    }
+
+    #[test]
+    fn parquet_holds_the_same_with_gaps_and_names_of_numbers() {
+        let columns: [(&str, ArrayRef); 3] = [
+            ("id", Arc::new(Int64Array::from(vec![Some(7), None, Some(7)]))),
+            ("x", Arc::new(Float64Array::from(vec![Some(1.5), Some(2.5), None]))),
+            ("y", Arc::new(Float64Array::from(vec![9.0; 3]))),
+        ];
+        let batch = RecordBatch::try_from_iter(columns).unwrap();
+        let mut bytes = Vec::new();
+        let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
+        writer.write(&batch).unwrap();
+        writer.close().unwrap();
+        let table = Table::read(&bytes, &WANTED).unwrap();
+        let ids = table.text(Some("id")).unwrap();
+        assert_eq!(
+            (ids.different.as_slice(), ids.of_row.as_slice()),
+            (&["7".to_owned(), String::new()][..], &[0, 1, 0][..])
+        );
+        let x = table.number(Some("x")).unwrap();
+        assert!(x[..2] == [1.5, 2.5] && x[2].is_nan());
+        assert!(table.lacks(&["z"]).contains("the table has id, x, y") && table.place_of(1) == "row 1");
+        assert!(Table::read(&bytes[..bytes.len() - 9], &WANTED).is_err());
     }
 
     #[test]
