@@ -3,9 +3,10 @@
 /// Help after the options of the program itself.
 pub(super) const TOP: &str = "\
 Examples:
-  djinn run pipelines/quickstart.toml                 run all stages on the bundled recordings
-  djinn run pipelines/quickstart.toml --dry-run       show what would run
-  djinn inspect output/quickstart/main                show the results
+  djinn init first                       make a folder with the quickstart and what it reads
+  cd first && djinn run quickstart.toml  run all its stages, on bundled recordings
+  djinn run quickstart.toml --dry-run    show what would run
+  djinn inspect output/quickstart/main   show the results
 
 Running the same command again resumes an interrupted run and redoes only what changed. djinn never removes or \
 replaces a file that it did not write.
@@ -17,6 +18,15 @@ Exit codes:
   3  everything ran, but a quality gate failed
   75 stopped by SIGTERM or SIGUSR1, or waiting for other work: the same command continues
 Other signals end the program with 128 and their number; it prints what is kept and how to continue.";
+
+/// Help after the options of `init`.
+pub(super) const INIT: &str = "\
+Writes the pipeline, and the bundled models and recordings that it reads. Its first lines say what it is for, and \
+which recordings you have to bring.
+
+Examples:
+  djinn init first
+  djinn init mine cut_in_request";
 
 /// Help after the options of `run`.
 pub(super) const RUN: &str = "\
@@ -222,3 +232,15 @@ Examples:
   djinn inspect output/quickstart/main
   djinn inspect output/cut_in_request/main/samples    show the results of requests by bucket
   djinn inspect output/quickstart/main/scenes --json | jq .n_scenes";
+
+/// Help after the options of `list`.
+pub(super) const LIST: &str = "\
+Examples:
+  djinn list behaviors
+  djinn list metrics | grep collision";
+
+/// Help after the options of `completions`.
+pub(super) const COMPLETIONS: &str = "\
+Examples:
+  djinn completions bash > ~/.local/share/bash-completion/completions/djinn
+  djinn completions zsh > ~/.zfunc/_djinn";

@@ -3,6 +3,7 @@
 //! Data goes to stdout, everything else to stderr. Only this module prints, and only it knows clap and indicatif.
 
 mod args;
+mod bundled;
 mod commands;
 mod exit;
 mod help;
@@ -14,6 +15,7 @@ mod signals;
 use crate::cloud::use_cache_dir;
 use args::{Args, Command};
 use clap::Parser;
+use clap::error::ErrorKind;
 use printer::Printer;
 use std::process::ExitCode;
 
@@ -21,6 +23,10 @@ use std::process::ExitCode;
 pub fn main() -> ExitCode {
     let args = match Args::try_parse() {
         Ok(args) => args,
+        Err(error) if error.kind() == ErrorKind::DisplayVersion => {
+            printer::version_line();
+            return exit::DONE;
+        }
         Err(error) => return exit::of_usage(&error),
     };
     let printer = Printer::new(&args.output);
@@ -37,6 +43,9 @@ pub fn main() -> ExitCode {
         Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
         Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
+        Command::Init(init) => commands::init(init, &printer),
+        Command::List(list) => commands::list(list.what, &printer),
+        Command::Completions(completions) => commands::completions(completions.shell, &printer),
         stage => commands::stage(stage, &args.output, &printer),
     });
     match outcome {

@@ -1,7 +1,7 @@
 //! What may be printed, where, and in which colors?
 
 use super::args::OutputArgs;
-use crate::engine::{Blame, Failure, Result};
+use crate::engine::{Blame, Failure, Result, version};
 use crate::files::in_their_names;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
@@ -82,6 +82,11 @@ fn shown(text: &str, escape: fn(char) -> String) -> String {
         if c.is_control() && !matches!(c, '\n' | '\t') { shown.push_str(&escape(c)) } else { shown.push(c) }
     }
     shown
+}
+
+/// Prints which program this is, in the words in which results name it.
+pub(super) fn version_line() {
+    let _ = writeln!(io::stdout().lock(), "djinn {}", version().as_deref().unwrap_or(env!("CARGO_PKG_VERSION")));
 }
 
 /// A line on stderr. Nobody reads the message when it cannot be written.

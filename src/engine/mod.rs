@@ -41,5 +41,6 @@ pub use fingerprint::{PathFingerprint, fingerprint_path, fingerprint_value};
 pub use kept_models::Kept;
 pub use kind::{ShardNames, StageKind};
 pub use record::{InputRecord, StageRecord, done_path};
+pub use revision::version;
 pub use stage::{Stage, StageContext, StageInput, Whole, Work};
 pub use work_folder::work_path;

@@ -3,6 +3,14 @@
 use super::Result;
 use std::sync::OnceLock;
 
+/// The version and the revision of the program.
+///
+/// # Errors
+/// When the program cannot be read.
+pub fn version() -> Result<String> {
+    Ok(format!("{} ({})", env!("CARGO_PKG_VERSION"), revision()?))
+}
+
 /// The revision of the source, or a hash of the program if the build did not know the revision.
 ///
 /// # Errors

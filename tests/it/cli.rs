@@ -30,6 +30,9 @@ fn help_teaches_every_command() {
         "inspect",
         "submit",
         "status",
+        "init",
+        "list",
+        "completions",
     ];
     for command in stages.into_iter().chain(corpus_tools.iter().map(String::as_str)) {
         let first_word = command.split(' ').next().unwrap();
@@ -38,7 +41,11 @@ fn help_teaches_every_command() {
         let help = djinn(&args).expect(0).stdout;
         assert!(help.contains("Example"), "{command} has no example");
     }
-    assert!(djinn(&["--version"]).expect(0).stdout.starts_with("djinn "));
+    // A program names itself as its results do: by the source it was built from, or else by its own content.
+    let version = djinn(&["--version"]).expect(0).stdout;
+    let (begin, end) = version.trim_end().split_once(" (").unwrap();
+    assert_eq!(begin, format!("djinn {}", env!("CARGO_PKG_VERSION")));
+    assert!(end.ends_with(')') && end.len() > "build )".len(), "{version}");
 }
 
 #[test]

@@ -26,6 +26,7 @@ mod signals;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
+mod start;
 #[cfg(unix)]
 mod submit;
 mod support;

@@ -5,6 +5,7 @@ mod corpus;
 mod drive;
 mod export;
 mod stages;
+mod start;
 
 pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::{CorpusCommand, CorpusFilterArgs};
@@ -12,6 +13,7 @@ pub(in crate::cli) use self::drive::{DriveArgs, DriveGates, ScoreArgs};
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
 pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand};
+pub(in crate::cli) use self::start::{CompletionsArgs, InitArgs, ListArgs, Listed};
 use super::help;
 use crate::cloud::ObjectUrl;
 use crate::engine::DeviceChoice;
@@ -54,6 +56,9 @@ pub(in crate::cli) struct OutputArgs {
 
 #[derive(Debug, Subcommand)]
 pub(in crate::cli) enum Command {
+    /// Make a folder with a pipeline to start from, and what it reads
+    #[command(after_help = help::INIT)]
+    Init(InitArgs),
     /// Run all stages of a pipeline file
     #[command(after_help = help::RUN)]
     Run(RunArgs),
@@ -102,6 +107,12 @@ pub(in crate::cli) enum Command {
     /// Summarize a file or folder that djinn wrote
     #[command(after_help = help::INSPECT)]
     Inspect(InspectArgs),
+    /// List the behaviors, objectives, datasets, formats or metrics
+    #[command(after_help = help::LIST)]
+    List(ListArgs),
+    /// Print completions for a shell
+    #[command(after_help = help::COMPLETIONS)]
+    Completions(CompletionsArgs),
 }
 
 #[derive(Debug, clap::Args)]

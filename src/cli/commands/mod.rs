@@ -1,10 +1,13 @@
 //! The commands: what does each do with its arguments?
 
+mod completions;
 mod corpus;
 mod drive;
 mod explain;
 mod export;
+mod init;
 mod inspect;
+mod list;
 mod regenerate;
 mod report;
 mod run;
@@ -12,10 +15,13 @@ mod stage;
 mod status;
 mod submit;
 
+pub(super) use completions::completions;
 pub(super) use corpus::corpus;
 pub(super) use drive::{drive, score};
 pub(super) use export::export;
+pub(super) use init::init;
 pub(super) use inspect::inspect;
+pub(super) use list::list;
 pub(super) use regenerate::regenerate;
 pub(super) use report::report;
 pub(super) use run::run;

@@ -143,7 +143,10 @@ impl<'a> Request<'a> {
             | Command::Score(_)
             | Command::Export(_)
             | Command::Regenerate(_)
-            | Command::Inspect(_) => return None,
+            | Command::Inspect(_)
+            | Command::Init(_)
+            | Command::List(_)
+            | Command::Completions(_) => return None,
         };
         Some(request)
     }

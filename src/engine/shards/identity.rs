@@ -3,7 +3,7 @@
 use crate::engine::fingerprint::fingerprint_value;
 use crate::engine::kind::StageKind;
 use crate::engine::outdated::why;
-use crate::engine::revision::revision;
+use crate::engine::version;
 use crate::engine::{ComputeChoice, Failure, Result, StageRecord};
 use serde::{Deserialize, Serialize};
 
@@ -25,11 +25,7 @@ impl Identity {
     /// When the program cannot be read.
     pub(super) fn own(kind: &StageKind, stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
         let compute = if kind.computes { compute } else { ComputeChoice::default() };
-        Ok(Self {
-            stage,
-            program: format!("{} ({})", env!("CARGO_PKG_VERSION"), revision()?),
-            compute: compute.class(),
-        })
+        Ok(Self { stage, program: version()?, compute: compute.class() })
     }
 
     /// The plan's name: 16 hexadecimal digits.

@@ -1,0 +1,1 @@
+../../djinn_drive.py

@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Tries the wheel: pip installs it where nothing of the repository is, and the program makes a folder and begins a run there.
+#
+#     scripts/wheel_test.sh [PROFILE]      # of cargo: dev; `pip install .` builds with release
+#
+# maturin comes from the package index. Where that cannot be reached it says so and ends with 77.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+missing() {
+    echo "not run: $1" >&2
+    exit 77
+}
+folder="$(mktemp -d)"
+trap 'rm -rf "$folder"' EXIT
+python3 -m venv "$folder/build"
+"$folder/build/bin/pip" install --disable-pip-version-check --quiet 'maturin>=1.10,<2' > "$folder/log" 2>&1 \
+    || missing "maturin cannot be fetched: $(tail -n 1 "$folder/log")"
+"$folder/build/bin/maturin" build --profile "${1:-dev}" --out "$folder/wheels"
+
+python3 -m venv "$folder/own"
+"$folder/own/bin/pip" install --disable-pip-version-check --quiet --no-index "$folder"/wheels/djinn_traffic-*.whl
+export PATH="$folder/own/bin:$PATH"
+cd "$folder"
+python -c 'import djinn_drive, importlib.metadata as metadata; print("djinn-traffic", metadata.version("djinn-traffic"))'
+djinn --version
+djinn init first
+cd first
+djinn run quickstart.toml --dry-run > plan.toml       # names all that is read, and fails if it is not there
+djinn run quickstart.toml --stage ingest --stage mine
+ls -l "$folder"/wheels

@@ -1,0 +1,13 @@
+//! `djinn completions`: what a shell has to know of the commands.
+
+use crate::cli::args::Args;
+use crate::cli::printer::Printer;
+use crate::engine::Result;
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+pub(in crate::cli) fn completions(shell: Shell, printer: &Printer) -> Result<()> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Args::command(), "djinn", &mut script);
+    printer.data(&String::from_utf8_lossy(&script))
+}
