@@ -75,11 +75,6 @@ fn split_of_name(name: &str) -> Option<Split> {
     })
 }
 
-/// The bytes of an entry of usual size.
-pub(super) fn read_whole(entry: &Entry, reader: &mut dyn BufRead) -> Result<Vec<u8>, Reject> {
-    read_at_most(entry, reader, MAX_WHOLE_FILE_BYTES)
-}
-
 /// The bytes of an entry. An entry that cannot be read or is too large is a reject: one broken file among many.
 pub(super) fn read_at_most(entry: &Entry, reader: &mut dyn BufRead, max_bytes: u64) -> Result<Vec<u8>, Reject> {
     let mut bytes = Vec::with_capacity(entry.size.unwrap_or(0).min(max_bytes) as usize);
@@ -145,6 +140,9 @@ mod tests {
     #[test]
     fn endless_files_are_rejects() {
         let mut endless = std::io::BufReader::new(std::io::repeat(b'1'));
-        assert_eq!(read_whole(&entry("x", "y.csv"), &mut endless).unwrap_err().reason, "too_large");
+        assert_eq!(
+            read_at_most(&entry("x", "y.csv"), &mut endless, MAX_WHOLE_FILE_BYTES).unwrap_err().reason,
+            "too_large"
+        );
     }
 }

@@ -31,7 +31,6 @@ pub mod lanelet2;
 mod map_catalog;
 mod map_report;
 mod map_text;
-mod one_file;
 mod opendrive;
 mod pairing;
 mod parquet_columns;

@@ -1,8 +1,8 @@
-//! Pairs recordings with the files that belong to them, two files that come in any order.
+//! Recordings of one file each, or of two, which come in any order: a recording and the file that belongs to it.
 
 use super::archive::Entry;
 use super::error::Error;
-use super::files::{file_name, read_at_most, split_of_entry};
+use super::files::{MAX_WHOLE_FILE_BYTES, file_name, read_at_most, split_of_entry};
 use super::raw::{Companion, RawUnit, UnitSplit};
 use super::source::{EmitUnit, UnitReader};
 use std::collections::BTreeMap;
@@ -29,7 +29,12 @@ pub(super) enum PairPart {
     Companion,
 }
 
-impl PairNames<'_> {
+impl<'a> PairNames<'a> {
+    /// Recordings that are complete by themselves.
+    pub(super) const fn single(recordings: &'a str) -> Self {
+        Self { recordings, companions: None, max_bytes: MAX_WHOLE_FILE_BYTES, alone: ("", "") }
+    }
+
     /// What `*` stands for in the name of a file, and which part it is; `None` if it is neither.
     pub(super) fn part_of<'p>(&self, path: &'p str) -> Option<(&'p str, PairPart)> {
         let within = |pattern: &str| star_of(pattern, file_name(path));

@@ -49,8 +49,9 @@ impl Columns {
 
     /// A column of text (plain, large, view or dictionary), or of whole numbers, which can be names, too.
     pub(super) fn text(&self, name: &str) -> Result<StringArray, Malformed> {
-        let is_text = |found: &DataType| is_string(found) || found.is_integer();
-        self.column(name, &DataType::Utf8, "text", is_text)?.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
+        let column = self.text_or_null(name)?;
+        without_null(name, &column)?;
+        Ok(column)
     }
 
     /// A column of numbers of any width.
@@ -100,14 +101,12 @@ impl Columns {
         accepted: impl Fn(&DataType) -> bool,
     ) -> Result<ArrayRef, Malformed> {
         let column = self.converted(name, wanted, expected, accepted)?;
-        match (0..column.len()).find(|row| column.is_null(*row)) {
-            Some(row) => Err(format!("column {name} has no value in row {row}").into()),
-            None => Ok(column),
-        }
+        without_null(name, &column)?;
+        Ok(column)
     }
 
-    /// The column in type `wanted`. Only `accepted` types are converted: text that looks like
-    /// numbers means another table, or a broken one.
+    /// The column in type `wanted`. Only `accepted` types are converted: text that looks like numbers means another
+    /// table, or a broken one.
     fn converted(
         &self,
         name: &str,
@@ -133,6 +132,13 @@ impl Columns {
             }
         }
         cast(column, wanted).map_err(|error| format!("column {name}: {error}").into())
+    }
+}
+
+fn without_null(name: &str, column: &dyn Array) -> Result<(), Malformed> {
+    match (0..column.len()).find(|row| column.is_null(*row)) {
+        Some(row) => Err(format!("column {name} has no value in row {row}").into()),
+        None => Ok(()),
     }
 }
 

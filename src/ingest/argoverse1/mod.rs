@@ -10,7 +10,7 @@ use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
 use super::files::{file_name, split_of_path};
-use super::one_file::OneFileOneUnit;
+use super::pairing::{PairNames, PairReader};
 use super::raw::{RawUnit, map_id};
 use super::source::{Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 use crate::scene::{Dataset, MapId};
@@ -47,7 +47,7 @@ impl RecordingSource for Argoverse1<'_> {
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
-        Box::new(OneFileOneUnit)
+        Box::new(PairReader::new(PairNames::single("*.csv")))
     }
 
     fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {

@@ -12,7 +12,7 @@ use super::config::IngestConfig;
 use super::error::Error;
 use super::files::split_of_path;
 use super::map_text::read_text;
-use super::one_file::OneFileOneUnit;
+use super::pairing::{PairNames, PairReader};
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use super::xml_tree::Element;
@@ -53,7 +53,7 @@ impl RecordingSource for CommonRoad<'_> {
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
-        Box::new(OneFileOneUnit)
+        Box::new(PairReader::new(PairNames::single("*.xml")))
     }
 
     fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>> {

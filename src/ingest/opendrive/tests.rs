@@ -82,7 +82,7 @@ fn bends_are_followed_to_millimeters() {
         let lane = by_lane(&graph, "1", lane)[0];
         for pair in lane.centerline.0.windows(2) {
             for point in [pair[0], pair[0].lerp(pair[1], 0.5)] {
-                assert!((point.distance(Vec2::new(0.0, 20.0)) - radius_m).abs() < 0.01, "{point:?}");
+                assert!((point.distance(Vec2::new(0.0, 20.0)) - radius_m).abs() < 0.006, "{point:?}");
             }
         }
         assert!(lane.centerline.0.len() > 100, "{}", lane.centerline.0.len());
