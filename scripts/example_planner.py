@@ -3,7 +3,7 @@ driver model. Its options plant faults, to see whether a corpus finds them."""
 
 import argparse
 import math
-from djinn_drive import along, find, serve
+from djinn.drive import along, find, serve
 
 faults = argparse.ArgumentParser(description=__doc__)
 faults.add_argument("--late", action="store_true", help="sees everything half a second late")

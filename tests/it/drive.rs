@@ -114,7 +114,7 @@ fn a_planner_that_peeks_drives_as_one_that_does_not() {
     let driven = |name: &str, peek: &str| {
         let (script, out) = (dir.path().join(format!("{name}.py")), dir.path().join(name));
         let act = format!(
-            "import sys\nsys.path.insert(0, 'scripts')\nfrom djinn_drive import serve, peek\n\
+            "import sys\nsys.path.insert(0, 'scripts')\nfrom djinn.drive import serve, peek\n\
              def act(observation, hello):\n    ids = [a['id'] for a in observation['agents']]\n    {peek}\n    \
              return {{'acceleration_mps2': -1.0}}\nserve(act)\n"
         );
@@ -152,7 +152,7 @@ fn the_gymnasium_environment_repeats_and_comes_to_ends() {
     }
     let dir = tempfile::tempdir().unwrap();
     let code = format!(
-        "import sys\nsys.path.insert(0, 'scripts')\nfrom djinn_drive import environment\n\
+        "import sys\nsys.path.insert(0, 'scripts')\nfrom djinn.drive import environment\n\
          env = environment('{CORPUS}', '{}', djinn='{}', options='--model {MODEL} --horizon-s 1')\n\
          first, _ = env.reset(seed=5)\nagain, _ = env.reset(seed=5)\nassert (first == again).all()\n\
          steps = [env.step([0.0, 0.0]) for _ in range(2)]\nassert steps[-1][2] or steps[-1][3], steps\n\

@@ -1,6 +1,6 @@
-"""Connects a planner in Python with `djinn drive`: this one file, and nothing but the standard library.
+"""Connects a planner in Python with `djinn drive`, with nothing but the standard library.
 
-    from djinn_drive import serve
+    from djinn.drive import serve
     serve(lambda observation, hello: {"acceleration_mps2": 0.0, "curvature_1pm": 0.0})
 
 `serve` calls the function for every observation; what it returns is the action. Both are as in

@@ -1,1 +1,0 @@
-../../djinn_drive.py
