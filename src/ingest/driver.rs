@@ -12,6 +12,7 @@ use super::places::{Places, flaw_of};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
+use super::table::TableMapping;
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId, Scene};
 use rayon::prelude::*;
@@ -108,10 +109,12 @@ impl SeenFiles {
     fn summary(&self, config: &IngestConfig) -> String {
         let inputs: Vec<String> = config.inputs.iter().map(|input| input.display().to_string()).collect();
         let example = self.example_of_others.as_ref().map_or(String::new(), |path| format!(", such as {path}"));
+        let pattern = |table: &TableMapping| format!("`{}` (ingest.table.files), as ", table.files);
         format!(
-            "{} has {} files named like {} recordings of the chosen splits and {} other files{example}",
+            "{} has {} files named like {}{} recordings of the chosen splits and {} other files{example}",
             inputs.join(", "),
             self.n_recordings,
+            config.table.as_ref().map(pattern).unwrap_or_default(),
             config.dataset.name(),
             self.n_others
         )

@@ -17,9 +17,15 @@ pub(super) fn read_text(reader: &mut dyn BufRead, max_bytes: u64, file: &str) ->
         return Err(error(format!("is larger than {} MiB", max_bytes >> 20)));
     }
     let text = decoded(&bytes).map_err(|at| {
-        Error::map(file, format!("byte {at}"), "is not UTF-8 text, and does not declare to be ISO-8859-1")
+        let what = "is not UTF-8 text, and does not declare to be ISO-8859-1; save it as UTF-8";
+        Error::map(file, format!("line {}", line_at(&bytes, at)), what)
     })?;
     Ok(text.strip_prefix('\u{feff}').map_or_else(|| text.to_string(), str::to_owned))
+}
+
+/// The line of a byte, counted from 1.
+pub(super) fn line_at(bytes: &[u8], at: usize) -> usize {
+    1 + memchr::memchr_iter(b'\n', &bytes[..at.min(bytes.len())]).count()
 }
 
 /// The text of a document in UTF-8, in UTF-16 with a byte order mark, or in ISO-8859-1 if it says so; or the first byte

@@ -1,6 +1,7 @@
 //! An XML document as a tree of elements.
 
 use super::error::Malformed;
+use super::map_text::line_at;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
@@ -12,6 +13,8 @@ const MAX_DEPTH: usize = 32;
 #[derive(Debug, Default)]
 pub(super) struct Element {
     pub(super) name: String,
+    /// The line on which it begins, from 1.
+    pub(super) line: usize,
     attributes: Vec<(String, String)>,
     children: Vec<Self>,
     text: String,
@@ -23,19 +26,25 @@ impl Element {
         let mut xml = Reader::from_str(text);
         let mut open: Vec<Self> = Vec::new();
         let mut root = None;
+        let (mut line, mut counted) = (1, 0);
         loop {
-            let at = xml.buffer_position();
-            let within = |what: String| Malformed::from(format!("byte {at}: {what}"));
-            let event = xml.read_event().map_err(|error| within(error.to_string()))?;
+            let at = usize::try_from(xml.buffer_position()).unwrap_or(text.len());
+            line += line_at(&text.as_bytes()[counted..], at - counted) - 1;
+            counted = at;
+            let within = |what: String| Malformed::from(format!("line {line}: {what}"));
+            let event = xml.read_event().map_err(|error| {
+                let is_short = error.to_string().contains("end of input");
+                within(format!("{error}{}", if is_short { "; the file is cut short" } else { "" }))
+            })?;
             let closed = match event {
                 Event::Start(_) if open.len() == MAX_DEPTH => {
                     return Err(within(format!("more than {MAX_DEPTH} elements within each other")));
                 }
                 Event::Start(start) => {
-                    open.push(Self::begin(&start)?);
+                    open.push(Self::begin(&start, line)?);
                     None
                 }
-                Event::Empty(start) => Some(Self::begin(&start)?),
+                Event::Empty(start) => Some(Self::begin(&start, line)?),
                 Event::End(_) => open.pop(),
                 Event::Text(text) => {
                     if let Some(element) = open.last_mut() {
@@ -58,20 +67,23 @@ impl Element {
             }
         }
         match (open.last(), root) {
-            (Some(element), _) => Err(format!("ends within <{}>; the file is cut short", element.name).into()),
+            (Some(element), _) => {
+                Err(format!("line {line}: ends within <{}>; the file is cut short", element.name).into())
+            }
             (None, Some(root)) => Ok(root),
-            (None, None) => Err("holds no element".into()),
+            (None, None) => Err("line 1: holds no element, and is no XML".into()),
         }
     }
 
-    fn begin(start: &BytesStart<'_>) -> Result<Self, Malformed> {
+    fn begin(start: &BytesStart<'_>, line: usize) -> Result<Self, Malformed> {
         let mut attributes = Vec::new();
         for attribute in start.attributes() {
-            let attribute = attribute?;
-            let value = attribute.normalized_value(XmlVersion::Implicit1_0)?.into_owned();
+            let attribute = attribute.map_err(|what| format!("line {line}: {what}"))?;
+            let value = attribute.normalized_value(XmlVersion::Implicit1_0);
+            let value = value.map_err(|what| format!("line {line}: {what}"))?.into_owned();
             attributes.push((attribute.key.as_ref().to_owned(), value));
         }
-        Ok(Self { name: start.name().as_ref().to_owned(), attributes, ..Self::default() })
+        Ok(Self { name: start.name().as_ref().to_owned(), line, attributes, ..Self::default() })
     }
 
     /// The elements in it.
@@ -97,7 +109,8 @@ impl Element {
     /// An attribute that names an element by its number.
     pub(super) fn id(&self, name: &str) -> Result<i64, Malformed> {
         let text = self.attribute(name).unwrap_or_default();
-        let expected = || format!("<{}> has {name} \"{text}\", expected a whole number", self.name);
+        let expected =
+            || format!("<{}> on line {} has {name} \"{text}\", expected a whole number", self.name, self.line);
         text.trim().parse().map_err(|_| expected().into())
     }
 
@@ -107,7 +120,7 @@ impl Element {
         let value = text.map_or(default, |text| text.trim().parse().ok()).filter(|value: &f64| value.is_finite());
         value.ok_or_else(|| {
             let found = text.map_or_else(|| format!("no {name}"), |text| format!("{name} \"{text}\""));
-            format!("<{}> has {found}, expected a number", self.name).into()
+            format!("<{}> on line {} has {found}, expected a number", self.name, self.line).into()
         })
     }
 
@@ -122,7 +135,8 @@ impl Element {
         let value = text.and_then(|text| text.parse::<f64>().ok()).filter(|value| value.is_finite());
         value.ok_or_else(|| {
             let found = text.map_or_else(|| "is missing".to_owned(), |text| format!("is \"{text}\""));
-            format!("<{}> within <{}> {found}, expected a number", path.join("/"), self.name).into()
+            let (path, Self { name, line, .. }) = (path.join("/"), self);
+            format!("<{path}> within <{name}> on line {line} {found}, expected a number").into()
         })
     }
 }

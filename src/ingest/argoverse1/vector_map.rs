@@ -8,7 +8,7 @@ use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::lane_topology::connect;
 use crate::ingest::map_report::MapReport;
-use crate::ingest::map_text::read_text;
+use crate::ingest::map_text::{line_at, read_text};
 use crate::ingest::plausible_lanes::plausible;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
 use quick_xml::XmlVersion;
@@ -37,7 +37,9 @@ pub(super) fn read(file: &str, reader: &mut dyn BufRead) -> Result<(LaneGraph, M
     loop {
         let event = xml.read_event();
         let done = event.map_err(Malformed::from).and_then(|event| map.take(&event)).map_err(|malformed| {
-            Error::map(file, format!("byte {}", xml.error_position().max(xml.buffer_position())), malformed)
+            let at = xml.error_position().max(xml.buffer_position());
+            let at = usize::try_from(at).unwrap_or(text.len());
+            Error::map(file, format!("line {}", line_at(text.as_bytes(), at)), malformed)
         })?;
         if done {
             break;
@@ -310,7 +312,7 @@ mod tests {
 
     #[test]
     fn faults_name_the_file_the_place_and_the_element() {
-        assert!(message(&WAYS.replace(r#"ref="9"#, r#"ref="x"#).replace(r#"ref="2"#, r#"ref="y"#)).contains(", byte "));
+        assert!(message(&WAYS.replace(r#"ref="9"#, r#"ref="x"#).replace(r#"ref="2"#, r#"ref="y"#)).contains(", line "));
         assert!(message("").contains("no lanes"));
         assert!(message(r#"<way lane_id="7"><nd ref="1"/></way>"#).contains("way 7: refers to missing node 1"));
         assert!(message("<way><nd ref=\"1\"/></way>").contains("lane_id"));
@@ -364,6 +366,6 @@ mod tests {
         let bomb =
             r#"<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><ArgoverseVectorMap>&b;</ArgoverseVectorMap>"#;
         assert!(read_whole(bomb).expect_err("bomb").to_string().contains("document type"));
-        assert!(message(r#"<node id="&b;" x="0" y="0"/>"#).contains("byte"));
+        assert!(message(r#"<node id="&b;" x="0" y="0"/>"#).contains(", line 1"));
     }
 }

@@ -27,8 +27,8 @@ pub(super) fn read(root: &Element) -> (LaneGraph, MapReport) {
         match lane(lanelet, &turns, &mut report) {
             Ok(lane) => lanes.push(lane),
             Err(what) => {
-                let name = lanelet.attribute("id").unwrap_or("without id");
-                report.warn("broken_lanes", format!("lanelet {name}: {what}"));
+                let (name, line) = (lanelet.attribute("id").unwrap_or("without id"), lanelet.line);
+                report.warn("broken_lanes", format!("lanelet {name} on line {line}: {what}"));
             }
         }
     }

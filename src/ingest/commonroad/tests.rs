@@ -113,12 +113,20 @@ fn the_later_version_has_kinds_turns_and_things_that_stand() {
 #[test]
 fn one_bad_obstacle_or_lanelet_is_named_and_costs_nothing_else() {
     for (good, bad, expected) in [
-        ("<type>truck</type>", "<type>tank</type>", "obstacle 8: is of type \"tank\", which the format does not list"),
+        (
+            "<type>truck</type>",
+            "<type>tank</type>",
+            "obstacle 8 on line 1: is of type \"tank\", which the format does not list",
+        ),
         ("<time><exact>30</exact>", "<time><exact>29</exact>", "has two states at time 29"),
-        ("<exact>84</exact>", "<intervalStart>84</intervalStart>", "<time/exact> within <state> is missing"),
-        ("<x>33</x><y>3.5</y>", "<x>NaN</x><y>3.5</y>", "<x> within <point> is \"NaN\", expected a number"),
+        ("<exact>84</exact>", "<intervalStart>84</intervalStart>", "<time/exact> within <state> on line 1 is missing"),
+        ("<x>33</x><y>3.5</y>", "<x>NaN</x><y>3.5</y>", "<x> within <point> on line 1 is \"NaN\", expected a number"),
         ("<x>33</x><y>3.5</y>", "<x>1e9</x><y>3.5</y>", "lies at (1000000000, 3.5)"),
-        ("<lanelet id=\"2\">", "<lanelet id=\"b\">", "lanelet b: <lanelet> has id \"b\", expected a whole number"),
+        (
+            "<lanelet id=\"2\">",
+            "<lanelet id=\"b\">",
+            "lanelet b on line 1: <lanelet> on line 1 has id \"b\", expected a whole number",
+        ),
     ] {
         let text = whole().replacen(good, bad, 1);
         assert_ne!(text, whole(), "{good}");

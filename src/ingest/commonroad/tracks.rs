@@ -34,7 +34,8 @@ pub(super) fn read(root: &Element) -> (Vec<Obstacle>, Vec<String>) {
         match obstacle(element, is_static) {
             Ok(obstacle) => obstacles.push(obstacle),
             Err(what) => {
-                left_out.push(format!("obstacle {}: {what}", element.attribute("id").unwrap_or("without id")));
+                let (id, line) = (element.attribute("id").unwrap_or("without id"), element.line);
+                left_out.push(format!("obstacle {id} on line {line}: {what}"));
             }
         }
     }

@@ -7,6 +7,7 @@ use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
 use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::map_report::MapReport;
+use crate::ingest::map_text::line_at;
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;
@@ -63,7 +64,8 @@ pub(super) fn parse(text: &str, file: &str, report: &mut MapReport) -> Result<Os
     let mut depth = 0;
     loop {
         let at = usize::try_from(reader.buffer_position()).unwrap_or(text.len());
-        let malformed = |what: Malformed| Error::map(file, line_at(text, at), what);
+        let line = |at: usize| format!("line {}", line_at(text.as_bytes(), at));
+        let malformed = |what: Malformed| Error::map(file, line(at), what);
         match reader.read_event() {
             Ok(Event::Start(element)) => {
                 depth += 1;
@@ -91,14 +93,10 @@ pub(super) fn parse(text: &str, file: &str, report: &mut MapReport) -> Result<Os
             Ok(_) => {}
             Err(error) => {
                 let at = usize::try_from(reader.error_position()).unwrap_or(text.len());
-                return Err(Error::map(file, line_at(text, at), error));
+                return Err(Error::map(file, line(at), error));
             }
         }
     }
-}
-
-fn line_at(text: &str, byte: usize) -> String {
-    format!("line {}", 1 + text.as_bytes().iter().take(byte).filter(|b| **b == b'\n').count())
 }
 
 /// The element that is being read.

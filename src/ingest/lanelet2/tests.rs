@@ -310,7 +310,7 @@ fn hostile_and_malformed_documents_are_errors_with_their_line() {
     assert!(message("").contains("no vehicle lane"));
     assert!(message(&osm(&[&nodes(), WAYS].concat())).contains("no vehicle lane"));
     let latin1 = read_map(&mut &b"<osm>\xe9</osm>"[..], "maps/test.osm").unwrap_err().to_string();
-    assert!(latin1.contains("byte 5") && latin1.contains("UTF-8"), "{latin1}");
+    assert!(latin1.contains("line 1") && latin1.contains("UTF-8"), "{latin1}");
 }
 
 #[test]

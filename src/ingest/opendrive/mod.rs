@@ -22,8 +22,8 @@ use super::xml_tree::Element;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Lane, LaneAttributes, LaneGraph, TurnDirection};
 use links::{Connection, LaneEnd, LaneKey, touching};
-use road::{Road, RoadLane};
-use std::collections::BTreeMap;
+use road::{Road, RoadLane, RoadLink};
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_6;
 use std::io::BufRead;
 
@@ -31,6 +31,12 @@ use std::io::BufRead;
 const MAX_MAP_BYTES: u64 = 256 << 20;
 /// Maximum number of points in the edges of all lanes.
 const MAX_POINTS: usize = 10_000_000;
+/// Between two distances that are nearer, meters, there is no room for a lane.
+const SAME_M: f64 = 1e-6;
+/// Widths that are less below zero are rounded, meters.
+const MAX_ROUNDING_M: f64 = 0.01;
+/// Lanes that are linked begin as near to where the other ends, meters.
+const MAX_APART_M: f64 = 10.0;
 /// Longest road, meters: the size of a file does not bound it.
 const MAX_ROAD_M: f64 = 1e5;
 
@@ -52,13 +58,18 @@ pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGrap
             report.warn("map_offsets_ignored", format!("the header has an offset of ({}, {}) m", at[0], at[1]));
         }
     }
-    let mut roads = Vec::new();
+    let mut roads: Vec<Road> = Vec::new();
+    let mut ids = BTreeSet::new();
     for element in root.all("road") {
         match Road::of(element).and_then(checked) {
+            Ok(road) if !ids.insert(road.id.clone()) => {
+                let detail = format!("road {} on line {}: the first of this id is kept", road.id, element.line);
+                report.warn("duplicate_id", detail);
+            }
             Ok(road) => roads.push(road),
             Err(what) => {
-                let name = element.attribute("id").unwrap_or("without id");
-                report.warn("broken_roads", format!("road {name}: {what}"));
+                let (name, line) = (element.attribute("id").unwrap_or("without id"), element.line);
+                report.warn("broken_roads", format!("road {name} on line {line}: {what}"));
             }
         }
     }
@@ -67,9 +78,16 @@ pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGrap
         match Connection::all(junction) {
             Ok(found) => connections.extend(found),
             Err(what) => {
-                let name = junction.attribute("id").unwrap_or("without id");
-                report.warn("broken_junctions", format!("junction {name}: {what}"));
+                let (name, line) = (junction.attribute("id").unwrap_or("without id"), junction.line);
+                report.warn("broken_junctions", format!("junction {name} on line {line}: {what}"));
             }
+        }
+    }
+    for (road, link) in roads.iter().flat_map(|road| road.links.iter().flatten().map(move |link| (road, link))) {
+        if let RoadLink::Road(to, _) = link
+            && !ids.contains(to)
+        {
+            report.warn("links_to_nowhere", format!("road {} is linked to road {to}, which is not read", road.id));
         }
     }
     let lanes = lanes(&roads, &connections, &mut report).map_err(error)?;
@@ -83,9 +101,13 @@ pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGrap
 }
 
 fn checked(road: Road) -> Result<Road, Malformed> {
-    match road.length_m {
-        length_m if (0.0..=MAX_ROAD_M).contains(&length_m) => Ok(road),
-        length_m => Err(format!("is {length_m} m long, expected at most {MAX_ROAD_M}").into()),
+    let length_m = road.length_m;
+    if !(SAME_M..=MAX_ROAD_M).contains(&length_m) {
+        return Err(format!("is {length_m} m long, expected more than 0 and at most {MAX_ROAD_M}").into());
+    }
+    match road.sections.iter().find(|section| section.start_m > length_m + SAME_M) {
+        Some(beyond) => Err(format!("has lanes from {} m on, but is {length_m} m long", beyond.start_m).into()),
+        None => Ok(road),
     }
 }
 
@@ -125,6 +147,11 @@ impl Lanes {
             if !lane.is_drivable() {
                 report.n_not_drivable += 1;
                 continue;
+            }
+            if let Some(below) = lane.widths.iter().find(|width| width.coefficients[0] < -MAX_ROUNDING_M) {
+                let detail =
+                    format!("road {}, lane {}: is {} m wide, taken as 0", road.id, lane.id, below.coefficients[0]);
+                report.warn("widths_below_zero", detail);
             }
             let mut outline = edges.in_direction(is_along(road, lane));
             outline.iter_mut().for_each(|line| line.0.dedup());
@@ -168,14 +195,29 @@ impl Lanes {
         });
         let [Some((one, one_ends)), Some((other, other_ends))] = found else { return };
         if one_ends == other_ends {
-            let [one, other] = [one, other].map(|index| self.lanes[index].id.0);
-            report.warn("lane_links_against_traffic", format!("lanes {one} and {other} meet head on"));
+            let [one, other] = [one, other].map(|index| lane_name(&self.lanes[index]));
+            report.warn("lane_links_against_traffic", format!("{one} and {other} meet head on"));
             return;
         }
         let (from, to) = if one_ends { (one, other) } else { (other, one) };
         let id = self.lanes[to].id;
+        let meet = [self.lanes[from].centerline.0.last(), self.lanes[to].centerline.0.first()];
+        if let [Some(end), Some(start)] = meet
+            && end.distance(*start) > MAX_APART_M
+        {
+            let [one, other] = [one, other].map(|index| lane_name(&self.lanes[index]));
+            let apart_m = end.distance(*start);
+            report.warn("lane_links_apart", format!("{one} and {other} are linked, but {apart_m:.1} m apart"));
+            return;
+        }
         self.lanes[from].successors.push(id);
     }
+}
+
+/// What the file calls a lane.
+fn lane_name(lane: &Lane) -> String {
+    let tag = |name: &str| lane.attributes.tags.get(name).map_or("", String::as_str);
+    format!("lane {} of road {}", tag("lane"), tag("road"))
 }
 
 /// Whether traffic on a lane runs in the direction of its road.

@@ -1,5 +1,6 @@
 //! The edges of lanes as points.
 
+use super::SAME_M;
 use super::cubic::value_at;
 use super::plan_view::pose_at;
 use super::road::{Road, RoadLane};
@@ -9,8 +10,6 @@ use crate::geometry::{Polyline, Vec2, angle_difference};
 const MAX_STEP_M: f64 = 2.0;
 const MIN_STEP_M: f64 = 0.1;
 const MAX_ERROR_M: f64 = 0.005;
-/// Between two distances that are nearer, meters, there is no room for a lane.
-const SAME_M: f64 = 1e-6;
 
 /// The edges of each lane of a section, from left to right in the direction of the road: the left edge of the first,
 /// the right one of the first, … Points of all edges belong together. `None` if the section has no length.

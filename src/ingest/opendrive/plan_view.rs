@@ -217,6 +217,6 @@ mod tests {
         let error = Piece::of(&Element::parse(text).unwrap()).unwrap_err().to_string();
         assert_eq!(error, "<geometry> holds <helix>, which the format does not list");
         let error = Piece::of(&Element::parse("<geometry s='0' x='a'><line/></geometry>").unwrap()).unwrap_err();
-        assert_eq!(error.to_string(), "<geometry> has no length, expected a number");
+        assert_eq!(error.to_string(), "<geometry> on line 1 has no length, expected a number");
     }
 }

@@ -118,7 +118,12 @@ fn sections_roads_and_junctions_connect_lanes() {
             "<predecessor elementType='road' elementId='2' contactPoint='start'/>
              <successor elementType='road' elementId='4' contactPoint='start'/>",
         ),
-        road("4", "", &STRAIGHT.replace("x='0'", "x='400'"), &section(0.0, ["", ""])),
+        road(
+            "4",
+            "",
+            &STRAIGHT.replace("x='0' y='0' hdg='0'", "x='263.7' y='63.7' hdg='1.57'"),
+            &section(0.0, ["", ""]),
+        ),
         "<junction id='7'><connection id='0' incomingRoad='2' connectingRoad='3' contactPoint='start'>
              <laneLink from='1' to='-1'/></connection></junction>"
             .to_owned(),
@@ -147,16 +152,16 @@ fn sections_roads_and_junctions_connect_lanes() {
 fn broken_parts_are_reported_and_the_rest_is_read() {
     let good = road("1", "", STRAIGHT, &two_way());
     for (bad, expected) in [
-        (good.replace("<line/>", "<helix/>"), "road 1: <geometry> holds <helix>"),
-        (good.replace("length='100' >", "length='1e9' >"), "road 1: is 1000000000 m long"),
-        (good.replace("id='-1'", "id='one'"), "road 1: <lane> has id \"one\", expected a whole number"),
-        (good.replace("id='-2'", "id='-1'"), "road 1: has lane -1 twice"),
-        (road("1", "", "", &two_way()), "road 1: has no geometry"),
+        (good.replace("<line/>", "<helix/>"), "road 1 on line 1: <geometry> holds <helix>"),
+        (good.replace("length='100' >", "length='1e9' >"), "road 1 on line 1: is 1000000000 m long"),
+        (good.replace("id='-1'", "id='one'"), "<lane> on line 1 has id \"one\", expected a whole number"),
+        (good.replace("id='-2'", "id='-1'"), "road 1 on line 1: has lane -1 twice"),
+        (road("1", "", "", &two_way()), "road 1 on line 1: has no geometry"),
         (
             "<junction id='7'><connection incomingRoad='1' connectingRoad='2'><laneLink from='x'/></connection>
              </junction>"
                 .to_owned(),
-            "junction 7: <laneLink> has from \"x\"",
+            "junction 7 on line 1: <laneLink> on line 1 has from \"x\"",
         ),
         ("<header><offset x='3' y='0'/></header>".to_owned(), ""),
     ] {

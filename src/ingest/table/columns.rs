@@ -57,7 +57,12 @@ pub(super) struct Table {
 impl Table {
     /// Reads those of the `wanted` columns that the table has.
     pub(super) fn read(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
-        if bytes.starts_with(PARQUET) { Self::of_parquet(bytes, wanted) } else { Self::of_csv(bytes, wanted) }
+        match bytes {
+            [] => Err("is empty".into()),
+            [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => Err("is in UTF-16, expected UTF-8: save it in that encoding".into()),
+            _ if bytes.starts_with(PARQUET) => Self::of_parquet(bytes, wanted),
+            _ => Self::of_csv(bytes, wanted),
+        }
     }
 
     /// A column of numbers, if the table has it.
@@ -68,6 +73,11 @@ impl Table {
     /// A column of texts, if the table has it.
     pub(super) fn text(&self, name: Option<&str>) -> Option<&Texts> {
         self.texts.get(name?)
+    }
+
+    /// Whether this text of a column is blank.
+    pub(super) fn is_blank(&self, name: &str, text: u32) -> bool {
+        self.text(Some(name)).is_none_or(|texts| texts.different[text as usize].is_empty())
     }
 
     /// Where a row is, as messages say it.
@@ -112,7 +122,9 @@ impl Table {
             let line = record.position().map_or(0, csv::Position::line) + n_behind;
             if record.len() != table.names.len() {
                 let (n, expected) = (record.len(), table.names.len());
-                return Err(format!("line {line}: {n} cells, expected {expected}").into());
+                let is_open = record.iter().any(|cell| cell.contains(&b'\n'));
+                let quote = if is_open { "; a quote on it is closed on a later line, or never" } else { "" };
+                return Err(format!("line {line}: {n} cells, expected {expected}{quote}").into());
             }
             for (slot, (index, name, kind)) in found.iter().enumerate() {
                 let cell = &record[*index];
@@ -122,7 +134,8 @@ impl Table {
                     Kind::Text => texts[slot].push(text),
                     Kind::Number if text.is_empty() => numbers[slot].push(f64::NAN),
                     Kind::Number => numbers[slot].push(text.parse().map_err(|_| {
-                        format!("line {line}: column {name} is \"{}\", expected a number", printable(cell))
+                        let point = if cell.contains(&b',') { " with a decimal point" } else { "" };
+                        format!("line {line}: column {name} is \"{}\", expected a number{point}", printable(cell))
                     })?),
                 }
             }

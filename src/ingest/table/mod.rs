@@ -8,9 +8,9 @@
 //!
 //! - `bad_table`: no CSV or Parquet, rows of different lengths, a cell that is no number;
 //! - `missing_column`, `missing_track`: of those that the mapping names, and of the table of tracks;
-//! - `non_finite`, `out_of_range`, `implausible_times`: a blank position or time; a size beyond 1 km; rows that are
-//!   seconds apart;
-//! - `duplicate_time`: a track is at two positions at one time;
+//! - `non_finite`, `out_of_range`, `implausible_times`: a blank position or time; a position beyond 1000 km, a size
+//!   below zero or beyond 1 km; rows that are seconds or days apart;
+//! - `duplicate_time`, `duplicate_track`: a track is at two positions at one time, or twice in the table of tracks;
 //! - `unknown_class`: a class that the mapping does not list;
 //! - `no_track_file`: the table of tracks is not beside the recording;
 //! - `no_rows`, `unreadable`, `too_large`, and those of [`windows`](super::windows).

@@ -46,8 +46,15 @@ impl<'a> Rows<'a> {
                     reason: "missing_column",
                     detail: format!("{}: {}", companion.file, table.lacks(&[key])),
                 })?;
-                let row = |(row, id): (usize, &u32)| (ids.different[*id as usize].clone(), row);
-                let rows = ids.of_row.iter().enumerate().map(row).collect();
+                let mut rows = BTreeMap::new();
+                for (row, id) in ids.of_row.iter().enumerate() {
+                    let id = &ids.different[*id as usize];
+                    if let Some(first) = rows.insert(id.clone(), row) {
+                        let [first, again] = [first, row].map(|row| table.place_of(row));
+                        let detail = format!("{}, {again}: track {id} is on {first} already", companion.file);
+                        return Err(Reject { reason: "duplicate_track", detail });
+                    }
+                }
                 Some(OfTracks { file: companion.file.clone(), table, rows })
             }
             None => None,

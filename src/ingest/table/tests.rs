@@ -244,10 +244,10 @@ fn mappings_that_cannot_work_are_refused_with_their_key() {
 fn damaged_tables_are_rejects_and_oddities_are_counted() {
     let whole = plain(60);
     for (text, expected) in [
-        (whole.replace("7,1.2,", "7,,"), "a.csv, line 14: column t is NaN, expected a number"),
+        (whole.replace("7,1.2,", "7,,"), "a.csv, line 14: column t is blank or NaN, expected a number"),
         (whole.replace("7,1.2,12,2", "7,1.2,12"), "a.csv: line 14: 3 cells, expected 4"),
         ("id,t,x,y\n".to_owned(), "a.csv: the table has no rows"),
-        (String::new(), "a.csv: no column id, x, y, t"),
+        (String::new(), "a.csv: is empty"),
         (plain(20), "a.csv: 20 frames, a scene has 40"),
         (drive("id,t,x,y", 60, |_, t, x| format!("7,{},{x},2", 1e3 * t)), "rows of track 7 are 100.000 s apart"),
         ("\u{0}\u{1}\u{2}".to_owned(), "a.csv: no column id"),

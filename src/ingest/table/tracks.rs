@@ -5,6 +5,7 @@ use super::mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use super::resample::{TimedState, resampled};
 use super::rows::{Group, Rows};
 use crate::geometry::Vec2;
+use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
 use crate::ingest::windows::Recording;
 use crate::ingest::{Finding, RawUnit, Reject};
@@ -13,6 +14,8 @@ use std::f64::consts::FRAC_PI_2;
 
 /// Frames are numbered as the recording's times say unless these are further from 0, such as times of day, seconds.
 const MAX_START_S: f64 = 1e6;
+/// No recording is longer, seconds; see [`windows`](crate::ingest::windows).
+const MAX_RECORDING_S: f64 = 1e5;
 /// No agent is larger, meters.
 const MAX_SIZE_M: f64 = 1e3;
 /// Rows of a track that are usually further apart are no motion, seconds.
@@ -39,6 +42,12 @@ impl Rows<'_> {
         let own_name = || unit.case_id.clone();
         unit.place = group.place.clone().or_else(|| self.mapping.place.clone()).unwrap_or_else(own_name);
 
+        let key = self.mapping.columns.track.as_str();
+        if group.tracks.iter().all(|(id, _)| self.table.is_blank(key, *id)) {
+            return Err(
+                unit.reject("no_rows", format!("column {key} is blank in all rows, expected the id of a track"))
+            );
+        }
         let start_s = self.start_s(group)?;
         let names = self.table.text(Some(&self.mapping.columns.track));
         let mut counts = Counts::default();
@@ -82,7 +91,10 @@ impl Rows<'_> {
         match self.table.number(Some(name)).map(|numbers| numbers[row]) {
             Some(number) if number.is_finite() => Ok(number),
             found => {
-                let found = found.map_or_else(|| "blank".to_owned(), |number| number.to_string());
+                let found = match found {
+                    Some(number) if !number.is_nan() => number.to_string(),
+                    _ => "blank or NaN".to_owned(),
+                };
                 Err(self.reject("non_finite", row, &format!("column {name} is {found}, expected a number")))
             }
         }
@@ -101,6 +113,7 @@ impl Rows<'_> {
         counts: &mut Counts,
     ) -> Result<Option<RecordedTrack>, Reject> {
         let class = self.class(id, rows[0] as usize)?;
+        self.count_other_classes(id, rows, counts);
         let extent = self.extent(id, rows)?;
         let mut states = Vec::with_capacity(rows.len());
         for row in rows {
@@ -161,7 +174,23 @@ impl Rows<'_> {
     fn state(&self, row: usize, extent: Option<Extent>, start_s: f64) -> Result<TimedState, Reject> {
         let TableColumns { x, y, heading, .. } = &self.mapping.columns;
         let time_s = self.time_s(row)? - start_s;
+        if time_s > MAX_RECORDING_S {
+            let detail = format!(
+                "is {time_s:.0} s after the first row, expected at most {MAX_RECORDING_S}; is the time right, and \
+                 ingest.table.time_unit_s or frame_rate_hz?"
+            );
+            return Err(self.reject("implausible_times", row, &detail));
+        }
         let mut position = Vec2::new(self.finite(x, row)?, self.finite(y, row)?) * self.mapping.length_unit_m;
+        for (name, at_m) in [(x, position.x), (y, position.y)] {
+            if at_m.abs() > MAX_COORDINATE_M {
+                let detail = format!(
+                    "column {name} is {at_m:e} m, expected at most {MAX_COORDINATE_M}; is ingest.table.length_unit_m \
+                     right?"
+                );
+                return Err(self.reject("out_of_range", row, &detail));
+            }
+        }
         if let (PositionOf::Corner, Some(Extent { length_m, width_m })) = (self.mapping.position, extent) {
             position = position + Vec2::new(length_m, width_m) * 0.5;
         }
@@ -204,13 +233,27 @@ impl Rows<'_> {
         })
     }
 
+    /// Counts the rows whose class is not that of the first row of their track.
+    fn count_other_classes(&self, id: &str, rows: &[u32], counts: &mut Counts) {
+        let Some(classes) = self.table.text(self.mapping.columns.class.as_deref()) else { return };
+        let class_of = |row: u32| classes.of_row[row as usize];
+        for row in rows.iter().filter(|row| class_of(**row) != class_of(rows[0])) {
+            counts.n_other_classes += 1;
+            counts.first_other_class.get_or_insert_with(|| {
+                let [found, taken] = [*row, rows[0]].map(|row| &classes.different[class_of(row) as usize]);
+                let place = self.table.place_of(*row as usize);
+                format!("{place}: track {id} is \"{found}\", having been \"{taken}\", which is taken")
+            });
+        }
+    }
+
     /// The size of a track: of its first row with one, or of the table of tracks.
     fn extent(&self, id: &str, rows: &[u32]) -> Result<Option<Extent>, Reject> {
         let TableColumns { length, width, .. } = &self.mapping.columns;
         let Some((length, width)) = length.as_deref().zip(width.as_deref()) else { return Ok(None) };
         let size = |table: &Table, name: &str, row: usize| {
             let size_m = table.number(Some(name))?[row] * self.mapping.length_unit_m;
-            (size_m > 0.0).then_some(size_m)
+            (size_m != 0.0 && size_m.is_finite()).then_some(size_m)
         };
         let of = |table: &Table, row: usize| size(table, length, row).zip(size(table, width, row));
         let of_rows = rows.iter().find_map(|row| of(&self.table, *row as usize));
@@ -221,8 +264,11 @@ impl Rows<'_> {
             (found, _) => found,
         };
         match found {
-            Some((length_m, width_m)) if length_m.max(width_m) > MAX_SIZE_M => {
-                let detail = format!("track {id} is {length_m} by {width_m} m; is ingest.table.length_unit_m right?");
+            Some((length_m, width_m)) if length_m.max(width_m) > MAX_SIZE_M || length_m.min(width_m) < 0.0 => {
+                let detail = format!(
+                    "track {id} is {length_m} by {width_m} m in length and width, expected 0 to {MAX_SIZE_M}; is \
+                     ingest.table.length_unit_m right?"
+                );
                 Err(self.reject("out_of_range", rows[0] as usize, &detail))
             }
             found => Ok(found.map(|(length_m, width_m)| Extent { length_m, width_m })),
@@ -262,6 +308,8 @@ struct Counts {
     n_without_track: usize,
     n_repeated: usize,
     n_gaps: usize,
+    n_other_classes: usize,
+    first_other_class: Option<String>,
 }
 
 impl Counts {
@@ -273,6 +321,11 @@ impl Counts {
             finding("rows_without_track", self.n_without_track, "rows without an id are left out"),
             finding("rows_repeated", self.n_repeated, "rows that repeat the one before are left out"),
             finding("gaps_filled", self.n_gaps, "gaps within tracks are filled in"),
+            finding(
+                "rows_of_another_class",
+                self.n_other_classes,
+                self.first_other_class.as_deref().unwrap_or_default(),
+            ),
         ];
         all.into_iter().flatten().collect()
     }
