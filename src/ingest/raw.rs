@@ -1,7 +1,9 @@
 //! The steps between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
 
 use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split, Track};
+use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -28,8 +30,27 @@ pub struct RawUnit {
     pub first_line: u64,
     /// The line of each row in `bytes` if the rows are scattered over the file; else empty.
     pub lines: Vec<u64>,
+    /// Which part of a long table `bytes` are, if they are not all of it.
+    pub part: Option<Arc<Part>>,
     /// A second file that belongs to the first: the pedestrians of a recording, the map of a scenario.
     pub companion: Option<Companion>,
+}
+
+/// A part of a long table: the rows of some of its scenes. Times are seconds after its frame 0.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// The time of frame 0 as rows have it.
+    pub start_s: f64,
+    /// First and last frame of the whole table.
+    pub frames: (i64, i64),
+    /// The tracks of the table in the order of their first rows.
+    pub tracks: Arc<BTreeMap<String, usize>>,
+    /// Its windows among those of the table.
+    pub windows: Range<i64>,
+    /// When a row is counted with this part.
+    pub own_s: Range<f64>,
+    /// Its rows, some of which parts beside it have, too.
+    pub rows_s: Range<f64>,
 }
 
 /// The second file of a [`RawUnit`].

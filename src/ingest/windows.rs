@@ -8,7 +8,7 @@ use crate::scene::{Dataset, SceneId, SceneSource, Split, Track};
 use std::sync::Arc;
 
 /// Longest recording, 28 hours: frames further apart are a fault.
-const MAX_RECORDING_FRAMES: i64 = 1_000_000;
+pub(super) const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 
 /// The tracks of a whole recording.
 pub(super) struct Recording {
@@ -27,7 +27,9 @@ impl Recording {
     /// Windows across the cut are rejects, and so are windows without tracks.
     pub(super) fn windows(mut self, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
         let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
-        let Some((min_frame, max_frame)) = frames(&self.tracks) else {
+        let part = self.unit.part.clone();
+        let of_table = part.as_ref().map(|part| part.frames);
+        let Some((min_frame, max_frame)) = of_table.or_else(|| frames(&self.tracks)) else {
             return rejected(self.unit.reject("no_rows", "the recording has no rows"));
         };
         let n_frames = max_frame - min_frame + 1;
@@ -44,13 +46,16 @@ impl Recording {
 
         let n_holdout_frames = (config.holdout_share * n_frames as f64).round() as i64;
         let first_holdout_frame = max_frame + 1 - n_holdout_frames;
-        let present = tracks_by_window(&self.tracks, min_frame, n_windows, stride, n_timesteps as i64);
+        let windows = part.map_or(0..n_windows, |part| part.windows.clone());
+        let first_frame = min_frame + windows.start * stride;
+        let n_windows = windows.end - windows.start;
+        let present = tracks_by_window(&self.tracks, first_frame, n_windows, stride, n_timesteps as i64);
         let mut findings = std::mem::take(&mut self.findings);
         let recording = Arc::new(self);
         let window = |(index, present): (usize, Vec<usize>)| -> PendingScene<'static> {
             let recording = Arc::clone(&recording);
             let findings = if present.is_empty() { Vec::new() } else { std::mem::take(&mut findings) };
-            let first_frame = min_frame + index as i64 * stride;
+            let first_frame = first_frame + index as i64 * stride;
             Box::new(move || {
                 let scene = recording.window(first_frame, horizon, first_holdout_frame, present)?;
                 Ok(RawScene { findings, ..scene })

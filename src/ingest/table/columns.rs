@@ -56,12 +56,14 @@ pub(super) struct Table {
 
 impl Table {
     /// Reads those of the `wanted` columns that the table has.
-    pub(super) fn read(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
+    ///
+    /// `lines` are those of the rows in the file, if they are some of it.
+    pub(super) fn read(bytes: &[u8], lines: &[u64], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
         match bytes {
             [] => Err("is empty".into()),
             [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => Err("is in UTF-16, expected UTF-8: save it in that encoding".into()),
             _ if bytes.starts_with(PARQUET) => Self::of_parquet(bytes, wanted),
-            _ => Self::of_csv(bytes, wanted),
+            _ => Self::of_csv(bytes, lines, wanted),
         }
     }
 
@@ -91,17 +93,10 @@ impl Table {
         format!("no column {missing}; the table has {found}: name its columns in ingest.table.columns")
     }
 
-    fn of_csv(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
+    fn of_csv(bytes: &[u8], lines: &[u64], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
-        let count = |separator: &u8| header.iter().filter(|byte| *byte == separator).count();
-        let separator = *b",;\t".iter().max_by_key(|separator| count(separator)).unwrap_or(&b',');
-        let mut reader = csv::ReaderBuilder::new()
-            .delimiter(separator)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .buffer_capacity(1 << 16)
-            .from_reader(bytes);
+        let mut reader = csv_reader(separator_of(header)).from_reader(bytes);
         let names: Vec<String> = reader.byte_headers()?.iter().map(printable).collect();
         let mut table = Self { names, ..Self::default() };
         let mut found = Vec::new();
@@ -119,7 +114,8 @@ impl Table {
         // The position of a row after CRLF is that of the LF.
         let n_behind = u64::from(header.ends_with(b"\r"));
         while reader.read_byte_record(&mut record)? {
-            let line = record.position().map_or(0, csv::Position::line) + n_behind;
+            let own_line = || record.position().map_or(0, csv::Position::line) + n_behind;
+            let line = lines.get(table.lines.len()).copied().unwrap_or_else(own_line);
             if record.len() != table.names.len() {
                 let (n, expected) = (record.len(), table.names.len());
                 let is_open = record.iter().any(|cell| cell.contains(&b'\n'));
@@ -171,6 +167,19 @@ impl Table {
     }
 }
 
+/// The separator of cells, by the header of a table.
+pub(super) fn separator_of(header: &[u8]) -> u8 {
+    let count = |separator: &u8| header.iter().filter(|byte| *byte == separator).count();
+    *b",;\t".iter().max_by_key(|separator| count(separator)).unwrap_or(&b',')
+}
+
+/// Reads tables in CSV.
+pub(super) fn csv_reader(separator: u8) -> csv::ReaderBuilder {
+    let mut builder = csv::ReaderBuilder::new();
+    builder.delimiter(separator).flexible(true).trim(csv::Trim::All).buffer_capacity(1 << 16);
+    builder
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -181,7 +190,7 @@ mod tests {
     const WANTED: [(&str, Kind); 3] = [("id", Kind::Text), ("x", Kind::Number), ("nowhere", Kind::Number)];
 
     fn read(text: &str) -> Result<Table, String> {
-        Table::read(text.as_bytes(), &WANTED).map_err(|error| error.to_string())
+        Table::read(text.as_bytes(), &[], &WANTED).map_err(|error| error.to_string())
     }
 
     #[test]
@@ -216,7 +225,7 @@ mod tests {
         let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
         writer.write(&batch).unwrap();
         writer.close().unwrap();
-        let table = Table::read(&bytes, &WANTED).unwrap();
+        let table = Table::read(&bytes, &[], &WANTED).unwrap();
         let ids = table.text(Some("id")).unwrap();
         assert_eq!(
             (ids.different.as_slice(), ids.of_row.as_slice()),
@@ -225,7 +234,7 @@ mod tests {
         let x = table.number(Some("x")).unwrap();
         assert!(x[..2] == [1.5, 2.5] && x[2].is_nan());
         assert!(table.lacks(&["z"]).contains("the table has id, x, y") && table.place_of(1) == "row 1");
-        assert!(Table::read(&bytes[..bytes.len() - 9], &WANTED).is_err());
+        assert!(Table::read(&bytes[..bytes.len() - 9], &[], &WANTED).is_err());
     }
 
     #[test]

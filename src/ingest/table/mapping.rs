@@ -122,6 +122,14 @@ pub enum HeadingUnit {
 }
 
 impl TableMapping {
+    /// The seconds that a number in the column of the time, or of the frame, stands for.
+    pub(super) fn seconds_of(&self, value: f64) -> f64 {
+        match self.frame_rate_hz {
+            Some(rate_hz) if self.columns.time.is_none() => value / rate_hz,
+            _ => value * self.time_unit_s,
+        }
+    }
+
     /// Refuses mappings that cannot work.
     ///
     /// # Errors

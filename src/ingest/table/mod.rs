@@ -1,7 +1,8 @@
 //! Tables in no format of their own, read as a mapping in the configuration says.
 //!
 //! A file has one recording or several, each with any number of tracks, whose rows may be in any order and at any
-//! times: they are resampled to 10 Hz. The scenes of a recording are windows of it. A map is a file in Lanelet2 or
+//! times: they are resampled to 10 Hz. A long one in CSV is read in parts ([`parts`]); Parquet, and files of several
+//! recordings, are held in memory. The scenes of a recording are windows of it. A map is a file in Lanelet2 or
 //! OpenDRIVE that has the name of the place.
 //!
 //! Reasons of rejects, of recordings or whole files:
@@ -17,14 +18,19 @@
 
 mod columns;
 mod mapping;
+mod parts;
+#[cfg(test)]
+mod parts_tests;
 mod resample;
 mod rows;
 #[cfg(test)]
 mod tests;
+mod timed_rows;
 mod tracks;
 
 pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 
+use self::parts::{PartReader, SIZES, Sizes};
 use super::archive::Entry;
 use super::files::{file_stem, split_of_path};
 use super::pairing::{PairNames, PairReader};
@@ -39,7 +45,7 @@ use std::io::BufRead;
 /// One second of past and three to come.
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
 
-/// Maximum size of a file, which is held in memory while it is read: ten hours of dense traffic.
+/// Maximum size of a file that is held in memory while it is read.
 const MAX_FILE_BYTES: u64 = 4 << 30;
 
 /// Tables with a mapping.
@@ -55,6 +61,10 @@ impl<'a> Tables<'a> {
         let missing = || Error::Config { key: "table".to_owned(), detail: detail.to_owned() };
         let mapping = config.table.as_ref().ok_or_else(missing)?;
         Ok(Self { config, mapping, horizon: Horizon::of(config, USUAL) })
+    }
+
+    fn part_reader(&self, sizes: Sizes) -> PartReader<'_> {
+        PartReader::new(PairReader::new(self.names()), self.mapping, self.config, self.horizon, sizes)
     }
 
     fn names(&self) -> PairNames<'a> {
@@ -77,7 +87,7 @@ impl RecordingSource for Tables<'_> {
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
-        Box::new(PairReader::new(self.names()))
+        Box::new(self.part_reader(SIZES))
     }
 
     fn parse(&self, mut unit: RawUnit) -> Vec<PendingScene<'_>> {

@@ -2,13 +2,16 @@
 
 use super::columns::{Kind, Table, Texts};
 use super::mapping::{TableColumns, TableMapping};
-use crate::ingest::{RawUnit, Reject};
+use crate::ingest::raw::{Part, RawUnit, Reject};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// The rows of a file with those of its table of tracks.
 pub(super) struct Rows<'a> {
     pub(super) mapping: &'a TableMapping,
     pub(super) file: String,
+    /// Which part of the file they are.
+    pub(super) part: Option<Arc<Part>>,
     pub(super) table: Table,
     pub(super) of_tracks: Option<OfTracks>,
 }
@@ -33,14 +36,14 @@ impl<'a> Rows<'a> {
     /// Reads the tables of a unit.
     pub(super) fn read(unit: &RawUnit, mapping: &'a TableMapping) -> Result<Self, Reject> {
         let wanted = wanted(&mapping.columns);
-        let read = |file: &str, bytes: &[u8]| {
+        let read = |file: &str, bytes: &[u8], lines: &[u64]| {
             let bad = |detail| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
-            Table::read(bytes, &wanted).map_err(bad)
+            Table::read(bytes, lines, &wanted).map_err(bad)
         };
-        let table = read(&unit.file, &unit.bytes)?;
+        let table = read(&unit.file, &unit.bytes, &unit.lines)?;
         let of_tracks = match &unit.companion {
             Some(companion) => {
-                let table = read(&companion.file, &companion.bytes)?;
+                let table = read(&companion.file, &companion.bytes, &[])?;
                 let key = &mapping.columns.track;
                 let ids = table.text(Some(key)).ok_or_else(|| Reject {
                     reason: "missing_column",
@@ -86,7 +89,7 @@ impl<'a> Rows<'a> {
         if table.n_rows == 0 {
             return Err(unit.reject("no_rows", "the table has no rows"));
         }
-        Ok(Self { mapping, file: unit.file.clone(), table, of_tracks })
+        Ok(Self { mapping, file: unit.file.clone(), part: unit.part.clone(), table, of_tracks })
     }
 
     pub(super) fn groups(&self) -> Vec<Group> {
@@ -115,6 +118,10 @@ impl<'a> Rows<'a> {
             });
             tracks[index].1.push(row as u32);
         }
+        if let Some((part, names)) = self.part.as_ref().zip(tracks) {
+            let order = |(id, _): &(u32, Vec<u32>)| part.tracks.get(&names.different[*id as usize]);
+            groups.iter_mut().for_each(|group| group.tracks.sort_by_key(order));
+        }
         groups
     }
 }
@@ -129,7 +136,7 @@ impl OfTracks {
 }
 
 /// The columns that a mapping names, with what they hold.
-fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
+pub(super) fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
     let TableColumns { track, x, y, time, frame, heading, length, width, class, recording, place } = columns;
     let texts = [Some(track), class.as_ref(), recording.as_ref(), place.as_ref()];
     let numbers = [Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref(), length.as_ref(), width.as_ref()];

@@ -20,6 +20,8 @@ const MAX_RECORDING_S: f64 = 1e5;
 const MAX_SIZE_M: f64 = 1e3;
 /// Rows of a track that are usually further apart are no motion, seconds.
 const MAX_USUAL_S: f64 = 1.0;
+/// So many rows of a track in a part tell how far they usually are apart.
+const N_ROWS_OF_PART: usize = 20;
 /// Two rows of a track at one time are one if their positions are this near, meters.
 const SAME_M: f64 = 1e-6;
 
@@ -29,7 +31,7 @@ pub(super) fn recordings(mut unit: RawUnit, mapping: &TableMapping) -> Vec<Resul
         Ok(rows) => rows,
         Err(reject) => return vec![Err(reject)],
     };
-    (unit.bytes, unit.companion) = (Vec::new(), None);
+    (unit.bytes, unit.lines, unit.companion) = (Vec::new(), Vec::new(), None);
     rows.groups().into_iter().map(|group| rows.recording(&unit, &group)).collect()
 }
 
@@ -43,7 +45,7 @@ impl Rows<'_> {
         unit.place = group.place.clone().or_else(|| self.mapping.place.clone()).unwrap_or_else(own_name);
 
         let key = self.mapping.columns.track.as_str();
-        if group.tracks.iter().all(|(id, _)| self.table.is_blank(key, *id)) {
+        if self.part.is_none() && group.tracks.iter().all(|(id, _)| self.table.is_blank(key, *id)) {
             return Err(
                 unit.reject("no_rows", format!("column {key} is blank in all rows, expected the id of a track"))
             );
@@ -55,7 +57,9 @@ impl Rows<'_> {
         for (id, rows) in &group.tracks {
             let id = names.map_or("", |names| names.different[*id as usize].as_str());
             if id.is_empty() {
-                counts.n_without_track += rows.len();
+                for row in rows {
+                    counts.n_without_track += usize::from(self.is_own(self.time_s(*row as usize)? - start_s));
+                }
                 continue;
             }
             tracks.extend(self.track(id, rows, start_s, &mut counts)?);
@@ -66,24 +70,26 @@ impl Rows<'_> {
 
     /// The time of frame 0, seconds in the unit of rows: 0, unless the recording begins far from it.
     fn start_s(&self, group: &Group) -> Result<f64, Reject> {
+        if let Some(part) = &self.part {
+            return Ok(part.start_s);
+        }
         let rows = group.tracks.iter().flat_map(|(_, rows)| rows);
         let mut first_s = f64::INFINITY;
         for row in rows {
             first_s = first_s.min(self.time_s(*row as usize)?);
         }
-        // Frames are counted from the first row, so that rows at 10 Hz stay as they are.
-        let first_frame = if first_s.abs() < MAX_START_S { (first_s / DT_S).round() } else { 0.0 };
-        Ok(first_s - first_frame * DT_S)
+        Ok(first_s - first_frame_of(first_s) as f64 * DT_S)
     }
 
     fn time_s(&self, row: usize) -> Result<f64, Reject> {
         let TableColumns { time, frame, .. } = &self.mapping.columns;
         let name = time.as_ref().or(frame.as_ref()).map_or("", String::as_str);
-        let value = self.finite(name, row)?;
-        Ok(match self.mapping.frame_rate_hz {
-            Some(rate_hz) if time.is_none() => value / rate_hz,
-            _ => value * self.mapping.time_unit_s,
-        })
+        self.finite(name, row).map(|value| self.mapping.seconds_of(value))
+    }
+
+    /// Whether what is at this time is counted here, and not with the part before or behind.
+    fn is_own(&self, time_s: f64) -> bool {
+        self.part.as_ref().is_none_or(|part| part.own_s.contains(&time_s))
     }
 
     /// A number that every row must have.
@@ -113,12 +119,14 @@ impl Rows<'_> {
         counts: &mut Counts,
     ) -> Result<Option<RecordedTrack>, Reject> {
         let class = self.class(id, rows[0] as usize)?;
-        self.count_other_classes(id, rows, counts);
         let extent = self.extent(id, rows)?;
         let mut states = Vec::with_capacity(rows.len());
         for row in rows {
             states.push((self.state(*row as usize, extent, start_s)?, *row));
         }
+        let own_rows: Vec<u32> =
+            states.iter().filter(|(state, _)| self.is_own(state.time_s)).map(|(_, row)| *row).collect();
+        self.count_other_classes(id, rows[0], &own_rows, counts);
         states.sort_by(|(a, _), (b, _)| a.time_s.total_cmp(&b.time_s));
         for pair in states.windows(2) {
             let ([(first, _), (again, row)], same_s) = ([pair[0], pair[1]], 1e-9);
@@ -130,12 +138,16 @@ impl Rows<'_> {
                 return Err(self.reject("duplicate_time", row as usize, &detail));
             }
         }
-        let n_rows = states.len();
-        states.dedup_by(|(again, _), (first, _)| again.time_s - first.time_s < 1e-9);
-        counts.n_repeated += n_rows - states.len();
+        states.dedup_by(|(again, _), (first, _)| {
+            let is_repeated = again.time_s - first.time_s < 1e-9;
+            counts.n_repeated += usize::from(is_repeated && self.is_own(again.time_s));
+            is_repeated
+        });
         let states: Vec<TimedState> = states.into_iter().map(|(state, _)| state).collect();
-        let gaps = Gaps::of(&states, self.mapping.max_gap_s);
-        if gaps.usual_s > MAX_USUAL_S.max(self.mapping.max_gap_s) {
+        let gaps = Gaps::of(&states, self.mapping.max_gap_s, |time_s| self.is_own(time_s));
+        // At the ends of a part there may be few rows, on either side of a gap.
+        let is_enough = self.part.is_none() || states.len() > N_ROWS_OF_PART;
+        if is_enough && gaps.usual_s > MAX_USUAL_S.max(self.mapping.max_gap_s) {
             let detail = format!(
                 "the rows of track {id} are {:.3} s apart, expected {MAX_USUAL_S} s at most; are \
                  ingest.table.time_unit_s and frame_rate_hz right?",
@@ -234,13 +246,13 @@ impl Rows<'_> {
     }
 
     /// Counts the rows whose class is not that of the first row of their track.
-    fn count_other_classes(&self, id: &str, rows: &[u32], counts: &mut Counts) {
+    fn count_other_classes(&self, id: &str, first: u32, rows: &[u32], counts: &mut Counts) {
         let Some(classes) = self.table.text(self.mapping.columns.class.as_deref()) else { return };
         let class_of = |row: u32| classes.of_row[row as usize];
-        for row in rows.iter().filter(|row| class_of(**row) != class_of(rows[0])) {
+        for row in rows.iter().filter(|row| class_of(**row) != class_of(first)) {
             counts.n_other_classes += 1;
             counts.first_other_class.get_or_insert_with(|| {
-                let [found, taken] = [*row, rows[0]].map(|row| &classes.different[class_of(row) as usize]);
+                let [found, taken] = [*row, first].map(|row| &classes.different[class_of(row) as usize]);
                 let place = self.table.place_of(*row as usize);
                 format!("{place}: track {id} is \"{found}\", having been \"{taken}\", which is taken")
             });
@@ -276,6 +288,11 @@ impl Rows<'_> {
     }
 }
 
+/// The frame at which a recording begins. Frames are counted so that rows at 10 Hz stay as they are.
+pub(super) fn first_frame_of(first_s: f64) -> i64 {
+    if first_s.abs() < MAX_START_S { (first_s / DT_S).round() as i64 } else { 0 }
+}
+
 /// The velocity that follows from the observations around one.
 fn velocity(observations: &[Observation], index: usize) -> Vec2 {
     let position = |offset: isize| {
@@ -293,11 +310,14 @@ struct Gaps {
 }
 
 impl Gaps {
-    fn of(states: &[TimedState], max_gap_s: f64) -> Self {
-        let mut gaps_s: Vec<f64> = states.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+    fn of(states: &[TimedState], max_gap_s: f64, is_own: impl Fn(f64) -> bool) -> Self {
+        let gap_s = |pair: &[TimedState]| pair[1].time_s - pair[0].time_s;
+        let mut gaps_s: Vec<f64> = states.windows(2).map(gap_s).collect();
         gaps_s.sort_by(f64::total_cmp);
         let usual_s = gaps_s.get(gaps_s.len() / 2).copied().unwrap_or_default();
-        let n_filled = gaps_s.iter().filter(|gap_s| (1.5 * usual_s..=max_gap_s).contains(*gap_s)).count();
+        let is_filled =
+            |pair: &&[TimedState]| (1.5 * usual_s..=max_gap_s).contains(&gap_s(pair)) && is_own(pair[1].time_s);
+        let n_filled = states.windows(2).filter(is_filled).count();
         Self { usual_s, n_filled }
     }
 }
