@@ -1,8 +1,8 @@
 //! Cuts long tables into parts of some minutes, so that memory does not grow with the length of a recording.
 //!
 //! A table in CSV of one recording that is larger than [`Sizes::whole_bytes`] is read several times: first for its
-//! times, then for the rows of its parts, as many parts at a time as memory allows. Where rows are by ascending time, as
-//! simulators and fleets write them, one more time suffices; where they are by track, each time gives a few parts.
+//! times, then for the rows of its parts, as many parts at a time as memory allows. Where rows are by ascending time,
+//! as simulators and fleets write them, one more time suffices; where they are by track, each time gives a few parts.
 //! Scenes are those of the table read as a whole, but for a heading that is not recorded and held for longer than
 //! [`LEAD_S`]; class and size of an agent are those of its first row in the part.
 
