@@ -40,7 +40,7 @@ pub(super) struct Sizes {
     pub(super) n_at_a_time: usize,
 }
 
-pub(super) const SIZES: Sizes = Sizes { whole_bytes: 32 << 20, part_bytes: 8 << 20, part_s: 120.0, n_at_a_time: 8 };
+pub(super) const SIZES: Sizes = Sizes { whole_bytes: 32 << 20, part_bytes: 4 << 20, part_s: 120.0, n_at_a_time: 8 };
 
 /// Reads pairs as they are, and long tables in parts.
 pub(super) struct PartReader<'a> {
