@@ -5,7 +5,7 @@ use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer, Sight};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
 
 /// The specification of a denoiser, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -14,6 +14,7 @@ pub struct DenoiserSpec {
     /// Says that this is a denoiser, to readers of the file.
     pub kind: DenoiserKind,
     /// The network.
+    #[serde(deserialize_with = "network")]
     pub network: NetworkConfig,
     /// Constants of the diffusion.
     #[serde(with = "super::named_edm")]
@@ -49,6 +50,19 @@ pub struct DenoiserSpec {
     /// The target of its distillation; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
+}
+
+/// Reads a network. Checkpoints of earlier builds, the bundled ones among them, say that a part is off that networks no
+/// longer have.
+fn network<'de, D: Deserializer<'de>>(from: D) -> Result<NetworkConfig, D::Error> {
+    let mut network = serde_json::Value::deserialize(from)?;
+    let geometry = network.get_mut("geometry").and_then(serde_json::Value::as_object_mut);
+    match geometry.and_then(|geometry| geometry.remove("relative_attention")) {
+        Some(serde_json::Value::Bool(true)) => {
+            Err(de::Error::custom("network.geometry.relative_attention is true, which no network has any more"))
+        }
+        _ => NetworkConfig::deserialize(network).map_err(de::Error::custom),
+    }
 }
 
 /// The loss of a denoiser on held-out scenes of which something was changed before it saw them.
