@@ -41,9 +41,6 @@ impl MapFitRow {
 }
 
 /// The maps of all places with lanes, by place.
-///
-/// # Errors
-/// When a scene cannot be read.
 pub fn map_fits(store: &SceneStore, config: &ValidityConfig) -> Result<Vec<MapFitRow>> {
     let mut by_place: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (idx, entry) in store.index().iter().enumerate() {

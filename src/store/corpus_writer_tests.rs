@@ -3,7 +3,7 @@
 use super::*;
 use crate::files::keep_list;
 use crate::metrics::Group;
-use crate::scene::{GuidanceLevel, LaneGraph, Scene};
+use crate::scene::{LaneGraph, Scene};
 use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
 use crate::store::{Columns, CorpusReader, CorpusScan, SceneStore, SceneWriter, SceneWriterOptions};
 use serde_json::Value;
@@ -51,14 +51,9 @@ fn metric_row() -> MetricRow {
     MetricRow {
         group: Group::Recorded,
         sweep: String::new(),
-        level: GuidanceLevel::UNGUIDED,
         place: "PIT".to_owned(),
-        scene_id: None,
-        scenario_id: None,
-        metric: "collision_rate".to_owned(),
-        value: 0.25,
         n: 4,
-        std_error: None,
+        ..MetricRow::example("collision_rate", 0.25)
     }
 }
 

@@ -300,7 +300,6 @@ fn read_corpus(root: &Path) -> bool {
     (0..corpus.len().min(3)).all(|i| corpus.scenario(i).is_ok())
 }
 
-/// Shards of scenes.
 fn scene_shard(folder: &Path) -> Vec<Vec<u8>> {
     let recordings = Path::new(env!("CARGO_MANIFEST_DIR")).join(ARGOVERSE1).join("train");
     let config = IngestConfig { maps: MapsConfig::None, ..IngestConfig::new(Dataset::Argoverse1, vec![recordings]) };
