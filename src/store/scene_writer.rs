@@ -59,9 +59,6 @@ struct OpenShard {
 
 impl SceneWriter {
     /// Begins a store in `dir`, which is created if it is missing; the files of an earlier store there are removed.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn create(dir: &Path, options: SceneWriterOptions) -> Result<Self> {
         fs::create_dir_all(dir)?;
         remove_store_files(dir, &BTreeSet::new())?;
@@ -166,9 +163,6 @@ impl SceneWriter {
     }
 
     /// Finishes the last shard and writes the manifest with the caller's report on the whole job.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(mut self, report: &Value) -> Result<SceneManifest> {
         self.finish_shard()?;
         let manifest = SceneManifest::new(self.shards, report.clone());
