@@ -1,6 +1,6 @@
 //! The agents of a row and their frame, and the conversion of its samples to scenes.
 
-use super::ending::{derive_motion, hold_still, turn_into_motion};
+use super::ending::{HeadingSource, derive_motion, hold_still, turn_into_motion};
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
 
@@ -71,9 +71,14 @@ impl AgentFrame {
             }
             if let Some(slot) = slot {
                 hold_still(&mut entries, &latent[slot]);
-                let with_heading = with_heading && !self.derives_heading(track);
-                derive_motion(&mut entries, &latent[slot], source.dt_s, with_heading);
-                if with_heading && track.class.is_motorized() {
+                let has_headings = source.source.dataset.facts().has_headings;
+                let headings = match with_heading && !self.derives_heading(track) {
+                    true => HeadingSource::Generated,
+                    false if has_headings || !track.class.has_recorded_heading() => HeadingSource::Velocity,
+                    false => HeadingSource::Motion,
+                };
+                derive_motion(&mut entries, &latent[slot], source.dt_s, headings);
+                if headings == HeadingSource::Generated && track.class.is_motorized() {
                     turn_into_motion(&mut entries, &latent[slot], source.dt_s, track.extent_or_nominal().length_m);
                 }
             }

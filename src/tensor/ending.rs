@@ -1,7 +1,7 @@
 //! What the states of a sample are beyond what the network generated: standing, velocities, headings that fit them.
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
-use crate::scene::{STANDING_STEP_M, State, velocity_at};
+use crate::scene::{STANDING_STEP_M, State, motion_heading, velocity_at};
 use std::f64::consts::FRAC_PI_2;
 
 /// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz.
@@ -24,9 +24,19 @@ pub(super) fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
     }
 }
 
-/// Velocities of generated entries ([`velocity_at`]; 0 for one that stands alone) and, if requested, headings along the
-/// motion.
-pub(super) fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, with_heading: bool) {
+/// Where the headings of an agent come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum HeadingSource {
+    /// The network.
+    Generated,
+    /// The velocity, as for pedestrians.
+    Velocity,
+    /// The motion, as in datasets without headings ([`motion_heading`]).
+    Motion,
+}
+
+/// Velocities of generated entries ([`velocity_at`]; 0 for one that stands alone) and headings that are not generated.
+pub(super) fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, headings: HeadingSource) {
     for timestep in 0..entries.len() {
         if latent[timestep] == 0 {
             continue;
@@ -39,9 +49,17 @@ pub(super) fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: 
         let before = timestep.checked_sub(1).and_then(|t| entries[t]);
         let Some(state) = entries[timestep].as_mut() else { continue };
         state.velocity = velocity;
-        if !with_heading {
-            let held = before.map_or(state.heading_rad, |before| before.heading_rad);
-            state.heading_rad = if velocity.norm() * dt_s > STANDING_STEP_M { velocity.angle() } else { held };
+        let position = state.position;
+        let told = match headings {
+            HeadingSource::Generated => continue,
+            HeadingSource::Velocity => (velocity.norm() * dt_s > STANDING_STEP_M).then(|| velocity.angle()),
+            HeadingSource::Motion => {
+                let before = entries[..timestep].iter().rev().flatten();
+                motion_heading(position, velocity, before.map(|before| before.position))
+            }
+        };
+        if let Some(state) = &mut entries[timestep] {
+            state.heading_rad = told.or(before.map(|before| before.heading_rad)).unwrap_or(state.heading_rad);
         }
     }
 }
@@ -132,7 +150,7 @@ mod tests {
         let state =
             |t: usize| State { position: Vec2::new(at(t), 0.0), velocity: Vec2::new(9.0, 9.0), ..State::default() };
         let mut entries: Vec<Option<State>> = (0..7).map(|t| (t != 3).then(|| state(t))).collect();
-        derive_motion(&mut entries, &[0, 1, 1, 1, 1, 1, 1], 0.1, false);
+        derive_motion(&mut entries, &[0, 1, 1, 1, 1, 1, 1], 0.1, HeadingSource::Velocity);
         assert_eq!(entries[0].unwrap().velocity, Vec2::new(9.0, 9.0), "observed states stay as they are");
         // Before and after the gap there are two positions in a row, or three.
         for t in [1, 2, 4, 5, 6] {
@@ -140,12 +158,30 @@ mod tests {
             assert!(found.distance(Vec2::new(3.0 + 0.4 * t as f64, 0.0)) < 1e-9, "{t}: {found:?}");
         }
         let mut lonely = vec![None, Some(state(1)), Some(state(2)), None, Some(state(4))];
-        derive_motion(&mut lonely, &[1; 5], 0.1, false);
+        derive_motion(&mut lonely, &[1; 5], 0.1, HeadingSource::Velocity);
         let speeds: Vec<f64> = lonely.iter().flatten().map(State::speed_mps).collect();
         assert!(
             speeds.iter().zip([3.6, 3.6, 0.0]).all(|(found, expected)| (found - expected).abs() < 1e-9),
             "{speeds:?}"
         );
+    }
+
+    #[test]
+    fn headings_of_datasets_without_them_are_held_while_slow() {
+        // Rolls out from 1.9 m/s, with noise of a centimeter across that is the same at every third timestep.
+        let noise = |t: usize| if t.is_multiple_of(3) { 0.01 } else { -0.01 };
+        let at = |t: usize| Vec2::new(0.19 * t as f64 - 0.002 * (t * t) as f64, noise(t));
+        let entry = |t: usize| Some(State { position: at(t), ..State::default() });
+        let turned_rad = |headings| {
+            let mut entries: Vec<Option<State>> = (0..40).map(entry).collect();
+            let latent: Vec<u8> = (0..40).map(|t| u8::from(t >= 10)).collect();
+            derive_motion(&mut entries, &latent, 0.1, headings);
+            let headings: Vec<f64> = entries.iter().flatten().map(|state| state.heading_rad).collect();
+            headings.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max)
+        };
+        assert!(turned_rad(HeadingSource::Motion) < 0.025);
+        assert!(turned_rad(HeadingSource::Velocity) > 0.1);
+        assert_eq!(turned_rad(HeadingSource::Generated), 0.0);
     }
 
     /// A car of 4 m that drives at 8 m/s along x and, from 1 s on, at `aside_mps` along y; at all times turned by

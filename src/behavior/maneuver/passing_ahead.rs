@@ -1,5 +1,5 @@
 //! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along
-//! their ways, and the other eases off, or brakes if it has to.
+//! their ways, and the other gives no more gas as it sees the first coming, eases off, or brakes if it has to.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::footprint::{Bounds, Footprint};
@@ -12,6 +12,8 @@ use std::f64::consts::FRAC_PI_6;
 /// Accelerations of the one that goes first, and of the other until it brakes, m/s².
 const FIRST_MPS2: [f64; 5] = [0.0, 0.8, 1.6, 2.4, -1.0];
 const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
+/// How long before the first gets into its way the other sees it coming and gives no more gas, seconds.
+const NOTICES_S: f64 = 1.5;
 /// How hard the other brakes, m/s², and how long after the first gets into its way, seconds.
 const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
 const REACTION_S: f64 = 0.4;
@@ -61,15 +63,16 @@ pub(super) fn passing_ahead(scene: &Scene, agents: [usize; 2], parameters: &'sta
 }
 
 impl Pair<'_> {
-    /// The maneuvers in which the first drives as it is said, and the other does so until it brakes.
+    /// The maneuvers in which the first drives as it is said, and the other does so until it sees the first coming.
     fn maneuvers(&self, own: &RailDrive, theirs: &RailDrive, parameters: &'static [&'static str]) -> Vec<Maneuver> {
         let Some((enters, delay)) = own.passes_ahead_of(theirs, (MOST_DELAY_S / self.dt_s) as usize) else {
             return Vec::new();
         };
-        let from_s = (enters + 1) as f64 * self.dt_s + REACTION_S;
+        let enters_s = (enters + 1) as f64 * self.dt_s;
+        let eased = Pace::steady(theirs.mps2).then((enters_s - NOTICES_S).max(0.0), theirs.mps2.min(0.0));
         let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
         let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
-            let pace = Pace::steady(theirs.mps2).then(from_s, theirs.mps2.min(-brakes_mps2));
+            let pace = eased.clone().then(enters_s + REACTION_S, theirs.mps2.min(-brakes_mps2));
             let braking = RailDrive::new(self.other, self.extents[1], theirs.rail, theirs.mps2, &pace)?;
             own.keeps(&braking, APART_M).then(|| Maneuver {
                 kind: [own.rail * self.other.rails.len() + theirs.rail, nth * 100 + delay / spacing],

@@ -227,6 +227,23 @@ fn who_is_cut_off_or_sees_somebody_in_the_way_brakes() {
 }
 
 #[test]
+fn nobody_gains_speed_toward_who_comes_into_the_way() {
+    let crossed = possible().into_iter().filter(|(id, ..)| ["unprotected_left_turn", "failure_to_yield"].contains(id));
+    for (id, scene, agents) in crossed {
+        let behavior = BehaviorConfig::from_id(id).unwrap().build();
+        for variant in 0..12 {
+            let mut changed = scene.clone();
+            behavior.template(&scene, &agents, &BTreeMap::new(), variant).unwrap().apply(&mut changed);
+            let enters = behavior.detect(&changed)[0].start_timestep;
+            let speed_mps = |timestep: usize| changed.state(agents[1], timestep).unwrap().speed_mps();
+            let before = enters.saturating_sub(8).max(scene.current_timestep());
+            let gained_mps = speed_mps(enters) - speed_mps(before);
+            assert!(gained_mps < 0.1, "{id}, {variant}: {gained_mps} m/s");
+        }
+    }
+}
+
+#[test]
 fn nobody_drives_through_another_after_a_collision() {
     let (id, scene, agents) = possible().into_iter().find(|(id, ..)| *id == "collision").unwrap();
     for states in driven(id, &scene, &agents) {

@@ -8,14 +8,7 @@ use super::kinematics::DerivedStates;
 use super::smoother::{Estimate, Node, likeliest_noise_m, smooth};
 use super::{DT_S, RECORDED};
 use crate::geometry::Vec2;
-use crate::scene::{RecordedPosition, State};
-
-/// Once an agent has moved this far, meters, its heading is the direction of its velocity above this speed, m/s. At
-/// lower speeds, where the velocity is too noisy, it is the direction from the last position that far away; if the
-/// agent is slower still, it is held.
-const HEADING_DISTANCE_M: f64 = 2.0;
-const VELOCITY_HEADING_SPEED_MPS: f64 = 2.0;
-const MIN_HEADING_SPEED_MPS: f64 = 0.5;
+use crate::scene::{RecordedPosition, State, motion_heading};
 
 /// A track has a timestep if one of its rows is this near, seconds, or if the rows around the timestep are consecutive
 /// in the file.
@@ -105,16 +98,13 @@ fn is_tracked(rows: &[TimedRow], n_times: usize, time_s: f64) -> bool {
 /// The estimates as states; whether each heading is held; and the first timestep with a known heading, if earlier ones
 /// are placeholders because the track has not moved.
 ///
-/// A heading is the direction of the last motion. Before its first motion, an agent has that motion's heading if it is
-/// observed (or if the agent has no observed state).
+/// A heading is the direction of the last motion ([`motion_heading`]). Before its first motion, an agent has that
+/// motion's heading if it is observed (or if the agent has no observed state).
 fn with_headings(estimates: &[Option<Estimate>]) -> (Vec<Option<State>>, Vec<bool>, usize) {
     let told_rad = |timestep: usize| {
-        let estimate = estimates[timestep].filter(|estimate| estimate.velocity.norm() >= MIN_HEADING_SPEED_MPS)?;
+        let Estimate { position, velocity, .. } = estimates[timestep]?;
         let before = estimates[..timestep].iter().rev().flatten();
-        let mut far = before.filter(|before| before.position.distance(estimate.position) >= HEADING_DISTANCE_M);
-        let displacement = estimate.position - far.next()?.position;
-        let is_fast = estimate.velocity.norm() >= VELOCITY_HEADING_SPEED_MPS;
-        Some(if is_fast { estimate.velocity } else { displacement }.angle())
+        motion_heading(position, velocity, before.map(|before| before.position))
     };
     let told_rad: Vec<Option<f64>> = (0..estimates.len()).map(told_rad).collect();
     let n_observed = RECORDED.n_history.min(estimates.len());
