@@ -12,7 +12,7 @@ use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Scene};
 use crate::store::testing::{folder_bytes, record, scene};
-use crate::store::{self, SceneStore, SceneWriter, SceneWriterOptions, read_binary, write_binary_atomically};
+use crate::store::{self, SceneStore, SceneWriter, read_binary, write_binary_atomically};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,7 +21,7 @@ const N_SHARDS: usize = 3;
 
 fn store(dir: &Path) -> (SceneStore, Vec<Scene>) {
     let scenes: Vec<Scene> = (0..4).map(|seed| scene(seed, None)).collect();
-    let mut writer = SceneWriter::create(dir, SceneWriterOptions::default()).unwrap();
+    let (mut writer, _) = SceneWriter::resume(dir).unwrap();
     writer.write_batch(&scenes, &[], Some(0), &json!(0)).unwrap();
     writer.finish(&json!({ "rejects": {} })).unwrap();
     (SceneStore::open(dir).unwrap(), scenes)

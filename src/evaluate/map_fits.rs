@@ -72,8 +72,8 @@ pub fn for_maps(config: &ValidityConfig, maps: &[MapFitRow]) -> ValidityConfig {
 mod tests {
     use super::*;
     use crate::scene::{MapId, Scene, SceneSource};
+    use crate::store::SceneWriter;
     use crate::store::testing::{map, scene};
-    use crate::store::{SceneWriter, SceneWriterOptions};
     use serde_json::json;
 
     #[test]
@@ -83,7 +83,7 @@ mod tests {
         let nowhere = scene(5, None);
         scenes.push(Scene { source: SceneSource { place: "MIA".to_owned(), ..nowhere.source.clone() }, ..nowhere });
         let dir = tempfile::tempdir().unwrap();
-        let mut writer = SceneWriter::create(dir.path(), SceneWriterOptions::default()).unwrap();
+        let (mut writer, _) = SceneWriter::resume(dir.path()).unwrap();
         writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
         writer.finish(&json!({ "rejects": {} })).unwrap();
 

@@ -86,7 +86,7 @@ pub use min_fde::MinFde;
 pub use min_scene_ade::MinSceneAde;
 pub use min_scene_fde::MinSceneFde;
 pub use miss_rate::MissRate;
-pub use mixture::{Component, Mixture, MixtureOptions};
+pub use mixture::{Component, Mixture};
 pub use modes::{ModeFit, Modes, ModesOf};
 pub use motion::{MOTION, MotionHistograms, MotionQuantity};
 pub use novelty::{DUPLICATE_DISTANCE_M, EventSpace, PairPath, PathIndex};

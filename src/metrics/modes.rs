@@ -2,19 +2,11 @@
 //!
 //! The paper draws 60 samples of a scene and takes the means of a mixture of six Gaussians as its prediction.
 
-use super::mixture::{Mixture, MixtureOptions};
+use super::mixture::Mixture;
 use super::sample_group::{future, present_agents};
 use crate::geometry::Vec2;
 use crate::scene::{Scene, State, Track, Trajectory};
 use crate::seed::Seed;
-
-/// Most iterations of expectation-maximization, which settles in a few dozen.
-const MAX_ITERATIONS: usize = 100;
-/// Fits from different starts; the likeliest is used.
-const N_STARTS: usize = 4;
-/// Least standard deviation of a mode in any coordinate, meters: far below what tells futures apart. A mixture of fewer
-/// samples than coordinates needs this.
-const MIN_STD_M: f64 = 0.1;
 
 /// The agents whose modes a metric is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,13 +66,7 @@ impl<'a> ModeFit<'a> {
             entries.iter().filter_map(in_own_frame).flatten().collect()
         };
         let points: Vec<Vec<f64>> = samples.iter().map(coordinates).collect();
-        let options = MixtureOptions {
-            n_components: n_modes,
-            max_iterations: MAX_ITERATIONS,
-            n_starts: N_STARTS,
-            min_std: MIN_STD_M,
-        };
-        let mixture = Mixture::fit(&points, &options, seed)?;
+        let mixture = Mixture::fit(&points, n_modes, seed)?;
         Some(Self { samples, mixture })
     }
 

@@ -183,15 +183,13 @@ impl std::fmt::Debug for SceneStore {
 mod tests {
     use super::*;
     use crate::store::testing::{folder_bytes, map, scene};
-    use crate::store::{SceneWriter, SceneWriterOptions, as_stored};
+    use crate::store::{SceneWriter, as_stored};
     use proptest::prelude::*;
     use serde_json::json;
 
-    const OPTIONS: SceneWriterOptions = SceneWriterOptions { scenes_per_shard: 3 };
-
     /// Writes scenes two by two, every third without a map.
     fn write(dir: &Path, scenes: &[Scene], maps: &[(MapId, LaneGraph)]) {
-        let mut writer = SceneWriter::create(dir, OPTIONS).unwrap();
+        let mut writer = SceneWriter::resume(dir).unwrap().0.in_shards_of(3);
         for (i, batch) in scenes.chunks(2).enumerate() {
             writer.write_batch(batch, maps, Some(i as u64), &json!(i)).unwrap();
         }
