@@ -45,8 +45,8 @@ impl Mixture {
     /// Fits a mixture to points of equal length. The starts are means drawn by k-means++ (Arthur and
     /// Vassilvitskii 2007) from `seed`, to which points are assigned whole.
     ///
-    /// `None` without components, with fewer points than components, or with points that are empty, of different lengths
-    /// or not finite.
+    /// `None` without components, with fewer points than components, or with points that are empty, of different
+    /// lengths or not finite.
     pub fn fit(points: &[Vec<f64>], n_components: usize, seed: Seed) -> Option<Self> {
         let n_dims = points.first()?.len();
         let is_usable = |point: &Vec<f64>| point.len() == n_dims && point.iter().all(|x| x.is_finite());

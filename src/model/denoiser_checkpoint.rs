@@ -178,3 +178,19 @@ impl ModelSpec for DenoiserSpec {
 
 /// A denoiser for sampling.
 pub type TrainedDenoiser = TrainedModel<DenoiserSpec>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_is_gone_may_be_named_as_off_and_not_as_on() {
+        let read = |geometry: &str| network(&mut serde_json::Deserializer::from_str(geometry));
+        let whole =
+            NetworkConfig { geometry: Some(crate::model::GeometryConfig::default()), ..NetworkConfig::default() };
+        assert_eq!(read(r#"{"geometry":{"relative_attention":false}}"#).unwrap(), whole);
+        for geometry in [r#"{"relative_attention":true}"#, r#"{"relative_attn":false}"#] {
+            assert!(read(&format!(r#"{{"geometry":{geometry}}}"#)).unwrap_err().to_string().contains("relative_att"));
+        }
+    }
+}
