@@ -111,7 +111,6 @@ impl Element {
         })
     }
 
-    /// Its text.
     pub(super) fn text(&self) -> &str {
         &self.text
     }
