@@ -59,7 +59,6 @@ NETWORKS = {
     "own_pose": ("+ pose of the estimate", geometry(**BLIND | {"own_pose": True})),
     "neighbors": ("+ neighbors at the estimate", geometry(n_nearest_lanes=0)),
     "small": ("+ lanes at the estimate: the preset `small`", []),
-    "relative": ("`small` + attention in relative frames", geometry(relative_attention=True)),
     "patch_1": ("`small`, patches of 1", geometry(patch=1)),
     "patch_2": ("`small`, patches of 2", geometry(patch=2)),
     "patch_5": ("`small`, patches of 5", geometry(patch=5)),

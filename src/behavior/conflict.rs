@@ -64,7 +64,6 @@ impl<'a> Course<'a> {
         Some(Self { track, lane, sweep, extent, fastest_mps, offset_m })
     }
 
-    /// Its state at `timestep`.
     pub(super) fn state(&self, timestep: usize) -> Option<&State> {
         self.track.trajectory.get(timestep).filter(|state| state.is_finite())
     }

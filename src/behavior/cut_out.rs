@@ -27,6 +27,8 @@ const SLOW_SHARE: f64 = 0.5;
 const MAX_HEADWAY_S: f64 = 4.0;
 /// Until it is out of the lane, the leader heads along it within this, radians: one that turns off surprises nobody.
 const ALONG_RAD: f64 = FRAC_PI_6;
+/// The ego drives at least this fast at the reveal, m/s.
+const MIN_SPEED_MPS: f64 = 4.0;
 
 /// Options of [`CutOut`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -35,14 +37,11 @@ pub struct CutOutConfig {
     /// The ego must be on course to reach the revealed vehicle in less than this, seconds. Default 4.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_ttc_s: f64,
-    /// The ego drives at least this fast at the reveal, m/s. Default 4.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for CutOutConfig {
     fn default() -> Self {
-        Self { max_ttc_s: 4.0, min_speed_mps: 4.0 }
+        Self { max_ttc_s: 4.0 }
     }
 }
 
@@ -97,7 +96,7 @@ impl CutOut {
     /// The vehicle that the ego follows at present, and the next one beyond it.
     pub(super) fn queue(&self, ego: &Follower<'_>, present: usize) -> Option<[Ahead; 2]> {
         let speed_mps = ego.speed_mps(present);
-        if speed_mps < self.config.min_speed_mps {
+        if speed_mps < MIN_SPEED_MPS {
             return None;
         }
         // To be reached in time at the reveal, it can be at most this far away now, plus the way of the ego until then.
@@ -115,7 +114,7 @@ impl CutOut {
     /// Whether the ego reaches a vehicle at this gap in time.
     pub(super) fn is_reached(&self, revealed: &Ahead) -> bool {
         let closing_mps = revealed.own_mps - revealed.their_mps;
-        revealed.own_mps >= self.config.min_speed_mps
+        revealed.own_mps >= MIN_SPEED_MPS
             && Self::is_slow(revealed.their_mps, revealed.own_mps)
             && revealed.gap_m > 0.0
             && revealed.gap_m < self.config.max_ttc_s * closing_mps
@@ -205,7 +204,7 @@ impl Behavior for CutOut {
         let lanes = SceneLanes::new(&scene.lanes);
         let may_follow = |idx: &usize| {
             let present = scene.state(*idx, scene.current_timestep()).filter(|state| state.is_finite());
-            let is_fast = present.is_some_and(|state| state.speed_mps() >= self.config.min_speed_mps);
+            let is_fast = present.is_some_and(|state| state.speed_mps() >= MIN_SPEED_MPS);
             is_fast && scene.tracks[*idx].class.is_motorized()
         };
         let egos = (0..scene.tracks.len()).filter(may_follow);

@@ -14,7 +14,6 @@ const ALONG_RAD: f64 = FRAC_PI_4;
 pub(super) struct Follower<'a> {
     scene: &'a Scene,
     agent_idx: usize,
-    /// The lane.
     pub(super) lane: KeptLane,
 }
 

@@ -22,6 +22,8 @@ const NEGATIVE_SHARE: f64 = 0.625;
 const IMPLAUSIBLE_MPS2: f64 = 12.0;
 /// Time over which speeds are smoothed, seconds: noise of positions is less than a brake then.
 const SMOOTHING_S: f64 = 0.4;
+/// How long the deceleration must last, from its first to its last timestep, seconds.
+const MIN_DURATION_S: f64 = 0.3;
 
 /// Options of [`HardBrake`]; vehicles are considered.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -30,9 +32,6 @@ pub struct HardBrakeConfig {
     /// Least deceleration of hard braking, m/s². Default 4.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub min_deceleration_mps2: f64,
-    /// How long the deceleration must last, from its first to its last timestep, seconds. Default 0.3.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub min_duration_s: f64,
     /// Least speed at the start, m/s. Default 3.
     #[schemars(range(min = 0.0))]
     pub min_speed_mps: f64,
@@ -40,7 +39,7 @@ pub struct HardBrakeConfig {
 
 impl Default for HardBrakeConfig {
     fn default() -> Self {
-        Self { min_deceleration_mps2: 4.0, min_duration_s: 0.3, min_speed_mps: 3.0 }
+        Self { min_deceleration_mps2: 4.0, min_speed_mps: 3.0 }
     }
 }
 
@@ -82,7 +81,7 @@ impl HardBrake {
         let accelerations =
             smoothed_accelerations_mps2(&track.trajectory, scene.current_timestep(), scene.dt_s, SMOOTHING_S);
         let lasts =
-            |run: &RangeInclusive<usize>| (run.end() - run.start()) as f64 * scene.dt_s >= config.min_duration_s - 1e-9;
+            |run: &RangeInclusive<usize>| (run.end() - run.start()) as f64 * scene.dt_s >= MIN_DURATION_S - 1e-9;
         let is_plausible =
             |run: &RangeInclusive<usize>| accelerations[run.clone()].iter().flatten().all(|a| -a <= IMPLAUSIBLE_MPS2);
         let starts_fast =

@@ -27,7 +27,6 @@ pub(crate) struct LaneMove<'a> {
 /// A timestep at which an agent is close to a lane beside its own.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Drift {
-    /// The timestep.
     pub(crate) timestep: usize,
     /// Distance to the side of its lane, meters; negative while it is beyond it by less than the hysteresis.
     pub(crate) margin_m: f64,

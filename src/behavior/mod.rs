@@ -236,9 +236,6 @@ behaviors! {
 
 impl BehaviorConfig {
     /// Refuses options with which nothing could be found.
-    ///
-    /// # Errors
-    /// Names the option.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)
     }

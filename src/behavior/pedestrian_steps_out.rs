@@ -21,6 +21,9 @@ pub(super) const MAX_PEDESTRIAN_MPS: f64 = 3.0;
 /// Times to arrival that are too long by less than this are a hard negative, seconds.
 const NEGATIVE_MORE_S: f64 = 2.0;
 
+/// The vehicle drives at least this fast then, m/s: a slower one is waiting.
+const MIN_SPEED_MPS: f64 = 3.0;
+
 /// Options of [`PedestrianStepsOut`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -28,14 +31,11 @@ pub struct PedestrianStepsOutConfig {
     /// The vehicle is this far away at most at its speed when the pedestrian steps out, seconds. Default 3.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
     pub max_time_to_arrival_s: f64,
-    /// The vehicle drives at least this fast then, m/s. Default 3: a slower one is waiting.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for PedestrianStepsOutConfig {
     fn default() -> Self {
-        Self { max_time_to_arrival_s: 3.0, min_speed_mps: 3.0 }
+        Self { max_time_to_arrival_s: 3.0 }
     }
 }
 
@@ -115,7 +115,7 @@ impl PedestrianStepsOut {
         let config = &self.config;
         let step = self.step(scene, ego, pair)?;
         let arrives_within = |time_s: f64| step.gap_m < time_s * step.ego_mps;
-        let label = match step.ego_mps >= config.min_speed_mps && arrives_within(config.max_time_to_arrival_s) {
+        let label = match step.ego_mps >= MIN_SPEED_MPS && arrives_within(config.max_time_to_arrival_s) {
             true => EventLabel::Positive,
             false if arrives_within(config.max_time_to_arrival_s + NEGATIVE_MORE_S) => EventLabel::Negative,
             false => return None,

@@ -18,6 +18,8 @@ pub(super) const PARAMETERS: &[&str] = &["time_headway_s", "mean_speed_mps", "du
 
 /// Headways that are too long by less than this, over the same duration, are a hard negative, seconds.
 const NEGATIVE_MORE_S: f64 = 0.5;
+/// Both drive at least this fast, m/s (29 km/h): slower is dense traffic.
+const MIN_SPEED_MPS: f64 = 8.0;
 
 /// Options of [`Tailgating`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -26,9 +28,6 @@ pub struct TailgatingConfig {
     /// Time headways below this are too short, seconds. Default 0.9.
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
     pub max_headway_s: f64,
-    /// Both drive at least this fast, m/s. Default 8 (29 km/h): slower is dense traffic.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_speed_mps: f64,
     /// How long this lasts without a break, from the first to the last timestep, seconds. Default 2.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub min_duration_s: f64,
@@ -36,7 +35,7 @@ pub struct TailgatingConfig {
 
 impl Default for TailgatingConfig {
     fn default() -> Self {
-        Self { max_headway_s: 0.9, min_speed_mps: 8.0, min_duration_s: 2.0 }
+        Self { max_headway_s: 0.9, min_duration_s: 2.0 }
     }
 }
 
@@ -115,7 +114,7 @@ impl Tailgating {
             else {
                 continue;
             };
-            if nearest.gap_m > 0.0 && nearest.own_mps.min(nearest.their_mps) >= self.config.min_speed_mps {
+            if nearest.gap_m > 0.0 && nearest.own_mps.min(nearest.their_mps) >= MIN_SPEED_MPS {
                 let moment = FollowingMoment { timestep, gap_m: nearest.gap_m, own_mps: nearest.own_mps };
                 by_leader.entry(nearest.agent_idx).or_default().push(moment);
             }
@@ -149,7 +148,7 @@ impl Tailgating {
         let length_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m;
         let finite = |idx: usize, timestep: usize| scene.state(idx, timestep).filter(|state| state.is_finite());
         (0..scene.n_timesteps).any(|timestep| {
-            let own = finite(agent_idx, timestep).filter(|own| own.speed_mps() >= self.config.min_speed_mps);
+            let own = finite(agent_idx, timestep).filter(|own| own.speed_mps() >= MIN_SPEED_MPS);
             own.is_some_and(|own| {
                 (0..scene.tracks.len()).filter(|other| *other != agent_idx).any(|other| {
                     let near_m = self.reach_m(own.speed_mps()) + length_m(agent_idx) + length_m(other);

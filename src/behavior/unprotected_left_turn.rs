@@ -33,6 +33,9 @@ const U_TURN_RAD: f64 = 2.618;
 /// A post-encroachment time that is too long by less than this is a hard negative, seconds.
 const NEGATIVE_MORE_S: f64 = 2.0;
 
+/// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s: who is slower leaves the gap.
+const MIN_SPEED_MPS: f64 = 5.0;
+
 /// Options of [`UnprotectedLeftTurn`]; vehicles take part.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -40,15 +43,11 @@ pub struct UnprotectedLeftTurnConfig {
     /// A post-encroachment time below this is short, seconds. Default 2.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub max_pet_s: f64,
-    /// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s. Default 5: who is slower
-    /// leaves the gap.
-    #[schemars(range(min = 0.0))]
-    pub min_speed_mps: f64,
 }
 
 impl Default for UnprotectedLeftTurnConfig {
     fn default() -> Self {
-        Self { max_pet_s: 2.0, min_speed_mps: 5.0 }
+        Self { max_pet_s: 2.0 }
     }
 }
 
@@ -111,7 +110,7 @@ impl UnprotectedLeftTurn {
             return None;
         }
         let speed_mps = |agent: &Agent<'_>| agent.course.state(conflict.enters).map(State::speed_mps);
-        let oncoming_mps = speed_mps(oncoming).filter(|mps| *mps >= config.min_speed_mps)?;
+        let oncoming_mps = speed_mps(oncoming).filter(|mps| *mps >= MIN_SPEED_MPS)?;
         let pet_s = conflict.pet_s(&oncoming.course, scene.dt_s).filter(|pet_s| *pet_s < negative_pet_s)?;
         if !Self::turns_across(lanes, turner, oncoming, &conflict)? {
             return None;

@@ -10,7 +10,6 @@ pub(super) const DONE: ExitCode = ExitCode::SUCCESS;
 /// `sysexits.h`).
 pub(super) const LATER: u8 = 75;
 
-/// The code for a failure.
 pub(super) fn of_failure(failure: &Failure) -> ExitCode {
     ExitCode::from(match failure.blame {
         Blame::Input => 1,

@@ -179,7 +179,7 @@ Examples:
 /// Help after the options of `corpus merge`.
 pub(super) const CORPUS_MERGE: &str = "\
 A scenario in several corpora is written once; if its content differs between them, the merge fails. Recordings, maps, \
-metrics of scenarios and the terms of all sources are merged too. Corpora of earlier versions are upgraded.
+metrics of scenarios and the terms of all sources are merged too.
 
 Example:
   djinn corpus merge output/cut_ins/main/corpus output/near_misses/main/corpus --out output/all";

@@ -66,9 +66,6 @@ pub(super) struct Object {
 
 impl Bucket {
     /// The folder at a URL.
-    ///
-    /// # Errors
-    /// When the environment does not say enough.
     pub(super) fn open(url: &ObjectUrl) -> Result<Self> {
         Ok(Self::in_store(connect(url)?, url.clone(), Patience::default()))
     }
@@ -110,9 +107,6 @@ impl Bucket {
     }
 
     /// The object that the URL itself names, if there is one.
-    ///
-    /// # Errors
-    /// If the store cannot be reached or refuses.
     pub(super) fn itself(&self) -> Result<Option<Object>> {
         let head = async || {
             let key = self.key("")?;
@@ -151,9 +145,6 @@ impl Bucket {
     }
 
     /// The content of a small object, if it is there.
-    ///
-    /// # Errors
-    /// If the store cannot be reached or refuses.
     pub(super) fn read(&self, name: &str) -> Result<Option<Vec<u8>>> {
         self.repeated("read", name, async || {
             let result = match self.store.get(&self.key(name)?).await {
@@ -170,9 +161,6 @@ impl Bucket {
     }
 
     /// Puts the content of a file in the place of an object.
-    ///
-    /// # Errors
-    /// On errors of the store or the disk.
     pub(super) fn upload(&self, name: &str, from: &Path) -> Result<Object> {
         let n_bytes = fs_err::metadata(from)?.len();
         if n_bytes <= PART_BYTES {
@@ -189,9 +177,6 @@ impl Bucket {
     }
 
     /// Puts bytes in the place of an object.
-    ///
-    /// # Errors
-    /// If the store cannot be reached or refuses.
     pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<Object> {
         let FileStamp { n_bytes, checksum } = FileStamp::of(bytes);
         let payload = PutPayload::from(bytes.to_vec());
@@ -205,9 +190,6 @@ impl Bucket {
     }
 
     /// Removes an object, if it is there.
-    ///
-    /// # Errors
-    /// If the store cannot be reached or refuses.
     pub(super) fn remove(&self, name: &str) -> Result<()> {
         self.repeated("remove", name, async || match self.store.delete(&self.key(name)?).await {
             Err(StoreError::NotFound { .. }) => Ok(()),

@@ -38,9 +38,6 @@ impl Cache {
     }
 
     /// The `chosen` folder, the one that the environment names, or else `djinn` in the user's folder for such things.
-    ///
-    /// # Errors
-    /// When none is known.
     pub(super) fn of_process(chosen: Option<&Path>) -> Result<Self> {
         let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
         let by_user =
@@ -50,9 +47,6 @@ impl Cache {
     }
 
     /// A folder of the cache, which is made where it is missing.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn folder(&self, name: &str) -> Result<PathBuf> {
         let dir = self.dir.join(name);
         fs::create_dir_all(&dir)?;
@@ -61,9 +55,6 @@ impl Cache {
 
     /// Brings an object to the file `to`, downloading it unless it is here. Returns what it was: it may have been
     /// replaced since it was seen.
-    ///
-    /// # Errors
-    /// On errors of the store or the file system.
     pub(super) fn bring(&self, bucket: &Bucket, object: &Object, to: &Path, content: Content) -> Result<Object> {
         let mut object = object.clone();
         let mut here = self.place(bucket, &object);
@@ -86,9 +77,6 @@ impl Cache {
     }
 
     /// Keeps the content of a file that was just uploaded.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn keep(&self, bucket: &Bucket, object: &Object, from: &Path) -> Result<()> {
         let here = self.place(bucket, object);
         if !here.exists() {

@@ -21,9 +21,6 @@ const REQUEST_TAKES: Duration = Duration::from_secs(600);
 const CONNECT_TAKES: Duration = Duration::from_secs(10);
 
 /// The store that holds the bucket of a URL. Nothing is sent yet.
-///
-/// # Errors
-/// When the environment does not say enough.
 pub(super) fn connect(url: &ObjectUrl) -> Result<Arc<dyn ObjectStore>> {
     // It fails where there is one already, which serves as well.
     let _ = rustls::crypto::ring::default_provider().install_default();

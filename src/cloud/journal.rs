@@ -50,9 +50,6 @@ impl Journal {
     }
 
     /// Keeps it in the folder.
-    ///
-    /// # Errors
-    /// If the store cannot be reached or refuses.
     pub(super) fn keep(&self, bucket: &Bucket) -> Result<()> {
         bucket.write(JOURNAL, serde_json::to_string(self).unwrap_or_default().as_bytes()).map(drop)
     }

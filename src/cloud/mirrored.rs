@@ -40,9 +40,6 @@ impl Mirrored {
     }
 
     /// Pushes what is not pushed yet, unless the store has failed before.
-    ///
-    /// # Errors
-    /// If the store cannot be reached or refuses.
     pub(super) fn finish(&self) -> Result<()> {
         let state = &mut *self.view.state();
         if self.view.access == Access::Write && !state.is_broken { self.view.push(state) } else { Ok(()) }

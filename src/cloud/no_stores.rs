@@ -41,9 +41,6 @@ impl Recordings {
     }
 
     /// Where they are on disk.
-    ///
-    /// # Errors
-    /// None.
     pub fn on_disk(&self) -> Result<PathBuf> {
         match *self {}
     }

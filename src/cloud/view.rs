@@ -67,9 +67,6 @@ pub(super) type Stamp = (u64, SystemTime);
 
 impl View {
     /// Shows the folder, or for readers the object, at the URL of `bucket`.
-    ///
-    /// # Errors
-    /// On errors of the store or the file system.
     pub(super) fn open(bucket: Bucket, cache: Cache, access: Access) -> Result<Self> {
         let (home, lock) = new_home(&cache)?;
         let url = bucket.url();

@@ -106,9 +106,6 @@ impl Summary {
 }
 
 /// Compares the corpora in `a` and `b`.
-///
-/// # Errors
-/// If a corpus cannot be read.
 pub fn diff(a: &Path, b: &Path, progress: &dyn Progress) -> Result<DiffReport> {
     let scans = [CorpusScan::open(a)?, CorpusScan::open(b)?];
     let schemas = [scans[0].scenario_schema()?, scans[1].scenario_schema()?];

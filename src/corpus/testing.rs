@@ -58,13 +58,10 @@ pub(super) fn write_in_files_of(scenes_per_file: usize, dir: &Path, records: &[S
         group: Group::Sweep("guided".to_owned()),
         sweep: "guided".to_owned(),
         level: GuidanceLevel::of_strength(2.0),
-        place: String::new(),
         scene_id: record.map(|record| record.scenario.scene.id.clone()),
         scenario_id: record.map(|record| record.scenario.id.clone()),
-        metric: "collision_rate".to_owned(),
-        value: 0.5,
         n: 1,
-        std_error: None,
+        ..MetricRow::example("collision_rate", 0.5)
     };
     writer.write_metrics([Ok(metric(None))]).unwrap();
     for record in records {

@@ -7,35 +7,35 @@ use candle_core::{DType, Device, Result, Tensor};
 
 /// A mixture of Gaussians with diagonal covariances: the data distribution of [`MixtureDenoiser`].
 #[derive(Debug, Clone, PartialEq)]
-pub struct GaussianMixture {
+pub(crate) struct GaussianMixture {
     /// The components; weights need not be normalized.
-    pub components: Vec<Component>,
+    pub(crate) components: Vec<Component>,
 }
 
 /// One component of a mixture.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Component {
+pub(crate) struct Component {
     /// Relative weight, positive.
-    pub weight: f64,
+    pub(crate) weight: f64,
     /// Mean, one entry a dimension.
-    pub mean: Vec<f64>,
+    pub(crate) mean: Vec<f64>,
     /// Variance, one entry a dimension.
-    pub variance: Vec<f64>,
+    pub(crate) variance: Vec<f64>,
 }
 
 impl GaussianMixture {
     /// Number of dimensions.
-    pub fn n_dims(&self) -> usize {
+    pub(crate) fn n_dims(&self) -> usize {
         self.components.first().map_or(0, |component| component.mean.len())
     }
 
     /// Mean of the distribution.
-    pub fn mean(&self) -> Vec<f64> {
+    pub(crate) fn mean(&self) -> Vec<f64> {
         (0..self.n_dims()).map(|i| self.expect(|component| component.mean[i])).collect()
     }
 
     /// Covariance of the distribution, row by row.
-    pub fn covariance(&self) -> Vec<Vec<f64>> {
+    pub(crate) fn covariance(&self) -> Vec<Vec<f64>> {
         let mean = self.mean();
         let entry = |i: usize, j: usize| {
             self.expect(|component| {
@@ -54,7 +54,7 @@ impl GaussianMixture {
 
 /// The ideal denoiser of a mixture: D(x; σ) = E[x₀ | x₀ + σ n = x]. Differentiable in `x`.
 #[derive(Debug, Clone)]
-pub struct MixtureDenoiser {
+pub(crate) struct MixtureDenoiser {
     /// ln of the weights, (1, K).
     log_weight: Tensor,
     /// (1, K, N).
@@ -65,18 +65,18 @@ pub struct MixtureDenoiser {
 
 /// The posterior of a mixture given a noisy point: again a mixture, one for each batch row.
 #[derive(Debug, Clone)]
-pub struct Posterior {
+pub(crate) struct Posterior {
     /// ln of the probability that the point came from each component, (B, K).
-    pub log_responsibility: Tensor,
+    pub(crate) log_responsibility: Tensor,
     /// Posterior mean within each component, (B, K, N).
-    pub mean: Tensor,
+    pub(crate) mean: Tensor,
     /// Posterior variance within each component, (B, K, N).
-    pub variance: Tensor,
+    pub(crate) variance: Tensor,
 }
 
 impl MixtureDenoiser {
     /// The denoiser of `mixture`, for tensors of this dtype.
-    pub fn new(mixture: &GaussianMixture, dtype: DType) -> Result<Self> {
+    pub(crate) fn new(mixture: &GaussianMixture, dtype: DType) -> Result<Self> {
         let (n_components, n_dims) = (mixture.components.len(), mixture.n_dims());
         let collect = |values: Vec<f64>, dims: &[usize]| Tensor::from_vec(values, dims, &Device::Cpu)?.to_dtype(dtype);
         let components = &mixture.components;
@@ -91,7 +91,7 @@ impl MixtureDenoiser {
     }
 
     /// The posterior of the clean point given `x` (B, N) at noise `sigma` (B).
-    pub fn posterior(&self, x: &Tensor, sigma: &Tensor) -> Result<Posterior> {
+    pub(crate) fn posterior(&self, x: &Tensor, sigma: &Tensor) -> Result<Posterior> {
         let x = x.unsqueeze(1)?;
         let noise = rows_like(sigma_rows(sigma)?.into_iter().map(|s| s * s).collect(), &x)?;
         let total = self.variance.broadcast_add(&noise)?;
@@ -106,7 +106,7 @@ impl MixtureDenoiser {
     }
 
     /// The score ∇ₓ log p(x; σ) = (D(x; σ) - x) / σ² (EDM, equation 3).
-    pub fn score(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
+    pub(crate) fn score(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
         let precision = rows_like(sigma_rows(sigma)?.into_iter().map(|s| s.powi(-2)).collect(), x)?;
         (self.denoise(x, sigma)? - x)?.broadcast_mul(&precision)
     }

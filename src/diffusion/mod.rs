@@ -6,7 +6,8 @@
 //! from `sigma_max` down to 0 along [`Edm::schedule`] with one of the [`sampler`]s. Whatever wraps a denoiser and is
 //! one itself, such as guidance, works with every sampler.
 
-pub mod analytic;
+#[cfg(test)]
+pub(crate) mod analytic;
 mod denoiser;
 mod edm;
 mod noise;

@@ -29,6 +29,7 @@ mod driver;
 mod drivers;
 mod error;
 mod external;
+mod margin;
 mod outcome;
 mod peek;
 pub mod protocol;
@@ -47,6 +48,7 @@ mod world;
 
 pub use driver::{Driver, EgoDriver, Failed, Fault, Peeker};
 pub use error::{Error, Result};
+pub use margin::{DelaySurvived, Margin, Margins};
 pub use outcome::{Contact, Outcome, Side};
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};

@@ -1,6 +1,6 @@
 //! The result of driving a corpus in figures: how many failed at what, and which failures matter.
 
-use super::{BANDS_S, Driven, EgoDriver, Outcome, RolloutConfig, Side, Traffic};
+use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, Traffic};
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
 use serde::Serialize;
@@ -39,6 +39,9 @@ pub struct DriveReport {
     /// The scenarios that the careful driver survives and the driver that was asked for does not, hardest first: those
     /// for which the careful driver has to brake hardest.
     pub that_matter: Vec<Matters>,
+    /// How much later the others of the event could be; missing if that was not asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub margins: Option<Margins>,
     /// By driver: traffic over the stretches of `bands_s`.
     pub traffic: BTreeMap<String, Traffic>,
     /// The stretches, seconds after the present.
@@ -135,6 +138,7 @@ impl DriveReport {
             by_behavior: BTreeMap::new(),
             by_parameter: Vec::new(),
             that_matter: Vec::new(),
+            margins: None,
             traffic: BTreeMap::new(),
             bands_s: BANDS_S,
         }

@@ -2,6 +2,7 @@
 
 use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
 use super::external::External;
+use super::margin::{Margin, Margins};
 use super::report::DriveReport;
 use super::rollout::{Others, roll_out};
 use super::situation::Situation;
@@ -43,6 +44,8 @@ pub struct DriveConfig {
     pub time_limit_s: f64,
     /// When to save the state of each drive.
     pub save_at: Option<SaveAt>,
+    /// Whether to find how much later the others of each event could be.
+    pub bisects: bool,
     /// Scenarios that are driven at the same time, each with a planner of its own.
     pub n_workers: usize,
 }
@@ -101,7 +104,8 @@ pub fn drive_corpus(
     };
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
-    let mut output = Output { states: DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?, rows: Vec::new() };
+    let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
+    let mut output = Output { states, rows: Vec::new(), margins: Vec::new() };
     let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect::<Result<_>>()?;
     let mut maps = Maps::default();
     let mut positions = positions.into_iter();
@@ -127,8 +131,9 @@ pub fn drive_corpus(
             break;
         }
         let drives = drive_chunk(&chunk, &mut workers, from, config, futures, progress)?;
-        for (situation, drives) in chunk.iter().zip(drives) {
+        for (situation, (drives, margin)) in chunk.iter().zip(drives) {
             output.add(situation, &drives, config, folder.path(), &mut report)?;
+            output.margins.extend(margin);
         }
         if n_chosen == limit {
             break;
@@ -142,10 +147,11 @@ pub fn drive_corpus(
         };
         return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios: reader.len(), wanted });
     }
-    let Output { states, rows } = output;
+    let Output { states, rows, margins } = output;
     states.finish()?;
     write_drives(&folder.path().join(DRIVES_FILE), &rows)?;
     report.finish(&rows, own_name(&config.ego));
+    report.margins = config.bisects.then(|| Margins::of(margins));
     write_json_atomically(&folder.path().join(DRIVE_FILE), &report)?;
     folder.commit()?;
     Ok(report)
@@ -182,6 +188,9 @@ fn own_name(ego: &EgoDriver) -> &str {
     }
 }
 
+/// The drives from a situation, of each driver, and their margin.
+type Drives = (Vec<Driven>, Option<Margin>);
+
 /// The drivers of one thread: the one that was asked for, and the careful one if it is another.
 struct Worker {
     asked: Box<dyn Driver>,
@@ -206,14 +215,14 @@ impl Worker {
         Ok(Self { asked, careful, pool })
     }
 
-    /// The drives from one situation, of the driver that was asked for and of the careful one.
+    /// The drives from one situation, of the driver that was asked for and of the careful one, and the margin of both.
     fn drive(
         &mut self,
         situation: &Situation,
         from: &Origin<'_>,
         config: &DriveConfig,
         futures: &Futures<'_>,
-    ) -> Result<Vec<Driven>> {
+    ) -> Result<Drives> {
         let others = Others::Sampled(futures);
         let start = || match from {
             Origin::Scenarios(_) => situation.start(futures.seed()),
@@ -225,12 +234,24 @@ impl Worker {
         });
         let Self { asked, careful, pool } = self;
         pool.install(|| {
-            let asked = roll_out(situation, start(), asked.as_mut(), &others, &config.rollout, save_at)?;
-            let careful = match careful {
+            let driven = roll_out(situation, start(), asked.as_mut(), &others, &config.rollout, save_at)?;
+            let beside = match careful {
                 Some(careful) => Some(roll_out(situation, start(), careful, &others, &config.rollout, None)?),
                 None => None,
             };
-            Ok([asked].into_iter().chain(careful).collect())
+            let outcomes = [driven.outcome, beside.as_ref().map_or(driven.outcome, |beside| beside.outcome)];
+            let margin = match (config.bisects, from) {
+                (true, Origin::Scenarios(_)) => Margin::find(situation, outcomes, |driver, later| {
+                    let driver: &mut dyn Driver = match careful {
+                        Some(careful) if driver == 1 => careful,
+                        _ => asked.as_mut(),
+                    };
+                    let start = later.start(futures.seed());
+                    Ok(roll_out(later, start, driver, &others, &config.rollout, None)?.outcome)
+                })?,
+                _ => None,
+            };
+            Ok(([driven].into_iter().chain(beside).collect(), margin))
         })
     }
 }
@@ -243,9 +264,9 @@ fn drive_chunk(
     config: &DriveConfig,
     futures: &Futures<'_>,
     progress: &dyn Progress,
-) -> Result<Vec<Vec<Driven>>> {
+) -> Result<Vec<Drives>> {
     let next = AtomicUsize::new(0);
-    let drives: Vec<Mutex<Option<Result<Vec<Driven>>>>> = chunk.iter().map(|_| Mutex::new(None)).collect();
+    let drives: Vec<Mutex<Option<Result<Drives>>>> = chunk.iter().map(|_| Mutex::new(None)).collect();
     std::thread::scope(|scope| {
         for worker in workers {
             scope.spawn(|| {
@@ -269,6 +290,7 @@ fn drive_chunk(
 struct Output {
     states: DrivenWriter,
     rows: Vec<DriveRow>,
+    margins: Vec<Margin>,
 }
 
 impl Output {

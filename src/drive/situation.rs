@@ -1,5 +1,6 @@
 //! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
 
+use super::margin::later;
 use super::world::World;
 use super::{Error, Result};
 use crate::behavior::driven_path::DrivenPath;
@@ -22,6 +23,7 @@ const MAP_WITHIN_M: f64 = 400.0;
 const WAY_ON_M: f64 = 300.0;
 
 /// A scenario from which to drive on.
+#[derive(Clone)]
 pub struct Situation {
     /// The scenario.
     pub scenario_id: String,
@@ -100,13 +102,40 @@ impl Situation {
             starts_on_road: false,
             scene,
         };
-        let at = |idx: usize| situation.scene.state(idx, present).copied();
-        let idxs = 0..situation.scene.tracks.len();
-        let on_map = idxs.clone().map(|idx| at(idx).is_some_and(|state| situation.is_on_map(&state))).collect();
-        let in_ego = idxs.map(|idx| at(idx).is_some_and(|state| situation.overlap([(ego_idx, &now), (idx, &state)])));
-        (situation.starts_in_ego, situation.starts_on_map) = (in_ego.collect(), on_map);
+        situation.look_at_present(&now);
         situation.starts_on_road = situation.off_road_m(&now).is_some_and(|off_m| off_m <= 0.0);
         Ok(situation)
+    }
+
+    /// Finds who is on the map and in the ego, which is at `ego` at present.
+    fn look_at_present(&mut self, ego: &State) {
+        let at = |idx: usize| self.scene.state(idx, self.scene.current_timestep());
+        let idxs = 0..self.scene.tracks.len();
+        let on_map = idxs.clone().map(|idx| at(idx).is_some_and(|state| self.is_on_map(state))).collect();
+        let in_ego = idxs.map(|idx| at(idx).is_some_and(|state| self.overlap([(self.ego_idx, ego), (idx, state)])));
+        (self.starts_in_ego, self.starts_on_map) = (in_ego.collect(), on_map);
+    }
+
+    /// The same, with the other agents of the event so many timesteps later in all that they do. `None` if there are
+    /// none, or one of them would overlap somebody in the past who was apart from it.
+    pub(super) fn delayed(&self, n_steps: usize) -> Option<Self> {
+        let mut delayed = self.clone();
+        for agent_idx in &self.planned {
+            delayed.scene.tracks[*agent_idx].trajectory = later(&self.scene, *agent_idx, n_steps);
+        }
+        delayed.event = self.event.map(|timestep| timestep + n_steps);
+        delayed.look_at_present(&self.scene.state(self.ego_idx, self.scene.current_timestep()).copied()?);
+        let meets = |situation: &Self, one: usize, other: usize, timestep: usize| {
+            let [a, b] = [one, other].map(|idx| situation.scene.state(idx, timestep).map(|state| (idx, state)));
+            a.zip(b).is_some_and(|(a, b)| situation.overlap([a, b]))
+        };
+        let is_free = |one: usize| {
+            (0..self.scene.tracks.len()).filter(|other| *other != one).all(|other| {
+                let mut past = 0..self.scene.n_history;
+                past.all(|timestep| !meets(&delayed, one, other, timestep) || meets(self, one, other, timestep))
+            })
+        };
+        (!self.planned.is_empty() && self.planned.iter().all(|idx| is_free(*idx))).then_some(delayed)
     }
 
     /// The world at present, with this seed.

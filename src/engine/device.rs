@@ -115,9 +115,6 @@ impl ComputeChoice {
 
 impl ComputeChoice {
     /// Refuses precisions that only tensor cores of GPUs have.
-    ///
-    /// # Errors
-    /// Names the setting.
     pub fn check(self) -> settings::Result {
         match (self.device, self.precision) {
             (DeviceChoice::Cpu, Precision::Tf32 | Precision::Bf16) => Err(Issue::new(

@@ -37,7 +37,6 @@ pub struct ShardNames {
 }
 
 impl ShardNames {
-    /// The name of shard `idx`.
     pub(super) fn shard_name(self, idx: usize) -> String {
         format!("{}-{idx:05}", self.shard)
     }

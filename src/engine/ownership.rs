@@ -101,9 +101,6 @@ fn is_log(root: &Path) -> bool {
 }
 
 /// Whether a file is a record that a command wrote.
-///
-/// # Errors
-/// When it is one that is damaged; those of the file system.
 fn is_record(path: &Path) -> Result<bool, StoreError> {
     if !path.is_file() {
         return Ok(false);

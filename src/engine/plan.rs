@@ -186,18 +186,12 @@ pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[&'static StageKind
 }
 
 /// The record that `stage` would have if it ran alone in the folder `root`.
-///
-/// # Errors
-/// When an input is missing.
 pub(super) fn expected(root: &Path, stage: &dyn Stage) -> Result<StageRecord> {
     let inputs = stage.inputs().into_iter().map(|input| Ok((input.name.clone(), identify(root, &[], &input, None)?)));
     StageRecord::expected(stage, inputs.collect::<Result<_>>()?)
 }
 
 /// The record of the work on a stage that was begun in `root` and not finished, if there is one.
-///
-/// # Errors
-/// When the record is damaged; those of the file system.
 pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
     let started = WorkFolder::started(root, stage)?;
     started.map_or_else(|| shards::begun(root, stage), |started| Ok(Some(started)))

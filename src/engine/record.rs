@@ -178,9 +178,6 @@ impl StageRecord {
     }
 
     /// The record of the finished stage in `root`, if there is one.
-    ///
-    /// # Errors
-    /// When it is damaged; those of the file system.
     pub fn done(root: &Path, stage: &StageKind) -> Result<Option<Self>> {
         Self::read(&done_path(root, stage), stage).map_err(|error| {
             unreadable(error, || {
@@ -268,9 +265,6 @@ impl StageRecord {
 
     /// Whether the output of this name is as it was written, to its last byte. True for names that are not outputs of
     /// the stage.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
         let Some(written) = self.outputs.get(name) else { return Ok(true) };
         Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))

@@ -4,17 +4,11 @@ use super::Result;
 use std::sync::OnceLock;
 
 /// The version and the revision of the program.
-///
-/// # Errors
-/// When the program cannot be read.
 pub fn version() -> Result<String> {
     Ok(format!("{} ({})", env!("CARGO_PKG_VERSION"), revision()?))
 }
 
 /// The revision of the source, or a hash of the program if the build did not know the revision.
-///
-/// # Errors
-/// When the program cannot be read.
 pub(super) fn revision() -> Result<String> {
     static KNOWN: OnceLock<String> = OnceLock::new();
     if let Some(revision) = option_env!("DJINN_REVISION").or(KNOWN.get().map(String::as_str)) {

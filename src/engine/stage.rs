@@ -40,9 +40,6 @@ pub trait Stage {
     /// Raised whenever the code changes what the stage writes, so that old outputs are redone.
     fn version(&self) -> u32;
     /// Refuses a section that cannot work, before anything runs.
-    ///
-    /// # Errors
-    /// When a value cannot work, naming it.
     fn check(&self) -> Result<()>;
     /// Its section, as JSON, without the paths of what it reads: inputs count by their content.
     fn config(&self) -> anyhow::Result<serde_json::Value>;

@@ -66,7 +66,6 @@ impl<'a> StageClock<'a> {
         Self { root, timings, began: Instant::now() }
     }
 
-    /// A stage begins.
     pub(super) fn begin(&mut self, stage: &StageKind) -> anyhow::Result<()> {
         self.began = Instant::now();
         self.timings.stages.entry(stage.to_string()).or_default().push(StageTiming {

@@ -57,9 +57,6 @@ impl WorkFolder {
     }
 
     /// The record of the stage that was at work in `root` and was interrupted, if there is one.
-    ///
-    /// # Errors
-    /// When the record is damaged; those of the file system.
     pub(super) fn started(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
         let work = Self::of(root, stage);
         match work.record(STARTED_FILE)? {

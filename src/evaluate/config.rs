@@ -2,7 +2,7 @@
 
 use super::error::{Error, Result};
 use super::gate_config::GatesConfig;
-use crate::metrics::{ALL, DUPLICATE_DISTANCE_M, Likelihoods, MetricSettings, ModesConfig, ValidityConfig};
+use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
 use crate::scene::Dataset;
 use crate::settings;
 use schemars::JsonSchema;
@@ -13,15 +13,14 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct EvaluateConfig {
-    /// The metrics, by name; empty: all.
-    #[schemars(extend("uniqueItems" = true))]
-    pub metrics: Vec<String>,
-    /// Reduces many samples to a few modes, as in benchmarks, and reports their metrics beside those of all samples,
-    /// under names that begin with `modes6_` (or another number). Left out: no reduction.
-    pub modes: Option<ModesConfig>,
+    /// The number of modes to which many samples are reduced, as in benchmarks, which take 6. A mode is the mean of
+    /// similar samples, as in the paper. Metrics over modes stand beside those of all samples, under names that begin
+    /// with `modes6_`. Left out: no reduction.
+    #[schemars(range(min = 1, max = 1_000))]
+    pub modes: Option<usize>,
     /// The datasets for which predictions are written into `predictions/`, in the format of their benchmark:
     /// INTERACTION's CSVs, Argoverse's Parquet. The first unguided samples of each scene count, reduced to modes if
-    /// there are more (as in `modes`, or to six means).
+    /// there are more (as in `modes`, or to six).
     #[schemars(extend("uniqueItems" = true))]
     pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
@@ -44,7 +43,6 @@ pub struct EvaluateConfig {
 impl Default for EvaluateConfig {
     fn default() -> Self {
         Self {
-            metrics: Vec::new(),
             modes: None,
             predictions: Vec::new(),
             keep: Keep::default(),
@@ -84,49 +82,6 @@ impl EvaluateConfig {
         settings::check_ranges(self).map_err(|issue| Error::Config {
             message: issue.within("evaluate").to_string(),
             advice: "leave it out for its default".to_owned(),
-        })?;
-        if self.modes.as_ref().is_some_and(|modes| modes.by.is_empty()) {
-            let message = "evaluate.modes.by is empty, expected mean, medoid or both".to_owned();
-            return Err(Error::Config { message, advice: "leave it out for its default".to_owned() });
-        }
-        self.gates.validate(&self.metrics)?;
-        let known: Vec<&str> = ALL.iter().map(|metric| metric.spec().id).chain([Likelihoods::META_METRIC]).collect();
-        let Some(unknown) = self.metrics.iter().find(|name| !known.contains(&name.as_str())) else { return Ok(()) };
-        let nearest = known.iter().min_by_key(|name| strsim::damerau_levenshtein(unknown, name));
-        Err(Error::Config {
-            message: format!("evaluate.metrics: unknown metric {unknown}; known: {}", known.join(", ")),
-            advice: nearest.map(|nearest| format!("did you mean `{nearest}`?")).unwrap_or_default(),
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn modes_must_be_possible() {
-        let check = |text: &str| toml::from_str::<EvaluateConfig>(text).expect("readable").validate();
-        assert!(check("").is_ok() && check("[modes]").is_ok());
-        for wrong in ["n_modes = 0", "by = []"] {
-            assert!(check(&format!("[modes]\n{wrong}")).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn limits_must_be_numbers() {
-        let check = |text: &str| toml::from_str::<EvaluateConfig>(text).expect("readable").validate();
-        for wrong in [
-            "duplicate_distance_m = -1.0",
-            "duplicate_distance_m = inf",
-            "[validity]\nmax_recorded_offroad = 1.5",
-            "[validity]\nmax_slip_rad = -0.1",
-            "[validity]\nmax_jerk_mps3 = inf",
-            "[validity]\nmax_jerk_mps3 = nan",
-        ] {
-            assert!(check(wrong).is_err(), "{wrong}");
-        }
-        assert!(check("[validity]\nskip = [\"jerk\"]").is_ok());
-        assert!(toml::from_str::<EvaluateConfig>("[validity]\nskip = [\"jerks\"]").is_err());
     }
 }

@@ -35,9 +35,6 @@ pub struct Evaluated {
 
 impl Evaluated {
     /// All metric values: aggregates, then those of scenes, then those of scenarios.
-    ///
-    /// # Errors
-    /// When the files of the rows cannot be read.
     pub fn all_rows(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
         Ok(self.aggregates().chain(self.rows.of_scenes()?).chain(self.rows.of_scenarios()?))
     }
@@ -51,9 +48,6 @@ impl Evaluated {
     }
 
     /// Removes the files of the rows. Returns the summary.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn remove_rows(self) -> Result<EvaluationSummary> {
         self.rows.remove()?;
         Ok(self.summary)
@@ -99,9 +93,6 @@ pub struct Evaluation<'a> {
 
 impl<'a> Evaluation<'a> {
     /// Begins an evaluation in which these metrics are measured, of shards whose tracks were told apart.
-    ///
-    /// # Errors
-    /// When files cannot be made.
     pub fn new(
         config: &'a EvaluateConfig,
         docs: Vec<MetricDoc>,
@@ -137,9 +128,6 @@ impl<'a> Evaluation<'a> {
 
     /// Adds the next shard and returns the part to keep. Shards must come in the order of the samples, because the
     /// first of several near-duplicates is accepted.
-    ///
-    /// # Errors
-    /// When rows or predictions cannot be written.
     pub fn add(&mut self, shard: MeasuredShard) -> Result<KeptScenarios> {
         let MeasuredShard { n_evaluations, records, cells } = shard;
         let mut assessments: BTreeMap<String, (Assessment, Vec<Check>)> = BTreeMap::new();
@@ -175,9 +163,6 @@ impl<'a> Evaluation<'a> {
     }
 
     /// Closes the tables, checks the gates, and renames the files of verdicts and predictions to their final names.
-    ///
-    /// # Errors
-    /// When files cannot be written.
     pub fn finish(self) -> Result<Evaluated> {
         let (n_predicted_scenes, n_tracks_left_out) = self.predictions.finish()?;
         self.verdict_table.finish()?;

@@ -1,32 +1,27 @@
 //! Do the results meet the gates?
 
 use super::distinguishability::DistinguishabilityRow;
-use super::gate_config::{GatesConfig, RateGate};
+use super::gate_config::GatesConfig;
 use super::measures::BEHAVIOR_RATE;
 use super::summary::{EvaluationSummary, GateResult};
-use crate::metrics::{Group, MetricRow, SeriesKey};
+use crate::metrics::{MetricRow, SeriesKey};
 use crate::scene::LevelAxis;
 use std::fmt;
 
 /// Checks every gate that is set against what was found.
 pub(super) fn check(gates: &GatesConfig, found: &EvaluationSummary) -> Vec<GateResult> {
-    let counts = [
-        ("min_verified", gates.min_verified, found.n_verified),
-        ("min_new", gates.min_new, found.n_new),
-        ("min_accepted", gates.min_accepted, found.n_accepted),
-    ];
+    let counts = [("min_new", gates.min_new, found.n_new), ("min_accepted", gates.min_accepted, found.n_accepted)];
     let counts = counts.into_iter().filter_map(|(gate, required, found)| {
         let required = required?;
         Some(judged(gate.to_owned(), found >= required, format!("at least {required} required, {found} found")))
     });
     let mut results: Vec<GateResult> = counts.collect();
     let measured = Measured::of(found);
-    results.extend(gates.rates().iter().flat_map(|rate| measured.rate(rate)));
+    if let Some(bound) = gates.min_validity_rate {
+        results.extend(measured.validity_rate(bound));
+    }
     if let Some(bound) = gates.max_distinguishability {
         results.extend(measured.distinguishability(bound));
-    }
-    if gates.beat_constant_velocity {
-        results.extend(measured.beat_constant_velocity());
     }
     if gates.guidance_raises_rate {
         results.extend(measured.guidance_raises_rate());
@@ -62,16 +57,13 @@ impl<'a> Measured<'a> {
     }
 
     /// A result for each series.
-    fn rate(&self, RateGate { name, metric, bound, is_least }: &RateGate) -> Vec<GateResult> {
-        let Some(bound) = *bound else { return Vec::new() };
+    fn validity_rate(&self, bound: f64) -> Vec<GateResult> {
+        let (name, metric) = ("min_validity_rate", "validity_rate");
         let of_series = |series: &SeriesKey| {
             let gate = format!("{name} ({}, {})", series.sweep, series.level);
-            let Some(found) = self.mean(metric, series) else {
-                return not_judged(gate, format_args!("{metric} is undefined for all its scenes"));
-            };
-            match is_least {
-                true => judged(gate, found >= bound, format!("at least {bound} required, {found:.4} found")),
-                false => judged(gate, found <= bound, format!("at most {bound} allowed, {found:.4} found")),
+            match self.mean(metric, series) {
+                Some(found) => judged(gate, found >= bound, format!("at least {bound} required, {found:.4} found")),
+                None => not_judged(gate, format_args!("{metric} is undefined for all its scenes")),
             }
         };
         or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())
@@ -90,24 +82,6 @@ impl<'a> Measured<'a> {
             }
         };
         or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())
-    }
-
-    /// A result for each sweep with unguided samples.
-    fn beat_constant_velocity(&self) -> Vec<GateResult> {
-        let name = "beat_constant_velocity";
-        let of_series = |series: &SeriesKey| {
-            let gate = format!("{name} ({})", series.sweep);
-            let baseline = SeriesKey::reference(Group::ConstantVelocity, &series.sweep);
-            let [own, baseline] = [series, &baseline].map(|series| self.mean("min_scene_ade_m", series));
-            match own.zip(baseline) {
-                Some((own, baseline)) => {
-                    judged(gate, own < baseline, format!("minSceneADE {own:.3} m against {baseline:.3} m"))
-                }
-                None => not_judged(gate, "min_scene_ade_m is undefined for all its scenes"),
-            }
-        };
-        let unguided = self.generated.iter().filter(|series| series.group == Group::Unguided);
-        or_not_judged(name, "no sweep has unguided samples", unguided.map(of_series).collect())
     }
 
     /// A result for each sweep that requests a behavior at several strengths.

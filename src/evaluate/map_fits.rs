@@ -41,9 +41,6 @@ impl MapFitRow {
 }
 
 /// The maps of all places with lanes, by place.
-///
-/// # Errors
-/// When a scene cannot be read.
 pub fn map_fits(store: &SceneStore, config: &ValidityConfig) -> Result<Vec<MapFitRow>> {
     let mut by_place: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (idx, entry) in store.index().iter().enumerate() {
@@ -75,8 +72,8 @@ pub fn for_maps(config: &ValidityConfig, maps: &[MapFitRow]) -> ValidityConfig {
 mod tests {
     use super::*;
     use crate::scene::{MapId, Scene, SceneSource};
+    use crate::store::SceneWriter;
     use crate::store::testing::{map, scene};
-    use crate::store::{SceneWriter, SceneWriterOptions};
     use serde_json::json;
 
     #[test]
@@ -86,7 +83,7 @@ mod tests {
         let nowhere = scene(5, None);
         scenes.push(Scene { source: SceneSource { place: "MIA".to_owned(), ..nowhere.source.clone() }, ..nowhere });
         let dir = tempfile::tempdir().unwrap();
-        let mut writer = SceneWriter::create(dir.path(), SceneWriterOptions::default()).unwrap();
+        let (mut writer, _) = SceneWriter::resume(dir.path()).unwrap();
         writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
         writer.finish(&json!({ "rejects": {} })).unwrap();
 

@@ -69,7 +69,6 @@ pub(super) struct MeasuredCell {
     pub(super) scenario_ids: Vec<String>,
     /// Counts of them.
     pub(super) sampled: SampledCell,
-    /// The figures.
     pub(super) figures: CellFigures,
     /// The checks of validity that were not made.
     pub(super) not_checked: Vec<Check>,
@@ -127,9 +126,6 @@ pub struct Measurer<'a> {
 impl<'a> Measurer<'a> {
     /// Measures scenarios that continue scenes of `store`. Novelty is measured against the positive events in the table
     /// `events`.
-    ///
-    /// # Errors
-    /// When scenes cannot be read.
     pub fn new(
         config: &'a EvaluateConfig,
         behaviors: &'a [Box<dyn Behavior>],

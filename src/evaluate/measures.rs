@@ -2,7 +2,7 @@
 
 use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{Direction, Likelihoods, Metric, MetricSpec, ModeFit, Modes, ModesConfig, ModesOf, SampleGroup};
+use crate::metrics::{Direction, Likelihoods, Metric, MetricSpec, ModeFit, Modes, ModesOf, SampleGroup};
 use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
@@ -37,9 +37,8 @@ impl From<MetricSpec> for MetricDoc {
 /// Everything that is measured, in the order of tables.
 pub(super) struct Measures<'a> {
     metrics: Vec<Box<dyn Metric>>,
-    modes: Option<&'a ModesConfig>,
+    modes: Option<usize>,
     behaviors: &'a [Box<dyn Behavior>],
-    has_likelihoods: bool,
 }
 
 /// The requested behavior and its agents.
@@ -52,17 +51,13 @@ pub(super) struct Requested<'a> {
 }
 
 impl<'a> Measures<'a> {
-    pub(super) fn new(config: &'a EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
-        let chosen = |id: &str| config.metrics.is_empty() || config.metrics.iter().any(|name| name == id);
-        let metrics = config.metric_settings().metrics();
-        let metrics = metrics.into_iter().filter(|metric| chosen(metric.spec().id)).collect();
-        Self { metrics, modes: config.modes.as_ref(), behaviors, has_likelihoods: chosen(Likelihoods::META_METRIC) }
+    pub(super) fn new(config: &EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
+        Self { metrics: config.metric_settings().metrics(), modes: config.modes, behaviors }
     }
 
     /// The descriptions of the measures, for reading the tables: those of [`Measures::evaluate`], then those of
     /// [`Measures::likelihoods`].
     pub(super) fn docs(&self) -> Vec<MetricDoc> {
-        let likelihoods = self.has_likelihoods.then(|| Likelihoods::specs().map(MetricDoc::from));
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
             BEHAVIOR_RATE.to_owned(),
@@ -73,7 +68,7 @@ impl<'a> Measures<'a> {
             rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, between any agents"))
         });
         let of_samples = metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes());
-        of_samples.chain(likelihoods.into_iter().flatten()).collect()
+        of_samples.chain(Likelihoods::specs().map(MetricDoc::from)).collect()
     }
 
     /// The likelihoods of the recorded future by each of `groups`, which are repeated to `n_samples` of them. Without
@@ -85,9 +80,6 @@ impl<'a> Measures<'a> {
         groups: [&[Scene]; N],
         n_samples: usize,
     ) -> [Vec<Option<f64>>; N] {
-        if !self.has_likelihoods {
-            return std::array::from_fn(|_| Vec::new());
-        }
         if n_samples < 2 {
             return std::array::from_fn(|_| Likelihoods::specs().map(|_| None).collect());
         }
@@ -126,47 +118,39 @@ impl<'a> Measures<'a> {
     }
 
     fn docs_of_modes(&self) -> Vec<MetricDoc> {
-        let Some(ModesConfig { n_modes, by, .. }) = self.modes else { return Vec::new() };
-        let docs = by.iter().flat_map(|by| {
-            self.of_modes().map(|(metric, of)| {
-                let doc = MetricDoc::from(metric.spec());
-                let whose = match of {
-                    ModesOf::Ego => "the ego's futures",
-                    ModesOf::Scene => "the joint futures of all agents",
-                };
-                let description = format!("{} over {n_modes} modes of {whose} in place of the samples", doc.metric);
-                MetricDoc { metric: format!("{}{}", by.prefix(*n_modes), doc.metric), description, ..doc }
-            })
+        let Some(n_modes) = self.modes else { return Vec::new() };
+        let docs = self.of_modes().map(|(metric, of)| {
+            let doc = MetricDoc::from(metric.spec());
+            let whose = match of {
+                ModesOf::Ego => "the ego's futures",
+                ModesOf::Scene => "the joint futures of all agents",
+            };
+            let description = format!("{} over {n_modes} modes of {whose} in place of the samples", doc.metric);
+            MetricDoc { metric: format!("modes{n_modes}_{}", doc.metric), description, ..doc }
         });
         docs.collect()
     }
 
     /// The figures over modes, in the order of their docs.
     fn over_modes(&self, group: &SampleGroup<'_>, seed: Option<Seed>) -> Vec<Option<f64>> {
-        let Some(config) = self.modes else { return Vec::new() };
-        let seed = seed.filter(|_| group.samples.len() > config.n_modes);
-        let fit = |of: ModesOf| {
-            let is_wanted = self.of_modes().any(|(_, wanted)| wanted == of);
-            ModeFit::new(group.samples, &of.agents(group.recorded), config, seed.filter(|_| is_wanted)?)
+        let Some(n_modes) = self.modes else { return Vec::new() };
+        let seed = seed.filter(|_| group.samples.len() > n_modes);
+        let modes =
+            |of: ModesOf| Some(ModeFit::new(group.samples, &of.agents(group.recorded), n_modes, seed?)?.modes());
+        let [ego, scene] = [ModesOf::Ego, ModesOf::Scene].map(modes);
+        let value = |(metric, of): (&dyn Metric, ModesOf)| {
+            let Modes { samples, probabilities } = match of {
+                ModesOf::Ego => ego.as_ref(),
+                ModesOf::Scene => scene.as_ref(),
+            }?;
+            metric.evaluate(&SampleGroup {
+                recorded: group.recorded,
+                samples,
+                probabilities: Some(probabilities),
+                ..*group
+            })
         };
-        let fits = [(ModesOf::Ego, fit(ModesOf::Ego)), (ModesOf::Scene, fit(ModesOf::Scene))];
-        let mut values = Vec::new();
-        for by in &config.by {
-            let modes: Vec<(ModesOf, Option<Modes>)> =
-                fits.iter().map(|(of, fit)| (*of, fit.as_ref().map(|fit| fit.modes(*by)))).collect();
-            for (metric, of) in self.of_modes() {
-                let modes = modes.iter().find(|(found, _)| *found == of).and_then(|(_, modes)| modes.as_ref());
-                values.push(modes.and_then(|Modes { samples, probabilities }| {
-                    metric.evaluate(&SampleGroup {
-                        recorded: group.recorded,
-                        samples,
-                        probabilities: Some(probabilities),
-                        ..*group
-                    })
-                }));
-            }
-        }
-        values
+        self.of_modes().map(value).collect()
     }
 
     fn positive_events(&self, scene: &Scene) -> Vec<BehaviorEvent> {
@@ -212,14 +196,15 @@ mod tests {
 
     #[test]
     fn the_behavior_counts_with_those_who_were_asked() {
-        let config: EvaluateConfig = toml::from_str("metrics = ['min_fde_m']").expect("readable");
+        let config = EvaluateConfig::default();
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Always)];
         let measures = Measures::new(&config, &behaviors);
         let (recorded, samples) = (scene(0.0), [scene(1.0)]);
         let roles = |ego: &str, other: &str| Roles::from([("ego", ego), ("other", other)]);
         let rates = |roles: &Roles| {
             let asked = Some(Requested { behavior: "cut_in", roles });
-            measures.evaluate(&SampleGroup::equally_likely(&recorded, &samples), asked, None)[1..3].to_vec()
+            let values = measures.evaluate(&SampleGroup::equally_likely(&recorded, &samples), asked, None);
+            values[values.len() - 2..].to_vec()
         };
         assert_eq!(rates(&roles("1", "2")), [Some(1.0), Some(1.0)]);
         assert_eq!(rates(&roles("2", "1")), [Some(0.0), Some(1.0)]);
@@ -230,18 +215,14 @@ mod tests {
     #[test]
     fn figures_over_modes_stand_beside_those_over_samples() {
         let samples = [2.9, 3.0, 3.0, 3.1, -0.9, -1.1].map(scene);
-        let config: EvaluateConfig = toml::from_str(
-            r#"metrics = ["min_fde_m", "brier_min_fde_m", "min_scene_fde_m", "mfd_m"]
-            modes = { n_modes = 2, by = ["mean", "medoid"] }"#,
-        )
-        .expect("readable");
+        let config = EvaluateConfig { modes: Some(2), ..EvaluateConfig::default() };
         let measures = Measures::new(&config, &[]);
         let recorded = scene(0.0);
         let group = SampleGroup::equally_likely(&recorded, &samples);
         let of = |seed: Option<Seed>| -> Vec<(String, Option<f64>)> {
             let values = measures.evaluate(&group, None, seed);
             let docs = measures.docs();
-            assert_eq!(docs.len(), values.len());
+            assert_eq!(docs.len(), values.len() + Likelihoods::specs().count());
             docs.into_iter().map(|doc| doc.metric).zip(values).collect()
         };
         let found = of(Some(Seed(1)));
@@ -256,13 +237,14 @@ mod tests {
         near("brier_min_fde_m", 0.9 + 25.0 / 36.0);
         // The other agent goes as recorded in all samples, so half of the ego's.
         near("modes2_min_scene_fde_m", 0.5);
-        near("medoids2_min_fde_m", 0.9);
         assert!(!found.iter().any(|(metric, _)| metric.ends_with("2_mfd_m")), "variety is not for modes");
-        assert!(
-            of(None).iter().all(|(metric, value)| value.is_none() == metric.contains("s2_") || metric == BEHAVIOR_RATE)
-        );
+        let are_undefined = |values: &[Option<f64>]| {
+            let of_modes = measures.docs().into_iter().zip(values).filter(|(doc, _)| doc.metric.starts_with("modes2_"));
+            of_modes.map(|(_, value)| value.is_none()).reduce(|a, b| a && b)
+        };
+        assert_eq!(are_undefined(&measures.evaluate(&group, None, None)), Some(true), "without a seed");
         let few = SampleGroup::equally_likely(&recorded, &samples[..2]);
         let values = measures.evaluate(&few, None, Some(Seed(1)));
-        assert!(values[5..].iter().all(Option::is_none), "no more samples than modes: {values:?}");
+        assert_eq!(are_undefined(&values), Some(true), "no more samples than modes: {values:?}");
     }
 }

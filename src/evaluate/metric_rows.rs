@@ -19,7 +19,6 @@ pub(super) struct CellNames<'a> {
     pub(super) series: &'a SeriesKey,
     /// The place of the scene.
     pub(super) place: &'a str,
-    /// The scene.
     pub(super) scene_id: &'a SceneId,
     /// The scenarios, in order.
     pub(super) scenario_ids: &'a [String],
@@ -55,7 +54,6 @@ impl MetricRows {
         Ok(Self { docs, scratch: scratch.to_owned(), series: Vec::new(), of_scenarios })
     }
 
-    /// Adds the figures of a cell.
     pub(super) fn add(&mut self, cell: &CellNames<'_>, figures: &CellFigures) -> Result<()> {
         let CellNames { series, place, scene_id, scenario_ids } = *cell;
         let parts = [

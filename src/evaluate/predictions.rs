@@ -4,10 +4,13 @@ use super::cells::CellSamples;
 use super::config::EvaluateConfig;
 use super::error::Result;
 use crate::files::clear;
-use crate::metrics::{ModeFit, Modes, ModesConfig, ModesOf, Representative};
+use crate::metrics::{ModeFit, Modes, ModesOf};
 use crate::scene::{Benchmark, Dataset, Scene};
 use crate::store::{ArgoversePredictions, InteractionPredictions, SceneSet};
 use std::path::Path;
+
+/// Modes that the benchmarks take.
+const BENCHMARK_MODES: usize = 6;
 
 /// The predictions for each requested dataset. A benchmark takes one answer per scene: the first unguided samples, in
 /// the order of sweeps.
@@ -28,9 +31,8 @@ pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option
         return None;
     }
     let samples = cell.scenes();
-    let defaults = ModesConfig::default();
-    let modes = config.modes.as_ref().unwrap_or(&defaults);
-    if samples.len() <= modes.n_modes {
+    let n_modes = config.modes.unwrap_or(BENCHMARK_MODES);
+    if samples.len() <= n_modes {
         let probabilities = cell.probabilities().unwrap_or_else(|| vec![1.0; samples.len()]);
         let sum: f64 = probabilities.iter().sum();
         let probabilities = probabilities.into_iter().map(|probability| probability / sum).collect();
@@ -40,8 +42,7 @@ pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option
         Some(Benchmark::ArgoverseFocal) => ModesOf::Ego,
         Some(Benchmark::InteractionJoint | Benchmark::ArgoverseWorlds) | None => ModesOf::Scene,
     };
-    let by = modes.by.first().copied().unwrap_or(Representative::Mean);
-    Some(ModeFit::new(&samples, &of.agents(&first.scene), modes, cell.mode_seed())?.modes(by))
+    Some(ModeFit::new(&samples, &of.agents(&first.scene), n_modes, cell.mode_seed())?.modes())
 }
 
 impl Predictions {

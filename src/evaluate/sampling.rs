@@ -38,6 +38,27 @@ pub struct SamplingRow {
     pub n_evaluations: u64,
 }
 
+#[cfg(test)]
+impl SamplingRow {
+    /// 100 samples of 10 scenes of a place, a tenth of which collide.
+    pub(crate) fn example(strength: f64, n_verified: u64) -> Self {
+        Self {
+            sweep: "cut_ins".to_owned(),
+            behavior: Some("cut_in".to_owned()),
+            place: "X".to_owned(),
+            level: GuidanceLevel::of_strength(strength),
+            sampler: "heun-10".to_owned(),
+            n_scenes: 10,
+            n_scenarios: 100,
+            n_verified,
+            n_new: 0,
+            n_collision: 10,
+            offroad_rate: None,
+            n_evaluations: 19,
+        }
+    }
+}
+
 /// The counts of the scenarios of a cell.
 pub(super) struct SampledCell {
     behavior: Option<String>,
@@ -150,7 +171,6 @@ impl SamplingTally {
         }
     }
 
-    /// The rows.
     pub(super) fn finish(self) -> Vec<SamplingRow> {
         let finished = |counted: CountedRow| SamplingRow {
             n_scenes: counted.scenes.len() as u64,

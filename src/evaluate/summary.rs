@@ -52,7 +52,7 @@ pub struct EvaluationSummary {
 /// A gate and whether it was met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GateResult {
-    /// Which gate, and where: `max_collision_rate (cut_ins, α = 2)`.
+    /// Which gate, and where: `min_validity_rate (cut_ins, α = 2)`.
     pub gate: String,
     /// Whether it was met.
     pub met: bool,

@@ -127,9 +127,6 @@ trait Exporter {
     fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome>;
 
     /// Finishes what spans scenarios.
-    ///
-    /// # Errors
-    /// On I/O errors.
     fn finish(self: Box<Self>) -> Result<()> {
         Ok(())
     }

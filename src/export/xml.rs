@@ -51,9 +51,6 @@ impl Element {
     }
 
     /// Writes the document with this root.
-    ///
-    /// # Errors
-    /// If `sink` fails.
     pub(super) fn write_document(&self, sink: &mut dyn Write) -> io::Result<()> {
         let mut writer = Writer::new_with_indent(sink, b' ', 2);
         writer.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;

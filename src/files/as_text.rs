@@ -7,17 +7,11 @@ use serde::{Serialize, Serializer};
 use std::path::{Path, PathBuf};
 
 /// Writes a path.
-///
-/// # Errors
-/// Those of the serializer.
 pub fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     path.to_string_lossy().serialize(serializer)
 }
 
 /// Writes paths.
-///
-/// # Errors
-/// Those of the serializer.
 pub fn paths_as_text<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }

@@ -46,9 +46,6 @@ pub struct AtomicFile {
 
 impl AtomicFile {
     /// Begins to write `path`, whose folder must exist.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn create(path: &Path) -> io::Result<Self> {
         enter(path)?;
         let partial = unique_partial(path);
@@ -60,11 +57,6 @@ impl AtomicFile {
     /// The final path.
     pub fn path(&self) -> &Path {
         &self.path
-    }
-
-    /// Bytes written so far.
-    pub const fn n_bytes(&self) -> u64 {
-        self.n_bytes
     }
 
     /// Size and hash of what was written so far.

@@ -4,9 +4,6 @@ use std::io;
 use std::path::Path;
 
 /// Exchanges what two paths name, at once. `false`: nothing was done, because the system or the file system cannot.
-///
-/// # Errors
-/// On I/O errors.
 #[cfg(target_os = "linux")]
 pub fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};
@@ -22,9 +19,6 @@ pub fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
 }
 
 /// Only Linux has a call for it that is of use here.
-///
-/// # Errors
-/// None.
 #[cfg(not(target_os = "linux"))]
 pub fn exchange(_a: &Path, _b: &Path) -> io::Result<bool> {
     Ok(false)

@@ -12,19 +12,10 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 /// Keeps a folder and its other place alike. Its errors are those of the other place.
 pub trait Mirror: Debug + Send + Sync {
     /// A file has its final name and is whole.
-    ///
-    /// # Errors
-    /// If the others cannot be notified.
     fn committed(&self, path: &Path) -> io::Result<()>;
     /// A file was removed.
-    ///
-    /// # Errors
-    /// If the others cannot be notified.
     fn removed(&self, path: &Path) -> io::Result<()>;
     /// Shows in the folder `dir` what others have written, as often as is reasonable.
-    ///
-    /// # Errors
-    /// When it cannot be had.
     fn refresh(&self, dir: &Path) -> io::Result<()>;
     /// The length of a file of others whose content is not shown here, bytes.
     fn n_bytes_elsewhere(&self, path: &Path) -> Option<u64>;
@@ -67,17 +58,11 @@ pub fn mirror_above(path: &Path) -> Option<Arc<dyn Mirror>> {
 
 /// Notifies the mirror of the folder, if it has one, that a file has its final name. An
 /// [`AtomicFile`](super::AtomicFile) does so by itself.
-///
-/// # Errors
-/// If the mirror fails.
 pub fn tell_committed(path: &Path) -> io::Result<()> {
     mirror_above(path).map_or(Ok(()), |mirror| mirror.committed(path))
 }
 
 /// Notifies the mirror of the folder, if it has one, that a file was removed.
-///
-/// # Errors
-/// If the mirror fails.
 pub(super) fn tell_removed(path: &Path) -> io::Result<()> {
     mirror_above(path).map_or(Ok(()), |mirror| mirror.removed(path))
 }

@@ -90,9 +90,6 @@ pub(super) fn enter(path: &Path) -> io::Result<()> {
 }
 
 /// Enters files of `dir`, given relative to it, in its list.
-///
-/// # Errors
-/// On I/O errors.
 pub fn enter_all<'a>(dir: &Path, names: impl Iterator<Item = &'a Path>) -> io::Result<()> {
     let mut lines = String::new();
     for name in names {
@@ -110,9 +107,6 @@ pub fn list_above(path: &Path) -> Option<PathBuf> {
 
 /// Everything below `dir` that is no folder, relative to it and sorted; nothing where there is no such folder. Links
 /// are not followed: they count as files.
-///
-/// # Errors
-/// On I/O errors.
 pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut pending = vec![PathBuf::new()];
@@ -132,9 +126,6 @@ pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// The files below `dir` that are not among `ours`: neither such a file nor the partial file of one, nor the list.
-///
-/// # Errors
-/// On I/O errors.
 pub fn foreign(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
     Ok(files_below(dir)?.into_iter().filter(|name| !is_ours(name, ours)).collect())
 }
@@ -212,9 +203,6 @@ fn check_no_link(path: &Path) -> Result<()> {
 }
 
 /// Brings a folder's entries to the disk: a rename is there only once its folder is.
-///
-/// # Errors
-/// On I/O errors.
 pub fn sync_folder(dir: &Path) -> io::Result<()> {
     // Elsewhere folders cannot be opened; the system orders renames by itself.
     if cfg!(unix) {

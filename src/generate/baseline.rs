@@ -10,9 +10,6 @@ use std::ops::Range;
 
 impl<'g> Generator<'g> {
     /// The model of a sweep of the baseline.
-    ///
-    /// # Errors
-    /// When there is none.
     pub(super) fn baseline(&self, sweep: &ResolvedSweep) -> Result<&'g TrainedSceneTransformer, Error> {
         self.models.baseline.ok_or_else(|| {
             let why = "model = \"baseline\" needs a trained baseline; add a section [train.baseline]";

@@ -42,9 +42,6 @@ pub struct Generator<'a> {
 impl<'a> Generator<'a> {
     /// A generator whose `config`, resolved with the mined `behaviors`, fits its `models`. Selections and limits judge
     /// by `metric_settings`.
-    ///
-    /// # Errors
-    /// When it does not.
     pub fn new(
         config: &'a ResolvedGeneration,
         models: Models<'a>,

@@ -87,9 +87,6 @@ impl SelectConfig {
 
     /// Rejects metrics and objectives that cannot judge samples of a sweep with objectives of these kinds. `asks_pairs`
     /// is whether the sweep requests a pair, as metrics of pairs need.
-    ///
-    /// # Errors
-    /// Names the key.
     pub(super) fn validate(&self, objectives: &[&str], asks_pairs: bool) -> Result {
         let of_limits = self.limits.keys().map(|id| (format!("limits.{id}"), id));
         for (key, id) in of_limits.chain(self.by.iter().enumerate().map(|(i, id)| (format!("by.{i}"), id))) {

@@ -26,7 +26,6 @@ pub fn verify(behavior: &dyn Behavior, roles: &Roles, recorded: &Scene, generate
     Verification { verified, events, recorded_event }
 }
 
-/// The positive events of `behavior` in `scene`.
 pub(super) fn positive_events(behavior: &dyn Behavior, scene: &Scene) -> Vec<BehaviorEvent> {
     behavior.detect(scene).into_iter().filter(|event| event.label == EventLabel::Positive).collect()
 }

@@ -7,8 +7,8 @@ use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// What of a classifier is made large. With z = ln p / (1 - p), its output, ∇ ln p = (1 - p) ∇z: while p is small, both
-/// potentials push alike, with ∇z. Once the classifier is sure, ln p lets go, and the log odds push on.
+/// The output of the classifier to maximize: log p or log odds. With z = ln p / (1 - p), ∇ ln p = (1 - p) ∇z: while p
+/// is small, both potentials push alike, with ∇z. Once the classifier is sure, ln p lets go, and the log odds push on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClassifierPotential {

@@ -14,9 +14,6 @@ use serde::{Deserialize, Serialize};
 pub trait CleanPotential {
     /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by
     /// row.
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     fn log_potential(&self, x0: &Tensor) -> Result<Tensor>;
 }
 
@@ -33,9 +30,6 @@ pub struct ObjectiveSum<'a> {
 
 impl ObjectiveSum<'_> {
     /// The summands weight · J(decode(x₀)), each (B), in the order of the objectives.
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub fn terms(&self, x0: &Tensor) -> Result<Vec<Tensor>> {
         let states = self.batch.decode(x0)?;
         let term = |objective: &ObjectiveConfig| {

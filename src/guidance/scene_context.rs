@@ -108,9 +108,6 @@ impl SceneContext {
     }
 
     /// Every row `n` times in a row, as [`SceneBatch::repeated`] has them.
-    ///
-    /// # Errors
-    /// When the device runs out of memory.
     pub fn repeated(&self, n: usize) -> Result<Self> {
         let rows = RepeatedRows::new(self.ego.len(), n, self.valid.device())?;
         let repeat = |tensor: &Tensor| rows.tensor(tensor);
@@ -147,19 +144,9 @@ impl SceneContext {
         Ok(Self { targets, ..self })
     }
 
-    /// The target interval of the parameter `name` for each row, (B, 2): the one that is `configured`, or the row's
-    /// target, or `any`.
-    ///
-    /// # Errors
-    /// When the device runs out of memory.
-    pub(super) fn wanted(
-        &self,
-        name: &str,
-        configured: Option<[f64; 2]>,
-        any: [f64; 2],
-        like: &Tensor,
-    ) -> Result<Tensor> {
-        let of_row = |target: &Target| configured.or_else(|| target.get(name).copied()).unwrap_or(any);
+    /// The target interval of the parameter `name` for each row, (B, 2); `any` for rows without one.
+    pub(super) fn wanted(&self, name: &str, any: [f64; 2], like: &Tensor) -> Result<Tensor> {
+        let of_row = |target: &Target| target.get(name).copied().unwrap_or(any);
         let intervals: Vec<f64> = self.targets.iter().flat_map(of_row).collect();
         Tensor::from_vec(intervals, (self.targets.len(), 2), like.device())?.to_dtype(like.dtype())
     }
@@ -213,9 +200,6 @@ impl SceneContext {
     }
 
     /// Converts its tensors to another type.
-    ///
-    /// # Errors
-    /// When the device runs out of memory.
     pub fn to_dtype(&self, dtype: DType) -> Result<Self> {
         Ok(Self {
             valid: self.valid.to_dtype(dtype)?,

@@ -1,7 +1,5 @@
 //! Splits a line at its commas, 64 bytes at a time without branches.
 
-use super::word::equal_bytes;
-
 /// Replaces `cells` by the cells of `line`, at least one.
 pub(super) fn split_cells<'a>(line: &'a [u8], cells: &mut Vec<&'a [u8]>) {
     cells.clear();
@@ -37,6 +35,17 @@ fn commas_of(block: &[u8; 64]) -> u64 {
         commas |= ((equal >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * i);
     }
     commas
+}
+
+/// `byte` eight times.
+const fn each(byte: u8) -> u64 {
+    u64::from_ne_bytes([byte; 8])
+}
+
+/// The highest bit of each byte of `word` that is `byte`, and no other bit: nothing is carried from byte to byte.
+const fn equal_bytes(word: u64, byte: u8) -> u64 {
+    let differing = word ^ each(byte);
+    !(((differing & each(0x7f)) + each(0x7f)) | differing | each(0x7f))
 }
 
 #[cfg(test)]

@@ -129,9 +129,6 @@ impl IngestConfig {
     }
 
     /// Refuses values that cannot work for any dataset.
-    ///
-    /// # Errors
-    /// [`Error::Config`] names the key.
     pub fn validate(&self) -> Result<(), Error> {
         let refuse = |key, detail: &str| Err(Error::Config { key: String::from(key), detail: detail.to_owned() });
         if self.inputs.is_empty() {

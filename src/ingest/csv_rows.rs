@@ -112,7 +112,6 @@ pub(crate) fn lines_of(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// A line with its number.
 fn clean(line: &[u8], number: u64) -> &[u8] {
     let line = without_end(line);
     if number == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line) } else { line }

@@ -46,7 +46,6 @@ mod table;
 #[cfg(test)]
 mod test_data;
 mod windows;
-mod word;
 mod xml_tree;
 
 pub use config::{IngestConfig, MapsConfig};

@@ -12,9 +12,8 @@ use std::ops::ControlFlow;
 /// The two names of a pair. `*` stands for the same text in both.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PairNames<'a> {
-    /// Of recordings.
     pub(super) recordings: &'a str,
-    /// Of the files that belong to them; `None` if recordings are complete without.
+    /// The files that belong to recordings; `None` if recordings are complete without.
     pub(super) companions: Option<&'a str>,
     /// Most bytes of a file, and most that may wait for their counterparts.
     pub(super) max_bytes: u64,

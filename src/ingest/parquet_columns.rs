@@ -16,14 +16,14 @@ use std::sync::Arc;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limits {
     pub(super) n_rows: usize,
-    /// Of its columns, and of the text in one of them.
+    /// Bytes of its columns, and of the text in one of them.
     pub(super) n_bytes: usize,
 }
 
 /// Some columns of a file in memory.
 pub(super) struct Columns {
     batch: RecordBatch,
-    /// Of all columns of the file.
+    /// The names of all columns of the file.
     names: Vec<String>,
     max_text_bytes: usize,
 }

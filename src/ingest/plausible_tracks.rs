@@ -12,7 +12,7 @@ const FAST_MPS: f64 = 5.0;
 const MIN_FAST_STEPS: usize = 5;
 /// Headings are off if they differ from the motion by more than this, radians.
 const MAX_SLIP_RAD: f64 = std::f64::consts::FRAC_PI_4;
-/// The same for headings beyond a full turn, which are degrees or were added up, radians.
+/// The limit for headings beyond a full turn, which are degrees or were added up, radians.
 const MAX_SLIP_BEYOND_TURN_RAD: f64 = 0.15;
 /// No vehicle is faster, m/s; and where positions are noisy or at uneven times.
 const MAX_SPEED_MPS: f64 = 80.0;
@@ -28,11 +28,11 @@ const MIN_REJECTED_TRACKS: u64 = 3;
 /// A fault of tracks.
 struct Fault {
     what: &'static str,
-    /// What becomes of a scene of which most tracks have it.
+    /// The fate of a scene of which most tracks have it.
     of_most: OfMost,
 }
 
-/// What becomes of a scene of which most tracks have a fault.
+/// The fate of a scene of which most tracks have a fault.
 enum OfMost {
     /// It is rejected for this reason.
     Reject(&'static str),
@@ -52,7 +52,7 @@ const FAULTS: [Fault; 6] = [
     Fault { what: "tracks_whose_velocities_contradict_their_positions", of_most: OfMost::Warn },
 ];
 
-/// What is found of a track: not to be judged, sound, or doubtful with the figures.
+/// The judgment of a track: not to be judged, sound, or doubtful with the figures.
 type Verdict = Option<Result<(), String>>;
 
 /// Adds the doubtful tracks to the findings of a scene, and wraps the headings of its vehicles, which come as they were

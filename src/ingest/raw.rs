@@ -115,7 +115,7 @@ pub struct RawScene {
     pub map_id: MapId,
     /// The map, if the scene brings its own; otherwise it is looked up among those read beforehand.
     pub own_map: Option<Arc<LaneGraph>>,
-    /// What is doubtful in it and its own map.
+    /// Doubts about it and its own map.
     pub findings: Vec<Finding>,
 }
 

@@ -27,7 +27,7 @@ pub struct IngestReport {
     pub dropped: BTreeMap<String, u64>,
     /// Counts of assumptions for data that is not recorded, such as headings of standing vehicles.
     pub assumed: BTreeMap<String, u64>,
-    /// What is doubtful in the scenes kept and their maps, by kind.
+    /// Doubts about the scenes kept and their maps, by kind.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub warnings: BTreeMap<String, RejectCount>,
 }
@@ -87,7 +87,7 @@ impl IngestReport {
         self.warnings.entry(what.to_owned()).or_default().add(n, detail);
     }
 
-    /// What is doubtful, a sentence for each kind.
+    /// The doubts, a sentence for each kind.
     pub fn warnings(&self) -> impl Iterator<Item = String> {
         self.warnings.iter().map(|(what, found)| {
             let first = found.examples.first().map_or("", String::as_str);

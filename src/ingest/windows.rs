@@ -16,7 +16,7 @@ pub(super) struct Recording {
     /// Where they come from, without the text.
     pub(super) unit: RawUnit,
     pub(super) tracks: Vec<RecordedTrack>,
-    /// What is doubtful in it; reported with its first scene.
+    /// Doubts about it; reported with its first scene.
     pub(super) findings: Vec<Finding>,
 }
 

@@ -124,7 +124,6 @@ impl Element {
         })
     }
 
-    /// Its text.
     pub(super) fn text(&self) -> &str {
         &self.text
     }

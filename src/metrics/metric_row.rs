@@ -36,3 +36,22 @@ impl MetricRow {
         SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }
 }
+
+#[cfg(test)]
+impl MetricRow {
+    /// The mean of a metric of unguided samples over 10 scenes of all places.
+    pub(crate) fn example(metric: &str, value: f64) -> Self {
+        Self {
+            group: Group::Unguided,
+            sweep: "cut_ins".to_owned(),
+            level: GuidanceLevel::UNGUIDED,
+            place: String::new(),
+            scene_id: None,
+            scenario_id: None,
+            metric: metric.to_owned(),
+            value,
+            n: 10,
+            std_error: None,
+        }
+    }
+}

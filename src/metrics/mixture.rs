@@ -7,21 +7,15 @@
 use crate::seed::{Seed, SeededRng};
 use std::f64::consts::TAU;
 
-/// How a mixture is fitted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MixtureOptions {
-    /// Number of components K.
-    pub n_components: usize,
-    /// Most iterations of expectation and maximization.
-    pub max_iterations: usize,
-    /// Fits from different starts; the likeliest is used.
-    pub n_starts: usize,
-    /// Least standard deviation of a component in any dimension, in the unit of the points.
-    pub min_std: f64,
-}
-
 /// A fit ends when the log-likelihood rises by less than this share of its size.
 const TOLERANCE: f64 = 1e-9;
+/// Most iterations of expectation and maximization, which settle in a few dozen.
+const MAX_ITERATIONS: usize = 100;
+/// Fits from different starts; the likeliest is used.
+const N_STARTS: u64 = 4;
+/// Least standard deviation of a component in any dimension, in the unit of the points. For positions in meters, this
+/// is far below what tells futures apart.
+const MIN_STD: f64 = 0.1;
 /// Components with less weight have lost all points.
 const NO_WEIGHT: f64 = 1e-12;
 
@@ -51,37 +45,36 @@ impl Mixture {
     /// Fits a mixture to points of equal length. The starts are means drawn by k-means++ (Arthur and
     /// Vassilvitskii 2007) from `seed`, to which points are assigned whole.
     ///
-    /// `None` without components or starts, with fewer points than components, with points that are empty, of different
-    /// lengths or not finite, or with a floor that is not positive.
-    pub fn fit(points: &[Vec<f64>], options: &MixtureOptions, seed: Seed) -> Option<Self> {
+    /// `None` without components, with fewer points than components, or with points that are empty, of different
+    /// lengths or not finite.
+    pub fn fit(points: &[Vec<f64>], n_components: usize, seed: Seed) -> Option<Self> {
         let n_dims = points.first()?.len();
         let is_usable = |point: &Vec<f64>| point.len() == n_dims && point.iter().all(|x| x.is_finite());
-        let is_possible = options.n_components > 0 && points.len() >= options.n_components && options.min_std > 0.0;
-        if n_dims == 0 || !is_possible || !points.iter().all(is_usable) {
+        if n_dims == 0 || n_components == 0 || points.len() < n_components || !points.iter().all(is_usable) {
             return None;
         }
-        let start = |start: usize| {
-            let mut rng = seed.derive("mixture", &[start as u64]).rng();
-            Self::fit_from(points, &spread_out(points, options.n_components, &mut rng), options)
+        let start = |start: u64| {
+            let mut rng = seed.derive("mixture", &[start]).rng();
+            Self::fit_from(points, &spread_out(points, n_components, &mut rng), MAX_ITERATIONS, MIN_STD)
         };
         // The first among equally likely fits counts.
         let better =
             |best: Self, other: Self| if other.log_likelihood() > best.log_likelihood() { other } else { best };
-        (0..options.n_starts).map(start).reduce(better).map(Self::sorted)
+        (0..N_STARTS).map(start).reduce(better).map(Self::sorted)
     }
 
     /// Fits a mixture from given means. Components are in the order of the means, whatever their weight.
-    fn fit_from(points: &[Vec<f64>], means: &[Vec<f64>], options: &MixtureOptions) -> Self {
+    fn fit_from(points: &[Vec<f64>], means: &[Vec<f64>], max_iterations: usize, min_std: f64) -> Self {
         let unfitted = |mean: &Vec<f64>| Component {
             weight: 0.0,
             mean: mean.clone(),
-            variance: vec![options.min_std.powi(2); mean.len()],
+            variance: vec![min_std.powi(2); mean.len()],
         };
         let mut components: Vec<Component> = means.iter().map(unfitted).collect();
         let mut responsibilities: Vec<Vec<f64>> = points.iter().map(|point| of_nearest(point, means)).collect();
         let mut log_likelihoods: Vec<f64> = Vec::new();
-        for _ in 0..options.max_iterations.max(1) {
-            maximize(points, &responsibilities, options.min_std, &mut components);
+        for _ in 0..max_iterations {
+            maximize(points, &responsibilities, min_std, &mut components);
             let log_likelihood = expect(points, &components, &mut responsibilities);
             let gain = log_likelihoods.last().map(|last| log_likelihood - last);
             log_likelihoods.push(log_likelihood);
@@ -191,8 +184,6 @@ mod tests {
     use proptest::prelude::*;
     use serde::Deserialize;
 
-    const OPTIONS: MixtureOptions = MixtureOptions { n_components: 3, max_iterations: 100, n_starts: 4, min_std: 0.1 };
-
     fn all_near(a: &[f64], b: &[f64], tolerance: f64) -> bool {
         a.len() == b.len() && a.iter().zip(b).all(|(x, y)| (x - y).abs() <= tolerance)
     }
@@ -200,8 +191,7 @@ mod tests {
     #[test]
     fn two_pairs_by_hand() {
         let points = [0.0, 2.0, 100.0, 104.0, 102.0].map(|x| vec![x]);
-        let options = MixtureOptions { n_components: 2, ..OPTIONS };
-        let mixture = Mixture::fit(&points, &options, Seed(1)).expect("fits");
+        let mixture = Mixture::fit(&points, 2, Seed(1)).expect("fits");
         let [first, second] = &mixture.components[..] else { panic!("{mixture:?}") };
         // Each point belongs to one component only, as far as an f64 can tell.
         assert!(all_near(&[first.weight, first.mean[0], first.variance[0]], &[0.6, 102.0, 8.0 / 3.0], 1e-9));
@@ -215,7 +205,7 @@ mod tests {
     #[test]
     fn the_floor_holds_and_coinciding_points_need_fewer_components() {
         let points = vec![vec![1.0, 2.0]; 5];
-        let mixture = Mixture::fit(&points, &OPTIONS, Seed(1)).expect("fits");
+        let mixture = Mixture::fit(&points, 3, Seed(1)).expect("fits");
         assert_eq!(mixture.components.len(), 1);
         let component = &mixture.components[0];
         assert!(all_near(&component.mean, &[1.0, 2.0], 1e-12) && all_near(&component.variance, &[0.01, 0.01], 1e-12));
@@ -224,15 +214,14 @@ mod tests {
 
     #[test]
     fn what_cannot_be_fitted_is_refused() {
-        let refused = |points: &[Vec<f64>], options: &MixtureOptions| Mixture::fit(points, options, Seed(1)).is_none();
+        let refused = |points: &[Vec<f64>], n: usize| Mixture::fit(points, n, Seed(1)).is_none();
         let points = vec![vec![1.0], vec![2.0], vec![3.0]];
-        assert!(!refused(&points, &OPTIONS));
-        assert!(refused(&points[..2], &OPTIONS) && refused(&[], &OPTIONS));
-        assert!(refused(&[vec![], vec![], vec![]], &OPTIONS));
-        assert!(refused(&[vec![1.0], vec![f64::NAN], vec![3.0]], &OPTIONS));
-        assert!(refused(&[vec![1.0], vec![1.0, 2.0], vec![3.0]], &OPTIONS));
-        assert!(refused(&points, &MixtureOptions { min_std: 0.0, ..OPTIONS }));
-        assert!(refused(&points, &MixtureOptions { n_components: 0, ..OPTIONS }));
+        assert!(!refused(&points, 3));
+        assert!(refused(&points[..2], 3) && refused(&[], 3));
+        assert!(refused(&[vec![], vec![], vec![]], 3));
+        assert!(refused(&[vec![1.0], vec![f64::NAN], vec![3.0]], 3));
+        assert!(refused(&[vec![1.0], vec![1.0, 2.0], vec![3.0]], 3));
+        assert!(refused(&points, 0));
     }
 
     /// 60 points of 60 numbers around three well separated centers, 30, 20 and 10 of them.
@@ -251,7 +240,7 @@ mod tests {
     fn well_separated_clusters_are_found() {
         for seed in 0..5 {
             let (points, centers) = clusters(seed);
-            let mixture = Mixture::fit(&points, &OPTIONS, Seed(7)).expect("fits");
+            let mixture = Mixture::fit(&points, 3, Seed(7)).expect("fits");
             let weights: Vec<f64> = mixture.components.iter().map(|component| component.weight).collect();
             assert!(all_near(&weights, &[0.5, 1.0 / 3.0, 1.0 / 6.0], 1e-9), "{weights:?}");
             for (component, center) in mixture.components.iter().zip(&centers) {
@@ -279,13 +268,7 @@ mod tests {
     fn iterations_are_those_of_another_program() {
         let golden: Golden =
             serde_json::from_str(include_str!("../../tests/golden/mixture.json")).expect("a golden file");
-        let options = MixtureOptions {
-            n_components: golden.starts.len(),
-            max_iterations: golden.n_iterations,
-            n_starts: 1,
-            min_std: golden.min_std,
-        };
-        let mixture = Mixture::fit_from(&golden.points, &golden.starts, &options);
+        let mixture = Mixture::fit_from(&golden.points, &golden.starts, golden.n_iterations, golden.min_std);
         assert!(all_near(&mixture.log_likelihoods, &golden.log_likelihoods, 1e-8));
         for (k, component) in mixture.components.iter().enumerate() {
             assert!((component.weight - golden.weights[k]).abs() < 1e-10);
@@ -300,7 +283,7 @@ mod tests {
         fn the_likelihood_never_falls(
             points in prop::collection::vec(prop::collection::vec(-3.0..3.0f64, 4), 6..30), seed in 0..1000u64,
         ) {
-            let mixture = Mixture::fit(&points, &OPTIONS, Seed(seed)).expect("fits");
+            let mixture = Mixture::fit(&points, 3, Seed(seed)).expect("fits");
             for pair in mixture.log_likelihoods.windows(2) {
                 prop_assert!(pair[1] >= pair[0] - 1e-9 * pair[0].abs().max(1.0), "{:?}", mixture.log_likelihoods);
             }

@@ -2,58 +2,11 @@
 //!
 //! The paper draws 60 samples of a scene and takes the means of a mixture of six Gaussians as its prediction.
 
-use super::mixture::{Mixture, MixtureOptions};
+use super::mixture::Mixture;
 use super::sample_group::{future, present_agents};
 use crate::geometry::Vec2;
 use crate::scene::{Scene, State, Track, Trajectory};
 use crate::seed::Seed;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// How samples are reduced to modes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct ModesConfig {
-    /// Number of modes K; the benchmarks take six. Groups with no more samples than that are not reduced.
-    #[schemars(range(min = 1, max = 1_000))]
-    pub n_modes: usize,
-    /// The representative of a mode. Each is reported under its own name.
-    pub by: Vec<Representative>,
-}
-
-/// Most iterations of expectation-maximization, which settles in a few dozen.
-const MAX_ITERATIONS: usize = 100;
-/// Fits from different starts; the likeliest is used.
-const N_STARTS: usize = 4;
-/// Least standard deviation of a mode in any coordinate, meters: far below what tells futures apart. A mixture of fewer
-/// samples than coordinates needs this.
-const MIN_STD_M: f64 = 0.1;
-
-impl Default for ModesConfig {
-    fn default() -> Self {
-        Self { n_modes: 6, by: vec![Representative::Mean] }
-    }
-}
-
-/// The representative of a mode.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Representative {
-    /// The mean of its samples, as in the paper. It is close to all of them, but is not itself a sample.
-    Mean,
-    /// The sample that is closest to the mean.
-    Medoid,
-}
-
-impl Representative {
-    /// The first part of the names of figures over `n_modes` such modes, as in `modes6_min_ade_m`.
-    pub fn prefix(self, n_modes: usize) -> String {
-        match self {
-            Self::Mean => format!("modes{n_modes}_"),
-            Self::Medoid => format!("medoids{n_modes}_"),
-        }
-    }
-}
 
 /// The agents whose modes a metric is about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,11 +36,10 @@ pub struct Modes {
     pub probabilities: Vec<f64>,
 }
 
-/// A mixture fitted to samples, from which modes of either kind are made.
+/// A mixture fitted to samples, from which modes are made.
 #[derive(Debug, Clone)]
 pub struct ModeFit<'a> {
     samples: &'a [Scene],
-    points: Vec<Vec<f64>>,
     mixture: Mixture,
 }
 
@@ -97,7 +49,7 @@ impl<'a> ModeFit<'a> {
     /// the paper's reduction, for all agents the joint one.
     ///
     /// `None` with fewer samples than modes, or if no agent has a future in all of them.
-    pub fn new(samples: &'a [Scene], agents: &[usize], config: &ModesConfig, seed: Seed) -> Option<Self> {
+    pub fn new(samples: &'a [Scene], agents: &[usize], n_modes: usize, seed: Seed) -> Option<Self> {
         let first = samples.first()?;
         let entries: Vec<(usize, usize, State)> = agents
             .iter()
@@ -114,32 +66,15 @@ impl<'a> ModeFit<'a> {
             entries.iter().filter_map(in_own_frame).flatten().collect()
         };
         let points: Vec<Vec<f64>> = samples.iter().map(coordinates).collect();
-        let options = MixtureOptions {
-            n_components: config.n_modes,
-            max_iterations: MAX_ITERATIONS,
-            n_starts: N_STARTS,
-            min_std: MIN_STD_M,
-        };
-        let mixture = Mixture::fit(&points, &options, seed)?;
-        Some(Self { samples, points, mixture })
+        let mixture = Mixture::fit(&points, n_modes, seed)?;
+        Some(Self { samples, mixture })
     }
 
-    /// The modes: fewer than configured if samples coincide.
-    pub fn modes(&self, by: Representative) -> Modes {
-        let samples = (0..self.mixture.components.len()).map(|k| match by {
-            Representative::Mean => self.mean_scene(k),
-            Representative::Medoid => self.samples[self.closest(k)].clone(),
-        });
+    /// The modes, as means of their samples (as in the paper): fewer than configured if samples coincide.
+    pub fn modes(&self) -> Modes {
+        let samples = (0..self.mixture.components.len()).map(|k| self.mean_scene(k));
         let probabilities = self.mixture.components.iter().map(|component| component.weight);
         Modes { samples: samples.collect(), probabilities: probabilities.collect() }
-    }
-
-    /// The sample whose fitted coordinates are closest to the mean of component `k`; of equally close ones the first.
-    fn closest(&self, k: usize) -> usize {
-        let mean = &self.mixture.components[k].mean;
-        let distance = |point: &Vec<f64>| point.iter().zip(mean).map(|(x, m)| (x - m) * (x - m)).sum::<f64>();
-        let distances = self.points.iter().map(distance).enumerate();
-        distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(i, _)| i)
     }
 
     /// The first sample with the futures of all agents replaced by the mean over samples, weighted by their probability
@@ -180,8 +115,6 @@ mod tests {
     use crate::metrics::constant_velocity;
     use crate::scene::testing::{self, Drive};
 
-    const TWO: fn() -> ModesConfig = || ModesConfig { n_modes: 2, ..ModesConfig::default() };
-
     /// Two cars. The first goes on straight or turns left, by which the samples differ; those of a kind differ by
     /// little.
     fn samples() -> Vec<Scene> {
@@ -208,8 +141,8 @@ mod tests {
     fn modes_are_means_of_what_is_alike_with_the_likelier_one_first() {
         let samples = samples();
         for agents in [vec![0], vec![0, 1]] {
-            let fit = ModeFit::new(&samples, &agents, &TWO(), Seed(3)).expect("fits");
-            let means = fit.modes(Representative::Mean);
+            let fit = ModeFit::new(&samples, &agents, 2, Seed(3)).expect("fits");
+            let means = fit.modes();
             assert!((means.probabilities[0] - 0.6).abs() < 1e-9 && (means.probabilities[1] - 0.4).abs() < 1e-9);
             let last = samples[0].n_timesteps - 1;
             let end = |scene: &Scene| scene.state(0, last).expect("driven").position;
@@ -228,9 +161,6 @@ mod tests {
                 }
                 assert_eq!(mode.state(0, 0), samples[0].state(0, 0));
             }
-            let medoids = fit.modes(Representative::Medoid);
-            assert_eq!((medoids.samples[0] == samples[3], medoids.probabilities), (true, means.probabilities));
-            assert!(medoids.samples[1] == samples[0] || medoids.samples[1] == samples[4]);
         }
     }
 
@@ -241,9 +171,7 @@ mod tests {
         samples.iter_mut().for_each(|sample| sample.id = scene.id.clone());
         let moved_by = Transform2::from_pose(Vec2::new(-431.0, 77.0), 2.1);
         let moved: Vec<Scene> = samples.iter().map(|sample| transformed(sample, &moved_by)).collect();
-        let modes = |samples: &[Scene]| {
-            ModeFit::new(samples, &[0, 1], &TWO(), Seed(3)).expect("fits").modes(Representative::Mean)
-        };
+        let modes = |samples: &[Scene]| ModeFit::new(samples, &[0, 1], 2, Seed(3)).expect("fits").modes();
         let (here, there) = (modes(&samples), modes(&moved));
         for (a, b) in here.samples.iter().zip(&there.samples) {
             for (t, state) in a.tracks[0].trajectory.valid() {
@@ -256,23 +184,23 @@ mod tests {
     #[test]
     fn too_few_samples_or_no_futures_have_no_modes() {
         let samples = samples();
-        assert!(ModeFit::new(&samples[..1], &[0], &TWO(), Seed(3)).is_none());
-        assert!(ModeFit::new(&[], &[0], &TWO(), Seed(3)).is_none());
-        assert!(ModeFit::new(&samples, &[], &TWO(), Seed(3)).is_none());
+        assert!(ModeFit::new(&samples[..1], &[0], 2, Seed(3)).is_none());
+        assert!(ModeFit::new(&[], &[0], 2, Seed(3)).is_none());
+        assert!(ModeFit::new(&samples, &[], 2, Seed(3)).is_none());
         // An agent that one sample lacks does not take part, and has no state in the mean.
         let mut lacking = samples.clone();
         let n_history = samples[0].n_history;
         lacking[2] = testing::without_states(lacking[2].clone(), 1, |t| t >= n_history);
-        assert!(ModeFit::new(&lacking, &[1], &TWO(), Seed(3)).is_none());
-        let fit = ModeFit::new(&lacking, &[0, 1], &TWO(), Seed(3)).expect("the other one is in all");
-        assert!(fit.modes(Representative::Mean).samples[0].state(1, n_history).is_none());
+        assert!(ModeFit::new(&lacking, &[1], 2, Seed(3)).is_none());
+        let fit = ModeFit::new(&lacking, &[0, 1], 2, Seed(3)).expect("the other one is in all");
+        assert!(fit.modes().samples[0].state(1, n_history).is_none());
     }
 
     #[test]
     fn equal_samples_are_one_mode() {
         let scene = constant_velocity(&samples()[0]);
         let equal = vec![scene.clone(); 9];
-        let fit = ModeFit::new(&equal, &[0, 1], &ModesConfig::default(), Seed(3)).expect("fits");
-        assert_eq!(fit.modes(Representative::Medoid), Modes { samples: vec![scene], probabilities: vec![1.0] });
+        let fit = ModeFit::new(&equal, &[0, 1], 6, Seed(3)).expect("fits");
+        assert_eq!(fit.modes().probabilities, [1.0]);
     }
 }

@@ -59,11 +59,6 @@ impl BehaviorClassifier {
         Ok(Self { mlp, encoding: config.encoding, edm })
     }
 
-    /// The constants of the diffusion it was made for.
-    pub const fn edm(&self) -> &Edm {
-        &self.edm
-    }
-
     /// ln p / (1 - p) of the behavior for each pair, (B). `x` (B, A, T, D) are diffused states at the noise levels
     /// `sigma` (B), of the batch that `features` was made for. Differentiable in `x`.
     ///

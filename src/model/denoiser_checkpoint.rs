@@ -5,7 +5,7 @@ use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer, Sight};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
 
 /// The specification of a denoiser, beside its weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -14,6 +14,7 @@ pub struct DenoiserSpec {
     /// Says that this is a denoiser, to readers of the file.
     pub kind: DenoiserKind,
     /// The network.
+    #[serde(deserialize_with = "network")]
     pub network: NetworkConfig,
     /// Constants of the diffusion.
     #[serde(with = "super::named_edm")]
@@ -49,6 +50,19 @@ pub struct DenoiserSpec {
     /// The target of its distillation; `None` for an ordinary denoiser.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distillation: Option<Distillation>,
+}
+
+/// Reads a network. Checkpoints of earlier builds, the bundled ones among them, say that a part is off that networks no
+/// longer have.
+fn network<'de, D: Deserializer<'de>>(from: D) -> Result<NetworkConfig, D::Error> {
+    let mut network = serde_json::Value::deserialize(from)?;
+    let geometry = network.get_mut("geometry").and_then(serde_json::Value::as_object_mut);
+    match geometry.and_then(|geometry| geometry.remove("relative_attention")) {
+        Some(serde_json::Value::Bool(true)) => {
+            Err(de::Error::custom("network.geometry.relative_attention is true, which no network has any more"))
+        }
+        _ => NetworkConfig::deserialize(network).map_err(de::Error::custom),
+    }
 }
 
 /// The loss of a denoiser on held-out scenes of which something was changed before it saw them.
@@ -164,3 +178,19 @@ impl ModelSpec for DenoiserSpec {
 
 /// A denoiser for sampling.
 pub type TrainedDenoiser = TrainedModel<DenoiserSpec>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_is_gone_may_be_named_as_off_and_not_as_on() {
+        let read = |geometry: &str| network(&mut serde_json::Deserializer::from_str(geometry));
+        let whole =
+            NetworkConfig { geometry: Some(crate::model::GeometryConfig::default()), ..NetworkConfig::default() };
+        assert_eq!(read(r#"{"geometry":{"relative_attention":false}}"#).unwrap(), whole);
+        for geometry in [r#"{"relative_attention":true}"#, r#"{"relative_attn":false}"#] {
+            assert!(read(&format!(r#"{{"geometry":{geometry}}}"#)).unwrap_err().to_string().contains("relative_att"));
+        }
+    }
+}

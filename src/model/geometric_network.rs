@@ -190,8 +190,7 @@ impl GeometricNetwork {
             hidden = (hidden + pooled.forward_valid(&Tensor::cat(&seen, 3)?, valid)?)?;
         }
         let hidden = self.input_out.forward_valid(&hidden.broadcast_add(&noise)?.relu()?, valid)?;
-        let frames = self.geometry.relative_attention.then_some(&relations.frames);
-        let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes, frames)?;
+        let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes)?;
         let f_x = self.output.forward_valid(&self.norm_out.forward(&h)?, &known.read)?;
         let (b, a, n, _) = f_x.dims4()?;
         f_x.reshape((b, a, n * self.geometry.patch, self.state_dim))?.narrow(2, 0, batch.valid.dim(2)?)

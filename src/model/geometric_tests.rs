@@ -78,8 +78,7 @@ fn every_parameter_receives_a_gradient() {
     let whole = GeometryConfig { relation_width: 8, ..GeometryConfig::default() };
     let blind = GeometryConfig { own_pose: false, n_neighbors: 0, n_nearest_lanes: 0, ..whole.clone() };
     let without_lanes = GeometryConfig { n_nearest_lanes: 0, ..whole.clone() };
-    let relative = GeometryConfig { relative_attention: true, ..whole.clone() };
-    for geometry in [whole, blind, without_lanes, relative] {
+    for geometry in [whole, blind, without_lanes] {
         reaches_every_parameter(&NetworkConfig { geometry: Some(geometry), ..config() });
     }
 }

@@ -114,12 +114,6 @@ impl NetworkConfig {
                     + geometry.n_nearest_lanes as f64 * (LANE as f64 + pooled)
                     + OWN as f64;
                 let counts = stack(n_tokens, lanes, n_agents * lanes).counts();
-                // Queries, keys, values and what is read, in other frames.
-                let framed = if geometry.relative_attention { self.layers.matches('A').count() as f64 } else { 0.0 };
-                let counts = NumberCounts {
-                    activations: counts.activations + framed * n_agents * n_tokens * 4.0 * width,
-                    ..counts
-                };
                 counts.with_input(n_agents * n_tokens, patch * 8.0 * dim + relations, width).with_input(
                     n_agents * lanes,
                     SurroundingsLayout::PIECE as f64,

@@ -60,21 +60,11 @@ pub struct GeometryConfig {
     pub relation_width: usize,
     /// Whether a token contains the pose of its agent's estimate there.
     pub own_pose: bool,
-    /// Whether agents attend to each other as they lie in the frame of the one that attends.
-    pub relative_attention: bool,
 }
 
 impl Default for GeometryConfig {
     fn default() -> Self {
-        Self {
-            patch: 3,
-            n_lanes: 24,
-            n_neighbors: 6,
-            n_nearest_lanes: 3,
-            relation_width: 48,
-            own_pose: true,
-            relative_attention: false,
-        }
+        Self { patch: 3, n_lanes: 24, n_neighbors: 6, n_nearest_lanes: 3, relation_width: 48, own_pose: true }
     }
 }
 
@@ -226,7 +216,7 @@ impl SceneNetwork {
         let noise = self.input_noise.forward(&noise)?.unsqueeze(1)?.unsqueeze(1)?;
         let hidden = (latent + &known.input)?.broadcast_add(&noise)?.relu()?;
         let hidden = self.input_out.forward_valid(&hidden, valid)?;
-        let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes, None)?;
+        let h = self.trunk.forward(hidden, valid, &known.read, &known.lanes)?;
         self.output.forward_valid(&self.norm_out.forward(&h)?, &known.read)
     }
 }

@@ -23,17 +23,11 @@ pub(super) const NEIGHBOR: usize = 17;
 const POSITION_M: f32 = 10.0;
 /// Meters per unit of positions in the ego frame.
 const EGO_POSITION_M: f32 = 50.0;
-/// Meters per unit of the origins of frames: agents that matter to each other are within a few units.
-const FRAME_M: f32 = 20.0;
-/// The frame of who has no pose: that of the ego.
-const NO_FRAME: [f32; 4] = [1.0, 0.0, 0.0, 0.0];
 /// Meters per second per unit of velocity.
 const SPEED_MPS: f32 = 10.0;
 
 /// Features of the estimate that the network sees: B rows, A agents, N tokens, K neighbors, L lanes.
 pub(super) struct Relations {
-    /// The frame of each pose, as [`map_frames`](crate::nn::ops::map_frames) takes it, (B, A, N, 4).
-    pub(super) frames: Tensor,
     /// (B, A, N, `OWN`).
     pub(super) own: Tensor,
     /// (B, A, N, K, `NEIGHBOR`).
@@ -71,7 +65,6 @@ struct Pose {
 
 /// One row of the features, while it is written.
 struct FeatureRow<'a> {
-    frames: &'a mut [f32],
     own: &'a mut [f32],
     neighbors: &'a mut [f32],
     neighbor_valid: &'a mut [f32],
@@ -93,7 +86,6 @@ impl Relations {
         let (origin, rotation) = (host(&surroundings.origin)?, host(&batch.rotation)?);
         // Without any there is one entry that is not valid.
         let (k, l) = (counts.neighbors.max(1), counts.lanes.max(1));
-        let mut frames = NO_FRAME.repeat(b * a * n);
         let mut own = vec![0.0f32; b * a * n * OWN];
         let mut neighbors = vec![0.0f32; b * a * n * k * NEIGHBOR];
         let mut neighbor_valid = vec![0.0f32; b * a * n * k];
@@ -102,22 +94,21 @@ impl Relations {
         (own.par_chunks_mut(a * n * OWN), neighbors.par_chunks_mut(a * n * k * NEIGHBOR))
             .into_par_iter()
             .zip((neighbor_valid.par_chunks_mut(a * n * k), lanes.par_chunks_mut(a * n * l * LANE)))
-            .zip((lane_valid.par_chunks_mut(a * n * l), frames.par_chunks_mut(a * n * NO_FRAME.len())))
+            .zip(lane_valid.par_chunks_mut(a * n * l))
             .enumerate()
-            .for_each(|(i, (((own, neighbors), (neighbor_valid, lanes)), (lane_valid, frames)))| {
+            .for_each(|(i, (((own, neighbors), (neighbor_valid, lanes)), lane_valid))| {
                 let poses = token_poses(
                     &poses_host[i * a * t * 3..(i + 1) * a * t * 3],
                     &valid[i * a * t..(i + 1) * a * t],
                     [a, t, n, counts.patch],
                     surroundings.rows[i].dt_s,
                 );
-                let mut row = FeatureRow { frames, own, neighbors, neighbor_valid, lanes, lane_valid };
+                let mut row = FeatureRow { own, neighbors, neighbor_valid, lanes, lane_valid };
                 let own_frames = (&origin[i * a * 2..(i + 1) * a * 2], &rotation[i * a * 2..(i + 1) * a * 2]);
                 row.write(&poses, &surroundings.rows[i], own_frames, [a, n], counts);
             });
         let device: &Device = poses.device();
         Ok(Self {
-            frames: Tensor::from_vec(frames, (b, a, n, NO_FRAME.len()), device)?,
             own: Tensor::from_vec(own, (b, a, n, OWN), device)?,
             neighbors: Tensor::from_vec(neighbors, (b, a, n, k, NEIGHBOR), device)?,
             neighbor_valid: Tensor::from_vec(neighbor_valid, (b, a, n, k), device)?,
@@ -172,12 +163,6 @@ impl FeatureRow<'_> {
                 let Some(pose) = &poses[at] else { continue };
                 let frame = [origin[agent * 2], origin[agent * 2 + 1], rotation[agent * 2], rotation[agent * 2 + 1]];
                 self.own[at * OWN..(at + 1) * OWN].copy_from_slice(&own_features(pose, frame));
-                self.frames[at * NO_FRAME.len()..(at + 1) * NO_FRAME.len()].copy_from_slice(&[
-                    pose.cos,
-                    pose.sin,
-                    pose.x / FRAME_M,
-                    pose.y / FRAME_M,
-                ]);
 
                 ranked.clear();
                 for other in (0..row.agents.len()).filter(|other| *other != agent) {

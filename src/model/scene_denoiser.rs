@@ -121,11 +121,6 @@ struct BoundGeometric<'a> {
 }
 
 impl BoundDenoiser<'_> {
-    /// 1 on latent entries, (B, A, T, 1).
-    pub const fn latent(&self) -> &Tensor {
-        &self.latent
-    }
-
     /// `scaled` states with what observed agents were seen to do in the places of observed states.
     fn moved(&self, scaled: &Tensor) -> Result<Tensor> {
         match &self.observed_motion {

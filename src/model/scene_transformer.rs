@@ -173,14 +173,13 @@ impl SceneTransformer {
             known = (known + linear.forward_valid(motion, valid)?)?;
         }
         let h = self.input_out.forward_valid(&known.relu()?, valid)?;
-        let h = self.encoder.forward(h, valid, valid, &self.encoder.project_keys(&lanes, &batch.lane_valid)?, None)?;
+        let h = self.encoder.forward(h, valid, valid, &self.encoder.project_keys(&lanes, &batch.lane_valid)?)?;
 
         let modes = self.modes.unsqueeze(1)?.unsqueeze(1)?.unsqueeze(0)?;
         let h = h.unsqueeze(1)?.broadcast_add(&modes)?.flatten(0, 1)?;
         let each = |mask: &Tensor| mask.unsqueeze(1)?.repeat((1, n_modes, 1, 1))?.flatten(0, 1);
         let valid = each(valid)?;
-        let h =
-            self.decoder.forward(h, &valid, &valid, &self.decoder.project_keys(&lanes, &batch.lane_valid)?, None)?;
+        let h = self.decoder.forward(h, &valid, &valid, &self.decoder.project_keys(&lanes, &batch.lane_valid)?)?;
         let h = self.norm_out.forward(&h)?;
 
         let latent = each(&batch.latent)?.unsqueeze(3)?;

@@ -137,28 +137,17 @@ impl Trunk {
 
     /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number
     /// of maps M: each map belongs to B / M rows that follow each other. Results mean something where `read` (B, A, T)
-    /// is 1: the last layer does no more than it must elsewhere. With `frames` (B, A, T, 4) agents see each other as
-    /// they lie in the frame of the one that looks.
+    /// is 1: the last layer does no more than it must elsewhere.
     ///
     /// # Errors
     /// Fails when shapes do not fit, or the map was projected by another trunk.
-    pub(super) fn forward(
-        &self,
-        mut h: Tensor,
-        valid: &Tensor,
-        read: &Tensor,
-        lanes: &LaneKeys,
-        frames: Option<&Tensor>,
-    ) -> Result<Tensor> {
+    pub(super) fn forward(&self, mut h: Tensor, valid: &Tensor, read: &Tensor, lanes: &LaneKeys) -> Result<Tensor> {
         let mut lane_keys = lanes.keys.iter();
         let n_layers = self.layers.len();
         for (i, layer) in self.layers.iter().enumerate() {
             let normed = layer.norm_mix.forward(&h)?;
             let mixed = match (&layer.mixing, lane_keys.as_slice().first()) {
-                (Mixing::Own(attention, axis), _) => match frames.filter(|_| *axis == Axis::Agent) {
-                    Some(frames) => attention.forward_in_frames(&normed, valid, frames)?,
-                    None => attention.forward(&normed, *axis, valid)?,
-                },
+                (Mixing::Own(attention, axis), _) => attention.forward(&normed, *axis, valid)?,
                 (Mixing::Map(attention), Some(keys)) => {
                     lane_keys.next();
                     match lanes.of_agents {

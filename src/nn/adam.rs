@@ -28,11 +28,6 @@ impl Default for Adam {
 }
 
 impl Adam {
-    /// Number of steps taken.
-    pub const fn n_steps(&self) -> u64 {
-        self.n_steps
-    }
-
     /// Takes one step with learning rate `lr` and returns the global norm of the gradients before clipping. Gradients
     /// are scaled down together where that norm exceeds `clip_norm`. A parameter without a gradient stays as it is.
     ///
@@ -69,9 +64,6 @@ impl Adam {
 
     /// The moments and the number of steps, as tensors for a checkpoint: `first.<parameter>`, `second.<parameter>` and
     /// `n_steps`. They share memory with the optimizer: copy them to keep them beyond the next step.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub fn state(&self) -> Result<BTreeMap<String, Tensor>> {
         let mut state = BTreeMap::new();
         for (name, moments) in &self.moments {
@@ -204,7 +196,7 @@ mod tests {
         let params = params(DType::F32);
         let mut adam = Adam::default();
         assert!(adam.step(&params, &grads(&params, f64::NAN), 0.1, Some(5.0)).is_err());
-        assert_eq!((values(&params), adam.n_steps()), (vec![1.0, 1.0, 0.0], 0));
+        assert_eq!((values(&params), adam.n_steps), (vec![1.0, 1.0, 0.0], 0));
     }
 
     #[test]
@@ -225,7 +217,7 @@ mod tests {
             second.step(&resumed, &grads(&resumed, f64::from(t)), 0.1, Some(20.0)).unwrap();
         }
         assert_eq!(values(&through), values(&resumed));
-        assert_eq!(second.n_steps(), 4);
+        assert_eq!(second.n_steps, 4);
         assert_eq!(state["first.b"].to_vec1::<f32>().unwrap(), before, "the second optimizer works on its own copy");
         let mut other = Params::new(&Compute::cpu());
         other.get_or_init("a", &[3], Init::Ones, Seed(0)).unwrap();

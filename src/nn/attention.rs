@@ -37,25 +37,7 @@ impl SelfAttention {
         Ok(Self { qkv, out, n_heads })
     }
 
-    /// Attention among all agents of a timestep, of which each state has a frame of its own, `frames` (B, A, T, 4) as
-    /// in [`ops::map_frames`]: states read each other as they lie in the reader's frame.
-    ///
-    /// # Errors
-    /// When shapes do not fit.
-    pub fn forward_in_frames(&self, x: &Tensor, valid: &Tensor, frames: &Tensor) -> Result<Tensor> {
-        use ops::FrameMap::{Dual, FromCommon, ToCommon};
-        let qkv = self.qkv.forward_valid(x, valid)?;
-        let head_dim = qkv.dim(3)? / (3 * self.n_heads);
-        let qkv = ops::map_frames(&qkv, frames, head_dim, &[Dual, ToCommon, ToCommon])?;
-        let mixed = ops::self_attention(&qkv, valid, self.n_heads, Axis::Agent)?;
-        let mixed = ops::map_frames(&mixed, frames, head_dim, &[FromCommon])?;
-        self.out.forward_valid(&mixed, valid)
-    }
-
     /// Mixes `x` (B, A, T, D) along `axis`. States where `valid` (B, A, T) is 0 are not attended to and get exactly 0.
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub fn forward(&self, x: &Tensor, axis: Axis, valid: &Tensor) -> Result<Tensor> {
         let qkv = self.qkv.forward_valid(x, valid)?;
         let mixed = ops::self_attention(&qkv, valid, self.n_heads, axis)?;
@@ -88,17 +70,11 @@ impl CrossAttention {
     }
 
     /// Reads from `lanes` (M, L, D) into `x` (B, A, T, D): see [`forward_with_keys`](Self::forward_with_keys).
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub fn forward(&self, x: &Tensor, valid: &Tensor, lanes: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
         self.forward_with_keys(x, valid, &self.project_keys(lanes)?, lane_valid)
     }
 
     /// The keys and values (M, L, 2 D) of `lanes` (M, L, D): they do not change between calls of a denoiser.
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub fn project_keys(&self, lanes: &Tensor) -> Result<Tensor> {
         self.key_value.forward(lanes)
     }
@@ -106,9 +82,6 @@ impl CrossAttention {
     /// Reads from the lanes of `keys` (M, L, 2 D) into `x` (B, A, T, D). M divides B: each map serves B / M consecutive
     /// rows of the batch, such as the samples of one scene. Lanes where `lane_valid` (M, L) is 0 are not attended to;
     /// states where `valid` (B, A, T) is 0 and states without any lane get exactly 0.
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub fn forward_with_keys(&self, x: &Tensor, valid: &Tensor, keys: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
         let reads = ops::rows_with_keys(valid, lane_valid)?;
         let query = self.query.forward_valid(x, &reads)?;

@@ -81,9 +81,6 @@ pub fn parse_checkpoint<M: DeserializeOwned>(
 
 /// Hash of `tensors` by name, with their types and shapes, and of `metadata`; hexadecimal. Metadata can contain the
 /// hash of the rest of itself.
-///
-/// # Errors
-/// When `metadata` cannot be serialized.
 pub fn checksum<M: Serialize>(tensors: &BTreeMap<String, Tensor>, metadata: &M) -> serde_json::Result<String> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&serde_json::to_vec(metadata)?);

@@ -18,9 +18,6 @@ pub struct Ema {
 
 impl Ema {
     /// An average that starts from the present values of `params`.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub fn new(decay: f64, params: &Params) -> Result<Self> {
         Ok(Self { decay, n_updates: 0, tensors: copies(&params.tensors())? })
     }

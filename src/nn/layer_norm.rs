@@ -17,9 +17,6 @@ pub struct LayerNorm {
 
 impl LayerNorm {
     /// A normalization of `dim` features, with parameters `weight` (ones) and `bias` (zeros).
-    ///
-    /// # Errors
-    /// When the parameters exist with other shapes.
     pub fn new(scope: &mut Scope<'_>, name: &str, dim: usize) -> Result<Self> {
         let mut scope = scope.enter(name);
         Ok(Self {

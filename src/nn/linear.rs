@@ -16,9 +16,6 @@ pub struct Linear {
 
 impl Linear {
     /// A map from `n_in` to `n_out` features, with parameters `weight` (`n_out`, `n_in`) and `bias` (`n_out`).
-    ///
-    /// # Errors
-    /// When the parameters exist with other shapes.
     pub fn new(scope: &mut Scope<'_>, name: &str, n_in: usize, n_out: usize) -> Result<Self> {
         let mut scope = scope.enter(name);
         let init = Init::KaimingUniform { fan_in: n_in };

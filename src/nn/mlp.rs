@@ -14,9 +14,6 @@ pub struct Mlp {
 impl Mlp {
     /// A perceptron through widths `dims`, whose tensors are named as in
     /// `torch.nn.Sequential(Linear, ReLU, Linear, ..)`: `0.weight`, `2.weight`, and so on.
-    ///
-    /// # Errors
-    /// When the parameters exist with other shapes.
     pub fn new(scope: &mut Scope<'_>, name: &str, dims: &[usize]) -> Result<Self> {
         let mut scope = scope.enter(name);
         let layer = |(i, pair): (usize, &[usize])| Linear::new(&mut scope, &(2 * i).to_string(), pair[0], pair[1]);

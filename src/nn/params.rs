@@ -70,9 +70,6 @@ impl Params {
 
     /// The parameter called `name`, drawn from the stream of that name when it does not exist yet: its first values
     /// depend on `seed`, `name` and `init` alone, not on which other parameters there are.
-    ///
-    /// # Errors
-    /// When it exists with another shape.
     pub fn get_or_init(&mut self, name: &str, shape: &[usize], init: Init, seed: Seed) -> Result<Tensor> {
         if let Some(var) = self.vars.get(name) {
             if var.dims() != shape {
@@ -156,9 +153,6 @@ impl<'a> Scope<'a> {
     }
 
     /// The parameter `name` at this place.
-    ///
-    /// # Errors
-    /// When it exists with another shape.
     pub fn tensor(&mut self, name: &str, shape: &[usize], init: Init) -> Result<Tensor> {
         let path = self.path(name);
         self.params.get_or_init(&path, shape, init, self.seed)

@@ -43,9 +43,6 @@ impl FromStr for Precision {
 
 impl Precision {
     /// `x` as a factor of a product: in the type that candle multiplies, and keeps the result in.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub(super) fn factor(self, x: &Tensor) -> Result<Tensor> {
         match self {
             // The device truncates for tensor cores.
@@ -55,9 +52,6 @@ impl Precision {
     }
 
     /// The product of two factors (N, K) and (K, M), in their type: (N, M).
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub(super) fn multiply(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
         #[cfg(feature = "cuda")]
         let _while_multiplying = (self == Self::Tf32).then(TensorCores::take);
@@ -65,9 +59,6 @@ impl Precision {
     }
 
     /// The product of two matrices (N, K) and (K, M), in their type: (N, M).
-    ///
-    /// # Errors
-    /// When shapes do not fit.
     pub(super) fn product(self, a: &Tensor, b: &Tensor) -> Result<Tensor> {
         self.multiply(&self.factor(a)?, &self.factor(b)?)?.to_dtype(a.dtype())
     }

@@ -96,9 +96,6 @@ struct Limit {
 }
 
 /// The estimates of the stages that train or sample on the processor, in order.
-///
-/// # Errors
-/// If the section of a stage is invalid.
 pub fn estimate_memory(config: &PipelineConfig, layout: &Layout, stages: &[StageId]) -> Result<Vec<StageMemory>> {
     if config.run.device != DeviceChoice::Cpu {
         return Ok(Vec::new());

@@ -85,15 +85,9 @@ mod tests {
     fn row(group: &str, strength: f64, metric: &str, value: f64) -> MetricRow {
         MetricRow {
             group: group.to_owned().into(),
-            sweep: "cut_ins".to_owned(),
             level: GuidanceLevel::of_strength(strength),
-            place: String::new(),
-            scene_id: None,
-            scenario_id: None,
-            metric: metric.to_owned(),
-            value,
             n: 16,
-            std_error: None,
+            ..MetricRow::example(metric, value)
         }
     }
 
@@ -123,18 +117,14 @@ mod tests {
     fn collisions_that_were_asked_for_need_no_words() {
         let figures = [row("recorded", 0.0, "collision_rate", 0.02), row("cut_ins", 30.0, "collision_rate", 0.6)];
         let asking = |behavior: &str| SamplingRow {
-            sweep: "cut_ins".to_owned(),
             behavior: Some(behavior.to_owned()),
             place: String::new(),
-            level: GuidanceLevel::of_strength(30.0),
             sampler: String::new(),
             n_scenes: 1,
             n_scenarios: 1,
-            n_verified: 0,
-            n_new: 0,
             n_collision: 0,
-            offroad_rate: None,
             n_evaluations: 1,
+            ..SamplingRow::example(30.0, 0)
         };
         assert_eq!(cautions(&figures, &[asking("cut_in")]).len(), 1);
         assert!(cautions(&figures, &[asking("collision")]).is_empty());

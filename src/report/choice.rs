@@ -3,7 +3,7 @@
 //! Sweeps with a requested behavior are represented by single scenarios: the hardest accepted ones, and some that
 //! failed (before an evaluation, new verified ones from as many scenes as possible); requests by accepted scenarios of
 //! each bucket. Other sweeps are represented by scenes with several samples, if possible the same scenes in all of
-//! these sweeps, so that they can be compared. The configuration bounds what is kept of a sweep.
+//! these sweeps, so that they can be compared. Limits bound what is kept of a sweep.
 
 use super::accepted::Accepted;
 use super::card::Verdict;
@@ -15,8 +15,14 @@ use std::collections::BTreeMap;
 
 /// Samples of a scene that are drawn over each other: as many as a sweep has by default.
 const N_SAMPLES_DRAWN: usize = 6;
+/// Scenarios of a sweep with a behavior that are verified and not accepted, and as many without the behavior.
+const N_FAILED_DRAWN: usize = 3;
+/// Accepted scenarios of each bucket of a request.
+const N_DRAWN_PER_BUCKET: usize = 2;
+/// Scenes of a sweep without a behavior, at each strength.
+const N_SCENES_DRAWN: usize = 2;
 
-/// How much of a sweep is drawn, and the setting that limits it.
+/// How much of a sweep is drawn, and its limit.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Drawn {
     /// The sweep.
@@ -27,10 +33,8 @@ pub struct Drawn {
     pub n_drawn: usize,
     /// How many exist.
     pub n_there: usize,
-    /// The setting of `[report]` that limits how many are drawn.
-    pub setting: String,
-    /// Its value.
-    pub limit: usize,
+    /// The limit, or the setting of it: `report.n_drawn = 100`.
+    pub limit: String,
 }
 
 /// The content of a drawing.
@@ -73,9 +77,8 @@ impl<'a> Choice<'a> {
     /// Offers the next scenario, in the order of the samples, whose scene has this position in its store.
     pub(super) fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize) {
         if let Some((request, bucket)) = accepted_into(record) {
-            let limit = self.config.n_drawn_per_bucket;
             let of_bucket = self.buckets.entry((request.to_owned(), bucket.idx));
-            return of_bucket.or_insert_with(|| Ranked::new(limit)).offer(record, scene_idx);
+            return of_bucket.or_insert_with(|| Ranked::new(N_DRAWN_PER_BUCKET)).offer(record, scene_idx);
         }
         let at = self.sweeps.iter().position(|(sweep, _)| *sweep == record.sweep).unwrap_or_else(|| {
             self.sweeps.push((record.sweep.clone(), self.candidates(record)));
@@ -94,11 +97,10 @@ impl<'a> Choice<'a> {
     }
 
     fn candidates(&self, record: &ScenarioRecord) -> Candidates {
-        let ReportConfig { n_drawn, n_failed_drawn, n_scenes_drawn, .. } = *self.config;
         if record.requested_behavior.is_some() {
             let [new, recorded] = [self.n_verified_drawn(); 2].map(Ranked::new);
-            let accepted = Hardest { limit: n_drawn, n_offered: 0, list: Vec::new() };
-            let failed = Ranked::new(n_failed_drawn);
+            let accepted = Hardest { limit: self.config.n_drawn, n_offered: 0, list: Vec::new() };
+            let failed = Ranked::new(N_FAILED_DRAWN);
             return Candidates::Asked(Box::new(AskedCandidates { accepted, new, recorded, failed }));
         }
         let mut of_others = self.sweeps.iter().filter_map(|(_, candidates)| match candidates {
@@ -107,7 +109,7 @@ impl<'a> Choice<'a> {
         });
         let preferred = of_others.next().unwrap_or_default();
         Candidates::Galleries(Galleries {
-            limit: n_scenes_drawn,
+            limit: N_SCENES_DRAWN,
             scenes: SceneSet::default(),
             preferred,
             own: Vec::new(),
@@ -117,42 +119,41 @@ impl<'a> Choice<'a> {
 
     /// How many verified scenarios of a sweep are drawn, of which none is known to be accepted.
     const fn n_verified_drawn(&self) -> usize {
-        if self.accepted.is_some() { self.config.n_failed_drawn } else { self.config.n_drawn }
+        if self.accepted.is_some() { N_FAILED_DRAWN } else { self.config.n_drawn }
     }
 
     /// How much of each sweep is drawn, in the order of the sweeps.
     pub(super) fn drawn(&self) -> Vec<Drawn> {
-        let ReportConfig { n_drawn, n_failed_drawn, n_scenes_drawn, .. } = *self.config;
-        let row = |sweep: &str, what: &str, n_there: usize, setting: &str, limit: usize| Drawn {
+        let n_drawn = self.config.n_drawn;
+        let row = |sweep: &str, what: &str, n_there: usize, limit: usize| Drawn {
             sweep: sweep.to_owned(),
             what: what.to_owned(),
             n_drawn: n_there.min(limit),
             n_there,
-            setting: setting.to_owned(),
-            limit,
+            limit: limit.to_string(),
         };
+        let set = |row: Drawn| Drawn { limit: format!("report.n_drawn = {n_drawn}"), ..row };
         let rows = self.sweeps.iter().flat_map(|(sweep, candidates)| match candidates {
             Candidates::Asked(asked) => {
                 let AskedCandidates { accepted, new, recorded, failed } = asked.as_ref();
                 let n_verified = new.n_offered + recorded.n_offered;
                 let verified = match self.accepted {
-                    Some(_) => row(sweep, "verified, not accepted", n_verified, "n_failed_drawn", n_failed_drawn),
-                    None => row(sweep, "verified scenarios", n_verified, "n_drawn", n_drawn),
+                    Some(_) => row(sweep, "verified, not accepted", n_verified, N_FAILED_DRAWN),
+                    None => set(row(sweep, "verified scenarios", n_verified, n_drawn)),
                 };
                 let is_decided = self.accepted.is_some();
-                let accepted = row(sweep, "accepted scenarios", accepted.n_offered, "n_drawn", n_drawn);
-                let failed = row(sweep, "without the behavior", failed.n_offered, "n_failed_drawn", n_failed_drawn);
+                let accepted = set(row(sweep, "accepted scenarios", accepted.n_offered, n_drawn));
+                let failed = row(sweep, "without the behavior", failed.n_offered, N_FAILED_DRAWN);
                 is_decided.then_some(accepted).into_iter().chain([verified, failed]).collect()
             }
             Candidates::Galleries(galleries) => {
-                vec![row(sweep, "scenes, at each strength", galleries.scenes.len(), "n_scenes_drawn", n_scenes_drawn)]
+                vec![row(sweep, "scenes, at each strength", galleries.scenes.len(), N_SCENES_DRAWN)]
             }
         });
         rows.chain(self.drawn_of_requests()).collect()
     }
 
     fn drawn_of_requests(&self) -> Vec<Drawn> {
-        let limit = self.config.n_drawn_per_bucket;
         let mut rows: Vec<Drawn> = Vec::new();
         for ((request, _), accepted) in &self.buckets {
             if rows.last().is_none_or(|row| row.sweep != *request) {
@@ -161,12 +162,11 @@ impl<'a> Choice<'a> {
                     what: "accepted scenarios, of each bucket".to_owned(),
                     n_drawn: 0,
                     n_there: 0,
-                    setting: "n_drawn_per_bucket".to_owned(),
-                    limit,
+                    limit: N_DRAWN_PER_BUCKET.to_string(),
                 });
             }
             if let Some(row) = rows.last_mut() {
-                row.n_drawn += accepted.n_offered.min(limit);
+                row.n_drawn += accepted.n_offered.min(N_DRAWN_PER_BUCKET);
                 row.n_there += accepted.n_offered;
             }
         }

@@ -3,7 +3,7 @@
 use super::accepted::{Accepted, HardnessSummary};
 use super::choice::{Choice, Chosen};
 use super::config::ReportConfig;
-use crate::metrics::{Group, MetricRow};
+use crate::metrics::MetricRow;
 use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario};
@@ -63,7 +63,7 @@ fn choose(config: &ReportConfig, records: &[ScenarioRecord]) -> Vec<String> {
 
 #[test]
 fn new_scenarios_of_different_scenes_come_first_and_failures_are_shown_too() {
-    let config = ReportConfig { n_drawn: 4, n_failed_drawn: 1, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 4, ..ReportConfig::default() };
     let records = [
         asked("a", 0, true, true),
         asked("a", 1, true, false),
@@ -73,7 +73,7 @@ fn new_scenarios_of_different_scenes_come_first_and_failures_are_shown_too() {
         asked("b", 1, false, false),
         asked("c", 0, true, true),
     ];
-    let expected = ["asked-a-2-1", "asked-b-2-0", "asked-a-2-2", "asked-a-2-0", "asked-a-2-3"];
+    let expected = ["asked-a-2-1", "asked-b-2-0", "asked-a-2-2", "asked-a-2-0", "asked-a-2-3", "asked-b-2-1"];
     assert_eq!(choose(&config, &records), expected);
     let nothing_verified = choose(&config, &records[3..4]);
     assert_eq!(nothing_verified, ["asked-a-2-3"], "no sweep goes without a drawing");
@@ -81,7 +81,7 @@ fn new_scenarios_of_different_scenes_come_first_and_failures_are_shown_too() {
 
 #[test]
 fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
-    let records: Vec<ScenarioRecord> = (0..8).map(|i| asked("a", i, i < 6, false)).collect();
+    let records: Vec<ScenarioRecord> = (0..12).map(|i| asked("a", i, i < 8, false)).collect();
     let mut accepted = Accepted::default();
     let id = |i: usize| records[i].scenario.id.clone();
     for i in 0..4 {
@@ -91,16 +91,11 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
         accepted.add_verdict(row);
     }
     let metric = |i: usize, metric: &str, value: f64| MetricRow {
-        group: Group::Unguided,
         sweep: "asked".into(),
-        level: GuidanceLevel::UNGUIDED,
         place: "X".into(),
-        scene_id: None,
         scenario_id: Some(id(i)),
-        metric: metric.into(),
-        value,
         n: 1,
-        std_error: None,
+        ..MetricRow::example(metric, value)
     };
     for (i, name, value) in [
         (1, "pair_min_ttc_s", 2.5),
@@ -116,17 +111,18 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
     let summary =
         HardnessSummary { n_situations: 1, n_critical: Some(1), n_without_ttc: Some(1), n_not_preventable: Some(1) };
     assert_eq!(accepted.summary(1), summary);
-    let config = ReportConfig { n_drawn: 3, n_failed_drawn: 1, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 3, ..ReportConfig::default() };
     let mut choice = Choice::new(&config, Some(&accepted));
     records.iter().for_each(|record| offer(&mut choice, record));
     let drawn: Vec<_> = choice.drawn().iter().map(|row| (row.n_drawn, row.n_there)).collect();
-    assert_eq!(drawn, [(3, 4), (1, 2), (1, 2)]);
-    assert_eq!(ids(&choice.finish()), ["asked-a-2-2", "asked-a-2-1", "asked-a-2-3", "asked-a-2-4", "asked-a-2-6"]);
+    assert_eq!(drawn, [(3, 4); 3]);
+    let expected = [2, 1, 3, 4, 5, 6, 8, 9, 10].map(|i| format!("asked-a-2-{i}"));
+    assert_eq!(ids(&choice.finish()), expected);
 }
 
 #[test]
 fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
-    let config = ReportConfig { n_scenes_drawn: 2, ..ReportConfig::default() };
+    let config = ReportConfig::default();
     let mut records = Vec::new();
     for scene in ["a", "b", "c"] {
         records.extend((0..8).map(|i| record("one", scene, 0.0, i)));
@@ -143,9 +139,9 @@ fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
 
 #[test]
 fn what_keeps_drawings_from_being_more_is_told() {
-    let config = ReportConfig { n_drawn: 1000, n_failed_drawn: 1, n_scenes_drawn: 2, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 1000, ..ReportConfig::default() };
     let mut choice = Choice::new(&config, None);
-    for i in 0..5 {
+    for i in 0..7 {
         offer(&mut choice, &asked("a", i, i < 3, i == 0));
     }
     for (i, scene) in ["a", "b", "c", "c"].into_iter().enumerate() {
@@ -153,10 +149,10 @@ fn what_keeps_drawings_from_being_more_is_told() {
     }
     let drawn = choice.drawn();
     let told: Vec<_> =
-        drawn.iter().map(|row| (row.sweep.as_str(), row.n_drawn, row.n_there, row.setting.as_str())).collect();
-    let expected = [("asked", 3, 3, "n_drawn"), ("asked", 1, 2, "n_failed_drawn"), ("one", 2, 3, "n_scenes_drawn")];
+        drawn.iter().map(|row| (row.sweep.as_str(), row.n_drawn, row.n_there, row.limit.as_str())).collect();
+    let expected = [("asked", 3, 3, "report.n_drawn = 1000"), ("asked", 3, 4, "3"), ("one", 2, 3, "2")];
     assert_eq!(told, expected);
-    assert_eq!(choice.finish().len(), 3 + 1 + 2);
+    assert_eq!(choice.finish().len(), 3 + 3 + 2);
 }
 
 #[test]
@@ -174,11 +170,11 @@ fn of_each_bucket_of_a_request_some_accepted_scenarios_are_drawn() {
         taken("a", 3, 0, accepted),
         taken("b", 4, 0, surplus),
     ];
-    let config = ReportConfig { n_drawn: 0, n_drawn_per_bucket: 2, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 0, ..ReportConfig::default() };
     let mut choice = Choice::new(&config, None);
     records.iter().for_each(|record| offer(&mut choice, record));
     let row = choice.drawn().into_iter().find(|row| row.sweep == "gaps").unwrap();
-    assert_eq!((row.n_drawn, row.n_there, row.setting.as_str()), (3, 4, "n_drawn_per_bucket"));
+    assert_eq!((row.n_drawn, row.n_there, row.limit.as_str()), (3, 4, "2"));
     // The first of each scene before further ones; what came when its bucket was full is like any other sample of its
     // sweep.
     assert_eq!(ids(&choice.finish()), ["asked-a-2-3", "asked-a-2-0", "asked-b-2-2"]);

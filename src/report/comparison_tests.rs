@@ -4,39 +4,14 @@ use super::comparison::{ComparedRun, Comparison};
 use super::plain::PlainTable;
 use crate::evaluate::EvaluationSummary;
 use crate::evaluate::SamplingRow;
-use crate::metrics::{Group, MetricRow};
-use crate::scene::GuidanceLevel;
+use crate::metrics::MetricRow;
 
 fn sampling(strength: f64, n_verified: u64) -> SamplingRow {
-    SamplingRow {
-        sweep: "cut_ins".into(),
-        behavior: Some("cut_in".into()),
-        place: "X".into(),
-        level: GuidanceLevel::of_strength(strength),
-        sampler: "heun-10".into(),
-        n_scenes: 10,
-        n_scenarios: 100,
-        n_verified,
-        n_new: n_verified,
-        n_collision: 10,
-        offroad_rate: None,
-        n_evaluations: 19,
-    }
+    SamplingRow { n_new: n_verified, ..SamplingRow::example(strength, n_verified) }
 }
 
 fn metric(name: &str, value: f64, std_error: f64) -> MetricRow {
-    MetricRow {
-        group: Group::Unguided,
-        sweep: "cut_ins".into(),
-        level: GuidanceLevel::UNGUIDED,
-        place: String::new(),
-        scene_id: None,
-        scenario_id: None,
-        metric: name.into(),
-        value,
-        n: 10,
-        std_error: Some(std_error),
-    }
+    MetricRow { std_error: Some(std_error), ..MetricRow::example(name, value) }
 }
 
 fn cells(table: &PlainTable) -> Vec<Vec<&str>> {

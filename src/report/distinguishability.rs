@@ -152,21 +152,15 @@ pub(super) fn comparison(a: &EvaluationSummary, b: &EvaluationSummary) -> PlainT
 mod tests {
     use super::*;
     use crate::metrics::Group;
-    use crate::scene::GuidanceLevel;
 
     #[test]
     fn the_recording_and_constant_velocity_stand_beside_forecasts() {
         let row = |group: Group, metric: &str, value: f64, std_error: Option<f64>| MetricRow {
             group,
             sweep: "raw".to_owned(),
-            level: GuidanceLevel::UNGUIDED,
-            place: String::new(),
-            scene_id: None,
-            scenario_id: None,
-            metric: metric.to_owned(),
-            value,
             n: 40,
             std_error,
+            ..MetricRow::example(metric, value)
         };
         let aggregates = vec![
             row(Group::Recorded, "realism_meta_metric", 0.91, Some(0.0042)),

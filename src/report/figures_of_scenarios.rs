@@ -52,16 +52,12 @@ mod tests {
     #[test]
     fn means_are_over_the_scenarios_for_which_a_metric_is_defined() {
         let row = |id: &str, metric: &str, value: f64| MetricRow {
-            group: crate::metrics::Group::Unguided,
             sweep: "s".into(),
-            level: crate::scene::GuidanceLevel::UNGUIDED,
             place: "X".into(),
             scene_id: Some("a".into()),
             scenario_id: Some(id.into()),
-            metric: metric.into(),
-            value,
             n: 1,
-            std_error: None,
+            ..MetricRow::example(metric, value)
         };
         let mut figures = FiguresOfScenarios(["1", "2"].map(|id| (id.to_owned(), vec![])).into());
         let rows = [row("1", "a", 2.0), row("2", "a", 4.0), row("2", "b", 5.0), row("3", "a", 99.0)];

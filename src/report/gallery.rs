@@ -55,9 +55,6 @@ impl<'a> Gallery<'a> {
     }
 
     /// Offers the next scenario, in the order of the samples.
-    ///
-    /// # Errors
-    /// When its recording cannot be read.
     pub fn offer(&mut self, record: &ScenarioRecord) -> Result<()> {
         let scene_id = &record.scenario.provenance.scene_id;
         let idx = self.store.position(scene_id).ok_or_else(|| Error::UnknownScene(scene_id.clone()))?;

@@ -7,34 +7,16 @@ use crate::scene::GuidanceLevel;
 
 fn row(place: &str, strength: f64, n_scenarios: u64, n_verified: u64, offroad_rate: Option<f64>) -> SamplingRow {
     SamplingRow {
-        sweep: "cut_ins".into(),
-        behavior: Some("cut_in".into()),
         place: place.into(),
-        level: GuidanceLevel::of_strength(strength),
-        sampler: "heun-10".into(),
-        n_scenes: 10,
         n_scenarios,
-        n_verified,
-        n_new: 0,
         n_collision: 1,
         offroad_rate,
-        n_evaluations: 19,
+        ..SamplingRow::example(strength, n_verified)
     }
 }
 
 fn evaluation() -> EvaluationSummary {
-    let recorded = MetricRow {
-        group: Group::Recorded,
-        sweep: "cut_ins".into(),
-        level: GuidanceLevel::UNGUIDED,
-        place: String::new(),
-        scene_id: None,
-        scenario_id: None,
-        metric: "collision_rate".into(),
-        value: 0.02,
-        n: 20,
-        std_error: None,
-    };
+    let recorded = MetricRow { group: Group::Recorded, n: 20, ..MetricRow::example("collision_rate", 0.02) };
     EvaluationSummary {
         // Strengths and places out of order; a sweep of one strength is no curve.
         sampling: vec![

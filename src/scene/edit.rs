@@ -131,9 +131,6 @@ impl SceneEdit {
     }
 
     /// Rejects values that cannot work.
-    ///
-    /// # Errors
-    /// When there is one.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
         match &self.kind {

@@ -49,9 +49,6 @@ impl Issue {
 }
 
 /// Refuses a pair of settings of which the second must not be below the first.
-///
-/// # Errors
-/// Names both.
 pub fn ascending((low_key, low): (&str, f64), (high_key, high): (&str, f64)) -> Result {
     match low <= high {
         true => Ok(()),
@@ -60,9 +57,6 @@ pub fn ascending((low_key, low): (&str, f64), (high_key, high): (&str, f64)) -> 
 }
 
 /// Refuses a list that has an entry twice.
-///
-/// # Errors
-/// Names the second one.
 pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
     match (1..entries.len()).find(|i| entries[..*i].contains(&entries[*i])) {
         Some(i) => Err(Issue::new(format!("{key}.{i}"), format_args!("is {}, which is already listed", entries[i]))),
@@ -86,9 +80,6 @@ pub fn printable_name(key: &str, name: &str) -> Result {
 }
 
 /// Refuses a text with line breaks or other control characters; it may be empty.
-///
-/// # Errors
-/// When it has some.
 pub fn printable(key: &str, text: &str) -> Result {
     match text.chars().find(|c| c.is_control()) {
         Some(c) => {

@@ -63,9 +63,6 @@ impl FileStamp {
 }
 
 /// Writes `value` as indented JSON with a final newline.
-///
-/// # Errors
-/// On I/O errors, or if `value` cannot be written as JSON.
 pub fn write_json_atomically<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<FileStamp> {
     let mut text = serde_json::to_vec_pretty(value).map_err(Error::json(path))?;
     text.push(b'\n');
@@ -81,9 +78,6 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
 }
 
 /// Reads a JSON file of unfinished work; `None` where there is none that is whole.
-///
-/// # Errors
-/// On I/O errors.
 pub fn read_if_whole<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     match fs::read(path) {
         Err(error) if is_missing(&error) => Ok(None),
@@ -97,9 +91,6 @@ pub(super) fn is_missing(error: &io::Error) -> bool {
 }
 
 /// Writes a record: an object as indented JSON, of which the last entry is a checksum of everything before it.
-///
-/// # Errors
-/// On I/O errors, or if `value` cannot be written as JSON.
 pub fn write_record<T: Serialize>(path: &Path, value: &T) -> Result<FileStamp> {
     let text = serde_json::to_string_pretty(value).map_err(Error::json(path))?;
     let body = text.strip_suffix("\n}").unwrap_or(&text);

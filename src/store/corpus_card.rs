@@ -6,7 +6,6 @@ use super::corpus_manifest::{CorpusManifest, TableEntry};
 use arrow::datatypes::Field;
 use std::fmt::{self, Write};
 
-/// The file of the card.
 pub(crate) const CARD_FILE: &str = "README.md";
 
 /// The card, as Markdown.

@@ -134,9 +134,6 @@ impl CorpusReader {
     }
 
     /// All metric values.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the table cannot be read.
     pub fn metrics(&self) -> Result<Vec<MetricRow>> {
         let mut rows = Vec::new();
         for file in self.manifest().files(CorpusTable::Metrics) {

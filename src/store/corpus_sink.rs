@@ -280,7 +280,6 @@ pub(crate) fn partitioned(batch: &RecordBatch, path: &Path) -> Result<BTreeMap<P
     Ok(rows)
 }
 
-/// The batch without these columns.
 fn without(batch: &RecordBatch, columns: &[&str]) -> Result<RecordBatch> {
     let schema = batch.schema();
     let fields = schema.fields().iter().enumerate();
@@ -289,7 +288,6 @@ fn without(batch: &RecordBatch, columns: &[&str]) -> Result<RecordBatch> {
     batch.project(&kept).map_err(|error| Error::invalid("rows", error.to_string()))
 }
 
-/// These rows of a batch.
 pub(crate) fn taken(batch: &RecordBatch, rows: &[u32]) -> Result<RecordBatch> {
     if rows.len() == batch.num_rows() {
         return Ok(batch.clone());

@@ -82,9 +82,6 @@ impl<'m> CorpusWriter<'m> {
     }
 
     /// Adds the recorded scene that scenarios continue. A scene that was added before is skipped.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn write_recording(&mut self, scene: &Scene) -> Result<()> {
         if !self.known_scenes.insert(fingerprint(scene.id.0.as_bytes())) {
             return Ok(());

@@ -3,9 +3,9 @@
 use super::*;
 use crate::files::keep_list;
 use crate::metrics::Group;
-use crate::scene::{GuidanceLevel, LaneGraph, Scene};
+use crate::scene::{LaneGraph, Scene};
 use crate::store::testing::{assessment, event, folder_bytes, map, record, scene};
-use crate::store::{Columns, CorpusReader, CorpusScan, SceneStore, SceneWriter, SceneWriterOptions};
+use crate::store::{Columns, CorpusReader, CorpusScan, SceneStore, SceneWriter};
 use serde_json::Value;
 
 /// A scene at one of two places.
@@ -27,7 +27,7 @@ fn store_and_records(dir: &Path) -> (SceneStore, Vec<ScenarioRecord>) {
     let maps: Vec<(MapId, LaneGraph)> = vec![("PIT".into(), map(1, 9)), ("MIA".into(), map(2, 7))];
     let scenes: Vec<Scene> =
         (0..70).map(|i| scene_at(i, maps.get(i as usize % 3).map(|(id, graph)| (id, graph)))).collect();
-    let mut writer = SceneWriter::create(dir, SceneWriterOptions::default()).unwrap();
+    let (mut writer, _) = SceneWriter::resume(dir).unwrap();
     writer.write_batch(&scenes, &maps, Some(1), &Value::Null).unwrap();
     writer.finish(&Value::Null).unwrap();
     let mut records: Vec<ScenarioRecord> = scenes.iter().flat_map(|scene| (0..2).map(|i| record(scene, i))).collect();
@@ -51,14 +51,9 @@ fn metric_row() -> MetricRow {
     MetricRow {
         group: Group::Recorded,
         sweep: String::new(),
-        level: GuidanceLevel::UNGUIDED,
         place: "PIT".to_owned(),
-        scene_id: None,
-        scenario_id: None,
-        metric: "collision_rate".to_owned(),
-        value: 0.25,
         n: 4,
-        std_error: None,
+        ..MetricRow::example("collision_rate", 0.25)
     }
 }
 

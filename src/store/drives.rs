@@ -21,17 +21,11 @@ pub struct DrivenWriter(ParquetFile);
 
 impl DrivenWriter {
     /// Begins the table.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         ParquetFile::create(path, &driven::schema(), driven::schema().arrow()).map(Self)
     }
 
     /// Adds all states of a drive with its scenario and driver; `moved_by` says of an agent and timestep who moved it.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn push(
         &mut self,
         drive: [&str; 2],
@@ -42,9 +36,6 @@ impl DrivenWriter {
     }
 
     /// Finishes the table and gives the file its name.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(self) -> Result<FileStamp> {
         self.0.finish()
     }

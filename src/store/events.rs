@@ -41,9 +41,6 @@ impl<'n> EventWriter<'n> {
     }
 
     /// Finishes the table and gives the file its name.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(mut self) -> Result<FileStamp> {
         if self.file.is_none() {
             self.write(&[])?;

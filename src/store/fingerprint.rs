@@ -3,7 +3,6 @@
 /// A 128-bit hash of an id or a row: the chance that any two of a billion agree is 10⁻²¹.
 pub(crate) type Fingerprint = [u8; 16];
 
-/// The fingerprint of these bytes.
 pub(crate) fn fingerprint(bytes: &[u8]) -> Fingerprint {
     shortened(blake3::hash(bytes))
 }

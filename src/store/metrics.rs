@@ -9,9 +9,6 @@ use arrow::array::RecordBatch;
 use std::path::Path;
 
 /// Writes a metric table, in the order given.
-///
-/// # Errors
-/// On I/O errors.
 pub fn write_metrics(path: &Path, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<FileStamp> {
     let mut file = RowFile::create(path, &metric::schema(), metric::encode)?;
     rows.into_iter().try_for_each(|row| file.push(row?))?;

@@ -69,7 +69,7 @@ pub use scene_index::{SceneIndex, SceneIndexEntry};
 pub use scene_manifest::{MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 pub use scene_set::SceneSet;
 pub use scene_store::SceneStore;
-pub use scene_writer::{SceneWriter, SceneWriterOptions};
+pub use scene_writer::SceneWriter;
 pub(crate) use schema::unit_of_name;
 pub use schema::{OpenColumns, SCHEMA_KEY, TableSchema};
 pub use spool::{Spool, Spooled};

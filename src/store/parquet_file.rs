@@ -144,7 +144,7 @@ pub(crate) fn n_rows(path: &Path, table: &TableSchema) -> Result<u64> {
 pub(crate) struct Batches {
     path: PathBuf,
     table: TableSchema,
-    /// Whether all columns are read, so that batches can be upgraded to the current version.
+    /// Whether all columns are read, so that batches can get the current descriptions of columns.
     is_whole: bool,
     reader: Option<ParquetRecordBatchReader>,
 }

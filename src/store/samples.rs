@@ -56,9 +56,6 @@ pub struct Difference {
 }
 
 /// The columns of a sample shard in which two scenarios differ, if only by a bit, and the number of columns.
-///
-/// # Errors
-/// When a record cannot be written.
 pub fn differences(a: &ScenarioRecord, b: &ScenarioRecord) -> Result<(Vec<Difference>, usize)> {
     let [a, b] = [sample::encode(std::slice::from_ref(a))?, sample::encode(std::slice::from_ref(b))?];
     let schema = a.schema();

@@ -23,7 +23,6 @@ const N_DECODED: usize = 64;
 /// A finished scene store, verified and mapped into memory. Threads can share it. Beside the mapping, a scene takes 28
 /// bytes and its id.
 pub struct SceneStore {
-    manifest: SceneManifest,
     fingerprint: String,
     shards: Vec<MappedTable>,
     batches: Vec<BatchPlace>,
@@ -78,12 +77,7 @@ impl SceneStore {
         let mut by_id: Vec<u32> = (0..index.len() as u32).collect();
         by_id.sort_unstable_by_key(|position| index.id(*position as usize));
         let decoded = Mutex::default();
-        Ok(Self { manifest, fingerprint, shards, batches, decoded, maps, index, by_id })
-    }
-
-    /// The manifest.
-    pub const fn manifest(&self) -> &SceneManifest {
-        &self.manifest
+        Ok(Self { fingerprint, shards, batches, decoded, maps, index, by_id })
     }
 
     /// Hash of the manifest, and through its checksums of everything in the store; hexadecimal.
@@ -189,15 +183,13 @@ impl std::fmt::Debug for SceneStore {
 mod tests {
     use super::*;
     use crate::store::testing::{folder_bytes, map, scene};
-    use crate::store::{SceneWriter, SceneWriterOptions, as_stored};
+    use crate::store::{SceneWriter, as_stored};
     use proptest::prelude::*;
     use serde_json::json;
 
-    const OPTIONS: SceneWriterOptions = SceneWriterOptions { scenes_per_shard: 3 };
-
     /// Writes scenes two by two, every third without a map.
     fn write(dir: &Path, scenes: &[Scene], maps: &[(MapId, LaneGraph)]) {
-        let mut writer = SceneWriter::create(dir, OPTIONS).unwrap();
+        let mut writer = SceneWriter::resume(dir).unwrap().0.in_shards_of(3);
         for (i, batch) in scenes.chunks(2).enumerate() {
             writer.write_batch(batch, maps, Some(i as u64), &json!(i)).unwrap();
         }
@@ -217,7 +209,7 @@ mod tests {
         write(dir.path(), &scenes, &maps);
         let store = SceneStore::open(dir.path()).unwrap();
         assert_eq!(store.len(), 11);
-        assert_eq!(store.manifest().shards.len(), 3);
+        assert_eq!(store.shards.len(), 3);
         for i in [10, 0, 5, 3, 4, 9] {
             assert_eq!(store.scene(i).unwrap(), as_stored(&scenes[i]), "scene {i}");
             let entry = store.index().get(i);

@@ -14,18 +14,8 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// How scenes are put into shards.
-#[derive(Debug, Clone, Copy)]
-pub struct SceneWriterOptions {
-    /// A shard ends with the batch that brings it to this many scenes.
-    pub scenes_per_shard: usize,
-}
-
-impl Default for SceneWriterOptions {
-    fn default() -> Self {
-        Self { scenes_per_shard: 1024 }
-    }
-}
+/// A shard ends with the batch that brings it to this many scenes.
+const SCENES_PER_SHARD: u64 = 1024;
 
 /// Writes a scene store, shard by shard.
 ///
@@ -34,7 +24,7 @@ impl Default for SceneWriterOptions {
 /// same batches give the same bytes, whether or not the writer was interrupted.
 pub struct SceneWriter {
     dir: PathBuf,
-    options: SceneWriterOptions,
+    scenes_per_shard: u64,
     shards: Vec<ShardEntry>,
     current: OpenShard,
     known_maps: BTreeSet<String>,
@@ -58,31 +48,12 @@ struct OpenShard {
 }
 
 impl SceneWriter {
-    /// Begins a store in `dir`, which is created if it is missing; the files of an earlier store there are removed.
-    ///
-    /// # Errors
-    /// On I/O errors.
-    pub fn create(dir: &Path, options: SceneWriterOptions) -> Result<Self> {
-        fs::create_dir_all(dir)?;
-        remove_store_files(dir, &BTreeSet::new())?;
-        Ok(Self {
-            dir: dir.to_owned(),
-            options,
-            shards: Vec::new(),
-            current: OpenShard::default(),
-            known_maps: BTreeSet::new(),
-            known_scenes: BTreeSet::new(),
-            units_done: 0,
-            report: Value::Null,
-        })
-    }
-
-    /// Continues after the last finished shard, and returns its sidecar with the units done and the report so far;
-    /// `None` if no shard is finished. Unfinished files are removed.
+    /// Continues the store in `dir`, which is created if it is missing, after the last finished shard, and returns its
+    /// sidecar with the units done and the report so far; `None` if no shard is finished. Unfinished files are removed.
     ///
     /// # Errors
     /// On I/O errors, or if a map cannot be read.
-    pub fn resume(dir: &Path, options: SceneWriterOptions) -> Result<(Self, Option<ShardSidecar>)> {
+    pub fn resume(dir: &Path) -> Result<(Self, Option<ShardSidecar>)> {
         fs::create_dir_all(dir)?;
         let mut finished = Vec::new();
         while let Some(sidecar) = finished_shard(dir, finished.len()) {
@@ -110,7 +81,7 @@ impl SceneWriter {
         let last = finished.last().cloned();
         let writer = Self {
             dir: dir.to_owned(),
-            options,
+            scenes_per_shard: SCENES_PER_SHARD,
             units_done: last.as_ref().map_or(0, |sidecar| sidecar.units_done),
             report: last.as_ref().map_or(Value::Null, |sidecar| sidecar.report.clone()),
             shards: finished.into_iter().map(|sidecar| sidecar.shard).collect(),
@@ -119,6 +90,12 @@ impl SceneWriter {
             known_scenes,
         };
         Ok((writer, last))
+    }
+
+    /// With smaller shards.
+    #[cfg(test)]
+    pub(crate) fn in_shards_of(self, scenes_per_shard: u64) -> Self {
+        Self { scenes_per_shard, ..self }
     }
 
     /// Adds scenes, after the maps that they are the first to need; known maps are skipped. `units_done` and `report`
@@ -159,16 +136,13 @@ impl SceneWriter {
         let Some(units_done) = units_done else { return Ok(()) };
         self.units_done = units_done;
         self.report = report.clone();
-        if self.current.n_scenes >= self.options.scenes_per_shard as u64 {
+        if self.current.n_scenes >= self.scenes_per_shard {
             self.finish_shard()?;
         }
         Ok(())
     }
 
     /// Finishes the last shard and writes the manifest with the caller's report on the whole job.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(mut self, report: &Value) -> Result<SceneManifest> {
         self.finish_shard()?;
         let manifest = SceneManifest::new(self.shards, report.clone());

@@ -114,9 +114,6 @@ impl TableSchema {
 
     /// The batch with the columns in their order and with their descriptions, then its open columns. Call it on batches
     /// whose schema passed [`check`](Self::check).
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when a column is missing.
     pub(crate) fn conform(&self, path: &Path, batch: &RecordBatch) -> Result<RecordBatch> {
         let schema = self.arrow_with(self.open_of(batch.schema_ref()).cloned().collect());
         let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
@@ -132,9 +129,6 @@ impl TableSchema {
     }
 
     /// The schema as it is published in `schemas/`: indented JSON with a final newline.
-    ///
-    /// # Errors
-    /// If serialization fails.
     pub fn json(&self) -> serde_json::Result<String> {
         let open = |columns: &OpenColumns| OpenColumnsDoc {
             names: columns.pattern,
@@ -246,7 +240,6 @@ pub(crate) fn list_of(data_type: DataType) -> DataType {
     DataType::List(Arc::new(Field::new_list_field(data_type, false)))
 }
 
-/// The type of a list of structs.
 pub(crate) fn list_of_structs(fields: Vec<Field>) -> DataType {
     list_of(DataType::Struct(fields.into()))
 }

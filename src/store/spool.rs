@@ -19,9 +19,6 @@ pub struct Spool<T> {
 
 impl<T: Serialize> Spool<T> {
     /// Begins the file.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         Ok(Self { file: AtomicFile::create(path)?, values: PhantomData })
     }
@@ -38,9 +35,6 @@ impl<T: Serialize> Spool<T> {
     }
 
     /// Ends the file, so that it can be read.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(self) -> Result<Spooled<T>> {
         let path = self.file.path().to_owned();
         let n_bytes = self.file.commit()?.n_bytes;
@@ -85,9 +79,6 @@ impl<T> Spooled<T> {
     }
 
     /// Removes the file.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn remove(self) -> Result<()> {
         Ok(remove_if_present(&self.path)?)
     }

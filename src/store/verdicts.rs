@@ -12,25 +12,16 @@ pub struct VerdictWriter(RowFile<VerdictRow>);
 
 impl VerdictWriter {
     /// Begins the table.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         RowFile::create(path, &verdict::schema(), verdict::encode).map(Self)
     }
 
     /// Adds a verdict.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn push(&mut self, row: VerdictRow) -> Result<()> {
         self.0.push(row)
     }
 
     /// Finishes the table and gives the file its name.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(self) -> Result<FileStamp> {
         self.0.finish()
     }

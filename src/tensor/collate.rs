@@ -53,9 +53,6 @@ pub struct Collator {
 
 impl Collator {
     /// One row for each view, padded to the largest row.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub fn collate(&self, views: &[SceneView<'_>], validity: FutureValidity, device: &Device) -> Result<SceneBatch> {
         if self.sight.is_some() && self.normalizer.motion_covariance.is_none() {
             bail!(

@@ -85,7 +85,6 @@ impl LanePieces {
     }
 }
 
-/// The pieces of one lane.
 fn cut(lane: &Lane, idx: u32, outlines: &Outlines) -> Vec<LanePiece> {
     let length_m = lane.centerline.length_m();
     if !length_m.is_finite() || length_m < 0.1 {

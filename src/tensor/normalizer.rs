@@ -62,6 +62,34 @@ impl Normalizer {
     /// σ_data: the standard deviation of every diffused feature (paper, Appendix A).
     pub const SIGMA_DATA: f64 = 0.5;
 
+    /// These scales, with those of motion of `other`, if that knows as much of the past, and has motion in a dimension.
+    /// Recordings differ in their texture: a network that is trained further on others learns theirs only if what it
+    /// diffuses is white for them, too.
+    #[must_use]
+    pub fn for_motion_of(&self, other: &Self) -> Self {
+        let (Some(own), Some(others)) = (&self.motion_covariance, &other.motion_covariance) else {
+            return self.clone();
+        };
+        let shape =
+            |covariance: &MotionCovariance| (covariance.n_past, covariance.n_timesteps, covariance.values.len());
+        if shape(own) != shape(others) {
+            return self.clone();
+        }
+        let (mut units, mut values, mut noise) = (self.motion_units(), own.values.clone(), own.noise.clone());
+        for (dim, of_other) in others.values.iter().enumerate().filter(|(_, values)| values.iter().any(|v| *v > 0.0)) {
+            units[dim] = other.motion_units()[dim];
+            values[dim].clone_from(of_other);
+            noise.get_mut(dim).zip(others.noise.get(dim)).into_iter().for_each(|(own, other)| *own = *other);
+        }
+        Self {
+            motion_longitudinal_unit_m: units[0],
+            motion_lateral_unit_m: units[1],
+            motion_heading_unit_rad: units[2],
+            motion_covariance: Some(MotionCovariance::new(own.n_past, own.n_timesteps, values, noise)),
+            ..self.clone()
+        }
+    }
+
     /// Units of (x, y, heading) in the ego frame.
     pub const fn scene_units(&self) -> [f64; 3] {
         [self.position_unit_m, self.position_unit_m, self.heading_unit_rad]
@@ -299,6 +327,30 @@ impl NormalizerFit {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn scales_of_motion_are_exchanged_where_they_are_known() {
+        let normalizer = |unit: f64, n_past: usize, turning: f64| {
+            let values = vec![vec![1.0 / unit; 9], vec![1.0 / unit; 9], vec![turning; 9]];
+            let covariance = MotionCovariance::new(n_past, 3 - n_past, values, vec![0.1 / unit; 3]);
+            let fit = NormalizerFit::default().finish(StateParametrization::Motion, 3);
+            Normalizer {
+                position_unit_m: unit,
+                motion_longitudinal_unit_m: unit,
+                motion_lateral_unit_m: unit,
+                motion_heading_unit_rad: unit,
+                motion_covariance: Some(covariance),
+                ..fit
+            }
+        };
+        let (own, other) = (normalizer(1.0, 2, 0.5), normalizer(4.0, 2, 0.0));
+        let mixed = own.for_motion_of(&other);
+        assert_eq!((mixed.position_unit_m, mixed.motion_units()), (1.0, [4.0, 4.0, 1.0]));
+        let covariance = mixed.motion_covariance.unwrap();
+        assert_eq!(covariance.values, [vec![0.25; 9], vec![0.25; 9], vec![0.5; 9]]);
+        assert_eq!(covariance.noise, [0.025, 0.025, 0.1]);
+        assert_eq!(own.for_motion_of(&normalizer(4.0, 1, 0.0)), own, "too few tracks to predict from as many steps");
+    }
 
     #[test]
     fn a_jump_of_a_recording_decides_no_unit() {

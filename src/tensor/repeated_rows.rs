@@ -12,9 +12,6 @@ pub struct RepeatedRows {
 
 impl RepeatedRows {
     /// Repeats each of `n_rows` rows `n` times.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub fn new(n_rows: usize, n: usize, device: &Device) -> Result<Self> {
         let sources: Vec<u32> = (0..n_rows * n).map(|row| (row / n) as u32).collect();
         Ok(Self { n, sources: Tensor::from_vec(sources, n_rows * n, device)? })

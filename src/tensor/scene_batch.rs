@@ -183,9 +183,6 @@ impl SceneBatch {
     }
 
     /// Every row `n` times in a row, as [`RepeatedRows`] has them.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub fn repeated(&self, n: usize) -> Result<Self> {
         let rows = RepeatedRows::new(self.n_rows(), n, self.x0.device())?;
         let repeat = |tensor: &Tensor| rows.tensor(tensor);
@@ -237,9 +234,6 @@ impl SceneBatch {
     }
 
     /// `path` with rows of norm 1 (or 0), so that the sums of white x have unit variance; `None` without a path.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub fn unit_path(&self) -> Result<Option<Tensor>> {
         let unit = |path: &Tensor| path.broadcast_div(&path.sqr()?.sum_keepdim(D::Minus1)?.sqrt()?.maximum(1e-6)?);
         self.path.as_ref().map(unit).transpose()
@@ -250,9 +244,6 @@ impl SceneBatch {
     /// Each has the tracks of its source in the same order: observed states as recorded, latent states decoded, with
     /// velocities from three positions in a row; agents that the batch left out keep their observed states only.
     /// Without a diffused heading, headings follow the motion.
-    ///
-    /// # Errors
-    /// Fails when shapes do not agree.
     pub fn decode_scenes(&self, x: &Tensor, sources: &[&Scene]) -> Result<Vec<Scene>> {
         let with_heading = x.dim(D::Minus1)? > 2;
         let decoded = self.decode(x)?.to_dtype(candle_core::DType::F64)?;

@@ -115,7 +115,6 @@ impl RowSurroundings {
     }
 }
 
-/// The attributes of a track.
 pub(super) fn agent_attributes(track: &Track) -> [f32; SurroundingsLayout::AGENT] {
     let mut attributes = [0.0; SurroundingsLayout::AGENT];
     attributes[0] = f32::from(u8::from(track.extent.is_some()));

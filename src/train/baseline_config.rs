@@ -53,9 +53,6 @@ impl BaselineTrainingConfig {
     }
 
     /// The preset with the section's settings over it.
-    ///
-    /// # Errors
-    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<BaselineTraining, Error> {
         settings::check_ranges(self).map_err(|issue| Error::Config(issue.within(Self::SECTION).to_string()))?;
         check_tasks(Self::SECTION, &self.tasks)?;

@@ -47,9 +47,6 @@ impl ClassificationTask<'_> {
     }
 
     /// Figures on the held-out pairs at each of `REPORT_SIGMAS`, with the same noise at every call.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
     pub fn report(&self) -> Result<Vec<NoiseLevelReport>, Error> {
         let is_positive = self.inputs.labels()[1].is_positive();
         let at_level = |(level, sigma): (usize, f64)| {

@@ -47,9 +47,6 @@ impl Default for ClassifierTrainingConfig {
 
 impl ClassifierTrainingConfig {
     /// The loop's settings.
-    ///
-    /// # Errors
-    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<FitConfig, Error> {
         self.check_ranges()?;
         Ok(self.schedule(&FitConfig { ema_decay: 0.0, warmup_steps: WARMUP_STEPS, ..FitConfig::default() }))

@@ -22,7 +22,7 @@ pub struct NoiseLevelReport {
     /// Probability that a random positive pair scores higher than a random negative one, ties counting half.
     pub auc: Option<f64>,
     /// Expected calibration error: the mean distance of probabilities from the share of positive pairs in ten bins of
-    /// probability, where positive pairs count as much as in training. Reports of earlier versions lack it.
+    /// probability, where positive pairs count as much as in training.
     pub calibration_error: Option<f64>,
 }
 

@@ -9,7 +9,8 @@ use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
-/// weights of that checkpoint, keeps its scales, and ends with the weights that were best on held-out scenes.
+/// weights of that checkpoint, keeps its scales but for those of motion ([`Normalizer::for_motion_of`]), and ends with
+/// the weights that were best on held-out scenes.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -22,7 +23,7 @@ pub fn train_denoiser(
     let mut spec = describe(training, data, job)?;
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
-        spec.normalizer = start.metadata.normalizer.clone();
+        spec.normalizer = start.metadata.normalizer.for_motion_of(&spec.normalizer);
     }
     let mut model = Trainable::new(&spec, start, job)?;
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;

@@ -77,9 +77,6 @@ pub struct DistillTraining {
 
 impl DistillTrainingConfig {
     /// The settings of the training.
-    ///
-    /// # Errors
-    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DistillTraining, Error> {
         self.check_ranges()?;
         self.method.validate().map_err(refused)?;

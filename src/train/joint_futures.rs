@@ -24,9 +24,6 @@ impl JointLoss {
     /// over the scene's latent states; the future with the least is the best one, and the only one whose states get a
     /// gradient. The loss compares decoded states, because futures are compared by displacements in every
     /// parametrization.
-    ///
-    /// # Errors
-    /// When shapes do not agree.
     pub fn new(futures: &JointFutures, batch: &SceneBatch) -> Result<Self> {
         let n_modes = futures.logits.dim(1)?;
         let errors = Self::errors(futures, batch)?;

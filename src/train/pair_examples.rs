@@ -127,9 +127,6 @@ impl NoisyPairs<'_> {
     }
 
     /// The logits (B) of these training pairs, each at the noise level and with the noise that its seed draws.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
     pub fn training_logits(
         &self,
         classifier: &BehaviorClassifier,
@@ -142,9 +139,6 @@ impl NoisyPairs<'_> {
     }
 
     /// The logits (B) of held-out pairs at noise level `sigma`, each with the noise that its seed draws.
-    ///
-    /// # Errors
-    /// When a tensor operation fails.
     pub fn held_out_logits(
         &self,
         classifier: &BehaviorClassifier,

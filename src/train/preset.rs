@@ -119,9 +119,6 @@ pub struct DenoiserTraining {
 
 impl DenoiserTrainingConfig {
     /// The preset with the section's settings over it.
-    ///
-    /// # Errors
-    /// When a value cannot work, naming it.
     pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
         let base = self.preset.settings();
         self.check_ranges()?;

@@ -22,9 +22,6 @@ pub trait SceneDataset: Sync {
     }
 
     /// The scene of this index.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>>;
 }
 
@@ -68,7 +65,7 @@ impl WeightedGroups {
     }
 }
 
-/// What becomes of the scene of this index.
+/// Changes the scene of this index.
 type SceneChange<'a> = &'a dyn Fn(usize, Scene) -> Scene;
 
 /// Batches made in advance, which does not change results.
@@ -104,18 +101,12 @@ struct Drawn {
 
 impl SceneDraws<'_> {
     /// The batch of `step`: the one that [`prepare`](Self::prepare) made, or a new one.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded.
     pub fn training_batch(&self, step: u64) -> Result<DrawnBatch, Error> {
         let kept = self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner).take();
         kept.filter(|(of_step, _)| *of_step == step).map_or_else(|| self.draw_rows(step), |(_, batch)| Ok(batch))
     }
 
     /// Makes the batch of `step` in advance.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded.
     pub fn prepare(&self, step: u64) -> Result<(), Error> {
         let batch = self.draw_rows(step)?;
         *self.ahead.batch.lock().unwrap_or_else(PoisonError::into_inner) = Some((step, batch));
@@ -146,9 +137,6 @@ impl SceneDraws<'_> {
 
     /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes and lack
     /// what training scenes lack. The seeds of a batch are the same whenever it is evaluated.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded, or a figure cannot be computed.
     pub fn held_out_means(
         &self,
         n: usize,
@@ -159,9 +147,6 @@ impl SceneDraws<'_> {
     }
 
     /// [`Self::held_out_means`] over these held-out scenes as recorded, after `change`.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded, or a figure cannot be computed.
     pub fn changed_means(
         &self,
         scenes: &[usize],

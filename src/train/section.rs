@@ -135,7 +135,6 @@ macro_rules! training_section {
                 crate::settings::check_ranges(self).map_err(Self::refusal)
             }
 
-            /// An issue with one of its settings.
             fn refusal(issue: crate::settings::Issue) -> Error {
                 Error::Config(issue.within(Self::SECTION).to_string())
             }

@@ -8,24 +8,15 @@ use std::collections::BTreeMap;
 pub trait TrainTask: Sync {
     /// The loss of the batch of `step`, a scalar. It must depend on the parameters and the step alone, so that a
     /// resumed run takes the same steps.
-    ///
-    /// # Errors
-    /// When the batch cannot be made.
     fn loss(&self, step: u64) -> Result<Tensor, Error>;
 
     /// Prepares the batch of the next step in advance. It is called while a GPU computes the previous step, and must
     /// not wait for it.
-    ///
-    /// # Errors
-    /// When the batch cannot be made.
     fn prepare(&self, _step: u64) -> Result<(), Error> {
         Ok(())
     }
 
     /// Figures on held-out data with the present parameters, by name.
-    ///
-    /// # Errors
-    /// When the data cannot be loaded.
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error>;
 
     /// How bad these figures are, to compare evaluations of one training; `None` if nothing is held out.

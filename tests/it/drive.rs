@@ -68,6 +68,28 @@ fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_s
 }
 
 #[test]
+fn scenarios_are_made_harder_until_a_driver_fails() {
+    let dir = tempfile::tempdir().unwrap();
+    let [one, two] = ["one", "two"].map(|name| dir.path().join(name));
+    for (out, threads) in [(&one, "1"), (&two, "2")] {
+        let outcome = drive(&example("--blind"), out, &["--bisect", "--threads", threads]).expect(0);
+        assert!(outcome.stdout.contains("it fails before the careful driver in"), "{}", outcome.stdout);
+    }
+    assert_same(&files(&one), &files(&two));
+    let margins = &report(&one)["margins"];
+    assert_eq!(margins["n_scenarios"], N_SCENARIOS);
+    let sooner = margins["scenarios"].as_array().unwrap();
+    assert!(!sooner.is_empty() && margins["n_later"] == 0, "{margins}");
+    for margin in sooner {
+        let delay_s = |driver: &str| margin[driver]["delay_s"].as_f64().unwrap_or(-1.0);
+        assert!(delay_s("careful") > delay_s("own"), "{margin}");
+    }
+    // The event of some is over before the scenario ends.
+    let has_gap = |margin: &serde_json::Value| margin["own"]["parameters"]["gap_m"].is_number();
+    assert!(sooner.iter().any(has_gap), "{margins}");
+}
+
+#[test]
 fn whatever_a_planner_does_is_an_outcome() {
     let dir = tempfile::tempdir().unwrap();
     let nan = planner("print(json.dumps({'type': 'action', 'acceleration_mps2': float('nan')}))");

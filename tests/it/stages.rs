@@ -19,7 +19,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     let has = |list: &str, key: &str, value: &str| {
         metrics[list].as_array().unwrap().iter().any(|row| row[key] == value && row["group"] == "unguided")
     };
-    assert!(has("aggregates", "metric", "modes1_min_scene_ade_m") && has("aggregates", "metric", "medoids1_min_fde_m"));
+    assert!(has("aggregates", "metric", "modes1_min_scene_ade_m") && has("aggregates", "metric", "modes1_min_fde_m"));
     assert!(has("realism", "quantity", "time to collision") && has("realism", "quantity", "jerk"));
     let names: Vec<String> = before.keys().filter(|name| name.starts_with("predictions/")).cloned().collect();
     assert!(names.contains(&"predictions/argoverse2.parquet".to_owned()), "{names:?}");
@@ -111,10 +111,10 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
 
     // A gate that is not met ends with code 3, with all results written, and again when nothing is left to do.
     for _ in 0..2 {
-        let outcome = workspace.run("out", &["--set", "evaluate.gates.min_verified=1000"]).expect(3);
-        assert!(outcome.stderr.contains("min_verified: at least 1000 required"), "{}", outcome.stderr);
+        let outcome = workspace.run("out", &["--set", "evaluate.gates.min_new=1000"]).expect(3);
+        assert!(outcome.stderr.contains("min_new: at least 1000 required"), "{}", outcome.stderr);
     }
-    assert!(fs_err::read_to_string(root.join("report.html")).unwrap().contains("min_verified"));
+    assert!(fs_err::read_to_string(root.join("report.html")).unwrap().contains("min_new"));
 
     // A model that was trained elsewhere is taken over, and damaged outputs are made again.
     let checkpoint = format!("train.denoiser.checkpoint={}", workspace.arg("alone/denoiser"));

@@ -98,7 +98,6 @@ impl Workspace {
         args
     }
 
-    /// The folder of the run in `output`.
     pub(crate) fn run_folder(&self, output: &str) -> PathBuf {
         self.path(output).join("small/main")
     }

@@ -54,7 +54,6 @@ pub(super) struct CutInPlan {
     /// How far the other's lane is from the ego's path then, and how far the other has to move over, meters.
     pub(super) aside_m: f64,
     pub(super) shift_m: f64,
-    /// The outcome.
     pub(super) outcome: Outcome,
 }
 

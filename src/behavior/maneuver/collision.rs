@@ -120,9 +120,10 @@ impl RailDrive {
     }
 }
 
-/// Courses along each way of an agent, with each acceleration and each drift.
+/// Courses along each way of an agent, with each acceleration and each drift. Who brakes does not let go of the brake.
 fn courses(driver: &Driver, extent: Extent) -> Vec<RailDrive> {
-    let tried = (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2)));
+    let tried =
+        (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2.min(driver.braking_mps2()))));
     let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
     let is_drift = |(rail, mps2, drift_m): &(usize, f64, f64)| {
         let way_m = driver.travel(*rail, &Pace::steady(*mps2)).driven_m.last().copied().unwrap_or_default();

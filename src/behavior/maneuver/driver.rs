@@ -123,6 +123,11 @@ impl Driver {
         Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 
+    /// Its acceleration at present if it brakes, m/s²; else infinite.
+    pub(in crate::behavior) fn braking_mps2(&self) -> f64 {
+        if self.observed_mps2 < -COASTS_MPS2 { self.observed_mps2 } else { f64::INFINITY }
+    }
+
     /// Its travel along a rail at this pace, which it takes up from the observed acceleration: quickly to brake, slowly
     /// to let go of the brake. It never reverses, gives no gas toward a bend, and brakes for it.
     pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {

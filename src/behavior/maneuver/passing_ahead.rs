@@ -10,13 +10,16 @@ use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_6;
 
 /// Accelerations of the one that goes first, and of the other until it brakes, m/s².
-const FIRST_MPS2: [f64; 5] = [0.0, 0.8, 1.6, 2.4, -1.0];
+const FIRST_MPS2: [f64; 4] = [0.0, 0.8, 1.6, 2.4];
 const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 /// How long before the first gets into its way the other sees it coming and gives no more gas, seconds.
 const NOTICES_S: f64 = 1.5;
-/// How hard the other brakes, m/s², and how long after the first gets into its way, seconds.
+/// How hard the other brakes, m/s², and how long after the first gets into its way, seconds; and how hard it
+/// accelerates so long after the first has left it, if it has braked for this long.
 const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
 const REACTION_S: f64 = 0.4;
+const GOES_ON_MPS2: f64 = 0.5;
+const LEAST_BRAKING_S: f64 = 0.5;
 /// How far apart the boxes stay, meters.
 const APART_M: f64 = 0.4;
 /// Agents that head along the way of the other within this do not cross it, radians.
@@ -68,11 +71,13 @@ impl Pair<'_> {
         let Some((enters, delay)) = own.passes_ahead_of(theirs, (MOST_DELAY_S / self.dt_s) as usize) else {
             return Vec::new();
         };
-        let enters_s = (enters + 1) as f64 * self.dt_s;
+        let [enters_s, leaves_s] = [enters, own.last_in_way_of(theirs)].map(|step| (step + 1) as f64 * self.dt_s);
+        let brakes_s = enters_s + REACTION_S;
+        let goes_on_s = (leaves_s + REACTION_S).max(brakes_s + LEAST_BRAKING_S);
         let eased = Pace::steady(theirs.mps2).then((enters_s - NOTICES_S).max(0.0), theirs.mps2.min(0.0));
         let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
         let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
-            let pace = eased.clone().then(enters_s + REACTION_S, theirs.mps2.min(-brakes_mps2));
+            let pace = eased.clone().then(brakes_s, theirs.mps2.min(-brakes_mps2)).then(goes_on_s, GOES_ON_MPS2);
             let braking = RailDrive::new(self.other, self.extents[1], theirs.rail, theirs.mps2, &pace)?;
             own.keeps(&braking, APART_M).then(|| Maneuver {
                 kind: [own.rail * self.other.rails.len() + theirs.rail, nth * 100 + delay / spacing],
@@ -120,6 +125,14 @@ impl RailDrive {
         let is_first = arrivals.iter().all(|(_, arrives)| *arrives > enters);
         let delay = arrivals.iter().map(|(step, arrives)| arrives.saturating_sub(*step)).min()?;
         (is_first && delay <= most_delay).then_some((enters, delay))
+    }
+
+    /// The last step at which it is anywhere that the other is at some time.
+    fn last_in_way_of(&self, other: &Self) -> usize {
+        let is_there = |own: &&Footprint| {
+            own.bounds.is_within(&other.bounds, 0.0) && other.boxes.iter().any(|theirs| own.overlaps(theirs))
+        };
+        self.boxes.iter().rposition(|own| is_there(&own)).unwrap_or_default()
     }
 
     /// Whether the boxes of the two always stay this far apart.

@@ -13,9 +13,12 @@ use crate::scene::Scene;
 const WALKS_MPS: [f64; 3] = [1.0, 1.4, 1.8];
 const STARTING_S: f64 = 0.8;
 const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
-/// How far inside the lane the pedestrian is when the vehicle notices it, meters.
+/// How far inside the lane the pedestrian is when the vehicle notices it, meters, and how long after the pedestrian has
+/// begun to walk toward it at the latest, seconds.
 const INSIDE_M: f64 = 0.1;
-/// Accelerations of the vehicle until then, m/s²; how long after it brakes, seconds, and how hard, m/s².
+const NOTICED_S: f64 = 1.0;
+/// Accelerations of the vehicle until the pedestrian turns to the lane, m/s²; how long after it has noticed that it
+/// brakes, seconds, and how hard, m/s².
 const EGO_MPS2: [f64; 3] = [0.0, 0.6, -1.0];
 const REACTION_S: f64 = 0.4;
 const BRAKES_MPS2: [f64; 5] = [1.5, 2.5, 3.5, 5.0, 7.0];
@@ -38,6 +41,8 @@ impl PedestrianStepsOut {
         let (place, there) = (ego.lane.project(own.position)?, ego.lane.project(theirs.position)?);
         let side = if there.offset_m < 0.0 { -1.0 } else { 1.0 };
         let toward = Vec2::from_angle(there.heading_rad).rotated(-side * std::f64::consts::FRAC_PI_2);
+        let along = Vec2::from_angle(there.heading_rad);
+        let along_mps = theirs.velocity.dot(along);
         let to_lane_m = ego.lane.beyond_m(theirs.position, side)? + INSIDE_M;
         let half_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m / 2.0;
         let gap_m = there.station_m - place.station_m - half_m(ego_idx) - half_m(walker_idx);
@@ -46,19 +51,24 @@ impl PedestrianStepsOut {
         let mut maneuvers = Vec::new();
         for (i, walks_mps) in WALKS_MPS.into_iter().enumerate() {
             for begins_s in BEGINS_S {
-                // The speed rises evenly.
-                let walked_m = |elapsed_s: f64| {
+                // The speed toward the lane rises evenly, as that along it falls.
+                let walked = |elapsed_s: f64| {
                     let since_s = (elapsed_s - begins_s).max(0.0);
                     let starting_s = since_s.min(STARTING_S);
-                    walks_mps * (starting_s * starting_s / (2.0 * STARTING_S) + since_s - starting_s)
+                    let rising_s = starting_s * starting_s / (2.0 * STARTING_S);
+                    let along_s = elapsed_s.min(begins_s) + starting_s - rising_s;
+                    toward * (walks_mps * (rising_s + since_s - starting_s)) + along * (along_mps * along_s)
                 };
-                let seen_s = begins_s + STARTING_S / 2.0 + to_lane_m / walks_mps;
+                let reaches_lane_s = STARTING_S / 2.0 + to_lane_m / walks_mps;
+                let seen_s = begins_s + reaches_lane_s.min(NOTICED_S);
+                let gap_m = gap_m + along_mps * (begins_s + STARTING_S / 2.0);
                 let walked: Vec<Vec2> =
-                    (0..=n_steps).map(|step| theirs.position + toward * walked_m(step as f64 * scene.dt_s)).collect();
+                    (0..=n_steps).map(|step| theirs.position + walked(step as f64 * scene.dt_s)).collect();
                 for (rail, own_mps2) in (0..driver.rails.len()).flat_map(|rail| EGO_MPS2.map(|mps2| (rail, mps2))) {
                     // As gently as it stops before the pedestrian, if not before the scene ends.
                     let stopping = BRAKES_MPS2.into_iter().find_map(|mps2| {
-                        let pace = Pace::steady(own_mps2).then(seen_s + REACTION_S, -mps2);
+                        let pace = Pace::steady(own_mps2).then(begins_s, own_mps2.min(0.0));
+                        let pace = pace.then(seen_s + REACTION_S, -mps2);
                         let travel = driver.travel(rail, &pace);
                         let (driven_m, then_mps) = (*travel.driven_m.last()?, *travel.speeds_mps.last()?);
                         let stops_m = driven_m + then_mps * then_mps / (2.0 * mps2);

@@ -46,7 +46,6 @@ impl<'a> Body<'a> {
         })
     }
 
-    /// Its state at `timestep`.
     pub(super) fn state(&self, timestep: usize) -> Option<&State> {
         self.track.trajectory.get(timestep)
     }

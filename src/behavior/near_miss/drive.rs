@@ -25,7 +25,6 @@ impl Drive {
         Self { effort: pace.effort(), driven_m: travel.driven_m, speeds_mps: travel.speeds_mps, outer, inner }
     }
 
-    /// Its velocity at a step.
     pub(super) fn velocity(&self, step: usize) -> Vec2 {
         self.outer[step].forward * self.speeds_mps[step]
     }

@@ -184,7 +184,6 @@ impl AgentSpec {
 }
 
 impl LaneSpec {
-    /// The lane.
     pub(crate) fn build(&self) -> Lane {
         let points: Vec<Vec2> = self.centerline.iter().map(|[x, y]| Vec2::new(*x, *y)).collect();
         let side = |sign: f64| {

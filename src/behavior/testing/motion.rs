@@ -36,7 +36,6 @@ pub(crate) struct Segment {
     shift_m: f64,
 }
 
-/// The states at `n_timesteps` timesteps.
 pub(crate) fn drive(start: &Start, segments: &[Segment], dt_s: f64, n_timesteps: usize) -> Vec<State> {
     let rest = Segment { duration_s: f64::INFINITY, acceleration_mps2: 0.0, turn_deg: 0.0, shift_m: 0.0 };
     let mut segments = segments.iter().chain([&rest]);

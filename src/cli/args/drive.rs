@@ -37,6 +37,10 @@ pub(in crate::cli) struct DriveArgs {
     /// Save the state of each drive at the first replanning at or after this timestep, or the beginning of the event
     #[arg(long, value_name = "event|TIMESTEP")]
     pub(in crate::cli) save_at: Option<SaveAt>,
+    /// Make each scenario harder, too: how much later, and so closer to the ego, could the others of the event be for
+    /// each driver to survive?
+    #[arg(long, conflicts_with = "from")]
+    pub(in crate::cli) bisect: bool,
     /// Drive on from this saved state instead
     #[arg(
         long,

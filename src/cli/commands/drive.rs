@@ -31,6 +31,7 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
         rollout: RolloutConfig { horizon_s: args.horizon_s, replan_s: args.replan_s },
         time_limit_s: args.time_limit_s,
         save_at: args.save_at,
+        bisects: args.bisect,
         n_workers: rayon::current_num_threads(),
     };
     begins_anew(&args.out);
@@ -88,6 +89,15 @@ fn text(report: &DriveReport) -> String {
         "{} of {} scenarios fail ({} hit in the rear); the careful driver survives {} of these",
         failures.n_failed, failures.n_scenarios, failures.n_hit_in_rear, failures.n_avoidable
     );
+    if let Some(margins) = &report.margins {
+        let [own, careful] = margins.median_delay_s;
+        let _ = writeln!(
+            text,
+            "with the others of {} events later, it fails before the careful driver in {} and after it in {}; the \
+             median delays that they survive are {own:.1} and {careful:.1} s",
+            margins.n_scenarios, margins.n_sooner, margins.n_later
+        );
+    }
     for matters in report.that_matter.iter().take(N_SHOWN) {
         let why = matters.why.as_deref().unwrap_or_default();
         let _ = writeln!(text, "  {}: {} ({why})", matters.scenario_id, matters.outcome);

@@ -160,7 +160,6 @@ fn check_tracks(
     tracks.len()
 }
 
-/// Checks one state.
 fn check_state(states: &States<'_>, row: usize, place: &mut Location<'_>) {
     let heading_rad = states.number(2, row);
     if heading_rad.abs() > PI {

@@ -118,9 +118,6 @@ impl SamplerConfig {
     }
 
     /// Checks the settings.
-    ///
-    /// # Errors
-    /// Names the setting that is invalid.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
         self.grid.validate().map_err(|issue| issue.within("grid"))

@@ -43,9 +43,7 @@ struct About {
 /// The record of a finished shard; written beside the shard, after it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct FinishedShard<S> {
-    /// The plan.
     pub(super) plan_id: String,
-    /// The worker.
     pub(super) worker: String,
     /// How long it took, seconds.
     pub(super) seconds: f64,
@@ -123,9 +121,6 @@ impl ShardFolder {
     }
 
     /// Lets several workers use the plan, to do the stage again if it was requested so, now or before.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn shared(mut self, redoes: bool) -> Result<Self> {
         self.about.is_shared = true;
         self.about.redoes |= redoes;
@@ -144,9 +139,6 @@ impl ShardFolder {
     }
 
     /// The decisions made before any shard.
-    ///
-    /// # Errors
-    /// When they are damaged, or were removed meanwhile.
     pub(super) fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
         let path = self.dir.join(PLAN_FILE);
         let plan = read_record(&path).map_err(|error| damaged(error, &self.dir))?;
@@ -190,9 +182,6 @@ impl ShardFolder {
     }
 
     /// Number of shards in the plan, or begun since.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn n_shards(&self) -> Result<usize> {
         let after = |name: PathBuf| {
             let (shard, _) = name.to_str()?.strip_prefix(self.names.shard)?.strip_prefix('-')?.split_once('.')?;
@@ -215,17 +204,14 @@ impl ShardFolder {
         &self.dir
     }
 
-    /// The log of a worker.
     pub(super) fn log(&self, worker: usize) -> PathBuf {
         self.dir.join(format!("{LOG}{worker:05}.txt"))
     }
 
-    /// The name of shard `idx`.
     pub(super) fn shard_name(&self, idx: usize) -> String {
         self.names.shard_name(idx)
     }
 
-    /// The name of its file.
     pub(super) fn file_name(&self, idx: usize) -> String {
         format!("{}.{}", self.shard_name(idx), self.names.ending)
     }
@@ -244,9 +230,6 @@ impl ShardFolder {
     }
 
     /// Declares a shard finished; its file must be complete.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn finish<S: Serialize>(
         &self,
         idx: usize,
@@ -274,9 +257,6 @@ impl ShardFolder {
 
     /// Makes sure that shards are made again that were damaged, or failed: removes the marks of tries that failed, and
     /// where nobody else can be at work, all marks.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn forget_failures(&self) -> Result<()> {
         for idx in 0..self.n_shards()? {
             self.verified::<IgnoredAny>(idx)?;
@@ -303,9 +283,6 @@ impl ShardFolder {
 
     /// The names of shards that were tried and are not finished. Reads the folder's list once: on a network file system
     /// that is faster than looking for many missing files.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn tried(&self) -> Result<BTreeSet<String>> {
         let names = files_below(&self.dir)?;
         let shard_of = |name: &PathBuf| Some(name.to_str()?.split_once(".try-")?.0.to_owned());
@@ -313,9 +290,6 @@ impl ShardFolder {
     }
 
     /// Appends the workers' logs to the log at `path`.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub(super) fn append_logs(&self, path: &Path) -> Result<()> {
         let mut text = String::new();
         for name in files_below(&self.dir)? {

@@ -23,17 +23,11 @@ impl<'a> Gathering<'a> {
     }
 
     /// The decisions made before any shard.
-    ///
-    /// # Errors
-    /// When they are damaged.
     pub fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
         self.folder.decisions()
     }
 
     /// The facts about shard `idx`, if it is finished and undamaged; otherwise notes that it is missing.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn look_up<S: DeserializeOwned>(&mut self, idx: usize) -> Result<Option<S>> {
         if let Some(finished) = self.folder.verified::<S>(idx)? {
             return Ok(Some(finished.facts));

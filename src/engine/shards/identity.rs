@@ -20,18 +20,12 @@ pub(in crate::engine) struct Identity {
 
 impl Identity {
     /// The identity of this process for a stage with this `record`. A stage without networks runs on the processor.
-    ///
-    /// # Errors
-    /// When the program cannot be read.
     pub(super) fn own(kind: &StageKind, stage: StageRecord, compute: ComputeChoice) -> Result<Self> {
         let compute = if kind.computes { compute } else { ComputeChoice::default() };
         Ok(Self { stage, program: version()?, compute: compute.class() })
     }
 
     /// The plan's name: 16 hexadecimal digits.
-    ///
-    /// # Errors
-    /// If serialization fails.
     pub(super) fn plan_id(&self) -> Result<String> {
         let mut id = fingerprint_value(&(&self.stage.fingerprint, &self.program, &self.compute))?;
         id.truncate(16);

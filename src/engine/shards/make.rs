@@ -130,9 +130,6 @@ impl<'a> Shards<'a> {
     }
 
     /// The decisions made before any shard.
-    ///
-    /// # Errors
-    /// When they are damaged.
     pub fn decisions<P: DeserializeOwned>(&self) -> Result<P> {
         self.folder.decisions()
     }

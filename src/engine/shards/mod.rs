@@ -64,9 +64,6 @@ pub struct Division {
 
 impl Division {
     /// Number of shards that are known from the start, and whatever making and finishing them needs.
-    ///
-    /// # Errors
-    /// When the decisions cannot be written as JSON.
     pub fn new(n_shards: usize, decisions: &impl Serialize) -> Result<Self> {
         Ok(Self { n_shards, decisions: serde_json::to_value(decisions).map_err(Failure::fault)? })
     }

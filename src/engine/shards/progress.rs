@@ -36,9 +36,6 @@ pub struct ShardStatus {
 }
 
 /// The shards of the plan in the run folder `root`, if there is one; of the last stage that has one.
-///
-/// # Errors
-/// On I/O errors.
 pub fn shard_status(root: &Path, kinds: &'static [StageKind]) -> Result<Option<ShardStatus>> {
     for stage in kinds.iter().rev() {
         if let Some(folder) = ShardFolder::all(root, stage)?.first() {

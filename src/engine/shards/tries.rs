@@ -24,7 +24,6 @@ const LONG: Duration = Duration::from_secs(600);
 /// The content of a mark.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Try {
-    /// The worker.
     pub(super) worker: String,
     /// When it began, UTC.
     pub(super) started: String,
@@ -84,9 +83,6 @@ impl Tries {
 }
 
 /// Marks the beginning of a try of the shard with these marks; `None` if it is given up. Returns the mark.
-///
-/// # Errors
-/// On I/O errors.
 pub(super) fn begin(marks: impl Iterator<Item = PathBuf> + Clone, worker: &str) -> Result<Option<PathBuf>> {
     if Tries::of(marks.clone()).are_over() {
         return Ok(None);
@@ -109,9 +105,6 @@ pub(super) fn begin(marks: impl Iterator<Item = PathBuf> + Clone, worker: &str) 
 }
 
 /// Writes into the mark why the try failed.
-///
-/// # Errors
-/// On I/O errors.
 pub(super) fn fail(path: &Path, worker: &str, why: &str) -> Result<()> {
     let mark = Try { worker: worker.to_owned(), started: utc_now(), failed: Some(why.to_owned()) };
     write_json_atomically(path, &mark)?;

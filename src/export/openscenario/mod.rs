@@ -26,7 +26,6 @@ pub(super) const NOTES: &str = "<id>.xosc: OpenSCENARIO XML 1.2, valid against i
     begin and end together. Sizes along the vertical, axles and performance are not recorded; usual ones are written. \
     The date in the files is a placeholder: equal corpora give equal files.";
 
-/// The folder of roads.
 const ROADS_FOLDER: &str = "roads";
 /// A fixed date, because the format requires one.
 const DATE: &str = "1970-01-01T00:00:00";

@@ -37,9 +37,6 @@ pub struct PlacedScenario {
 impl Generator<'_> {
     /// Tags the records of a finished shard of `request`, in round `round`, with their outcome, and counts them.
     /// `ledger` holds all earlier shards. Scenarios of one cell count in the order of their records.
-    ///
-    /// # Errors
-    /// When a recorded scene cannot be loaded.
     pub fn judge(
         &self,
         (request, round): (&ResolvedRequest, usize),
@@ -54,9 +51,6 @@ impl Generator<'_> {
     }
 
     /// Finds the buckets of the records of a finished shard of `request`, in order.
-    ///
-    /// # Errors
-    /// When a recorded scene cannot be loaded.
     pub fn place(
         &self,
         request: &ResolvedRequest,

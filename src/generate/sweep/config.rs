@@ -62,12 +62,12 @@ pub struct SweepConfig {
     /// Which agents the classifier of the behavior judges.
     #[serde(default)]
     pub classifier_scope: ClassifierScope,
-    /// What the classifier of the behavior is shown. Clean estimates are needed if more than the history is observed
+    /// The input of the classifier of the behavior. Clean estimates are needed if more than the history is observed
     /// (`observe`): the classifier was not trained on noisy states under other masks. `objective_guidance` says how the
     /// gradient at an estimate becomes a shift.
     #[serde(default)]
     pub classifier_input: ClassifierInput,
-    /// What of the classifier is made large.
+    /// The output of the classifier to maximize: log p or log odds.
     #[serde(default, skip_serializing_if = "ClassifierPotential::is_default")]
     pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
@@ -173,7 +173,7 @@ pub enum ClassifierScope {
     None,
 }
 
-/// What the classifier of a behavior is shown.
+/// The input of the classifier of a behavior.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ClassifierInput {

@@ -24,9 +24,6 @@ struct Purpose<'a> {
 
 impl SweepConfig {
     /// Resolves the sweep for these mined behaviors.
-    ///
-    /// # Errors
-    /// Names the key that cannot work.
     pub(in crate::generate) fn resolve(
         &self,
         config: &GenerateConfig,

@@ -111,12 +111,6 @@ impl ResolvedSweep {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
     }
 
-    /// Whether some of its samples are forecasts: not guided, not edited, without target states and without a template.
-    pub fn has_unguided(&self) -> bool {
-        self.diffusion().is_none_or(|diffusion| diffusion.edit.is_none() && diffusion.template.is_empty())
-            && self.levels().iter().any(|level| level.strength == 0.0 && level.weight == 0.0)
-    }
-
     /// Whether some of its samples are guided by the classifier of its behavior.
     pub fn needs_classifier(&self) -> bool {
         self.behavior.is_some()
@@ -155,9 +149,6 @@ impl ResolvedSweep {
 
     /// Refuses noise levels for which the distilled denoiser was not trained; its answers there would be meaningless.
     /// Sweeps of other models pass.
-    ///
-    /// # Errors
-    /// When there are such.
     pub fn check_distillation(&self, distillation: &Distillation, edm: &Edm) -> Result<(), Error> {
         let SweepModel::Distilled(Diffusion { sampler, edit, .. }) = &self.model else { return Ok(()) };
         let asked = match edit {

@@ -2,13 +2,13 @@
 
 use super::approach::Approach;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, interval, one_agent, second};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Touch with a target relative speed.
+/// Touch with a target relative speed (`relative_speed_mps`), 2 to 30 m/s if there is none.
 ///
 /// With s(t) the separation of the boxes (`no_collision`) and ‖u‖ the relative speed that led to timestep t, a moment
 /// costs c = ½ (\[s + 0.4 m\]₊ / τ_m)² + ½ (\[‖u‖\] / τ_u)², where \[‖u‖\] is the distance to the target interval. The
@@ -19,9 +19,6 @@ pub struct Collision {
     /// The other of the two.
     #[serde(default = "second")]
     pub to: AgentSelector,
-    /// The range of the relative speed, m/s. Left out: that of the target (`relative_speed_mps`), else 2 to 30.
-    #[serde(default)]
-    pub relative_speed_mps: Option<[f64; 2]>,
 }
 
 /// The error τ_u of the relative speed that costs ½, m/s.
@@ -51,15 +48,14 @@ impl SceneObjective for Collision {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("to", &self.to)?;
-        interval("relative_speed_mps", self.relative_speed_mps)
+        one_agent("to", &self.to)
     }
 
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let Some((pairs, separation_m, approach)) = Approach::between(states, context, [agents, &self.to])? else {
             return nothing(states);
         };
-        let wanted = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
+        let wanted = context.wanted(RELATIVE_SPEED, ANY_SPEED_MPS, states)?;
         let wrong_mps = beyond(&approach.relative_mps, &pairs.of_rows(&wanted)?)?;
         let apart_m = (separation_m.narrow(1, 1, separation_m.dim(1)? - 1)? + OVERLAP_M)?.relu()?;
         let parts = [penalty(&apart_m, TOLERANCE_M)?, penalty(&wrong_mps, TOLERANCE_MPS)?];
@@ -72,9 +68,8 @@ mod tests {
     use super::super::testing::{Traffic, after_ascent, assert_gradients_match, footprint};
     use super::*;
 
-    fn objective(relative_speed_mps: Option<[f64; 2]>) -> Collision {
-        let defaults: Collision = toml::from_str("").expect("everything has a default");
-        Collision { relative_speed_mps, ..defaults }
+    fn objective() -> Collision {
+        Collision { to: second() }
     }
 
     fn crossing() -> Traffic {
@@ -86,14 +81,14 @@ mod tests {
         let crossing = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (18.0, -22.0, 1.4, 7.0)]);
         let behind = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 0.3, 0.1, 5.0)]);
         for traffic in [crossing, behind] {
-            assert_gradients_match(&objective(None), &traffic);
-            assert_gradients_match(&objective(Some([4.0, 5.0])), &traffic);
+            assert_gradients_match(&objective(), &traffic);
+            assert_gradients_match(&objective(), &traffic.aiming_at(RELATIVE_SPEED, [4.0, 5.0]));
         }
     }
 
     #[test]
     fn they_touch_as_fast_as_is_asked() {
-        let states = &after_ascent(&objective(Some([6.0, 8.0])), &crossing(), 400)[0];
+        let states = &after_ascent(&objective(), &crossing().aiming_at(RELATIVE_SPEED, [6.0, 8.0]), 400)[0];
         let footprint = |agent: usize, t: usize| footprint(states, agent, t);
         let relative_mps = |t: usize| {
             let between = |t: usize| footprint(1, t).center - footprint(0, t).center;
@@ -107,8 +102,8 @@ mod tests {
     #[test]
     fn the_cost_is_that_of_the_distance_and_the_speed() {
         // Side by side with 8 m/s, 1.2 m of separation, or at most 0.2 m less of it: ½ (1.6 / 0.5)² and ½ (2 / 1)².
-        let beside = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (0.0, 3.0, 0.0, 8.0)]);
-        let value = |speeds_mps: [f64; 2]| -beside.potential(&objective(Some(speeds_mps)))[0];
+        let beside = || Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (0.0, 3.0, 0.0, 8.0)]);
+        let value = |speeds_mps| -beside().aiming_at(RELATIVE_SPEED, speeds_mps).potential(&objective())[0];
         // Nine moments count as much as one of 9^(-1/4) times the cost.
         let nine = |cost: f64| (cost + 0.01) * 9f64.powf(-0.25);
         let (still, fast) = (value([0.0, 1.0]), value([2.0, 3.0]));

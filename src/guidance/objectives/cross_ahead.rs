@@ -4,7 +4,7 @@ use super::box_separation::separation_between_m;
 use super::encroachment::Encroachment;
 use super::motion::{best_moment, nothing, penalty};
 use super::pairs::{self, Agents};
-use super::{AgentSelector, SceneContext, SceneObjective, Whose, interval, one_agent, second};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, one_agent, second};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 /// taken.
 ///
 /// [`Encroachment`] defines the cost of two moments, one of `agents` and a later one of `to`; pairs count that are a
-/// target post-encroachment time apart. With s(t) the separation of the boxes (`no_collision`), the best decides,
-/// smoothly:
+/// target post-encroachment time (`pet_s`) apart, 0.6 to 1.4 s if there is no target. With s(t) the separation of the
+/// boxes (`no_collision`), the best decides, smoothly:
 ///
 /// J = -(Σ (c + δ)⁻⁴)^(-1/4) - ∫ ½ (max(margin - s, 0) / τ_s)² dt
 ///
@@ -26,10 +26,6 @@ pub struct CrossAhead {
     /// Who comes later: `ego` or a role.
     #[serde(default = "second")]
     pub to: AgentSelector,
-    /// The range of the time between one and the other covering the same place, seconds. Left out: that of the target
-    /// (`pet_s`), else 0.6 to 1.4.
-    #[serde(default)]
-    pub pet_s: Option<[f64; 2]>,
 }
 
 /// The smallest gap between the boxes, meters.
@@ -56,14 +52,13 @@ impl SceneObjective for CrossAhead {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("to", &self.to)?;
-        interval(PET, self.pet_s)
+        one_agent("to", &self.to)
     }
 
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let [first, other] = [agents, &self.to].map(|selector| Agents::named(states, context, selector));
         let (first, other) = (first?, other?);
-        let wanted_s = context.wanted(PET, self.pet_s, ANY_PET_S, states)?;
+        let wanted_s = context.wanted(PET, ANY_PET_S, states)?;
         let Some(crossing) = Encroachment::new(&[[&first, &other]], &wanted_s, context.dt_s)? else {
             return nothing(states);
         };
@@ -79,9 +74,8 @@ mod tests {
     use super::super::testing::{Traffic, after_ascent, assert_gradients_match, footprint};
     use super::*;
 
-    fn objective(pet_s: Option<[f64; 2]>) -> CrossAhead {
-        let defaults: CrossAhead = toml::from_str("").expect("everything has a default");
-        CrossAhead { pet_s, ..defaults }
+    fn objective() -> CrossAhead {
+        CrossAhead { to: second() }
     }
 
     /// The ego and one from the right that would pass behind it, `late_m` meters later than it would meet it.
@@ -93,35 +87,28 @@ mod tests {
     fn gradients_match() {
         for traffic in [crossing(1.0), crossing(12.0), Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (9.0, 0.4, 2.0, 1.5)])]
         {
-            assert_gradients_match(&objective(None), &traffic);
-            assert_gradients_match(&objective(Some([0.3, 0.5])), &traffic);
+            assert_gradients_match(&objective(), &traffic);
+            assert_gradients_match(&objective(), &traffic.aiming_at(PET, [0.3, 0.5]));
         }
     }
 
     #[test]
     fn it_costs_nothing_at_the_wanted_time_and_much_if_the_other_is_first() {
         // The second passes the middle 8 m, or one second, later than the first.
-        let value = |pet_s: [f64; 2], late_m: f64| crossing(late_m).potential(&objective(Some(pet_s)))[0];
-        assert!(value([0.9, 1.1], 8.0) > -0.05, "{}", value([0.9, 1.1], 8.0));
-        assert!(value([0.9, 1.1], -8.0) < -5.0, "{}", value([0.9, 1.1], -8.0));
+        let value = |late_m: f64| crossing(late_m).aiming_at(PET, [0.9, 1.1]).potential(&objective())[0];
+        assert!(value(8.0) > -0.05, "{}", value(8.0));
+        assert!(value(-8.0) < -5.0, "{}", value(-8.0));
         // Within a meter of each other at the same time, they touch.
-        assert!(value([0.9, 1.1], 0.5) < -5.0, "{}", value([0.9, 1.1], 0.5));
+        assert!(value(0.5) < -5.0, "{}", value(0.5));
     }
 
     #[test]
     fn following_the_gradient_the_other_comes_later_by_what_is_asked() {
-        let states = &after_ascent(&objective(Some([0.7, 0.9])), &crossing(2.0), 600)[0];
+        let states = &after_ascent(&objective(), &crossing(2.0).aiming_at(PET, [0.7, 0.9]), 600)[0];
         let footprint = |agent: usize, t: usize| footprint(states, agent, t);
         let overlap = |t: usize, u: usize| footprint(0, t).overlaps(&footprint(1, u));
         let times = || 0..states[0].len();
         assert!(times().all(|t| !overlap(t, t)));
         assert!(times().any(|t| t + 4 < states[0].len() && overlap(t, t + 4)), "{states:?}");
-    }
-
-    #[test]
-    fn a_target_is_what_is_asked() {
-        let mut asked = crossing(8.0);
-        asked.context.targets[0] = [(PET.to_owned(), [0.9, 1.1])].into();
-        assert_eq!(asked.potential(&objective(None)), crossing(8.0).potential(&objective(Some([0.9, 1.1]))));
     }
 }

@@ -2,7 +2,7 @@
 
 use super::driven_paths::PathFrame;
 use super::motion::{best_potential, nothing, penalty};
-use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, ego, interval, one_agent};
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, ego, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
@@ -16,10 +16,10 @@ use serde::{Deserialize, Serialize};
 ///
 /// c(t) = ½ ((|d| - h) / 0.5 m)² + ½ (\[g\] / τ)² + ½ (\[u\] / τ_u)² + ½ (max(g - 0.9 v Δ(t), 0) / τ)²,
 ///
-/// where \[·\] is the distance to the target interval: the boxes begin to share a path there, and `before` gets there
-/// within Δ(t), the longest delay or the time that is left of the scene. The best moment decides, smoothly:
-/// (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last second of
-/// ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front.
+/// where \[·\] is the distance to the target interval (`gap_m`, 1 to 30 m if there is none, and `relative_speed_mps`):
+/// the boxes begin to share a path there, and `before` gets there within Δ(t), 3 s or the time that is left of the
+/// scene. The best moment decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last
+/// second of ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front.
 ///
 /// `before` is taken as it is: nothing pulls at it, so that it does not move in behind the other instead. J = -(both),
 /// and 0 where one of the two has no future.
@@ -29,18 +29,6 @@ pub struct CutIn {
     /// The agent whose path it enters: a role, or `ego`.
     #[serde(default = "ego")]
     pub before: AgentSelector,
-    /// The range of the gap when the boxes begin to share a path, from the front of the one to the rear of the other,
-    /// meters. Left out: that of the target, else 1 to 30.
-    #[serde(default)]
-    pub gap_m: Option<[f64; 2]>,
-    /// The range of the relative speed then, positive if `before` closes in, m/s. Left out: that of the target, else
-    /// any.
-    #[serde(default)]
-    pub relative_speed_mps: Option<[f64; 2]>,
-    /// The longest time after which `before` reaches the place, seconds.
-    #[serde(default = "default_max_delay_s")]
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_delay_s: f64,
 }
 
 /// The error τ_u of the relative speed that costs ½, m/s.
@@ -48,10 +36,6 @@ const TOLERANCE_MPS: f64 = 1.0;
 
 /// The error τ of the gap that costs ½, meters.
 const TOLERANCE_M: f64 = 1.0;
-
-const fn default_max_delay_s() -> f64 {
-    3.0
-}
 
 /// The parameters at which it aims, as the events report them.
 const GAP: &str = "gap_m";
@@ -68,6 +52,8 @@ const SETTLED_S: f64 = 1.0;
 const OVERLAP_M: f64 = 0.8;
 /// The least gap at the end, meters.
 const LEAST_GAP_M: f64 = 1.0;
+/// The longest time after which `before` reaches the place, seconds.
+const MAX_DELAY_S: f64 = 3.0;
 /// The share of the longest delay that is used.
 const DELAY_SHARE: f64 = 0.9;
 
@@ -85,9 +71,7 @@ impl SceneObjective for CutIn {
     }
 
     fn validate(&self) -> settings::Result {
-        one_agent("before", &self.before)?;
-        interval(GAP, self.gap_m)?;
-        interval(RELATIVE_SPEED, self.relative_speed_mps)
+        one_agent("before", &self.before)
     }
 
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
@@ -95,14 +79,14 @@ impl SceneObjective for CutIn {
         let frame = PathFrame::between(states, context, &self.before, agents)?;
         let gap_m = &frame.gap_m;
         let excess_m = frame.beside_m.broadcast_sub(&frame.half_widths_m)?;
-        let left_s = |t: usize| DELAY_SHARE * self.max_delay_s.min((n_timesteps - 1 - t) as f64 * context.dt_s);
+        let left_s = |t: usize| DELAY_SHARE * MAX_DELAY_S.min((n_timesteps - 1 - t) as f64 * context.dt_s);
         let left_s: Vec<f64> = (0..n_timesteps).map(left_s).collect();
         let left_s = Tensor::from_vec(left_s, n_timesteps, states.device())?.to_dtype(states.dtype())?;
         let reach_m = frame.owner_mps.broadcast_mul(&left_s)?;
 
-        let wanted_m = context.wanted(GAP, self.gap_m, ANY_GAP_M, states)?;
+        let wanted_m = context.wanted(GAP, ANY_GAP_M, states)?;
         let closing_mps = (&frame.owner_mps - &frame.agent_mps)?;
-        let wanted_mps = context.wanted(RELATIVE_SPEED, self.relative_speed_mps, ANY_SPEED_MPS, states)?;
+        let wanted_mps = context.wanted(RELATIVE_SPEED, ANY_SPEED_MPS, states)?;
         let parts = [
             penalty(&excess_m, LATERAL_TOLERANCE_M)?,
             penalty(&beyond(gap_m, &wanted_m)?, TOLERANCE_M)?,
@@ -133,9 +117,8 @@ mod tests {
     use super::super::testing::{Traffic, after_ascent, assert_gradients_of_match};
     use super::*;
 
-    fn objective(gap_m: [f64; 2], relative_speed_mps: Option<[f64; 2]>) -> CutIn {
-        let defaults: CutIn = toml::from_str("").expect("everything has a default");
-        CutIn { gap_m: Some(gap_m), relative_speed_mps, max_delay_s: 10.0, ..defaults }
+    fn objective() -> CutIn {
+        CutIn { before: ego() }
     }
 
     /// The other drives one lane to the left, level with the ego's front.
@@ -145,20 +128,18 @@ mod tests {
 
     #[test]
     fn gradients_match_for_the_other_and_nothing_pulls_at_the_ego() {
-        for relative in [None, Some([1.0, 2.0])] {
-            let objective = objective([6.0, 8.0], relative);
-            let traffic = beside();
-            assert_gradients_of_match(&objective, &traffic, |agent, _| agent == 1);
-            let gradient = traffic.gradient(&objective);
+        let aiming = || beside().aiming_at(GAP, [6.0, 8.0]);
+        for traffic in [aiming(), aiming().aiming_at(RELATIVE_SPEED, [1.0, 2.0])] {
+            assert_gradients_of_match(&objective(), &traffic, |agent, _| agent == 1);
+            let gradient = traffic.gradient(&objective());
             assert!(gradient[..gradient.len() / 2].iter().all(|g| *g == 0.0));
         }
     }
 
     #[test]
     fn following_the_gradient_moves_the_other_in_front_with_the_wanted_gap() {
-        let traffic = beside();
-        let wanted = objective([5.0, 6.0], None);
-        let states = &after_ascent(&wanted, &traffic, 600)[0];
+        let traffic = beside().aiming_at(GAP, [5.0, 6.0]);
+        let states = &after_ascent(&objective(), &traffic, 600)[0];
         assert_eq!(states[0], traffic.states_vec()[0][0]);
         let last = traffic.generated().end - 1;
         assert!(states[1][last][1].abs() < 1.3, "{:?}", states[1][last]);
@@ -173,8 +154,8 @@ mod tests {
     #[test]
     fn the_relative_speed_is_that_of_the_moment() {
         // The other moves over at once, 2 m/s slower than the ego.
-        let slower = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 2.6, -0.245, 6.185)]);
-        let value = |interval| slower.potential(&objective([1.0, 30.0], Some(interval)))[0];
+        let slower = || Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 2.6, -0.245, 6.185)]);
+        let value = |range| slower().aiming_at(RELATIVE_SPEED, range).potential(&objective())[0];
         let (right, wrong) = (value([1.5, 2.5]), value([-2.5, -1.5]));
         assert!(right > -0.1, "{right}");
         // 3.5 tolerances off at every moment, of which there are nine: together between 6.1 / 9^(1/4) and 6.1.
@@ -190,12 +171,11 @@ mod tests {
         }
         let states = Tensor::from_vec(states, done.states.shape(), &candle_core::Device::Cpu).unwrap();
         done.states = candle_core::Var::from_tensor(&states).unwrap();
-        let objective = objective([1.0, 30.0], None);
-        let (met, missed) = (done.potential(&objective)[0], beside().potential(&objective)[0]);
+        let (met, missed) = (done.potential(&objective())[0], beside().potential(&objective())[0]);
         assert!(met > -0.1 && missed < -2.0, "{met}, {missed}");
         // From behind nobody cuts in: the gap is negative at the same offset.
         let behind = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (-9.0, 1.0, 0.0, 8.0)]);
-        assert!(behind.potential(&objective)[0] < -10.0);
+        assert!(behind.potential(&objective())[0] < -10.0);
     }
 
     #[test]
@@ -211,27 +191,15 @@ mod tests {
             (0..12).flat_map(|t| arc(50.0, 0.0, t)).chain((0..12).flat_map(|t| arc(46.5, 10.0, t))).collect();
         let states = Tensor::from_vec(states, traffic.states.shape(), &candle_core::Device::Cpu).unwrap();
         traffic.states = candle_core::Var::from_tensor(&states).unwrap();
-        let objective = objective([1.0, 30.0], None);
-        let (bend, straight) = (traffic.potential(&objective)[0], beside().potential(&objective)[0]);
+        let (bend, straight) = (traffic.potential(&objective())[0], beside().potential(&objective())[0]);
         // The path is carried on straight where its owner's way ends, which adds 10² / (2 · 50) = 1 m there.
         assert!((bend - straight).abs() < 0.5 * straight.abs(), "{bend}, {straight}");
     }
 
     #[test]
-    fn the_bucket_that_is_asked_for_stands_in_where_nothing_is_configured() {
-        let mut traffic = beside();
-        let open = CutIn { gap_m: None, ..objective([1.0, 30.0], None) };
-        assert_eq!(traffic.potential(&open), traffic.potential(&objective([1.0, 30.0], None)));
-        traffic.context.targets[0] = [(GAP.to_owned(), [11.0, 12.0]), ("side".to_owned(), [0.0, 1.0])].into();
-        assert_eq!(traffic.potential(&open), traffic.potential(&objective([11.0, 12.0], None)));
-        assert_eq!(traffic.potential(&objective([1.0, 30.0], None)), beside().potential(&open));
-    }
-
-    #[test]
-    fn an_interval_the_wrong_way_round_and_everybody_at_once_are_refused() {
-        let good = objective([1.0, 2.0], None);
-        assert!(good.validate().is_ok());
-        assert!(CutIn { gap_m: Some([2.0, 1.0]), ..good.clone() }.validate().is_err());
-        assert!(CutIn { relative_speed_mps: Some([f64::NAN, 1.0]), ..good }.validate().is_err());
+    fn the_target_gap_decides_and_other_parameters_do_not() {
+        let value = |traffic: Traffic| traffic.potential(&objective())[0];
+        assert_eq!(value(beside()), value(beside().aiming_at(GAP, ANY_GAP_M).aiming_at("side", [0.0, 1.0])));
+        assert!(value(beside().aiming_at(GAP, [11.0, 12.0])) < value(beside()) - 1.0);
     }
 }

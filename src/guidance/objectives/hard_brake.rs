@@ -1,8 +1,7 @@
 //! Brake hard.
 
 use super::motion::{best_potential, norm, nothing, penalty, positions, rate};
-use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, interval};
-use crate::settings;
+use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,15 +9,12 @@ use serde::{Deserialize, Serialize};
 /// Brake hard at some moment, from a sufficient speed.
 ///
 /// With v(t) the speed and b(t) = (v(t) - v(t + W)) / W the mean deceleration over the W = 0.6 s that follow, a moment
-/// costs ½ (\[b\] / τ)² + ½ (max(v_least - v, 0) / 1 m/s)², where \[·\] is the distance to the target interval. The
-/// best moment decides, smoothly: J = -(Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01, summed over the chosen agents.
+/// costs ½ (\[b\] / τ)² + ½ (max(v_least - v, 0) / 1 m/s)², where \[·\] is the distance to the target interval
+/// (`max_deceleration_mps2`), 5 to 8 m/s² if there is none. The best moment decides, smoothly: J = -(Σ (c +
+/// δ)⁻⁴)^(-1/4) with δ = 0.01, summed over the chosen agents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct HardBrake {
-    /// The range of the deceleration, m/s². Left out: that of the target (`max_deceleration_mps2`), else 5 to 8.
-    #[serde(default)]
-    pub deceleration_mps2: Option<[f64; 2]>,
-}
+pub struct HardBrake {}
 
 /// The error τ of the deceleration that costs ½, m/s².
 const TOLERANCE_MPS2: f64 = 1.0;
@@ -43,10 +39,6 @@ impl SceneObjective for HardBrake {
         &[MAX_DECELERATION]
     }
 
-    fn validate(&self) -> settings::Result {
-        interval("deceleration_mps2", self.deceleration_mps2)
-    }
-
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
         let n_window = (WINDOW_S / context.dt_s).round().max(1.0) as usize;
@@ -58,7 +50,7 @@ impl SceneObjective for HardBrake {
         let before = speed_mps.narrow(2, 0, n_moments)?;
         let lost = (&before - speed_mps.narrow(2, n_window, n_moments)?)?;
         let braking = (lost * (1.0 / (n_window as f64 * context.dt_s)))?.reshape((n_rows, n_agents * n_moments))?;
-        let wanted = context.wanted(MAX_DECELERATION, self.deceleration_mps2, ANY_MPS2, states)?;
+        let wanted = context.wanted(MAX_DECELERATION, ANY_MPS2, states)?;
         let missed = beyond(&braking, &wanted)?.reshape((n_rows, n_agents, n_moments))?;
         let slow = (LEAST_SPEED_MPS - before)?.relu()?;
         let parts = [penalty(&missed, TOLERANCE_MPS2)?, penalty(&slow, 1.0)?];
@@ -70,10 +62,6 @@ impl SceneObjective for HardBrake {
 mod tests {
     use super::super::testing::{Traffic, assert_gradients_match};
     use super::*;
-
-    fn objective(deceleration_mps2: Option<[f64; 2]>) -> HardBrake {
-        HardBrake { deceleration_mps2 }
-    }
 
     /// A car that drives 12 m/s and brakes with 5.5 m/s² from the first generated timestep on.
     fn braking() -> Traffic {
@@ -91,8 +79,8 @@ mod tests {
     #[test]
     fn gradients_match_and_only_the_wanted_deceleration_costs_nothing() {
         let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 12.0), (30.0, 4.0, 0.0, 5.0)]);
-        assert_gradients_match(&objective(Some([5.0, 6.0])), &traffic);
-        let value = |interval| braking().potential(&objective(Some(interval)))[0];
+        assert_gradients_match(&HardBrake {}, &traffic.aiming_at(MAX_DECELERATION, [5.0, 6.0]));
+        let value = |range| braking().aiming_at(MAX_DECELERATION, range).potential(&HardBrake {})[0];
         assert!(value([5.0, 6.0]) > -0.05, "{}", value([5.0, 6.0]));
         assert!(value([8.0, 9.0]) < -1.0 && value([1.0, 2.0]) < value([5.0, 6.0]));
     }
@@ -100,7 +88,7 @@ mod tests {
     #[test]
     fn who_is_not_asked_is_left_alone() {
         let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 12.0), (30.0, 4.0, 0.0, 5.0)]);
-        let gradient = traffic.gradient(&objective(None));
+        let gradient = traffic.gradient(&HardBrake {});
         assert!(gradient[gradient.len() / 2..].iter().all(|g| *g == 0.0));
     }
 
@@ -110,13 +98,13 @@ mod tests {
         let mut traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 12.0)]);
         // Moments end at generated timesteps, of which there are as many as moments that hold one.
         let n_moments = 12.0 - 4.0;
-        let value = traffic.potential(&objective(None))[0];
+        let value = traffic.potential(&HardBrake {})[0];
         assert!((value + 12.51 / f64::powf(n_moments, 0.25)).abs() < 1e-3, "{value}");
         traffic.context.targets[0] = [(MAX_DECELERATION.to_owned(), [3.0, 4.0])].into();
-        let aimed = traffic.potential(&objective(None))[0];
+        let aimed = traffic.potential(&HardBrake {})[0];
         assert!((aimed + 4.51 / f64::powf(n_moments, 0.25)).abs() < 1e-3, "{aimed}");
         // Who crawls cannot brake hard.
-        let crawling = Traffic::straight(&[(0.0, 0.0, 0.0, 1.0)]).potential(&objective(None))[0];
+        let crawling = Traffic::straight(&[(0.0, 0.0, 0.0, 1.0)]).potential(&HardBrake {})[0];
         assert!(crawling < value - 1.0, "{crawling}");
     }
 }

@@ -76,9 +76,6 @@ pub trait SceneObjective {
         &[]
     }
     /// Rejects settings that contradict each other.
-    ///
-    /// # Errors
-    /// Names the setting.
     fn validate(&self) -> settings::Result {
         Ok(())
     }
@@ -94,9 +91,9 @@ pub trait SceneObjective {
 /// Whose motion an objective judges if its settings do not say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Whose {
-    /// Those of this name; others may be named, several at once.
+    /// The agents of this name; settings may name others, several at once.
     Any(&'static str),
-    /// The one of this name; another one may be named.
+    /// The agent of this name; settings may name another one.
     One(&'static str),
 }
 
@@ -211,7 +208,7 @@ impl ObjectiveConfig {
         self.agents.clone().unwrap_or_else(|| AgentSelector::new(usual))
     }
 
-    /// The same with the name of the agents spelled out.
+    /// This configuration, with the name of the agents spelled out.
     #[must_use]
     pub fn spelled_out(&self) -> Self {
         Self { agents: Some(self.agents()), ..self.clone() }
@@ -226,9 +223,6 @@ impl ObjectiveConfig {
     }
 
     /// Rejects settings that cannot work in a sweep whose behavior has these `roles`.
-    ///
-    /// # Errors
-    /// When something does.
     pub fn validate(&self, roles: &[&str]) -> settings::Result<(), InvalidObjective> {
         let (objective, agents) = (self.objective(), self.agents());
         settings::check_ranges(self)?;
@@ -261,16 +255,6 @@ fn second() -> AgentSelector {
 fn beyond(x: &Tensor, interval: &Tensor) -> Result<Tensor> {
     let (least, most) = (interval.narrow(1, 0, 1)?, interval.narrow(1, 1, 1)?);
     x.broadcast_sub(&least)?.neg()?.relu()? + x.broadcast_sub(&most)?.relu()?
-}
-
-/// Checks a target interval.
-fn interval(key: &str, interval: Option<[f64; 2]>) -> settings::Result {
-    match interval {
-        Some([least, most]) if !(least < most && least.is_finite() && most.is_finite()) => {
-            Err(Issue::new(key, format!("is [{least}, {most}], expected [least, most] with least < most")))
-        }
-        _ => Ok(()),
-    }
 }
 
 /// Refuses `all` where a single agent is required.

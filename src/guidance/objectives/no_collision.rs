@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoCollision {
-    /// Two agents that may touch each other: `["first", "second"]`. Left out: none.
-    #[serde(default)]
+    /// Two agents that may touch each other, if any.
+    #[serde(skip)]
     pub except: Option<[AgentSelector; 2]>,
     /// The separation m below which a pair has a cost, meters.
     #[serde(default = "default_margin_m")]

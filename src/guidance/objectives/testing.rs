@@ -53,6 +53,12 @@ impl Traffic {
         Self { states: Var::from_tensor(&states).unwrap(), context }
     }
 
+    /// The same traffic, asked for a parameter of this range.
+    pub(super) fn aiming_at(mut self, parameter: &str, range: [f64; 2]) -> Self {
+        self.context.targets[0].insert(parameter.to_owned(), range);
+        self
+    }
+
     /// The generated timesteps.
     pub(super) fn generated(&self) -> Range<usize> {
         N_HISTORY..N_TIMESTEPS

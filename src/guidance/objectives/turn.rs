@@ -2,10 +2,9 @@
 
 use super::motion::{norm, penalty};
 use super::one_agent::OneAgent;
-use super::{AgentSelector, SceneContext, SceneObjective, Side, Whose, interval};
+use super::{AgentSelector, SceneContext, SceneObjective, Side, Whose};
 use crate::geometry::Vec2;
 use crate::guidance::turning_way::{TurningWay, WantedTurn};
-use crate::settings;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,9 +12,10 @@ use serde::{Deserialize, Serialize};
 /// Turn to one side along the next lane that turns there, far enough within the scene.
 ///
 /// The way leads on from the agent's own lane and is the one on which the target change of heading is nearest; on a
-/// scene without lanes it is an arc. Its station s(t) is where the agent would be on it with the lengths of its own
-/// steps, if they had the target mean speed in the bend and ended where the way has turned by the target change. With
-/// d(t) the distance from there, and θ(t) the angle from the heading of the way there,
+/// scene without lanes it is an arc. Without a target, the heading changes by 1.2 to 2.6 rad, at any speed. Its station
+/// s(t) is where the agent would be on it with the lengths of its own steps, if they had the target mean speed in the
+/// bend and ended where the way has turned by the target change. With d(t) the distance from there, and θ(t) the angle
+/// from the heading of the way there,
 ///
 /// J = -mean of ½ (max(d - within, 0) / τ)² + (1 - cos θ) / (0.3 rad)²
 ///
@@ -27,13 +27,6 @@ use serde::{Deserialize, Serialize};
 pub struct Turn {
     /// The side to which it turns.
     pub side: Side,
-    /// The range of the change of heading since the agent was first seen, toward that side, radians. Left out: that of
-    /// the target (`heading_change_rad`), else 1.2 to 2.6.
-    #[serde(default)]
-    pub heading_change_rad: Option<[f64; 2]>,
-    /// The range of the mean speed in the bend, m/s. Left out: that of the target (`mean_speed_mps`), else any.
-    #[serde(default)]
-    pub mean_speed_mps: Option<[f64; 2]>,
 }
 
 /// How far from its place on the way the agent may be, meters.
@@ -59,11 +52,6 @@ impl SceneObjective for Turn {
 
     fn aims_at(&self) -> &'static [&'static str] {
         &[HEADING_CHANGE, MEAN_SPEED]
-    }
-
-    fn validate(&self) -> settings::Result {
-        interval(HEADING_CHANGE, self.heading_change_rad)?;
-        interval(MEAN_SPEED, self.mean_speed_mps)
     }
 
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
@@ -95,8 +83,7 @@ impl Turn {
     /// turns so.
     fn wanted(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<Vec<(Vec2, f64)>> {
         let way = self.way(asked, context, row)?;
-        let target = context.targets[row].get(MEAN_SPEED).copied();
-        let speed_mps = self.mean_speed_mps.or(target).unwrap_or(ANY_SPEED_MPS);
+        let speed_mps = context.targets[row].get(MEAN_SPEED).copied().unwrap_or(ANY_SPEED_MPS);
         let stations_m = way.stations_m(&asked.steps_m(row), speed_mps.map(|mps| mps * context.dt_s));
         Some(stations_m.into_iter().map(|station_m| way.at(station_m)).collect())
     }
@@ -104,8 +91,7 @@ impl Turn {
     fn way(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<TurningWay> {
         let sign = self.side.sign();
         let toward = |[least, most]: &[f64; 2]| if sign > 0.0 { [*least, *most] } else { [-most, -least] };
-        let target = context.targets[row].get(HEADING_CHANGE).map(toward);
-        let change_rad = self.heading_change_rad.or(target).unwrap_or(ANY_CHANGE_RAD);
+        let change_rad = context.targets[row].get(HEADING_CHANGE).map_or(ANY_CHANGE_RAD, toward);
         let wanted = WantedTurn { sign, change_rad, from_rad: asked.first_heading_rad(row)? };
         let reach_m = asked.present_speed_mps(row, context.dt_s)? * asked.future().len() as f64 * context.dt_s;
         TurningWay::of(&context.ways[row], asked.pose(row), wanted, reach_m)

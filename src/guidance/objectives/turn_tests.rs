@@ -10,8 +10,8 @@ use crate::scene::{Lane, LaneGraph, LaneId, Scene, State, Trajectory};
 use candle_core::{Device, Var};
 use std::sync::Arc;
 
-fn objective(side: Side) -> Turn {
-    Turn { side, heading_change_rad: None, mean_speed_mps: None }
+const fn objective(side: Side) -> Turn {
+    Turn { side }
 }
 
 /// A street along x that forks 6 m on: straight, and along a quarter of a circle of 6 m to the left and to the right.
@@ -124,9 +124,8 @@ fn nothing_is_asked_of_who_turns_already_or_nowhere() {
     assert_eq!(turned.potential(&objective(Side::Left))[0].abs(), 0.0);
     // A turn to the other side is another matter, and so is a slower one.
     assert!(turned.potential(&objective(Side::Right))[0] < -1.0);
-    let slower =
-        Turn { mean_speed_mps: Some([1.0, 2.0]), heading_change_rad: Some([0.8, 2.6]), ..objective(Side::Left) };
-    assert!(turned.potential(&slower)[0] < -0.3);
+    let slower = turned.aiming_at(MEAN_SPEED, [1.0, 2.0]).aiming_at(HEADING_CHANGE, [0.8, 2.6]);
+    assert!(slower.potential(&objective(Side::Left))[0] < -0.3);
 }
 
 fn with_states(mut traffic: Traffic, states: Vec<f64>) -> Traffic {

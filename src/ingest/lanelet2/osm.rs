@@ -22,7 +22,6 @@ const MAX_ATTRIBUTES: usize = 64;
 /// The elements of a document by their ids. Elements that an editor marked as deleted are left out.
 #[derive(Debug, Default)]
 pub(super) struct Osm {
-    /// The positions of nodes.
     pub(super) nodes: BTreeMap<i64, NodePosition>,
     /// Nodes without a usable position, and what is wrong with their coordinates.
     pub(super) misplaced: BTreeMap<i64, String>,

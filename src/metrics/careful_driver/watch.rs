@@ -24,7 +24,7 @@ pub struct Seen {
     pub lengths_m: f64,
 }
 
-/// What the careful driver knows of one other.
+/// The knowledge of the careful driver of one other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CarefulWatch {
     farthest_m: f64,

@@ -8,7 +8,6 @@ use crate::scene::{Scene, Trajectory};
 pub(super) struct MovingAgent {
     /// Its index in the scene.
     pub(super) agent_idx: usize,
-    /// Its boxes.
     pub(super) sweep: SweptBoxes,
     velocities: Vec<Option<Vec2>>,
 }

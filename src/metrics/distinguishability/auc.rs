@@ -30,7 +30,6 @@ pub(super) fn area(items: &[Scored]) -> Option<f64> {
     sorted(items).area(|_| 1.0)
 }
 
-/// The area with its interval.
 pub(super) fn area_with_interval(items: &[Scored]) -> Option<Auc> {
     let sorted = sorted(items);
     let value = sorted.area(|_| 1.0)?;

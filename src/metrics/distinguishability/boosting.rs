@@ -128,7 +128,6 @@ enum Node {
     },
 }
 
-/// Boosted trees.
 pub(super) struct BoostedTrees {
     intercept: f64,
     /// Each tree begins at its first node.

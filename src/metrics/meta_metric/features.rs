@@ -14,9 +14,9 @@ pub(super) const MAX_TTC_S: f64 = 5.0;
 const ROUNDING: f64 = 0.7;
 /// Who follows turns at most this far from who is ahead, radians.
 const MAX_TURN_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
-/// The same if their paths overlap by little.
+/// The limit of that turn if their paths overlap by little, radians.
 const MAX_TURN_AT_EDGE_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// What is a little, meters.
+/// A little overlap, meters.
 const EDGE_M: f64 = 0.5;
 
 /// The series of the judged agents over future timesteps; NaN where one is not defined: speed, acceleration, yaw rate,

@@ -65,7 +65,7 @@ enum Values {
 enum Of {
     /// At timesteps at which the agent is recorded.
     States,
-    /// The same, of vehicles.
+    /// At timesteps at which the vehicle is recorded.
     VehicleStates,
     /// Whose neighbors in time are recorded and in the future.
     FirstDifferences,

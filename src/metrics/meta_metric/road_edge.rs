@@ -19,7 +19,6 @@ const JOIN_M: f64 = 1.0;
 /// The side of the cells that remember which segments can be nearest, meters.
 const CELL_M: f64 = 4.0;
 
-/// Edges of the road.
 pub(super) struct RoadEdges {
     segments: Vec<Segment>,
     /// Which segments can be nearest to a point in a cell, for the cells that were needed.

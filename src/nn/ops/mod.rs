@@ -6,7 +6,6 @@
 mod adam;
 mod attention;
 mod cross_attention;
-mod frames;
 mod gemm;
 mod heads;
 mod host;
@@ -21,7 +20,6 @@ mod sinusoidal;
 use candle_core::{D, DType, Result, Tensor, bail};
 
 pub(super) use self::adam::{AdamStep, Moments};
-pub use self::frames::FrameMap;
 use super::attention::Axis;
 use super::precision::Precision;
 
@@ -41,9 +39,6 @@ fn is_fused(x: &Tensor) -> bool {
 
 /// activation(x Wᵀ + b): `x` (.., K), `weight` (N, K), `bias` (N) to (.., N). Rows where `valid` (..) is 0 are exactly
 /// 0; on the processor they cost nothing.
-///
-/// # Errors
-/// When shapes do not fit.
 pub fn linear(
     x: &Tensor,
     weight: &Tensor,
@@ -65,9 +60,6 @@ pub fn linear(
 
 /// Normalizes the last dimension of `x` (.., D) to mean 0 and variance 1, then scales by `weight` (D) and adds `bias`
 /// (D).
-///
-/// # Errors
-/// When shapes do not fit.
 pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> Result<Tensor> {
     let dim = x.dim(D::Minus1)?;
     if weight.dims() != [dim] || bias.dims() != [dim] {
@@ -81,9 +73,6 @@ pub fn layer_norm(x: &Tensor, weight: &Tensor, bias: &Tensor, epsilon: f64) -> R
 
 /// Softmax attention in `n_heads` heads among the valid states along `axis`: `qkv` (B, A, T, 3 D) and `valid` (B, A, T)
 /// to (B, A, T, D). Invalid states have weight exactly 0 and get exactly 0.
-///
-/// # Errors
-/// When shapes do not fit.
 pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) -> Result<Tensor> {
     let (_, _, _, width) = qkv.dims4()?;
     let valid = mask_of("self_attention", qkv, valid)?;
@@ -99,9 +88,6 @@ pub fn self_attention(qkv: &Tensor, valid: &Tensor, n_heads: usize, axis: Axis) 
 /// Softmax attention in `n_heads` heads from states to lanes: `query` (B, A, T, D), `valid` (B, A, T), `keys` (M, L, 2
 /// D) with keys before values, and `lane_valid` (M, L), to (B, A, T, D). M divides B; each map serves B / M consecutive
 /// rows. Invalid lanes have weight exactly 0; invalid states and states without a lane get exactly 0.
-///
-/// # Errors
-/// When shapes do not fit.
 pub fn cross_attention(
     query: &Tensor,
     valid: &Tensor,
@@ -147,9 +133,6 @@ pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
 }
 
 /// The sines, then the cosines, of 2 π f x for every frequency f: `x` (..) to (.., 2 · frequencies).
-///
-/// # Errors
-/// When the device fails.
 pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
     match is_fused(x) {
         true => sinusoidal::fused(x, frequencies),
@@ -159,9 +142,6 @@ pub fn sinusoidal(x: &Tensor, frequencies: &[f64]) -> Result<Tensor> {
 
 /// Uᵀ g U x for the states `x` (B, A, T, D), each agent and dimension with `modes` U (B, A, D, T, T), one mode a row,
 /// and `gains` g (B, A, D, T) of its own. Differentiable in `x` alone.
-///
-/// # Errors
-/// When shapes do not fit.
 pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor> {
     let (b, a, t, d) = x.dims4()?;
     if modes.dims() != [b, a, d, t, t] || gains.dims() != [b, a, d, t] {
@@ -173,28 +153,7 @@ pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor>
     }
 }
 
-/// Maps features between frames of the plane: `x` (.., P H F) holds P parts of H heads of F = `head_dim` features; each
-/// part's triples go through its entry of `maps` in the row's frame, `frames` (.., 4): cosine and sine of its rotation,
-/// x and y of its origin. Differentiable in `x` alone.
-///
-/// # Errors
-/// When shapes do not fit.
-pub fn map_frames(x: &Tensor, frames: &Tensor, head_dim: usize, maps: &[FrameMap]) -> Result<Tensor> {
-    let rows = x.dims().split_last().map(|(_, rows)| rows);
-    let fits = frames.dims().split_last().is_some_and(|(four, of)| *four == 4 && Some(of) == rows);
-    if !fits || head_dim == 0 || maps.is_empty() || !x.dim(D::Minus1)?.is_multiple_of(maps.len() * head_dim) {
-        bail!("map_frames: x {:?} and frames {:?} do not fit heads of {head_dim}", x.dims(), frames.dims());
-    }
-    match is_fused(x) {
-        true => frames::fused(x, frames, head_dim, maps),
-        false => frames::reference(x, frames, head_dim, maps),
-    }
-}
-
 /// The largest positive of K entries in each feature, or 0 where none is: `x` (.., K, F) to (.., F).
-///
-/// # Errors
-/// When the device fails.
 pub fn pool_positive(x: &Tensor) -> Result<Tensor> {
     match is_fused(x) {
         true => pool::fused(x),
@@ -203,9 +162,6 @@ pub fn pool_positive(x: &Tensor) -> Result<Tensor> {
 }
 
 /// Moves a parameter and its moments by one step of Adam, in place.
-///
-/// # Errors
-/// When shapes do not fit.
 pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor, step: AdamStep) -> Result<()> {
     if parameter.dims() != grad.dims() || parameter.dims() != moments.first.dims() {
         bail!("adam: a gradient {:?} does not fit a parameter {:?}", grad.dims(), parameter.dims());
@@ -217,9 +173,6 @@ pub(super) fn adam_step(parameter: &Tensor, moments: &mut Moments, grad: &Tensor
 }
 
 /// The sum of the squares of all entries of all `tensors`, in double precision and a fixed order.
-///
-/// # Errors
-/// When the device fails.
 pub(super) fn sum_of_squares(tensors: &[&Tensor]) -> Result<f64> {
     // A GPU's sums are fetched once, not tensor by tensor.
     let mut elsewhere = Vec::new();
@@ -237,9 +190,6 @@ pub(super) fn sum_of_squares(tensors: &[&Tensor]) -> Result<f64> {
 }
 
 /// Moves `average` by the share 1 - `decay` toward `value`, in place.
-///
-/// # Errors
-/// When shapes do not fit.
 pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> Result<()> {
     if average.dims() != value.dims() {
         bail!("an average of {:?} does not fit {:?}", average.dims(), value.dims());

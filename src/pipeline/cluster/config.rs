@@ -63,9 +63,6 @@ impl Default for ClusterConfig {
 
 impl ClusterConfig {
     /// Refuses texts that would break the scripts.
-    ///
-    /// # Errors
-    /// Names the setting.
     pub fn validate(&self) -> settings::Result {
         let words =
             [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory), ("image", &self.image)];

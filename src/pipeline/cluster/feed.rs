@@ -6,9 +6,6 @@ use std::process::{Command, Output, Stdio};
 
 /// Runs `program` with a text as its standard input and returns its output, whether it failed or not. `what` describes
 /// the program in errors.
-///
-/// # Errors
-/// When the program cannot be started.
 pub(super) fn feed(program: &str, what: &str, args: &[String], text: &str) -> Result<Output> {
     let missing = |error| {
         Failure::input(anyhow::Error::new(error).context(format!("failed to start {program}, {what}")))

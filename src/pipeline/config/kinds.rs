@@ -9,9 +9,6 @@ use std::fmt::Display;
 use toml::de::{DeTable, DeValue};
 
 /// Refuses the first such value.
-///
-/// # Errors
-/// Names its key.
 pub(super) fn check_kinds(table: &DeTable<'_>) -> Result<(), Issue> {
     let root = schemars::schema_for!(PipelineConfig).to_value();
     Kinds { root: &root }.check_table(&[&root], table, "")

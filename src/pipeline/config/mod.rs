@@ -152,9 +152,6 @@ impl PipelineConfig {
 
     /// Refuses numbers beyond the ranges that the schema states, URLs where they cannot be, and texts that would break
     /// pages and terminals.
-    ///
-    /// # Errors
-    /// Names the setting.
     pub fn check(&self) -> settings::Result {
         settings::check_ranges(self)?;
         urls::check_urls(self)?;
@@ -164,14 +161,10 @@ impl PipelineConfig {
             return Err(Issue::new("run.output", "is empty, expected a folder such as output"));
         }
         settings::printable("run.output", &self.run.output.to_string_lossy())?;
-        self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))?;
-        self.report.as_ref().map_or(Ok(()), |report| settings::printable("report.title", &report.title))
+        self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))
     }
 
     /// The description that a run of it writes.
-    ///
-    /// # Errors
-    /// When it cannot be written as TOML.
     pub fn about(&self) -> anyhow::Result<RunAbout> {
         Ok(RunAbout {
             pipeline: self.run.name.clone(),

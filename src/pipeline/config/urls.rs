@@ -10,9 +10,6 @@ use std::path::Path;
 const KEYS: [&str; 3] = ["run.output", "ingest.inputs", "ingest.map_inputs"];
 
 /// Refuses URLs where paths on disk are needed, and all of them in a build without object stores.
-///
-/// # Errors
-/// Names the setting.
 pub(super) fn check_urls(config: &PipelineConfig) -> settings::Result {
     // A configuration that cannot be written as JSON fails where that is needed.
     serde_json::to_value(config).map_or(Ok(()), |config| check("", &config))

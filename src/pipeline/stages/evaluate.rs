@@ -31,8 +31,8 @@ pub struct Evaluate<'a> {
     pub pipeline: &'a str,
     /// Whether there are recorded events to compare scenarios with.
     pub has_events: bool,
-    /// The configuration that generates the scenarios, and whether there are maps, where the pipeline does both itself.
-    pub generated: Option<(&'a GenerateConfig, bool)>,
+    /// The configuration that generates the scenarios, where the pipeline does that itself.
+    pub generated: Option<&'a GenerateConfig>,
     /// Where the scenes, events and samples are.
     pub layout: &'a Layout,
 }
@@ -49,8 +49,8 @@ impl Stage for Evaluate<'_> {
     fn check(&self) -> Result<()> {
         self.config.validate()?;
         match self.generated {
-            Some((generate, has_maps)) => match generate.resolve(&self.mine.build()?) {
-                Ok(resolved) => Ok(self.config.gates.check_generated(&resolved, has_maps)?),
+            Some(generate) => match generate.resolve(&self.mine.build()?) {
+                Ok(resolved) => Ok(self.config.gates.check_generated(&resolved)?),
                 // Errors of the section itself are reported by its own stage.
                 Err(_) => Ok(()),
             },

@@ -5,7 +5,7 @@ use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, W
 use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::SCENES;
-use crate::store::{SceneWriter, SceneWriterOptions};
+use crate::store::SceneWriter;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -61,7 +61,7 @@ impl Stage for Ingest<'_> {
 impl Whole for Ingest<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(SCENES);
-        let (mut writer, finished) = SceneWriter::resume(&dir, SceneWriterOptions::default())?;
+        let (mut writer, finished) = SceneWriter::resume(&dir)?;
         let done: Option<IngestReport> =
             finished.map(|shard| serde_json::from_value(shard.report)).transpose().map_err(anyhow::Error::from)?;
         let mut total = done.clone().unwrap_or_default();

@@ -33,7 +33,6 @@ use crate::engine::Stage;
 use crate::engine::StageRecord;
 use crate::engine::{Failure, Result};
 use crate::evaluate::{EvaluateConfig, GateResult};
-use crate::ingest::IngestConfig;
 use crate::metrics::DUPLICATE_DISTANCE_M;
 use crate::nn::Precision;
 use serde_json::{Value, json};
@@ -141,15 +140,14 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
 
 /// The stage of evaluation, where the configuration has its section.
 pub fn evaluation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Evaluate<'a>> {
-    let PipelineConfig { run, ingest, mine, generate, evaluate, .. } = config;
+    let PipelineConfig { run, mine, generate, evaluate, .. } = config;
     Some(Evaluate {
         config: evaluate.as_ref()?,
         mine: mine.clone().unwrap_or_default(),
         pipeline: &run.name,
         has_events: has_events(config, layout),
         // Samples that the command line names may come from another configuration.
-        generated: (generate.as_ref().zip(ingest.as_ref().map(IngestConfig::wants_maps)))
-            .filter(|_| layout.samples.parent() == layout.scenes.parent()),
+        generated: generate.as_ref().filter(|_| layout.samples.parent() == layout.scenes.parent()),
         layout,
     })
 }

@@ -43,9 +43,6 @@ pub trait Recipe: Serialize {
 
     /// The resolved section, where presets decide a part of it: presets change from version to version, and the
     /// resolved values count.
-    ///
-    /// # Errors
-    /// When a value cannot work, naming it.
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error>;
 
     /// The summary of a model that was trained elsewhere.

@@ -61,7 +61,6 @@ impl Recipe for ClassifierTrainingConfig {
     }
 }
 
-/// The roles of the behavior, from its events.
 fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
     let Some(event) = events.first() else {
         return Err(Failure::input_message(format_args!("no events of {behavior} to train on"))

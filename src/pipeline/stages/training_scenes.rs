@@ -28,7 +28,6 @@ impl SceneDataset for SceneStore {
 pub(super) struct TrainingScenes {
     /// Scenes to train on.
     pub(super) train: Vec<usize>,
-    /// Held out.
     pub(super) held_out: Vec<usize>,
 }
 

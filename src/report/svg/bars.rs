@@ -14,13 +14,11 @@ const MIN_LABELS: f64 = 120.0;
 
 /// A rate to be drawn.
 pub(in crate::report) struct Bar {
-    /// The label.
     pub(in crate::report) label: String,
     /// The group that decides its color.
     pub(in crate::report) group: usize,
     /// Between 0 and 1.
     pub(in crate::report) rate: f64,
-    /// Its interval.
     pub(in crate::report) interval: Option<Interval>,
 }
 

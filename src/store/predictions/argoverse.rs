@@ -19,18 +19,12 @@ pub struct ArgoversePredictions {
 
 impl ArgoversePredictions {
     /// Begins the file.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn create(path: &Path) -> Result<Self> {
         Ok(Self { file: ParquetFile::create(path, &schema(), schema().arrow())? })
     }
 
     /// Adds the modes of a scene. Returns the number of tracks to predict that were left out because a mode lacks a
     /// state.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
         let has_worlds = recorded.source.dataset.facts().benchmark == Some(Benchmark::ArgoverseWorlds);
         let is_target = |role: TrackRole| role == TrackRole::Focal || (role == TrackRole::Scored && has_worlds);
@@ -57,9 +51,6 @@ impl ArgoversePredictions {
     }
 
     /// Gives the file its name.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(self) -> Result<()> {
         self.file.finish().map(drop)
     }

@@ -33,9 +33,6 @@ impl InteractionPredictions {
 
     /// Adds the modes of a case. Returns the number of tracks to predict that were left out because a mode lacks a
     /// state; all of them if the scene is not a case of v1.2.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
         let targets = targets(recorded);
         let source = &recorded.source;
@@ -72,9 +69,6 @@ impl InteractionPredictions {
     }
 
     /// Gives the files their names and returns their number.
-    ///
-    /// # Errors
-    /// On I/O errors.
     pub fn finish(self) -> Result<usize> {
         let n_files = self.files.len();
         for file in self.files.into_values() {

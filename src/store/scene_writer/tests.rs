@@ -25,7 +25,11 @@ fn batches() -> Vec<Batch> {
     ]
 }
 
-const OPTIONS: SceneWriterOptions = SceneWriterOptions { scenes_per_shard: 4 };
+/// The writer of the store, and where it continues.
+fn writer_in(dir: &Path) -> (SceneWriter, Option<ShardSidecar>) {
+    let (writer, last) = SceneWriter::resume(dir).unwrap();
+    (writer.in_shards_of(4), last)
+}
 
 /// Writes the batches that are not done yet. As an ingest does after an interruption, all maps that they need are given
 /// again when they come first since then.
@@ -41,7 +45,7 @@ fn write_rest(writer: &mut SceneWriter, done: u64, n_batches: usize) {
 }
 
 fn uninterrupted(dir: &Path) -> SceneManifest {
-    let mut writer = SceneWriter::create(dir, OPTIONS).unwrap();
+    let (mut writer, _) = writer_in(dir);
     write_rest(&mut writer, 0, usize::MAX);
     writer.finish(&json!({ "units": 16 })).unwrap()
 }
@@ -61,13 +65,13 @@ fn shards_end_with_the_batch_that_fills_them() {
 #[test]
 fn a_shard_never_ends_within_a_unit() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    let (mut writer, _) = writer_in(dir.path());
     let all: Vec<Scene> = (0..9).map(|seed| scene(seed, None)).collect();
     for (scenes, units_done) in [(0..5, None), (5..6, Some(1)), (6..9, Some(2))] {
         writer.write_batch(&all[scenes], &[], units_done, &json!({ "units": units_done })).unwrap();
     }
     std::mem::forget(writer);
-    let (_, last) = SceneWriter::resume(dir.path(), OPTIONS).unwrap();
+    let (_, last) = writer_in(dir.path());
     let last = last.expect("a whole shard");
     assert_eq!((last.shard.n_scenes, last.units_done, last.report), (6, 1, json!({ "units": 1 })));
 }
@@ -81,12 +85,12 @@ fn a_resumed_store_has_the_bytes_of_an_uninterrupted_one() {
         let dir = tempfile::tempdir().unwrap();
         let store = dir.path().join("scenes");
         keep_list(dir.path()).unwrap();
-        let mut writer = SceneWriter::create(&store, OPTIONS).unwrap();
+        let (mut writer, _) = writer_in(&store);
         write_rest(&mut writer, 0, n_batches);
         // A killed process does not clean up; whoever keeps the list does.
         std::mem::forget(writer);
         remove_leftovers(dir.path()).unwrap();
-        let (mut writer, last) = SceneWriter::resume(&store, OPTIONS).unwrap();
+        let (mut writer, last) = writer_in(&store);
         write_rest(&mut writer, last.as_ref().map_or(0, |sidecar| sidecar.units_done), usize::MAX);
         writer.finish(&json!({ "units": 16 })).unwrap();
         assert!(folder_bytes(&store) == expected, "interrupted after {n_batches} batches");
@@ -113,7 +117,7 @@ fn a_kill_between_any_two_renames_is_survived() {
         for name in &order[..n_named] {
             fs::write(dir.path().join(name), &expected[name]).unwrap();
         }
-        let (mut writer, last) = SceneWriter::resume(dir.path(), OPTIONS).unwrap();
+        let (mut writer, last) = writer_in(dir.path());
         assert_eq!(last.is_some(), n_named >= 3);
         write_rest(&mut writer, last.map_or(0, |sidecar| sidecar.units_done), usize::MAX);
         writer.finish(&json!({ "units": 16 })).unwrap();
@@ -122,12 +126,12 @@ fn a_kill_between_any_two_renames_is_survived() {
 }
 
 #[test]
-fn create_removes_an_earlier_store_and_nothing_else() {
+fn shards_after_one_that_is_not_finished_are_removed_and_nothing_else() {
     let dir = tempfile::tempdir().unwrap();
     uninterrupted(dir.path());
     fs::write(dir.path().join("scenes-of-mine.txt"), "keep").unwrap();
-    let writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
-    drop(writer);
+    fs::remove_file(dir.path().join(sidecar_name(0))).unwrap();
+    assert!(writer_in(dir.path()).1.is_none());
     assert_eq!(folder_bytes(dir.path()).into_keys().collect::<Vec<_>>(), ["scenes-of-mine.txt"]);
 }
 
@@ -135,11 +139,10 @@ fn create_removes_an_earlier_store_and_nothing_else() {
 fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
     let dir = tempfile::tempdir().unwrap();
     let batches = batches();
-    let options = SceneWriterOptions { scenes_per_shard: 3 };
-    let mut writer = SceneWriter::create(dir.path(), options).unwrap();
+    let mut writer = SceneWriter::resume(dir.path()).unwrap().0.in_shards_of(3);
     let (scenes, maps, units) = &batches[0];
     writer.write_batch(scenes, maps, Some(*units), &json!({})).unwrap();
-    for mut writer in [writer, SceneWriter::resume(dir.path(), options).unwrap().0] {
+    for mut writer in [writer, SceneWriter::resume(dir.path()).unwrap().0] {
         let mut again = scenes[1].clone();
         again.source.file = "day2/again.csv".into();
         let error = writer.write_batch(&[again], &[], Some(units + 1), &json!({})).unwrap_err();
@@ -154,7 +157,7 @@ fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
 #[test]
 fn a_scene_whose_map_was_never_given_is_refused() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    let (mut writer, _) = writer_in(dir.path());
     let scenes = [scene(1, Some((&MapId::from("PIT"), &map(1, 8))))];
     let error = writer.write_batch(&scenes, &[], Some(1), &Value::Null).unwrap_err();
     assert_eq!(error.to_string(), "cannot store argoverse1/train/PIT/1: its map was not added before it");
@@ -163,7 +166,7 @@ fn a_scene_whose_map_was_never_given_is_refused() {
 #[test]
 fn states_that_are_not_finite_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SceneWriter::create(dir.path(), OPTIONS).unwrap();
+    let (mut writer, _) = writer_in(dir.path());
     let mut scene = scene(1, None);
     let mut states = scene.tracks[0].trajectory.entries().to_vec();
     states[5].as_mut().unwrap().velocity.x = 1e300;

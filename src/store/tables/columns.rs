@@ -37,7 +37,6 @@ impl<'a> Columns<'a> {
         Ok((list, Self::of_struct(list.values(), self.path, name)?))
     }
 
-    /// The columns of a struct column.
     pub(crate) fn of_struct_column(&self, name: &str) -> Result<Self> {
         let array: &StructArray = self.get(name)?;
         Ok(Self { path: self.path, fields: array.fields(), arrays: array.columns() })
@@ -60,7 +59,6 @@ impl<'a> Columns<'a> {
             .ok_or_else(|| Error::corrupt(self.path, format!("column {name} is missing or has another type")))
     }
 
-    /// A text.
     pub(crate) fn text(&self, name: &str, row: usize) -> Result<&'a str> {
         Ok(self.get::<StringArray>(name)?.value(row))
     }
@@ -71,7 +69,6 @@ impl<'a> Columns<'a> {
         Ok((!column.is_null(row)).then(|| column.value(row)))
     }
 
-    /// A number.
     pub(crate) fn number<T: ArrowPrimitiveType>(&self, name: &str, row: usize) -> Result<T::Native> {
         Ok(self.get::<PrimitiveArray<T>>(name)?.value(row))
     }

@@ -59,7 +59,6 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// These rows.
 pub(crate) fn encode(rows: &[DriveRow]) -> Result<RecordBatch> {
     let of_rows: Vec<_> = rows.iter().map(|row| Some(&row.parameters)).collect();
     let names = parameters::occurring(&schema(), &of_rows)?;

@@ -42,9 +42,7 @@ pub(crate) fn schema() -> TableSchema {
 /// The roles and parameters with columns in a table of events.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct EventNames<'n> {
-    /// Roles.
     pub(crate) roles: BTreeSet<&'n str>,
-    /// Parameters.
     pub(crate) parameters: BTreeSet<&'n str>,
 }
 
@@ -94,7 +92,6 @@ pub(crate) fn encode(events: &[BehaviorEvent], names: &EventNames<'_>) -> Result
     RecordBatch::try_new(schema.arrow_with(open_fields), arrays).map_err(|e| Error::invalid("events", e.to_string()))
 }
 
-/// The events in a batch.
 pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<BehaviorEvent>> {
     let columns = Columns::of_batch(batch, path);
     let parameters = parameters::names(&schema(), batch);

@@ -40,7 +40,6 @@ pub(crate) fn encode_parameters(rows: &[&Parameters]) -> Result<ArrayRef> {
     Ok(lists(rows.iter().map(|row| row.len()), values))
 }
 
-/// The parameters in a row of the column `name`.
 pub(crate) fn decode_parameters(columns: &Columns<'_>, name: &str, row: usize) -> Result<Parameters> {
     let (list, parameters) = columns.of_list(name)?;
     let parameter =

@@ -91,7 +91,6 @@ pub(crate) fn encode(maps: &[(&MapId, &LaneGraph)]) -> Result<RecordBatch> {
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("lanes", error.to_string()))
 }
 
-/// The lane in a row.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Lane> {
     let line = |x: &str, y: &str| -> Result<Polyline> {
         let (x, y) = (columns.numbers::<Float64Type>(x, row)?, columns.numbers::<Float64Type>(y, row)?);

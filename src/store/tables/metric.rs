@@ -40,7 +40,6 @@ pub(crate) fn schema() -> TableSchema {
     TableSchema { name: "metric", version: 1, description: "One row a value of a metric.", fields, open: Vec::new() }
 }
 
-/// These rows.
 pub(crate) fn encode(rows: &[MetricRow]) -> Result<RecordBatch> {
     let arrays = vec![
         texts(rows.iter().map(|row| row.group.name())),
@@ -58,7 +57,6 @@ pub(crate) fn encode(rows: &[MetricRow]) -> Result<RecordBatch> {
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("metrics", error.to_string()))
 }
 
-/// The rows in a batch.
 pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<MetricRow>> {
     let columns = Columns::of_batch(batch, path);
     let text = |name: &str, row: usize| columns.text(name, row).map(str::to_owned);

@@ -82,7 +82,6 @@ pub(crate) fn names<'b>(table: &TableSchema, batch: &'b RecordBatch) -> Vec<&'b 
         .collect()
 }
 
-/// The parameters in a row.
 pub(crate) fn decode(columns: &Columns<'_>, names: &[&str], row: usize) -> Result<Parameters> {
     let mut parameters = Parameters::new();
     for name in names {

@@ -34,7 +34,6 @@ pub(crate) fn schema() -> TableSchema {
     TableSchema { name: "prediction", version: 1, description, fields, open: Vec::new() }
 }
 
-/// These rows.
 pub(crate) fn encode(rows: &[PredictionRow]) -> Result<RecordBatch> {
     let arrays = vec![
         texts(rows.iter().map(|row| row.scenario_id.as_str())),

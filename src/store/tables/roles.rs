@@ -25,7 +25,6 @@ pub(crate) fn encode(rows: &[&Roles]) -> Result<ArrayRef> {
     Ok(lists(rows.iter().map(|roles| roles.len()), values))
 }
 
-/// The roles in a row.
 pub(crate) fn decode(columns: &Columns<'_>, name: &str, row: usize) -> Result<Roles> {
     let (list, roles) = columns.of_list(name)?;
     entries(list, row)

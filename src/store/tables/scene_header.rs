@@ -122,7 +122,6 @@ pub(crate) struct SceneHeader {
     pub(crate) lane_ids: Vec<LaneId>,
 }
 
-/// The header in a row.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<SceneHeader> {
     let text = |name: &str| columns.text(name, row).map(str::to_owned);
     let transform = columns.of_struct_column("world_from_scene")?;

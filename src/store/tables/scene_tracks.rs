@@ -74,7 +74,6 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<ArrayRef> {
     Ok(lists(scenes.iter().map(|scene| scene.tracks.len()), values))
 }
 
-/// The tracks in a row.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize, n_timesteps: usize) -> Result<Vec<Track>> {
     let (list, members) = columns.of_list("tracks")?;
     entries(list, row).map(|entry| decode_track(&members, entry, n_timesteps)).collect()
@@ -126,7 +125,6 @@ fn single_heading(heading_rad: f64) -> f32 {
     }
 }
 
-/// The state of x, y, heading, vx, vy.
 pub(crate) fn state_of([x, y, heading, vx, vy]: [f32; 5]) -> State {
     State {
         position: Vec2::new(f64::from(x), f64::from(y)),

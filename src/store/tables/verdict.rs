@@ -43,7 +43,6 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// These rows.
 pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
     let reasons = texts(rows.iter().flat_map(|row| &row.reasons).map(String::as_str));
     let not_checked = texts(rows.iter().flat_map(|row| &row.not_checked).map(String::as_str));
@@ -60,7 +59,6 @@ pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("verdicts", error.to_string()))
 }
 
-/// The rows in a batch.
 pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>> {
     let columns = Columns::of_batch(batch, path);
     let lists_of_texts = |name: &str| {

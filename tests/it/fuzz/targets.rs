@@ -8,7 +8,7 @@ use djinn::pipeline::config::parse;
 use djinn::progress::Silent;
 use djinn::scene::Dataset;
 use djinn::seed::Seed;
-use djinn::store::{CorpusReader, FileStamp, SceneStore, SceneWriter, SceneWriterOptions, read_metrics};
+use djinn::store::{CorpusReader, FileStamp, SceneStore, SceneWriter, read_metrics};
 use flate2::write::GzEncoder;
 use serde_json::Value;
 use std::io::Write;
@@ -300,12 +300,11 @@ fn read_corpus(root: &Path) -> bool {
     (0..corpus.len().min(3)).all(|i| corpus.scenario(i).is_ok())
 }
 
-/// Shards of scenes.
 fn scene_shard(folder: &Path) -> Vec<Vec<u8>> {
     let recordings = Path::new(env!("CARGO_MANIFEST_DIR")).join(ARGOVERSE1).join("train");
     let config = IngestConfig { maps: MapsConfig::None, ..IngestConfig::new(Dataset::Argoverse1, vec![recordings]) };
     let root = folder.join("scenes");
-    let mut writer = SceneWriter::create(&root, SceneWriterOptions::default()).unwrap();
+    let (mut writer, _) = SceneWriter::resume(&root).unwrap();
     let report = ingest(&config, None, &Silent, &mut |batch| {
         Ok(writer.write_batch(&batch.scenes, &batch.maps, batch.units_done, &serde_json::Value::Null)?)
     });

@@ -64,8 +64,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
             what: "verified scenarios".into(),
             n_drawn: 12,
             n_there: 1_313,
-            setting: "n_drawn".into(),
-            limit: 12,
+            limit: "report.n_drawn = 12".into(),
         }],
         more: vec![more(name)],
         config: format!(

@@ -18,7 +18,6 @@ pub(super) struct Case {
     pub(super) words: Vec<String>,
 }
 
-/// The cases of the schema.
 pub(super) fn cases(root: &Schema) -> Vec<Case> {
     let mut cases = Vec::new();
     Walk { root, seen: BTreeSet::new(), cases: &mut cases }.visit(root, &Place::default(), &mut Vec::new());

@@ -211,9 +211,6 @@ impl SampleManifest {
     }
 
     /// Reads the scenarios of a shard; lanes come from `maps`.
-    ///
-    /// # Errors
-    /// When the shard is damaged.
     pub fn read_shard(dir: &Path, shard: &SampleSidecar, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
         let path = dir.join(&shard.file);
         shard.stamp.verify_file(&path).map_err(|error| {
@@ -249,18 +246,12 @@ impl SampleSettings {
 }
 
 /// The figures of requests; none if the folder has no requests.
-///
-/// # Errors
-/// When the file is damaged.
 pub fn read_requests(dir: &Path) -> Result<Vec<RequestSummary>> {
     let path = dir.join(REQUESTS_FILE);
     if path.exists() { read_json(&path).blame_fault() } else { Ok(Vec::new()) }
 }
 
 /// The plan of shard `idx` of a folder: of its sweeps, or of a round of one of its requests.
-///
-/// # Errors
-/// When there is no such shard.
 pub(in crate::pipeline) fn find_shard(dir: &Path, idx: usize) -> Result<FoundShard> {
     let plan: Plan = read_json(&dir.join(PLAN_FILE)).blame_fault()?;
     if let Some(shard) = plan.shards.into_iter().find(|shard| shard.idx == idx) {

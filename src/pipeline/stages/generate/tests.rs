@@ -7,8 +7,8 @@ use crate::engine::shards::{Gathering, Shards, shard_folder};
 use crate::generate::{Plan, ShardOutput, ShardPlan};
 use crate::progress::Silent;
 use crate::scene::MapId;
+use crate::store::SceneWriter;
 use crate::store::testing::{map, scene};
-use crate::store::{SceneWriter, SceneWriterOptions};
 use std::cell::RefCell;
 
 /// Two sweeps of four shards, the second of which needs three verified scenarios. Every shard has two.
@@ -52,7 +52,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
     let maps = [(MapId::from("PIT"), map(1, 9))];
     let scenes: Vec<_> = (0..5).map(|seed| scene(seed, Some((&maps[0].0, &maps[0].1)))).collect();
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = SceneWriter::create(dir.path(), SceneWriterOptions::default()).unwrap();
+    let (mut writer, _) = SceneWriter::resume(dir.path()).unwrap();
     writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
     writer.finish(&json!({ "rejects": {} })).unwrap();
     let store = SceneStore::open(dir.path()).unwrap();

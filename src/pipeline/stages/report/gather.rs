@@ -19,9 +19,8 @@ use std::path::Path;
 /// Everything that the report shows.
 pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
     let about = &stage.about;
-    let title = if stage.config.title.is_empty() { about.pipeline.clone() } else { stage.config.title.clone() };
     let mut model = ReportModel {
-        title,
+        title: about.pipeline.clone(),
         facts: vec![
             Fact::new("Pipeline", &about.pipeline),
             Fact::new("Seed", about.seed),

@@ -55,7 +55,7 @@ fn drawn(rows: &[Drawn]) -> Markup {
     let body = html! {
         @for row in rows {
             tr { th scope="row" { (row.sweep) } td { (row.what) } td class="n" { (count(row.n_drawn as u64)) }
-                td class="n" { (count(row.n_there as u64)) } td { code { "report." (row.setting) " = " (row.limit) } } }
+                td class="n" { (count(row.n_there as u64)) } td { code { (row.limit) } } }
         }
     };
     html! { @if !rows.is_empty() { (table("Drawings by sweep", &head, &body)) } }

@@ -1,0 +1,238 @@
+//! How much harder could a scenario be? The others of the event do all that they do later, and so closer to the ego:
+//! up to which delay does a driver survive?
+
+use super::situation::Situation;
+use super::{Outcome, Result};
+use crate::behavior::{BehaviorConfig, EventLabel};
+use crate::quantile::quantile;
+use crate::scene::{Scene, State, Trajectory};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The longest delay that is tried, seconds.
+const MOST_DELAY_S: f64 = 1.5;
+/// Delays are tried in steps of so many timesteps, and the first step that ends in a failure is bisected. With a long
+/// delay the ego may pass before the others come: surviving that says nothing of shorter ones.
+const STRIDE: usize = 3;
+
+/// The longest delays of the others that two drivers survive in a scenario.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Margin {
+    /// The scenario.
+    pub scenario_id: String,
+    /// The requested behavior.
+    pub behavior: Option<String>,
+    /// The longest delay that there can be, seconds: at most 1.5, and nobody overlaps somebody in the past.
+    pub most_delay_s: f64,
+    /// For the driver that was asked for.
+    pub own: DelaySurvived,
+    /// For the careful driver.
+    pub careful: DelaySurvived,
+}
+
+/// The longest delay that a driver survives.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DelaySurvived {
+    /// Seconds: it fails a timestep later, or that is the longest delay. Missing if it fails without any.
+    pub delay_s: Option<f64>,
+    /// Parameters of the event then, as its definition with default options finds them if the ego does what it does in
+    /// the scenario; none if the event then ends after the scenario.
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// What the margins of a corpus come to.
+#[derive(Debug, Clone, PartialEq, Serialize, Default)]
+pub struct Margins {
+    /// The scenarios in which the driver fails at a delay that the careful driver survives: the largest difference
+    /// first.
+    pub scenarios: Vec<Margin>,
+    /// Scenarios that were made harder.
+    pub n_scenarios: u64,
+    /// Those in which the driver fails earlier than the careful one, and those in which it is the other way around.
+    pub n_sooner: u64,
+    /// See `n_sooner`.
+    pub n_later: u64,
+    /// The median of the delays that the drivers survive, of the driver that was asked for and of the careful one,
+    /// seconds; without any, 0.
+    pub median_delay_s: [f64; 2],
+}
+
+impl Margins {
+    /// The figures of these margins.
+    pub(super) fn of(margins: Vec<Margin>) -> Self {
+        let delays = |of: fn(&Margin) -> &DelaySurvived| {
+            let mut delays: Vec<f64> = margins.iter().map(|margin| of(margin).or_least()).collect();
+            delays.sort_by(f64::total_cmp);
+            quantile(&delays, 0.5).unwrap_or_default().max(0.0)
+        };
+        let median_delay_s = [delays(|margin| &margin.own), delays(|margin| &margin.careful)];
+        let n_scenarios = margins.len() as u64;
+        let n_later = margins.iter().filter(|margin| margin.lead_s() < 0.0).count() as u64;
+        let mut scenarios: Vec<Margin> = margins.into_iter().filter(|margin| margin.lead_s() > 0.0).collect();
+        scenarios.sort_by(|a, b| b.lead_s().total_cmp(&a.lead_s()).then_with(|| a.scenario_id.cmp(&b.scenario_id)));
+        Self { n_scenarios, n_sooner: scenarios.len() as u64, n_later, median_delay_s, scenarios }
+    }
+}
+
+impl Margin {
+    /// The margin of a situation in which the drivers (the one that was asked for, and the careful one) end as
+    /// `outcomes`, and driver 0 or 1 in a later one as `outcome` says. `None` if there is nobody else in its event, or
+    /// nobody can be later.
+    ///
+    /// # Errors
+    /// Those of a drive.
+    pub(super) fn find(
+        situation: &Situation,
+        outcomes: [Outcome; 2],
+        mut outcome: impl FnMut(usize, &Situation) -> Result<Outcome>,
+    ) -> Result<Option<Self>> {
+        let dt_s = situation.scene.dt_s;
+        let n_most = (MOST_DELAY_S / dt_s).round() as usize;
+        let delayed: Vec<Situation> = (1..=n_most).map_while(|n_steps| situation.delayed(n_steps)).collect();
+        if delayed.is_empty() {
+            return Ok(None);
+        }
+        let later = |n_steps: usize| n_steps.checked_sub(1).map(|i| &delayed[i]);
+        let mut survived = |driver: usize| -> Result<DelaySurvived> {
+            let mut ends = |n_steps| later(n_steps).map_or(Ok(outcomes[driver]), |later| outcome(driver, later));
+            let latest = latest(delayed.len(), |n_steps| Ok(ends(n_steps)? == Outcome::Survived))?;
+            Ok(DelaySurvived {
+                delay_s: latest.map(|n_steps| n_steps as f64 * dt_s),
+                parameters: latest.map(|n_steps| parameters(later(n_steps).unwrap_or(situation))).unwrap_or_default(),
+            })
+        };
+        Ok(Some(Self {
+            scenario_id: situation.scenario_id.clone(),
+            behavior: situation.behavior.clone(),
+            most_delay_s: delayed.len() as f64 * dt_s,
+            own: survived(0)?,
+            careful: survived(1)?,
+        }))
+    }
+
+    /// How much longer a delay the careful driver survives, seconds.
+    pub(super) fn lead_s(&self) -> f64 {
+        self.careful.or_least() - self.own.or_least()
+    }
+}
+
+impl DelaySurvived {
+    /// The delay, or a value below all for a driver that fails without any.
+    fn or_least(&self) -> f64 {
+        self.delay_s.unwrap_or(-1.0)
+    }
+}
+
+/// A number up to `n_most` that is `survived`, as are all multiples of [`STRIDE`] before it, and after which comes one
+/// that is not; `n_most` if there is none. `None` if 0 is not.
+fn latest(n_most: usize, mut survived: impl FnMut(usize) -> Result<bool>) -> Result<Option<usize>> {
+    if !survived(0)? {
+        return Ok(None);
+    }
+    let mut latest = 0;
+    let mut fails = loop {
+        let next = (latest + STRIDE).min(n_most);
+        match survived(next)? {
+            true if next == n_most => return Ok(Some(n_most)),
+            true => latest = next,
+            false => break next,
+        }
+    };
+    while fails - latest > 1 {
+        let middle = usize::midpoint(latest, fails);
+        if survived(middle)? {
+            latest = middle;
+        } else {
+            fails = middle;
+        }
+    }
+    Ok(Some(latest))
+}
+
+/// The parameters of the event of a situation, if the ego does what it does in the scenario.
+fn parameters(situation: &Situation) -> BTreeMap<String, f64> {
+    let Some(behavior) = situation.behavior.as_deref().and_then(BehaviorConfig::from_id) else {
+        return BTreeMap::new();
+    };
+    let agents: Vec<_> = situation.planned.iter().chain([&situation.ego_idx]).collect();
+    let events = behavior.build().detect(&situation.scene).into_iter();
+    let found = events.filter(|event| event.label == EventLabel::Positive).find(|event| {
+        let mut tracks = event.roles.tracks().filter_map(|track| situation.scene.track_idx(track));
+        tracks.all(|idx| agents.contains(&&idx))
+    });
+    found.map(|event| event.parameters).unwrap_or_default()
+}
+
+/// The states of an agent that does everything `n_steps` later, and before comes along at its first velocity.
+pub(super) fn later(scene: &Scene, agent_idx: usize, n_steps: usize) -> Trajectory {
+    let entries = scene.tracks[agent_idx].trajectory.entries();
+    let first = entries.iter().enumerate().find_map(|(t, state)| state.map(|state| (t, state)));
+    let entry = |timestep: usize| {
+        let (t, state) = first?;
+        match timestep.checked_sub(n_steps).filter(|before| *before >= t) {
+            Some(before) => entries[before],
+            None if timestep < t => None,
+            None => {
+                let missing_s = (t + n_steps - timestep) as f64 * scene.dt_s;
+                Some(State { position: state.position - state.velocity * missing_s, ..state })
+            }
+        }
+    };
+    Trajectory::new((0..entries.len()).map(entry).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{record, situation};
+    use super::*;
+
+    #[test]
+    fn the_first_failure_is_found() {
+        for limit in 0..=15 {
+            let mut n_tried = 0;
+            let found = latest(15, |n| {
+                n_tried += 1;
+                Ok(n <= limit)
+            });
+            assert_eq!(found.unwrap(), Some(limit));
+            assert!(n_tried <= 8, "{n_tried} tried");
+        }
+        assert_eq!(latest(15, |n| Ok(n < 5 || n > 9)).unwrap(), Some(4));
+        assert_eq!(latest(1, |_| Ok(true)).unwrap(), Some(1));
+        assert_eq!(latest(15, |_| Ok(false)).unwrap(), None);
+    }
+
+    #[test]
+    fn the_others_of_the_event_come_later_along_the_same_path() {
+        let situation = situation(&record());
+        let other = situation.planned[0];
+        let delayed = situation.delayed(3).unwrap();
+        for t in 3..situation.scene.n_timesteps {
+            assert_eq!(delayed.scene.state(other, t), situation.scene.state(other, t - 3));
+        }
+        let [first, second] = [0, 1].map(|t| *delayed.scene.state(other, t).unwrap());
+        let missed_m = (second.position - first.position - first.velocity * situation.scene.dt_s).norm();
+        assert!(missed_m < 1e-9 && delayed.event == situation.event.map(|t| t + 3));
+        for idx in (0..situation.scene.tracks.len()).filter(|idx| *idx != other) {
+            assert_eq!(delayed.scene.tracks[idx].trajectory, situation.scene.tracks[idx].trajectory);
+        }
+    }
+
+    #[test]
+    fn margins_count_who_fails_sooner() {
+        let margin = |id: &str, own: Option<f64>, careful: Option<f64>| {
+            let survived = |delay_s| DelaySurvived { delay_s, parameters: BTreeMap::new() };
+            let (own, careful) = (survived(own), survived(careful));
+            Margin { scenario_id: id.to_owned(), behavior: None, most_delay_s: 1.5, own, careful }
+        };
+        let margins = Margins::of(vec![
+            margin("a", Some(0.2), Some(0.5)),
+            margin("b", None, Some(0.1)),
+            margin("c", Some(1.5), Some(1.5)),
+            margin("d", Some(0.4), None),
+        ]);
+        let ids: Vec<&str> = margins.scenarios.iter().map(|margin| margin.scenario_id.as_str()).collect();
+        assert_eq!((ids, margins.n_scenarios, margins.n_later), (vec!["b", "a"], 4, 1));
+        assert!((margins.median_delay_s[0] - 0.3).abs() < 1e-9 && (margins.median_delay_s[1] - 0.3).abs() < 1e-9);
+    }
+}
