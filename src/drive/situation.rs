@@ -45,7 +45,7 @@ pub struct Situation {
     pub target_speed_mps: f64,
     /// The way of the ego: the one of the scenario, and on along its lane.
     pub(crate) route: DrivenPath,
-    road: Road,
+    road: Arc<Road>,
     /// The rectangle around the middle of each lane.
     lane_bounds: Vec<Option<Bounds>>,
     /// Whether each agent is on the map at present, and whether it overlaps the ego there.
@@ -95,7 +95,7 @@ impl Situation {
             is_collision: record.asks_for_collision(),
             target_speed_mps,
             route,
-            road: Road::new(&scene.lanes),
+            road: Arc::new(Road::new(&scene.lanes)),
             lane_bounds: bounds(&scene.lanes),
             starts_on_map: Vec::new(),
             starts_in_ego: Vec::new(),

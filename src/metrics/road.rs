@@ -11,12 +11,10 @@ const SLACK_M: f64 = 0.3;
 const EXTENSION_M: f64 = 100.0;
 
 /// The union of the outlines of all lanes; for lanes without boundaries, the strip of 3.8 m around the center line.
-#[derive(Clone)]
 pub(crate) struct Road {
     pieces: Vec<(Bounds, Piece)>,
 }
 
-#[derive(Clone)]
 enum Piece {
     /// An area with a closed outline, and that outline.
     Outline(Vec<Vec2>, Polyline),
