@@ -45,9 +45,10 @@ fn a_run_says_what_stays_and_how_it_goes_on() {
         send(&child, signal);
         let (ended_by, said) = ended(child);
         assert_eq!(ended_by, code, "{said}");
-        let expected =
-            format!("ended by SIG{signal}: finished shards and saved training states are kept in {}", folder.display());
-        assert!(said.contains(&expected) && said.contains("run the same command again to continue"), "{said}");
+        // A run that is between two stages stops by itself.
+        assert!(said.contains(&format!("ended by SIG{signal}: ")) || said.contains("stopped before stage"), "{said}");
+        let kept = format!("finished shards and saved training states are kept in {}", folder.display());
+        assert!(said.contains(&kept) && said.contains("run the same command again to continue"), "{said}");
     }
 }
 
