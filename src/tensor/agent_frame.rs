@@ -1,6 +1,6 @@
 //! The agents of a row and their frame, and the conversion of its samples to scenes.
 
-use super::ending::{HeadingSource, derive_motion, hold_still, turn_into_motion};
+use super::ending::{HeadingSource, derive_motion, hold_still, stands_still, turn_into_motion};
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
 
@@ -50,6 +50,11 @@ impl AgentFrame {
     ) -> Scene {
         let n_timesteps = states.first().map_or(source.n_timesteps, Vec::len);
         let scene_from_ego = self.ego_from_scene.inverse();
+        let observed = |agent_idx: usize, track: &Track| -> Vec<Option<State>> {
+            let state = |t| track.trajectory.get(t).filter(|_| self.observed(agent_idx, t)).copied();
+            (0..n_timesteps).map(state).collect()
+        };
+        let holds = stands_still(source.tracks.iter().enumerate().map(|(agent_idx, track)| observed(agent_idx, track)));
         let mut tracks: Vec<Track> = source.tracks.clone();
         for (agent_idx, track) in tracks.iter_mut().enumerate() {
             let slot = self.agents.iter().position(|agent| *agent == agent_idx);
@@ -70,7 +75,9 @@ impl AgentFrame {
                 };
             }
             if let Some(slot) = slot {
-                hold_still(&mut entries, &latent[slot]);
+                if holds {
+                    hold_still(&mut entries, &latent[slot]);
+                }
                 let has_headings = source.source.dataset.facts().has_headings;
                 let headings = match with_heading && !self.derives_heading(track) {
                     true => HeadingSource::Generated,

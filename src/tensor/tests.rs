@@ -51,6 +51,17 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
 }
 
 #[test]
+fn who_creeps_in_the_recording_is_not_held() {
+    // Two millimeters a timestep, as trackers move who stands.
+    let scene = scene(&[Drive::straight(3.0, 4.0, 0.5, 0.02), Drive::straight(9.0, 4.0, 0.0, 10.0)]);
+    let mask = ObservationMask::predictive(2, 12, 4);
+    let batch = collate(&collator([&scene], StateParametrization::Motion), &scene, 0, &mask);
+    let decoded = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
+    let missed_m = decoded.state(0, 11).unwrap().position.distance(scene.state(0, 11).unwrap().position);
+    assert!(missed_m < 1e-3, "{missed_m}");
+}
+
+#[test]
 fn no_motion_is_constant_velocity() {
     let scene = three_cars();
     let mask = ObservationMask::predictive(3, 12, 4);

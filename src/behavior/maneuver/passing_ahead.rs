@@ -14,9 +14,10 @@ const FIRST_MPS2: [f64; 4] = [0.0, 0.8, 1.6, 2.4];
 const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 /// How long before the first gets into its way the other sees it coming and gives no more gas, seconds.
 const NOTICES_S: f64 = 1.5;
-/// How hard the other brakes, m/s², and how long after the first gets into its way, seconds; and how hard it
-/// accelerates so long after the first has left it, if it has braked for this long.
+/// How hard the other brakes, m/s², if it would follow by at least this, seconds; how long after the first gets into
+/// its way; and how hard it accelerates so long after the first has left it, if it has braked for this long.
 const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
+const FOLLOWS_S: [f64; 3] = [1.0, 0.5, 0.0];
 const REACTION_S: f64 = 0.4;
 const GOES_ON_MPS2: f64 = 0.5;
 const LEAST_BRAKING_S: f64 = 0.5;
@@ -75,6 +76,8 @@ impl Pair<'_> {
         let brakes_s = enters_s + REACTION_S;
         let goes_on_s = (leaves_s + REACTION_S).max(brakes_s + LEAST_BRAKING_S);
         let eased = Pace::steady(theirs.mps2).then((enters_s - NOTICES_S).max(0.0), theirs.mps2.min(0.0));
+        let delay_s = delay as f64 * self.dt_s;
+        let hard_enough = FOLLOWS_S.iter().position(|least_s| delay_s >= *least_s).unwrap_or_default();
         let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
         let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
             let pace = eased.clone().then(brakes_s, theirs.mps2.min(-brakes_mps2)).then(goes_on_s, GOES_ON_MPS2);
@@ -90,8 +93,8 @@ impl Pair<'_> {
                 ],
             })
         };
-        // No harder than it has to.
-        BRAKES_MPS2.iter().enumerate().find_map(maneuver).into_iter().collect()
+        // No harder than it has to, but as somebody who sees how close it is.
+        BRAKES_MPS2.iter().enumerate().skip(hard_enough).find_map(maneuver).into_iter().collect()
     }
 }
 

@@ -247,6 +247,105 @@ fn nobody_gains_speed_toward_who_comes_into_the_way() {
 }
 
 #[test]
+fn who_follows_closely_brakes_hard() {
+    let behavior = BehaviorConfig::from_id("failure_to_yield").unwrap().build();
+    let mut gentlest_mps2 = f64::INFINITY;
+    for (x, speed_mps) in [(-26.0, 6.0), (-28.0, 7.0), (-30.0, 8.0), (-34.0, 9.0)] {
+        let scene = going_on(&from_the_side(x, speed_mps), side_road("yield"));
+        for plan in super::plans(&*behavior, &scene, &[0, 1], 200) {
+            let mut changed = scene.clone();
+            plan.template(&scene, &[0, 1]).unwrap().apply(&mut changed);
+            let event = &behavior.detect(&changed)[0];
+            let speeds: Vec<f64> =
+                changed.tracks[1].trajectory.entries().iter().flatten().map(State::speed_mps).collect();
+            let slows = speeds.windows(2).map(|pair| (pair[0] - pair[1]) / scene.dt_s).fold(0.0, f64::max);
+            if event.parameters["pet_s"] < 0.6 && event.start_timestep + 15 < scene.n_timesteps {
+                gentlest_mps2 = gentlest_mps2.min(slows);
+            }
+        }
+    }
+    assert!((2.5..9.0).contains(&gentlest_mps2), "{gentlest_mps2}");
+}
+
+#[test]
+fn who_heads_off_its_lane_turns_along_it_and_does_not_swing_back() {
+    for (heading_rad, speed_mps) in [(0.1, 8.0), (-0.08, 12.0), (0.2, 4.0)] {
+        let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps)], two_lanes());
+        let present = *scene.state(0, scene.current_timestep()).unwrap();
+        for states in driven("hard_brake", &scene, &[0]) {
+            let aside: Vec<f64> =
+                states[0].iter().map(|state| (state.position.y - present.position.y) * heading_rad.signum()).collect();
+            let back_m = aside.windows(2).map(|pair| pair[0] - pair[1]).fold(0.0, f64::max);
+            assert!(back_m < 0.01, "{heading_rad}: {back_m} m back in a step");
+            assert!(aside[aside.len() - 1] < 1.2, "{heading_rad}: {} m aside", aside[aside.len() - 1]);
+        }
+    }
+}
+
+/// Lets an agent arrive at its present place with this acceleration, m/s², along its heading.
+fn accelerating(scene: &mut Scene, agent_idx: usize, mps2: f64) {
+    let present = scene.current_timestep();
+    let now = *scene.state(agent_idx, present).unwrap();
+    let forward = Vec2::from_angle(now.heading_rad);
+    let past = (0..scene.n_timesteps).map(|t| {
+        let t_s = (t as f64 - present as f64) * scene.dt_s;
+        let moved = now.velocity * t_s + forward * (mps2 * t_s * t_s / 2.0);
+        let state = State { position: now.position + moved, velocity: now.velocity + forward * (mps2 * t_s), ..now };
+        (t <= present).then_some(state)
+    });
+    scene.tracks[agent_idx].trajectory = Trajectory::new(past.collect());
+}
+
+/// The accelerations along the motion after each timestep from the present on, m/s².
+fn accelerations_mps2(states: &[State], dt_s: f64) -> Vec<f64> {
+    states.windows(2).map(|pair| (pair[1].speed_mps() - pair[0].speed_mps()) / dt_s).collect()
+}
+
+#[test]
+fn who_brakes_before_a_collision_does_not_let_go_of_the_brake() {
+    let mut n_templates = 0;
+    for meters in 8..20 {
+        let crossing = Drive::straight(f64::from(meters), -16.0, std::f64::consts::FRAC_PI_2, 8.0);
+        let mut scene = going_on(&[drive(0.0, 0.0, 9.0), crossing], LaneGraph::default());
+        accelerating(&mut scene, 0, -2.0);
+        for states in driven("collision", &scene, &[0, 1]) {
+            let [one, other] = [0, 1].map(|i| states[i].iter().map(|state| scene.tracks[i].footprint(state)).collect());
+            let (one, other): (Vec<_>, Vec<_>) = (one, other);
+            let met = one.iter().zip(&other).position(|(own, theirs)| own.overlaps(theirs)).unwrap();
+            let before = &accelerations_mps2(&states[0], scene.dt_s)[..met];
+            assert!(before.iter().all(|mps2| *mps2 < -1.0), "{meters} m: {before:?}");
+            n_templates += 1;
+        }
+    }
+    assert!(n_templates > 3, "{n_templates}");
+}
+
+#[test]
+fn drivers_brake_for_pedestrians_who_turn_to_the_lane_and_these_walk_on_until_then() {
+    let (id, mut scene, agents) = possible().into_iter().find(|(id, ..)| *id == "pedestrian_steps_out").unwrap();
+    // Along the road, farther from it than it stood.
+    let present = scene.current_timestep();
+    let walker = *scene.state(1, present).unwrap();
+    let walking = (0..scene.n_timesteps).map(|t| {
+        let position = walker.position + Vec2::new(1.2 * (t as f64 - present as f64) * scene.dt_s, -1.5);
+        (t <= present).then_some(State { position, velocity: Vec2::new(1.2, 0.0), ..walker })
+    });
+    scene.tracks[1].trajectory = Trajectory::new(walking.collect());
+    let templates = driven(id, &scene, &agents);
+    assert!(!templates.is_empty());
+    for states in templates {
+        let turns = states[1].iter().position(|state| state.velocity.y > 0.3).unwrap();
+        let slowest = states[1].iter().map(State::speed_mps).fold(f64::INFINITY, f64::min);
+        assert!(slowest > 0.5, "the pedestrian stops: {slowest} m/s");
+        let own_mps2 = accelerations_mps2(&states[0], scene.dt_s);
+        let brakes = own_mps2.iter().position(|mps2| *mps2 < -0.8).unwrap();
+        assert!(brakes as f64 * scene.dt_s <= turns as f64 * scene.dt_s + 1.5, "{brakes} after {turns}");
+        let gains = own_mps2[turns..].iter().copied().fold(0.0, f64::max);
+        assert!(gains < 0.3, "{gains} m/s²");
+    }
+}
+
+#[test]
 fn nobody_drives_through_another_after_a_collision() {
     let (id, scene, agents) = possible().into_iter().find(|(id, ..)| *id == "collision").unwrap();
     for states in driven(id, &scene, &agents) {
