@@ -39,6 +39,8 @@ pub struct RawUnit {
 /// A part of a long table: the rows of some of its scenes. Times are seconds after its frame 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
+    /// What messages count: lines of text, or rows.
+    pub counted: &'static str,
     /// The time of frame 0 as rows have it.
     pub start_s: f64,
     /// First and last frame of the whole table.

@@ -40,7 +40,8 @@ impl<'a> Rows<'a> {
             let bad = |detail| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
             Table::read(bytes, lines, &wanted).map_err(bad)
         };
-        let table = read(&unit.file, &unit.bytes, &unit.lines)?;
+        let mut table = read(&unit.file, &unit.bytes, &unit.lines)?;
+        table.counted = unit.part.as_ref().map_or(table.counted, |part| part.counted);
         let of_tracks = match &unit.companion {
             Some(companion) => {
                 let table = read(&companion.file, &companion.bytes, &[])?;
