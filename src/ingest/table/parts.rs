@@ -16,9 +16,10 @@ use super::tracks::first_frame_of;
 use crate::ingest::archive::Entry;
 use crate::ingest::pairing::PairReader;
 use crate::ingest::parquet_columns::read_footer;
-use crate::ingest::raw::{Part, RawUnit, Reject};
+use crate::ingest::raw::{Part, RawUnit, Reject, SeenTrack};
 use crate::ingest::recorded_track::DT_S;
 use crate::ingest::source::{EmitUnit, Horizon, UnitReader};
+use crate::ingest::standing::Standing;
 use crate::ingest::windows::MAX_RECORDING_FRAMES;
 use crate::ingest::{Error, IngestConfig};
 use parquet::file::metadata::ParquetMetaData;
@@ -105,7 +106,7 @@ struct KeyedRows {
     rows: Range<u64>,
     n_bytes: u64,
     is_sorted: bool,
-    tracks: BTreeMap<String, usize>,
+    tracks: BTreeMap<String, (usize, Standing)>,
 }
 
 impl<'a> PartReader<'a> {
@@ -163,8 +164,9 @@ impl<'a> PartReader<'a> {
             seen.n_bytes += rows.n_bytes();
             let (track, n_tracks) = (rows.track()?, seen.tracks.len());
             if !seen.tracks.contains_key(&*track) {
-                seen.tracks.insert(track.into_owned(), n_tracks);
+                seen.tracks.insert(track.clone().into_owned(), (n_tracks, Standing::default()));
             }
+            seen.tracks.get_mut(&*track)?.1.see(time_s, rows.position());
         }
         let mut in_order: Vec<&mut KeyedRows> = recordings.values_mut().collect();
         in_order.sort_by_key(|seen| seen.number);
@@ -185,13 +187,16 @@ impl<'a> PartReader<'a> {
     /// The parts of a recording: one that is too short for a scene is a part without any.
     fn parts(&self, seen: &mut KeyedRows, counted: &'static str) -> Option<Vec<Part>> {
         let KeyedRows { first_s, last_s, n_bytes, .. } = *seen;
-        let tracks = Arc::new(std::mem::take(&mut seen.tracks));
         let first_frame = first_frame_of(first_s);
         let start_s = first_s - first_frame as f64 * DT_S;
         let n_frames = ((last_s - first_s) / DT_S + 1e-3).floor() as i64 + 1;
         if n_frames > MAX_RECORDING_FRAMES {
             return None;
         }
+        let tracks = std::mem::take(&mut seen.tracks)
+            .into_iter()
+            .map(|(id, (number, standing))| (id, SeenTrack { number, parked_s: standing.parked_s(start_s) }));
+        let tracks = Arc::new(tracks.collect::<BTreeMap<_, _>>());
         let stride = self.config.window_stride.max(1) as i64;
         let n_windows = ((n_frames - self.horizon.n_timesteps() as i64).div_euclid(stride) + 1).max(0);
         let n_parts = n_bytes.div_ceil(self.sizes.part_bytes).max(1) as i64;

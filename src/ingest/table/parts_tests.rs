@@ -12,11 +12,11 @@ use std::sync::Arc;
 
 const SMALL: Sizes = Sizes { whole_bytes: 1000, part_bytes: 4000, part_s: 12.0, n_at_a_time: 2 };
 
-/// Two minutes at 5 Hz of a truck that drives, a car that comes late, is not seen for a while and repeats a row, one
+/// Four minutes at 5 Hz of a truck that drives, a car that comes late, is not seen for a while and repeats a row, one
 /// that parks, and somebody without an id.
 fn rows() -> Vec<(f64, String)> {
     let mut rows = Vec::new();
-    for i in 0..600 {
+    for i in 0..1200 {
         let t = 1000.1 + f64::from(i) / 5.0;
         rows.push((t, format!("truck,{t},{},3.5,truck,x", 2.0 * f64::from(i))));
         if i > 100 && !(300..305).contains(&i) {
@@ -106,6 +106,8 @@ fn compared(config: &IngestConfig, n_parts_above: usize, files: &[(&str, Vec<u8>
         assert_eq!(scene, &parts.0[id], "{id}");
     }
     assert_eq!(whole.1, parts.1);
+    let n_parked = |scenes: &BTreeMap<String, String>| scenes.values().filter(|scene| scene.contains("Parked")).count();
+    assert!(n_parked(&whole.0) > whole.0.len() * 2 / 3);
     whole.1
 }
 
@@ -167,7 +169,7 @@ fn recordings_of_one_file_are_cut_each_for_itself_however_their_rows_lie() {
         })
     };
     let one_after_the_other: Vec<(f64, String)> =
-        recording("b", 0.0, 1500).chain(recording("a", 50.0, 1500)).chain(recording("short", 7.0, 9)).collect();
+        recording("b", 0.0, 3500).chain(recording("a", 50.0, 3300)).chain(recording("short", 7.0, 9)).collect();
     let mut at_a_time = one_after_the_other.clone();
     at_a_time.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     let mut by_track = one_after_the_other.clone();

@@ -120,7 +120,8 @@ impl<'a> Rows<'a> {
             tracks[index].1.push(row as u32);
         }
         if let Some((part, names)) = self.part.as_ref().zip(tracks) {
-            let order = |(id, _): &(u32, Vec<u32>)| part.tracks.get(&names.different[*id as usize]);
+            let order =
+                |(id, _): &(u32, Vec<u32>)| part.tracks.get(&names.different[*id as usize]).map(|track| track.number);
             groups.iter_mut().for_each(|group| group.tracks.sort_by_key(order));
         }
         groups

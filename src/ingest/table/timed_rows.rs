@@ -3,6 +3,7 @@
 use super::columns::{Kind, csv_reader, separator_of};
 use super::mapping::{TableColumns, TableMapping};
 use super::rows::wanted;
+use crate::geometry::Vec2;
 use crate::ingest::parquet_columns::Stream;
 use crate::ingest::raw::{Part, RawUnit, Reject};
 use arrow::array::{Array, StringArray};
@@ -41,6 +42,7 @@ pub(super) struct TimedRows<'r> {
     columns: Vec<(&'r str, Kind)>,
     /// Where among them the time is, the track, and what tells recordings of one file apart.
     time: usize,
+    position: [usize; 2],
     track: usize,
     key: Vec<usize>,
     /// The line of the last row, or its number.
@@ -90,12 +92,13 @@ impl<'r> TimedRows<'r> {
         if columns.len() < all.len() && mapping.track_files.is_none() {
             return None;
         }
-        let TableColumns { time, frame, track, recording, place, .. } = &mapping.columns;
+        let TableColumns { time, frame, track, x, y, recording, place, .. } = &mapping.columns;
         let place_of = |name: &String| columns.iter().position(|(found, _)| found == name);
         let (time, track) = (place_of(time.as_ref().or(frame.as_ref())?)?, place_of(track)?);
+        let position = [place_of(x)?, place_of(y)?];
         let key = [recording, place].into_iter().flatten().map(place_of).collect::<Option<Vec<usize>>>()?;
         // The first row is row 0.
-        Some(Self { source, mapping, separator, columns, time, track, key, place: u64::MAX })
+        Some(Self { source, mapping, separator, columns, time, position, track, key, place: u64::MAX })
     }
 
     /// The time of the next row, seconds; `Some(None)` at the end, and `None` if the row is not as it should be.
@@ -125,14 +128,25 @@ impl<'r> TimedRows<'r> {
                 self.place = self.place.wrapping_add(1);
             }
         }
-        let value = match &self.source {
-            Source::Text { .. } => self.cell(self.time)?.parse().ok()?,
-            Source::Parquet { cells, n_done, .. } => match &cells[self.time] {
+        self.number(self.time).map(|time| Some(self.mapping.seconds_of(time)))
+    }
+
+    /// A finite number in the last row.
+    fn number(&self, at: usize) -> Option<f64> {
+        let number = match &self.source {
+            Source::Text { .. } => self.cell(at)?.parse().ok()?,
+            Source::Parquet { cells, n_done, .. } => match &cells[at] {
                 Cells::Numbers(numbers) => numbers[*n_done - 1],
                 Cells::Texts(_) => return None,
             },
         };
-        value.is_finite().then(|| Some(self.mapping.seconds_of(value)))
+        number.is_finite().then_some(number)
+    }
+
+    /// Where the agent of the last row is, meters; NaN if that cannot be read, which is said when the part is.
+    pub(super) fn position(&self) -> Vec2 {
+        let [x, y] = self.position.map(|at| self.number(at).unwrap_or(f64::NAN));
+        Vec2::new(x, y) * self.mapping.length_unit_m
     }
 
     /// A cell of the last row.
