@@ -1,6 +1,7 @@
 //! Turns a recorded scene into a `Scene`: chooses the ego, the other agents and the lanes.
 
 use super::config::IngestConfig;
+use super::interruptions::mend;
 use super::lane_index::{Circle, LaneIndex};
 use super::plausible_tracks::{judge, judge_place};
 use super::raw::{HeadingGap, RawScene, Reject};
@@ -48,6 +49,7 @@ pub(super) fn assemble(
         raw.tracks.retain(|track| track.class != AgentClass::Unknown);
         counts.count_dropped("agents_of_unknown_type", (n_tracks - raw.tracks.len()) as u64);
     }
+    mend(&mut raw, &mut counts);
     judge(&mut raw)?;
     if let Some(map) = map {
         judge_place(&mut raw, present, map);

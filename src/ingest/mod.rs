@@ -25,6 +25,7 @@ mod explanation;
 mod files;
 mod ids;
 mod interaction;
+mod interruptions;
 mod lane_index;
 mod lane_topology;
 pub mod lanelet2;

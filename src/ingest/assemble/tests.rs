@@ -150,7 +150,7 @@ fn parked_vehicles_are_there_if_there_is_room_but_never_the_ego_of_traffic() {
 #[test]
 fn who_is_not_there_at_present_and_static_objects_are_left_out() {
     let gone = track("gone", TrackRole::Context, Vec2::ZERO, 0.0, |t| t < PRESENT);
-    let later = track("later", TrackRole::Context, Vec2::ZERO, 0.0, |t| t > PRESENT);
+    let later = track("later", TrackRole::Context, Vec2::new(9.0, 0.0), 0.0, |t| t > PRESENT);
     let cone = Track { class: AgentClass::Static, ..context("cone", 1.0, 0.0) };
     let tracks = vec![context("a", 0.0, 0.0), gone, later, cone];
     let (scene, counts) = assemble(raw(tracks), None, &config()).expect("complete");

@@ -13,7 +13,7 @@
 //! - `out_of_range`: a position beyond 1000 km, a speed beyond 1 km/s, a size below a millimeter or beyond 1 km, a
 //!   frame that no recording has;
 //! - `bad_timestamp`: `timestamp_ms` is not 100 times `frame_id`, the recordings being at 10 Hz;
-//! - `duplicate_frame`: a track is twice at the same frame;
+//! - `duplicate_frame`: a track is at two states at the same frame; rows that are the same count as one;
 //! - `too_many_tracks`: more than 100,000 tracks, which no recording has;
 //! - `unknown_agent_type`, `inconsistent_agent_type`: not a type of the format; two types in one track;
 //! - `ambiguous_id`: two ids that may be one, `7` and `07`, of tracks in a case or recording, or of cases in a file;

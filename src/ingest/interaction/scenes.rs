@@ -6,8 +6,9 @@ use super::columns::TrackColumns;
 use super::path::TrackFile;
 use super::track::{TrackTable, read_tracks};
 use crate::ingest::csv_rows::without_end;
+use crate::ingest::recorded_track::RecordedTrack;
 use crate::ingest::windows::{Cut, Recording, frames};
-use crate::ingest::{Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject, UnitSplit};
+use crate::ingest::{Finding, Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject, UnitSplit};
 use crate::scene::{Dataset, Split};
 
 /// The scene of a v1.2 case.
@@ -47,7 +48,7 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
     };
     let dataset = Dataset::Interaction;
     let cut = Cut { dataset, unit, split, case, first_frame, n_timesteps, n_history: horizon.n_history };
-    Ok(cut.scene(&tracks, 0..tracks.len()))
+    Ok(RawScene { findings: repeated(unit, &tracks), ..cut.scene(&tracks, 0..tracks.len()) })
 }
 
 /// The windows of a v1.1 recording. The text is dropped before the first of them is made.
@@ -57,7 +58,15 @@ pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig
         Err(reject) => return vec![Box::new(|| Err(reject))],
     };
     (unit.bytes, unit.companion) = (Vec::new(), None);
-    Recording { dataset: Dataset::Interaction, unit, tracks, findings: Vec::new() }.windows(horizon, config)
+    let findings = repeated(&unit, &tracks);
+    Recording { dataset: Dataset::Interaction, unit, tracks, findings }.windows(horizon, config)
+}
+
+/// The rows that repeat others.
+fn repeated(unit: &RawUnit, tracks: &[RecordedTrack]) -> Vec<Finding> {
+    let n = tracks.iter().map(|track| track.n_repeated).sum();
+    let detail = || format!("{}: rows that repeat others are left out", unit.file);
+    (n > 0).then(|| Finding { what: "rows_repeated", n, detail: detail() }).into_iter().collect()
 }
 
 /// The vehicles' and the pedestrians' tables of a recording.

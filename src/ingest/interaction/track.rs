@@ -141,6 +141,9 @@ impl<'a> Builder<'a> {
         if !self.observations.is_sorted_by_key(|(observation, _)| observation.frame) {
             self.observations.sort_by_key(|(observation, _)| observation.frame);
         }
+        let n_rows = self.observations.len();
+        self.observations.dedup_by(|(again, _), (first, _)| again == first);
+        let n_repeated = (n_rows - self.observations.len()) as u64;
         let repeated = self.observations.windows(2).find(|pair| pair[0].0.frame == pair[1].0.frame);
         if let Some([_, (again, line)]) = repeated {
             let detail = format!("track {id} is at frame {} already", again.frame);
@@ -153,7 +156,9 @@ impl<'a> Builder<'a> {
         };
         let observations: Vec<Observation> =
             self.observations.into_iter().map(|(observation, _)| observation).collect();
-        Ok(RecordedTrack::new(TrackId(id), self.class, role, self.extent, &observations))
+        let mut track = RecordedTrack::new(TrackId(id), self.class, role, self.extent, &observations);
+        track.n_repeated = n_repeated;
+        Ok(track)
     }
 }
 
@@ -187,6 +192,8 @@ mod tests {
 
         let nan = read("P1,1,100,pedestrian/bicycle,0,0,0,0,nan,nan,NaN\n1,1,100,car,0,0,0,0,0,nan,nan\n").unwrap();
         assert_eq!(nan.iter().map(|track| track.extent).collect::<Vec<_>>(), [None, None]);
+        let again = read("1,1,100,car,0,0,0,0,0,4,2\n1,1,100,car,0,0,0,0,0,4,2\n1,2,200,car,0,0,0,0,0,4,2\n").unwrap();
+        assert_eq!((again[0].states.len(), again[0].n_repeated), (2, 1));
         let spelled_twice = read("9,3,300,car,3,0,1,0,0.1,4,2\n9.0,4,400,car,4,0,1,0,0.1,4,2\n").unwrap();
         assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
 
@@ -245,7 +252,7 @@ mod tests {
         for (rows, reason, place) in [
             (format!("{good}1,2,200,car,0,0,0"), "malformed_row", "t.csv:3: 7 columns"),
             (format!("{good}1,2,200,car,nan,0,0,0,0,4,2"), "non_finite", "t.csv:3: column x"),
-            (format!("{good}2,1,100,car,0,0,0,0,0,4,2\n{good}"), "duplicate_frame", "t.csv:4: track 1 is at frame 1"),
+            (format!("{good}1,1,100,car,0.5,0,0,0,0,4,2"), "duplicate_frame", "t.csv:3: track 1 is at frame 1"),
             (format!("{good}1,2,200,car,0,0,0,0,,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             (format!("{good}1,2,200,pedestrian,0,0,0,0,0,4,2"), "inconsistent_agent_type", "t.csv:3:"),
             (format!("{good}1,2,200,car,0,0,0,0,NaN,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),

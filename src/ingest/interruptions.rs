@@ -1,0 +1,141 @@
+//! What a tracker lost for a moment: gaps within tracks are counted, and a track that goes on under another id is one.
+
+use super::raw::{Finding, RawScene};
+use super::report::IngestReport;
+use crate::geometry::angle_difference;
+use crate::scene::{Derivation, State, Track, TrackRole, Trajectory};
+
+/// Longest gap of this kind, seconds.
+const MAX_GAP_S: f64 = 1.0;
+/// Who goes on is this near to where the last motion leads, meters, with this speed, m/s, and heading, radians.
+const MAX_OFF_M: f64 = 1.0;
+const MAX_OFF_MPS: f64 = 3.0;
+const MAX_OFF_RAD: f64 = 0.5;
+/// Its size differs by less, meters.
+const MAX_OFF_SIZE_M: f64 = 0.5;
+
+/// Joins tracks that continue others, and counts them and the gaps within tracks. Tracks with a role in their dataset
+/// stay as they are.
+pub(super) fn mend(raw: &mut RawScene, counts: &mut IngestReport) {
+    let max_gap = (MAX_GAP_S / raw.dt_s).round() as usize;
+    let mut joined: Option<String> = None;
+    let mut n_joined = 0;
+    let mut idx = 0;
+    while idx < raw.tracks.len() {
+        let next = |later: &usize| continues(&raw.tracks[idx], &raw.tracks[*later], raw.dt_s, max_gap);
+        let candidates: Vec<usize> = (0..raw.tracks.len()).filter(|later| *later != idx && next(later)).collect();
+        // Of several, none is it for sure.
+        let [later] = candidates[..] else {
+            idx += 1;
+            continue;
+        };
+        n_joined += 1;
+        joined.get_or_insert_with(|| format!("track {} is {} again", raw.tracks[later].id, raw.tracks[idx].id));
+        let whole = join(&raw.tracks[idx], &raw.tracks[later]);
+        raw.tracks[idx] = whole;
+        raw.tracks.remove(later);
+        raw.heading_gaps.retain(|gap| gap.track_idx != later);
+        raw.heading_gaps.iter_mut().filter(|gap| gap.track_idx > later).for_each(|gap| gap.track_idx -= 1);
+        idx -= usize::from(later < idx);
+    }
+    if let Some(first) = joined {
+        let detail = format!("{}: scene {}: {first}", raw.source.file, raw.id);
+        raw.findings.push(Finding { what: "tracks_joined", n: n_joined, detail });
+    }
+    let n_gaps = raw.tracks.iter().map(|track| n_gaps(&track.trajectory, max_gap)).sum();
+    counts.count_assumed("gaps_left_open_within_tracks", n_gaps);
+}
+
+fn n_gaps(trajectory: &Trajectory, max_gap: usize) -> u64 {
+    let timesteps: Vec<usize> = trajectory.valid().map(|(timestep, _)| timestep).collect();
+    timesteps.windows(2).filter(|pair| (2..=max_gap).contains(&(pair[1] - pair[0]))).count() as u64
+}
+
+fn continues(track: &Track, later: &Track, dt_s: f64, max_gap: usize) -> bool {
+    let ends = track.trajectory.valid().next_back().zip(later.trajectory.valid().next());
+    let Some(((end, last), (start, first))) = ends else { return false };
+    if start <= end || start - end > max_gap || track.class != later.class {
+        return false;
+    }
+    let gap_s = (start - end) as f64 * dt_s;
+    let is_near = (last.position + last.velocity * gap_s).distance(first.position) <= MAX_OFF_M;
+    let is_as_fast = (last.velocity.norm() - first.velocity.norm()).abs() <= MAX_OFF_MPS;
+    let turns = |a: &State, b: &State| angle_difference(a.heading_rad, b.heading_rad).abs() <= MAX_OFF_RAD;
+    let is_as_large = track.extent.zip(later.extent).is_none_or(|(a, b)| {
+        f64::max((a.length_m - b.length_m).abs(), (a.width_m - b.width_m).abs()) <= MAX_OFF_SIZE_M
+    });
+    let is_free = [track, later].iter().all(|track| matches!(track.role, TrackRole::Context | TrackRole::Parked));
+    is_free && is_near && is_as_fast && turns(last, first) && is_as_large
+}
+
+/// The first track with the states of the second.
+fn join(track: &Track, later: &Track) -> Track {
+    let [own, more] = [track, later].map(|track| track.trajectory.entries());
+    let trajectory = Trajectory::new(own.iter().zip(more).map(|(own, more)| own.or(*more)).collect());
+    let derivations = [track, later].map(|track| track.trajectory.derivation());
+    let held = |timestep: usize| {
+        let of = usize::from(own[timestep].is_none());
+        derivations[of].is_some_and(|derivation| derivation.held_headings[timestep])
+    };
+    let derived = Derivation {
+        held_headings: (0..own.len()).map(held).collect(),
+        recorded: derivations.iter().flatten().flat_map(|derivation| derivation.recorded.clone()).collect(),
+    };
+    let is_derived = derivations.iter().any(Option::is_some);
+    let trajectory = if is_derived { trajectory.derived(derived) } else { trajectory };
+    Track { extent: track.extent.or(later.extent), trajectory, ..track.clone() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ingest::map_id;
+    use crate::scene::testing::{Drive, scene, without_states};
+
+    fn mended(change: impl Fn(&mut crate::scene::Scene)) -> [Vec<String>; 2] {
+        // The second goes on where the first would be after 0.7 s; the third is far away.
+        let drives = [0.0, 0.0, 50.0].map(|x| Drive::straight(x, 1.0, 0.2, 10.0));
+        let scene = without_states(scene(&drives), 0, |timestep| timestep > 4);
+        let mut scene = without_states(without_states(scene, 1, |timestep| timestep < 8), 2, |t| t == 5 || t == 6);
+        change(&mut scene);
+        let mut raw = RawScene {
+            id: scene.id,
+            source: scene.source,
+            dt_s: scene.dt_s,
+            n_timesteps: scene.n_timesteps,
+            n_history: scene.n_history,
+            tracks: scene.tracks,
+            heading_gaps: Vec::new(),
+            map_id: map_id(crate::scene::Dataset::Interaction, "X"),
+            own_map: None,
+            findings: Vec::new(),
+        };
+        let mut counts = IngestReport::default();
+        mend(&mut raw, &mut counts);
+        let tracks = raw.tracks.iter().map(|track| format!("{}: {}", track.id, track.trajectory.n_valid()));
+        let findings = raw.findings.iter().map(|finding| format!("{}: {}", finding.what, finding.n));
+        let gaps = counts.assumed.iter().map(|(what, n)| format!("{what}: {n}"));
+        [tracks.collect(), findings.chain(gaps).collect()]
+    }
+
+    #[test]
+    fn a_track_that_goes_on_under_another_id_is_one() {
+        let [tracks, findings] = mended(|_| {});
+        assert_eq!(tracks, ["1: 9", "3: 10"]);
+        assert_eq!(findings, ["tracks_joined: 1", "gaps_left_open_within_tracks: 2"]);
+        assert_eq!(mended(|scene| scene.tracks.swap(0, 1))[0], ["1: 9", "3: 10"]);
+    }
+
+    #[test]
+    fn others_stay_apart() {
+        let far = |scene: &mut crate::scene::Scene| scene.tracks[1] = scene.tracks[2].clone();
+        let scored = |scene: &mut crate::scene::Scene| scene.tracks[1].role = TrackRole::Scored;
+        let larger = |scene: &mut crate::scene::Scene| {
+            scene.tracks[1].extent =
+                scene.tracks[1].extent.map(|extent| crate::scene::Extent { length_m: 9.0, ..extent });
+        };
+        for change in [&far as &dyn Fn(&mut crate::scene::Scene), &scored, &larger] {
+            assert_eq!(mended(change)[0].len(), 3);
+        }
+    }
+}
