@@ -1,7 +1,6 @@
 //! Which files travel in the program, and what are they called in a folder that `djinn init` makes?
 //!
-//! Pipelines name files by their paths in the repository. In a new folder they lie beside the pipeline, so that a path
-//! means the same whether it is taken relative to the file or to the folder in which the program is started.
+//! Pipelines name files by their paths from `pipelines/`. In a new folder they lie below the pipeline.
 
 use std::borrow::Cow;
 
@@ -57,7 +56,9 @@ pub(super) fn folder_of(pipeline: &str) -> Vec<(String, Cow<'static, [u8]>)> {
     let mut text = text.replace("djinn run pipelines/", "djinn run ");
     let mut read = Vec::new();
     for file in &FILES {
-        let (there, here) = (format!("\"{}\"", file.source), format!("\"{}\"", file.name));
+        let from_pipelines = file.source.strip_prefix("pipelines/").map(str::to_owned);
+        let there = format!("\"{}\"", from_pipelines.unwrap_or_else(|| format!("../{}", file.source)));
+        let here = format!("\"{}\"", file.name);
         if text.contains(&there) {
             text = text.replace(&there, &here);
             read.push((file.name.to_owned(), Cow::Borrowed(file.content)));

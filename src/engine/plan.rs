@@ -224,7 +224,9 @@ fn identify(
         match input.producer {
             Some(producer) => failure
                 .with_hint(format!("`djinn {}` writes it; see --help for how to use another path", producer.command)),
-            None => failure.with_hint("relative paths are relative to the current directory"),
+            None => failure.with_hint(
+                "relative paths are relative to the pipeline file, those of the command line to the current directory",
+            ),
         }
     })?;
     Ok(InputRecord::Path { path: input.path.clone(), content })

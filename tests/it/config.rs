@@ -78,7 +78,7 @@ fn mistakes_name_the_place_and_the_nearest_name() {
         (&["--set", "mine.behaviors=[{ kind = \"cutin\" }]"], &["did you mean `cut_in`"]),
         (&["--set", "generate.sweeps.7.n_scenes=3"], &["index 7 is out of range for an array of 2"]),
         (&["--set", "generate.sweeps.1.behavior=left_turn"], &["left_turn", "mine.behaviors"]),
-        (&["--set", "ingest.inputs=[\"nowhere.zip\"]"], &["nowhere.zip", "relative to the current directory"]),
+        (&["--set", "ingest.inputs=[\"nowhere.zip\"]"], &["nowhere.zip", "the command line to the current directory"]),
         (&["--set", "run.name=a/b"], &["a/b", "cannot name a folder"]),
         (&["--set", "train.denoiser.steps=0"], &["train.denoiser.steps"]),
         (&["--set", "evaluate.gates.min_validity_rate=nan"], &["gates.min_validity_rate is NaN", "expected a number"]),

@@ -7,7 +7,7 @@ use djinn::model::TrainedDenoiser;
 fn argoverse(n_history: usize) -> String {
     format!(
         "[run]\nseed = 3\n[ingest]\ndataset = \"argoverse1\"\n\
-         inputs = [\"tests/fixtures/recordings/argoverse1\"]\nn_history = {n_history}\n"
+         inputs = [\"../fixtures/recordings/argoverse1\"]\nn_history = {n_history}\n"
     )
 }
 
@@ -16,7 +16,7 @@ const MIXED: &str = r#"
 seed = 3
 [ingest]
 dataset = "interaction"
-inputs = ["tests/fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
+inputs = ["../fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
 splits = ["train", "val"]
 limit = 30
 [train.denoiser]
@@ -35,8 +35,8 @@ max_lanes = 8
 /// A workspace with ingested scenes of Argoverse 1 in `other/scenes`.
 fn workspace(n_history: usize) -> Workspace {
     let workspace = Workspace::new();
-    fs_err::write(workspace.path("argoverse.toml"), argoverse(n_history)).unwrap();
-    fs_err::write(workspace.path("mixed.toml"), MIXED).unwrap();
+    workspace.put("argoverse.toml", &argoverse(n_history));
+    workspace.put("mixed.toml", MIXED);
     djinn(&["run", &workspace.arg("argoverse.toml"), "--output", &workspace.arg("raw")]).expect(0);
     fs_err::rename(workspace.path("raw/argoverse/main"), workspace.path("other")).unwrap();
     workspace
@@ -88,7 +88,7 @@ fn scenes_that_cannot_be_mixed_are_refused() {
     // The ingest of this run is there by now.
     refused("out/mixed/main/scenes", &[], &[key, "the run's own scenes", "own_weight"]);
     let paper = ["train.denoiser.network={ layers = \"TA\" }"];
-    fs_err::write(workspace.path("argoverse.toml"), argoverse(10)).unwrap();
+    workspace.put("argoverse.toml", &argoverse(10));
     djinn(&["run", &workspace.arg("argoverse.toml"), "--output", &workspace.arg("short")]).expect(0);
     refused("short/argoverse/main/scenes", &paper, &["no recorded headings", "state_dim = 2"]);
     // Without headings, any network learns from both.

@@ -169,7 +169,7 @@ batch_size = 2
 #[test]
 fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     let workspace = Workspace::new();
-    fs_err::write(workspace.path("baseline.toml"), with_baseline()).unwrap();
+    workspace.put("baseline.toml", &with_baseline());
     let (config, output) = (workspace.arg("baseline.toml"), workspace.arg("out"));
     let run = |more: &[&str]| djinn(&[&["run", &config, "--output", &output], more].concat());
     run(&[]).expect(0);

@@ -70,11 +70,17 @@ impl Workspace {
         Self::of(SMALL_PIPELINE)
     }
 
-    /// A folder with this pipeline in its place.
+    /// A folder with this pipeline of `tests/pipelines` in its place.
     pub(crate) fn of(pipeline: &str) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        fs_err::write(folder.path().join("small.toml"), pipeline).unwrap();
-        Self { folder }
+        let workspace = Self { folder: tempfile::tempdir().unwrap() };
+        workspace.put("small.toml", pipeline);
+        workspace
+    }
+
+    /// Writes a pipeline that would lie in `tests/pipelines`.
+    pub(crate) fn put(&self, name: &str, pipeline: &str) {
+        let pipeline = pipeline.replace("\"../", concat!("\"", env!("CARGO_MANIFEST_DIR"), "/tests/"));
+        fs_err::write(self.path(name), pipeline).unwrap();
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {

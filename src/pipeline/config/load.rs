@@ -5,7 +5,7 @@
 //! tree is deserialized once; so both kinds of mistakes are reported by the same code, each with its place.
 
 use super::kinds::check_kinds;
-use super::{Override, PipelineConfig};
+use super::{Override, PipelineConfig, paths};
 use crate::settings::{Issue, Unreadable};
 use serde::Deserialize;
 use std::fmt;
@@ -68,6 +68,9 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
         let root = DeTable::parse(text).map_err(|error| source.error(&error))?;
         let span = root.span();
         let mut table = root.into_inner();
+        if let Some(folder) = path.and_then(Path::parent) {
+            paths::take_from(folder, &mut table);
+        }
         for (idx, (parsed, written)) in parsed_overrides.iter().zip(overrides).enumerate().take(n_overrides) {
             parsed.apply(&mut table, &source.override_span(idx)).map_err(|why| source.override_error(written, why))?;
         }

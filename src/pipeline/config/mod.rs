@@ -2,12 +2,13 @@
 //! configures.
 //!
 //! A stage is part of the pipeline if its section is there, be it empty. Unknown keys are errors, defaults are in the
-//! types, `--set` overrides single values, and relative paths are relative to the current directory (not to the file:
-//! the same pipeline file serves many data folders).
+//! types, `--set` overrides single values, and relative paths are relative to the file, those of `--set` to the current
+//! directory.
 
 mod kinds;
 mod load;
 mod overrides;
+mod paths;
 mod remarks;
 mod urls;
 

@@ -129,9 +129,9 @@ pub(in crate::pipeline) fn of_named_path(error: std::io::Error) -> Failure {
         | ErrorKind::ReadOnlyFilesystem
         | ErrorKind::AlreadyExists
         | ErrorKind::NotADirectory
-        | ErrorKind::IsADirectory => {
-            Failure::input(error).with_hint("relative paths are relative to the current directory")
-        }
+        | ErrorKind::IsADirectory => Failure::input(error).with_hint(
+            "relative paths are relative to the pipeline file, those of the command line to the current directory",
+        ),
         _ => Failure::fault(error),
     }
 }

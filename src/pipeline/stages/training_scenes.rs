@@ -215,7 +215,7 @@ pub(super) fn check_folders(
             let hint = match SceneManifest::read(&inside) {
                 Ok(_) => format!("name {}", inside.display()),
                 Err(_) => {
-                    "`djinn ingest` makes such folders; relative paths are relative to the current directory".to_owned()
+                    "`djinn ingest` makes such folders; relative paths are relative to the pipeline file".to_owned()
                 }
             };
             return refuse(&format!("expected a folder of ingested scenes: {error}"), hint);
