@@ -32,7 +32,8 @@ Examples:
 pub(super) const RUN: &str = "\
 A pipeline file has one section per stage: [ingest], [mine], [train.denoiser], [train.distill], [train.classifier], \
 [train.baseline], [generate], [evaluate], [report]. Stages with a section run, in this order. Relative paths are \
-relative to the current directory. Results go to <output>/<pipeline>/<run>/. A stage runs again only if its \
+relative to the file, those of the command line to the current directory. A bundled pipeline may be called by its \
+name (`djinn run quickstart`). Results go to <output>/<pipeline>/<run>/. A stage runs again only if its \
 configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section \
 changed, or with --redo; the old model is moved aside. Several workers can share generation and evaluation. \
 Recordings and the output \
@@ -238,6 +239,11 @@ pub(super) const LIST: &str = "\
 Examples:
   djinn list behaviors
   djinn list metrics | grep collision";
+
+/// Help after the options of `man`.
+pub(super) const MAN: &str = "\
+Examples:
+  djinn man pages && man pages/djinn.1";
 
 /// Help after the options of `completions`.
 pub(super) const COMPLETIONS: &str = "\

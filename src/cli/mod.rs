@@ -46,6 +46,7 @@ pub fn main() -> ExitCode {
         Command::Init(init) => commands::init(init, &printer),
         Command::List(list) => commands::list(list.what, &printer),
         Command::Completions(completions) => commands::completions(completions.shell, &printer),
+        Command::Man(man) => commands::man(man, &printer),
         stage => commands::stage(stage, &args.output, &printer),
     });
     match outcome {

@@ -3,6 +3,7 @@
 use super::args::OutputArgs;
 use crate::engine::{Blame, Failure, Result, version};
 use crate::files::in_their_names;
+use clap::ColorChoice;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
@@ -17,7 +18,12 @@ impl Printer {
     pub(super) fn new(output: &OutputArgs) -> Self {
         let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
         let dumb = std::env::var_os("TERM").is_some_and(|value| value == "dumb");
-        Self { quiet: output.quiet, color: !no_color && !dumb && io::stderr().is_terminal() }
+        let color = match output.color {
+            ColorChoice::Always => true,
+            ColorChoice::Never => false,
+            ColorChoice::Auto => !no_color && !dumb && io::stderr().is_terminal(),
+        };
+        Self { quiet: output.quiet, color }
     }
 
     /// Prints the command's results to stdout, with control characters escaped as JSON does. A closed pipe (`| head`)

@@ -34,6 +34,26 @@ fn the_quickstart_runs_in_a_folder_of_its_own() {
 }
 
 #[test]
+fn a_bundled_pipeline_runs_by_its_name_in_any_folder() {
+    let workspace = Workspace::new();
+    let folder = workspace.path("anywhere");
+    fs_err::create_dir(&folder).unwrap();
+    for has_written in [true, false] {
+        let (code, printed) = dry_run(&folder, "quickstart", &[]);
+        assert_eq!(code, Some(0), "{printed}");
+        assert_eq!(printed.contains("wrote quickstart/quickstart.toml"), has_written, "{printed}");
+        assert!(printed.contains("inputs = [\"quickstart/recordings/FIX-multi-v1_2.zip\"]"), "{printed}");
+    }
+    let (code, printed) = dry_run(&folder, "quickstop", &[]);
+    assert!(code == Some(1) && printed.contains("quickstop"), "{printed}");
+    // Colors, if they are asked for.
+    for (color, is_colored) in [("always", true), ("never", false), ("auto", false)] {
+        let (_, printed) = dry_run(&folder, "quickstop", &["--color", color]);
+        assert_eq!(printed.contains("\u{1b}["), is_colored, "{printed}");
+    }
+}
+
+#[test]
 fn other_pipelines_come_with_the_models_that_they_name() {
     let workspace = Workspace::new();
     djinn(&["init", &workspace.arg("request"), "cut_in_request", "--quiet"]).expect(0);
@@ -95,4 +115,16 @@ fn shells_complete_commands_and_pipelines() {
     let question = "COMP_WORDS=(djinn init here coll); COMP_CWORD=3; _djinn djinn coll here; echo \"${COMPREPLY[@]}\"";
     let answer = std::process::Command::new("bash").args(["-c", &format!("{script}\n{question}")]).output().unwrap();
     assert_eq!(String::from_utf8_lossy(&answer.stdout).trim(), "collision_request");
+}
+
+#[test]
+fn every_command_has_a_manual_page() {
+    let workspace = Workspace::new();
+    djinn(&["man", &workspace.arg("pages")]).expect(0);
+    let pages = files(&workspace.path("pages"));
+    for (page, says) in
+        [("djinn.1", "djinn\\-run(1)"), ("djinn-run.1", "PIPELINE"), ("djinn-corpus-filter.1", "filter")]
+    {
+        assert!(String::from_utf8_lossy(&pages[page]).contains(says), "{page}");
+    }
 }

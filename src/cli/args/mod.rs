@@ -13,7 +13,7 @@ pub(in crate::cli) use self::drive::{DriveArgs, DriveGates, ScoreArgs};
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
 pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand};
-pub(in crate::cli) use self::start::{CompletionsArgs, InitArgs, ListArgs, Listed};
+pub(in crate::cli) use self::start::{CompletionsArgs, InitArgs, ListArgs, Listed, ManArgs};
 use super::help;
 use crate::cloud::ObjectUrl;
 use crate::engine::DeviceChoice;
@@ -21,7 +21,7 @@ use crate::engine::shards::{Part, Worker};
 use crate::nn::Precision;
 use crate::pipeline::StageId;
 use clap::builder::{ArgPredicate, PathBufValueParser, RangedU64ValueParser, TypedValueParser};
-use clap::{Parser, Subcommand};
+use clap::{ColorChoice, Parser, Subcommand};
 use std::path::PathBuf;
 
 /// Generate verified scenarios of rare traffic events, such as cut-ins, from recordings.
@@ -46,6 +46,9 @@ pub(in crate::cli) struct OutputArgs {
     /// Print progress as lines instead of bars (the default when stderr is not a terminal)
     #[arg(long, global = true, help_heading = "Global options")]
     pub(in crate::cli) no_progress: bool,
+    /// When messages are colored
+    #[arg(long, value_name = "WHEN", global = true, help_heading = "Global options", default_value = "auto")]
+    pub(in crate::cli) color: ColorChoice,
     /// Number of worker threads; 0 uses every core. Results do not depend on it
     #[arg(long, value_name = "N", global = true, help_heading = "Global options", value_parser = up_to(1024))]
     pub(in crate::cli) threads: Option<usize>,
@@ -113,6 +116,9 @@ pub(in crate::cli) enum Command {
     /// Print completions for a shell
     #[command(after_help = help::COMPLETIONS)]
     Completions(CompletionsArgs),
+    /// Write manual pages
+    #[command(after_help = help::MAN)]
+    Man(ManArgs),
 }
 
 #[derive(Debug, clap::Args)]

@@ -39,6 +39,13 @@ pub(in crate::cli) enum Listed {
 }
 
 #[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ManArgs {
+    /// The folder to write; it must be new or empty
+    #[arg(value_name = "DIR", value_parser = on_disk())]
+    pub(in crate::cli) dir: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
 pub(in crate::cli) struct CompletionsArgs {
     /// The shell
     #[arg(value_enum)]

@@ -2,6 +2,7 @@
 
 use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
 use crate::cli::args::{OutputArgs, RunArgs, RunPlace};
+use crate::cli::bundled::PIPELINES;
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
@@ -17,7 +18,7 @@ use crate::settings;
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
-    let (config, root) = load(&args.pipeline, &args.set, &args.place)?;
+    let (config, root) = load(&file_of(&args.pipeline, printer)?, &args.set, &args.place)?;
     use_threads(output, config.run.threads)?;
     let access = match args.part {
         _ if args.dry_run => Access::Read,
@@ -108,6 +109,18 @@ fn check_part(args: &RunArgs, part: Part) -> Result<StageId> {
         return Err(Failure::input_message(format_args!("--redo goes with --part plan, not with --part {part}")));
     }
     Ok(stage)
+}
+
+/// The file of a pipeline: a bundled one may be called by its name, and is written below the current directory before
+/// it runs for the first time.
+fn file_of(pipeline: &Path, printer: &Printer) -> Result<PathBuf> {
+    let is_meant = |(name, _): &&(&str, &str)| pipeline == Path::new(name) && !pipeline.is_file();
+    let Some((name, _)) = PIPELINES.iter().find(is_meant) else { return Ok(pipeline.to_owned()) };
+    let file = pipeline.join(format!("{name}.toml"));
+    if !file.is_file() {
+        super::init::write(pipeline, name, printer)?;
+    }
+    Ok(file)
 }
 
 /// The configuration and the run folder.

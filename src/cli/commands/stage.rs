@@ -146,7 +146,8 @@ impl<'a> Request<'a> {
             | Command::Inspect(_)
             | Command::Init(_)
             | Command::List(_)
-            | Command::Completions(_) => return None,
+            | Command::Completions(_)
+            | Command::Man(_) => return None,
         };
         Some(request)
     }
