@@ -8,7 +8,7 @@ use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Float64Type};
 
-/// `drive.v1`.
+/// `drive.v2`.
 pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario, as in the corpus."),
@@ -39,7 +39,7 @@ pub(crate) fn schema() -> TableSchema {
         column("contact_relative_mps", DataType::Float64, "The speed of one seen from the other.")
             .unit("m/s")
             .optional(),
-        column("min_ttc_s", DataType::Float64, "The shortest time to collision of the ego; missing without one.")
+        column("ego_min_ttc_s", DataType::Float64, "The shortest time to collision of the ego; missing without one.")
             .unit("s")
             .optional(),
         column("max_braking_mps2", DataType::Float64, "The hardest braking of the ego.").unit("m/s^2"),
@@ -52,7 +52,7 @@ pub(crate) fn schema() -> TableSchema {
     ];
     TableSchema {
         name: "drive",
-        version: 1,
+        version: 2,
         description: "One row a scenario and driver of its ego: how the drive ended.",
         fields,
         open: vec![open_columns()],
