@@ -313,10 +313,10 @@ mod tests {
         let mut positions = [1.2, 1.3, 1.28, 1.25, 1.29, 1.4].map(|x| Vec2::new(x, 0.0));
         hold_who_stops(&now, &mut positions);
         assert_eq!(positions.map(|at| at.x), [1.2, 1.3, 1.3, 1.3, 1.3, 1.4]);
-        // To a stop within a second, and then nothing: nobody moves backward on the way.
-        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 6.0)]);
+        // To a stop at once, which takes some way that the plan does not have.
+        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 4.0)]);
         let now = *scene.state(0, scene.current_timestep()).unwrap();
-        let stops = |t: f64| Some(now.position + Vec2::new(6.0 * t.min(0.5) - 3.0 * t.min(0.5).powi(2), 0.0));
+        let stops = |_: f64| Some(now.position);
         let mut changed = scene.clone();
         Template::empty().with(&scene, 0, stops).unwrap().apply(&mut changed);
         let states = &changed.tracks[0].trajectory.entries()[scene.current_timestep()..];
