@@ -26,7 +26,7 @@ const LEAST_OBSERVED: usize = 4;
 const SETTLING_S: f64 = 1.0;
 const SETTLED_MPS2: f64 = 3.0;
 /// The largest angle to the lane of who moves over to the lane beside, radians.
-pub(super) const MOST_ANGLE_RAD: f64 = 0.3;
+pub(super) const MOST_ANGLE_RAD: f64 = 0.35;
 /// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
 
