@@ -3,7 +3,7 @@
 use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
-use super::reaction::brake;
+use super::reaction::{brake, go_on};
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
@@ -235,6 +235,7 @@ impl Drive<'_> {
                 !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
             };
             let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
+            go_on(situation, &self.world, sampled, &agents);
             brake(situation, sampled, &agents);
         }
         Ok(sampled)
