@@ -39,6 +39,8 @@ const LEFT_M: f64 = 2.0;
 const FOLLOWS_S: f64 = 0.9;
 const OPENS_S: f64 = 3.0;
 const MOST_OPENS_MPS: f64 = 2.0;
+/// The largest angle to the lane in the last state, radians.
+const ALONG_AT_END_RAD: f64 = 0.2;
 /// How much later than planned the box may enter the path, seconds.
 const LATE_S: f64 = 0.1;
 /// How far the ego must pass the place where the other came in, meters, because positions are known only at timesteps.
@@ -89,7 +91,10 @@ impl CutIn {
             let over = pair.coming_over(&plan, style)?;
             let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
             let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
-            let is_possible = template.is_drivable(scene)
+            let last = template.last_state(other_idx)?;
+            let there = pair.lane.project(last.position)?;
+            let is_possible = angle_difference(last.heading_rad, there.heading_rad).abs() < ALONG_AT_END_RAD
+                && template.is_drivable(scene)
                 && template.keeps_road(scene, &lanes)
                 && template.keeps_apart(scene)
                 && template.is_clear(scene, InTheWay::Everybody);
@@ -300,6 +305,8 @@ mod tests {
             let states = changed.tracks[1].trajectory.entries().iter().flatten();
             let steepest = states.map(|state| state.heading_rad.abs()).fold(0.0, f64::max);
             assert!(steepest < MOST_ANGLE_RAD + 0.05, "{steepest}");
+            let last = changed.tracks[1].trajectory.entries().last().unwrap().unwrap();
+            assert!(last.heading_rad.abs() < ALONG_AT_END_RAD, "{} at the end", last.heading_rad);
             n_templates += 1;
         }
         assert!(n_templates > 20, "{n_templates}");

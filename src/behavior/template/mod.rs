@@ -85,6 +85,11 @@ impl Template {
         self.motions.iter().map(|motion| motion.agent_idx)
     }
 
+    /// The last state of an agent that takes part.
+    pub(super) fn last_state(&self, agent_idx: usize) -> Option<State> {
+        self.motions.iter().find(|motion| motion.agent_idx == agent_idx)?.states.last().copied()
+    }
+
     /// Replaces the recorded futures of the agents in `scene`.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
