@@ -6,7 +6,7 @@
 
 use super::driven_path::DrivenPath;
 use super::footprint::Footprint;
-use super::{BehaviorEntry, BehaviorEvent};
+use super::{BehaviorEntry, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
 use std::f64::consts::FRAC_PI_2;
@@ -29,10 +29,23 @@ pub enum Subject {
 }
 
 impl BehaviorEvent {
+    /// Whether its subject is parked, or anybody if it is a hard negative: what everybody does beside a parked vehicle
+    /// is no example of what nearly happened.
+    pub fn is_of_parked(&self, scene: &Scene) -> bool {
+        let is_parked = |agent_idx: usize| scene.tracks[agent_idx].is_parked();
+        match self.label {
+            EventLabel::Positive => self.subject_idx(scene).is_some_and(is_parked),
+            EventLabel::Negative => self.roles.tracks().filter_map(|id| scene.track_idx(id)).any(is_parked),
+        }
+    }
+
     /// The index of the subject among the tracks of `scene`. `None` if nobody is.
     pub fn subject_idx(&self, scene: &Scene) -> Option<usize> {
         let agents: Vec<usize> = self.roles.tracks().filter_map(|id| scene.track_idx(id)).collect();
-        let is_motorized = |agent_idx: &usize| scene.tracks[*agent_idx].class.is_motorized();
+        let is_motorized = |agent_idx: &usize| {
+            let track = &scene.tracks[*agent_idx];
+            track.class.is_motorized() && !track.is_parked()
+        };
         match BehaviorEntry::of(&self.behavior)?.subject {
             Subject::Role(role) => scene.track_idx(self.track(role)?),
             Subject::WhoComesUpon => {
@@ -74,4 +87,32 @@ fn arrival_s(scene: &Scene, [own, other]: [usize; 2], timestep: usize) -> Option
     let reach_m = own.extent_or_nominal().width_m / 2.0 + Footprint::new(&body).half_extent_m(across);
     let is_in_way = place.station_m > start.station_m && place.offset_m.abs() < reach_m;
     is_in_way.then(|| path.gap_m(&body)).flatten().map(|gap_m| gap_m.max(0.0) / speed_mps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::TrackRole;
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn who_is_parked_is_no_subject_and_makes_no_hard_negatives() {
+        let mut scene = scene(&[
+            Drive::straight(20.0, 0.0, 0.0, 0.0),
+            Drive::straight(0.0, 0.0, 0.0, 15.0),
+            Drive::straight(0.0, 3.5, 0.0, 15.0),
+        ]);
+        let event = |behavior: &str, label, agents: [usize; 2]| {
+            let entry = BehaviorEntry::of(behavior).unwrap();
+            BehaviorEvent::new((entry.id, entry.roles), &scene, label, &agents, 4..=11)
+        };
+        let [positive, negative] = [EventLabel::Positive, EventLabel::Negative];
+        let hits = [event("collision", positive, [0, 1]), event("collision", positive, [1, 0])];
+        let others = [event("cut_in", positive, [0, 1]), event("cut_in", negative, [1, 0])];
+        let of_driving = event("cut_in", negative, [1, 2]);
+        assert!([&hits[..], &others].concat().iter().all(|event| !event.is_of_parked(&scene)));
+        scene.tracks[0].role = TrackRole::Parked;
+        assert!(hits.iter().all(|event| event.subject_idx(&scene) == Some(1) && !event.is_of_parked(&scene)));
+        assert!(others.iter().all(|event| event.is_of_parked(&scene)) && !of_driving.is_of_parked(&scene));
+    }
 }

@@ -95,7 +95,9 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
             let track = &scene.tracks[*agent_idx];
-            behavior.admits(track.class) && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
+            behavior.admits(track.class)
+                && !track.is_parked()
+                && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
         })
         .collect();
     let is_single = behavior.roles().len() == 1;
@@ -133,11 +135,12 @@ pub(super) fn slots(batch: &SceneBatch, agents: &[(usize, usize)]) -> Result<Vec
     agents.iter().enumerate().map(|(row, pair)| Ok((slot(row, pair.0)?, slot(row, pair.1)?))).collect()
 }
 
-/// How many agents are nearer to agent `center` at present than `agent_idx`; ties go to the smaller index.
+/// How many agents are nearer to agent `center` at present than `agent_idx`, parked ones aside; ties go to the smaller
+/// index.
 fn proximity_rank(scene: &Scene, center: usize, agent_idx: usize) -> usize {
     let key = |agent_idx: usize| (distance_m(scene, center, agent_idx), agent_idx);
     let own = key(agent_idx);
-    (0..scene.tracks.len()).filter(|other| key(*other) < own).count()
+    (0..scene.tracks.len()).filter(|other| !scene.tracks[*other].is_parked() && key(*other) < own).count()
 }
 
 /// Distance of two agents at present, meters; infinite unless both are tracked then.

@@ -30,7 +30,7 @@ const MAX_SPEED_MPS: f64 = 1e6;
 /// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.
 ///
 /// The ego is the focal track; if there is none at present, a seeded draw among the motorized tracks that are tracked
-/// throughout, or else among those tracked at present. `map` is `None` if scenes need no lanes.
+/// throughout, or else among those tracked at present; parked ones come last. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
 /// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, those with `no_lanes_in_radius` of the
@@ -166,12 +166,17 @@ fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, Stat
         let drawn = seed.derive_named("ego", &raw.id.0).rng().below(eligible.len());
         eligible.get(drawn).copied()
     };
+    let drives = |track: &Track| !track.is_parked();
     let focal = raw.tracks.iter().position(|track| track.role == TrackRole::Focal && is_present(track));
-    let ego_idx = focal.or_else(|| draw(&is_whole)).or_else(|| draw(&is_present))?;
+    let ego_idx = focal
+        .or_else(|| draw(&|track| drives(track) && is_whole(track)))
+        .or_else(|| draw(&|track| drives(track) && is_present(track)))
+        .or_else(|| draw(&is_present))?;
     raw.tracks[ego_idx].trajectory.get(present).map(|state| (ego_idx, *state))
 }
 
-/// The tracks that take part, by ascending index: the ego, and the nearest of those present up to the cap.
+/// The tracks that take part, by ascending index: the ego, and the nearest of those present up to the cap, parked
+/// vehicles behind all others.
 fn choose_agents(
     tracks: &[Track],
     ego_idx: usize,
@@ -195,9 +200,14 @@ fn choose_agents(
             by_distance.push((if is_ego { -1.0 } else { state.position.distance(ego_position) }, idx));
         }
     }
-    by_distance.sort_by(|(a, i), (b, j)| a.total_cmp(b).then_with(|| tracks[*i].id.cmp(&tracks[*j].id)));
+    by_distance.sort_by(|(a, i), (b, j)| {
+        let is_behind = |idx: usize| tracks[idx].is_parked() && idx != ego_idx;
+        is_behind(*i).cmp(&is_behind(*j)).then(a.total_cmp(b)).then_with(|| tracks[*i].id.cmp(&tracks[*j].id))
+    });
     counts.count_dropped("agents_over_cap", by_distance.len().saturating_sub(config.max_agents) as u64);
     by_distance.truncate(config.max_agents);
+    let n_parked = by_distance.iter().filter(|(_, idx)| tracks[*idx].is_parked()).count();
+    counts.count_assumed("vehicles_parked", n_parked as u64);
     let mut kept: Vec<usize> = by_distance.into_iter().map(|(_, idx)| idx).collect();
     kept.sort_unstable();
     kept

@@ -42,6 +42,7 @@ mod raw;
 mod recorded_track;
 mod report;
 mod source;
+mod standing;
 mod table;
 #[cfg(test)]
 mod test_data;

@@ -7,9 +7,11 @@ use arrow::compute::{cast, concat_batches};
 use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
 use parquet::DecodeResult;
 use parquet::arrow::arrow_reader::ArrowReaderOptions;
-use parquet::arrow::push_decoder::ParquetPushDecoderBuilder;
+use parquet::arrow::push_decoder::{ParquetPushDecoder, ParquetPushDecoderBuilder};
 use parquet::arrow::{ProjectionMask, parquet_to_arrow_schema};
-use parquet::file::metadata::ParquetMetaDataPushDecoder;
+use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData, ParquetMetaDataPushDecoder};
+use std::io::{BufRead, Read};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Limits of a file: a small one may hold gigabytes.
@@ -177,18 +179,12 @@ fn decode(
     numbers: &[&str],
     limits: Limits,
 ) -> Result<(RecordBatch, Vec<String>), Malformed> {
-    let whole = 0..bytes.len() as u64;
-    let mut metadata_decoder = ParquetMetaDataPushDecoder::try_new(whole.end)?;
-    metadata_decoder.push_range(whole.clone(), bytes.to_vec().into())?;
-    let DecodeResult::Data(metadata) = metadata_decoder.try_decode()? else {
-        return Err("the file is cut short".into());
-    };
+    let metadata = read_footer(bytes, bytes.len() as u64)?.ok_or("the file is cut short")?;
     let n_rows = metadata.file_metadata().num_rows();
     if !(0..=limits.n_rows as i64).contains(&n_rows) {
         return Err(format!("{n_rows} rows, expected at most {}", limits.n_rows).into());
     }
-    let file = metadata.file_metadata();
-    let schema = parquet_to_arrow_schema(file.schema_descr(), file.key_value_metadata())?;
+    let schema = schema_of(&metadata)?;
     let is_number = |name: &&&str| schema.field_with_name(name).is_ok_and(|field| field.data_type().is_numeric());
     let names: Vec<&str> = names.iter().chain(numbers.iter().filter(is_number)).copied().collect();
     let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
@@ -197,11 +193,8 @@ fn decode(
     if n_bytes > limits.n_bytes as u64 {
         return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, limits.n_bytes >> 20).into());
     }
-    let options = ArrowReaderOptions::new().with_schema(views(&schema, &names)?);
-    let mask = ProjectionMask::columns(file.schema_descr(), names.iter().copied());
-    let mut decoder = ParquetPushDecoderBuilder::try_new_decoder_with_options(Arc::new(metadata), options)
-        .and_then(|builder| builder.with_projection(mask).with_batch_size(limits.n_rows).build())?;
-    decoder.push_range(whole, bytes.to_vec().into())?;
+    let mut decoder = decoder(&Arc::new(metadata), &names, limits.n_rows)?;
+    decoder.push_range(0..bytes.len() as u64, bytes.to_vec().into())?;
     let mut batches = Vec::new();
     loop {
         match decoder.try_decode()? {
@@ -211,6 +204,106 @@ fn decode(
         }
     }
     let first = batches.first().ok_or("the file has no rows")?;
-    let all_names = schema.fields().iter().map(|field| field.name().clone()).collect();
-    Ok((concat_batches(&first.schema(), &batches)?, all_names))
+    Ok((concat_batches(&first.schema(), &batches)?, names_of(&schema)))
+}
+
+/// What the last bytes of a file of `n_bytes` say of it; `None` if it takes more of them.
+pub(super) fn read_footer(last: &[u8], n_bytes: u64) -> Result<Option<ParquetMetaData>, Malformed> {
+    let mut decoder = ParquetMetaDataPushDecoder::try_new(n_bytes)?.with_page_index_policy(PageIndexPolicy::Skip);
+    decoder.push_range(n_bytes.saturating_sub(last.len() as u64)..n_bytes, last.to_vec().into())?;
+    let DecodeResult::Data(metadata) = decoder.try_decode()? else { return Ok(None) };
+    Ok(Some(metadata))
+}
+
+fn schema_of(metadata: &ParquetMetaData) -> Result<Schema, Malformed> {
+    let file = metadata.file_metadata();
+    Ok(parquet_to_arrow_schema(file.schema_descr(), file.key_value_metadata())?)
+}
+
+fn names_of(schema: &Schema) -> Vec<String> {
+    schema.fields().iter().map(|field| field.name().clone()).collect()
+}
+
+fn decoder(
+    metadata: &Arc<ParquetMetaData>,
+    names: &[&str],
+    n_rows_at_a_time: usize,
+) -> Result<ParquetPushDecoder, Malformed> {
+    let options = ArrowReaderOptions::new().with_schema(views(&schema_of(metadata)?, names)?);
+    let mask = ProjectionMask::columns(metadata.file_metadata().schema_descr(), names.iter().copied());
+    Ok(ParquetPushDecoderBuilder::try_new_decoder_with_options(Arc::clone(metadata), options)
+        .and_then(|builder| builder.with_projection(mask).with_batch_size(n_rows_at_a_time).build())?)
+}
+
+/// Rows that a [`Stream`] decodes at a time.
+const N_ROWS_AT_A_TIME: usize = 8192;
+/// Most bytes of a column that a [`Stream`] holds, compressed.
+const MAX_CHUNK_BYTES: u64 = 1 << 30;
+
+/// Some columns of a file that comes as a stream, some rows at a time. Memory is that of a row group, compressed.
+pub(super) struct Stream<'r> {
+    file: &'r mut dyn BufRead,
+    n_bytes_read: u64,
+    decoder: ParquetPushDecoder,
+    names: Vec<String>,
+}
+
+impl<'r> Stream<'r> {
+    /// The columns of these `names` of a file with this footer, read from its beginning.
+    pub(super) fn of(
+        file: &'r mut dyn BufRead,
+        metadata: &Arc<ParquetMetaData>,
+        names: &[&str],
+    ) -> Result<Self, Malformed> {
+        let decoder = decoder(metadata, names, N_ROWS_AT_A_TIME)?;
+        Ok(Self { file, n_bytes_read: 0, decoder, names: names_of(&schema_of(metadata)?) })
+    }
+
+    /// The names of all columns of the file.
+    pub(super) fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// The next rows; `None` at the end.
+    pub(super) fn next(&mut self) -> Result<Option<Columns>, Malformed> {
+        loop {
+            let damaged = || Err("the file is damaged beyond decoding".into());
+            let decoder = &mut self.decoder;
+            let decoded = contained(|| decoder.try_decode().map_err(Malformed::from)).unwrap_or_else(damaged)?;
+            match decoded {
+                DecodeResult::Finished => return Ok(None),
+                DecodeResult::Data(batch) => {
+                    return Ok(Some(Columns {
+                        batch,
+                        names: self.names.clone(),
+                        max_text_bytes: MAX_CHUNK_BYTES as usize,
+                    }));
+                }
+                DecodeResult::NeedsData(mut ranges) => {
+                    ranges.sort_by_key(|range| range.start);
+                    for range in ranges {
+                        let bytes = self.bytes(&range)?;
+                        self.decoder.push_range(range, bytes.into())?;
+                    }
+                }
+            }
+        }
+    }
+
+    /// These bytes of the file, which come behind all that were read.
+    fn bytes(&mut self, range: &Range<u64>) -> Result<Vec<u8>, Malformed> {
+        let n_bytes = range.end.saturating_sub(range.start);
+        let n_between = range.start.checked_sub(self.n_bytes_read).ok_or("its columns are not one after the other")?;
+        if n_bytes > MAX_CHUNK_BYTES {
+            return Err(format!("a column has {} MiB in a row group", n_bytes >> 20).into());
+        }
+        let mut bytes = Vec::new();
+        let n_skipped = std::io::copy(&mut Read::take(&mut *self.file, n_between), &mut std::io::sink());
+        let n_read = Read::take(&mut *self.file, n_bytes).read_to_end(&mut bytes);
+        if !n_skipped.is_ok_and(|n| n == n_between) || !n_read.is_ok_and(|n| n as u64 == n_bytes) {
+            return Err("the file is cut short".into());
+        }
+        self.n_bytes_read = range.end;
+        Ok(bytes)
+    }
 }

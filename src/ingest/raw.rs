@@ -3,7 +3,7 @@
 use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split, Track};
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -39,18 +39,29 @@ pub struct RawUnit {
 /// A part of a long table: the rows of some of its scenes. Times are seconds after its frame 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
+    /// What messages count: lines of text, or rows.
+    pub counted: &'static str,
     /// The time of frame 0 as rows have it.
     pub start_s: f64,
     /// First and last frame of the whole table.
     pub frames: (i64, i64),
-    /// The tracks of the table in the order of their first rows.
-    pub tracks: Arc<BTreeMap<String, usize>>,
+    /// The tracks of the table.
+    pub tracks: Arc<BTreeMap<String, SeenTrack>>,
     /// Its windows among those of the table.
     pub windows: Range<i64>,
     /// When a row is counted with this part.
     pub own_s: Range<f64>,
     /// Its rows, some of which parts beside it have, too.
     pub rows_s: Range<f64>,
+}
+
+/// What all rows of a table say of a track.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenTrack {
+    /// Its place in the order of first rows.
+    pub number: usize,
+    /// When it is parked, seconds after frame 0.
+    pub parked_s: Vec<RangeInclusive<f64>>,
 }
 
 /// The second file of a [`RawUnit`].

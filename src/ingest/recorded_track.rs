@@ -1,8 +1,10 @@
 //! One agent of a long recording, from which scenes are cut.
 
 use super::plausible_tracks::recorded_heading;
+use super::standing::Standing;
 use crate::geometry::Vec2;
 use crate::scene::{AgentClass, Derivation, Extent, State, Track, TrackId, TrackRole, Trajectory, velocity_at};
+use std::ops::RangeInclusive;
 
 /// Time between frames, seconds.
 pub(super) const DT_S: f64 = 0.1;
@@ -30,6 +32,8 @@ pub(super) struct RecordedTrack {
     pub(super) class: AgentClass,
     role: TrackRole,
     pub(super) extent: Option<Extent>,
+    /// When it is parked, seconds after frame 0.
+    pub(super) parked_s: Vec<RangeInclusive<f64>>,
     /// By ascending frame.
     pub(super) states: Vec<(i64, State, HeadingSource)>,
 }
@@ -81,7 +85,10 @@ impl RecordedTrack {
         extent: Option<Extent>,
         observations: &[Observation],
     ) -> Self {
-        Self { id, class, role, extent, states: states(observations, class) }
+        let mut standing = Standing::default();
+        observations.iter().for_each(|seen| standing.see(seen.frame as f64 * DT_S, seen.position));
+        let parked_s = standing.parked_s(0.0);
+        Self { id, class, role, extent, parked_s, states: states(observations, class) }
     }
 
     /// First and last frame.
@@ -124,6 +131,10 @@ impl RecordedTrack {
             true => trajectory,
             false => trajectory.derived(Derivation { held_headings, recorded: Vec::new() }),
         };
-        Some(Track { id: self.id.clone(), class: self.class, role: self.role, extent: self.extent, trajectory })
+        let times_s = [states.first()?.0, states.last()?.0].map(|frame| frame as f64 * DT_S);
+        let stands = |parked_s: &RangeInclusive<f64>| times_s.iter().all(|time_s| parked_s.contains(time_s));
+        let is_parked = self.class.is_motorized() && self.parked_s.iter().any(stands);
+        let role = if self.role == TrackRole::Context && is_parked { TrackRole::Parked } else { self.role };
+        Some(Track { id: self.id.clone(), class: self.class, role, extent: self.extent, trajectory })
     }
 }

@@ -14,13 +14,15 @@ pub enum TrackRole {
     Scored,
     /// The vehicle that carried the sensors.
     Recorder,
+    /// A vehicle that stands for minutes: an obstacle to others.
+    Parked,
     /// Everybody else.
     Context,
 }
 
 impl TrackRole {
     /// Every role, in the order of their codes.
-    pub const ALL: [Self; 4] = [Self::Focal, Self::Scored, Self::Recorder, Self::Context];
+    pub const ALL: [Self; 5] = [Self::Focal, Self::Scored, Self::Recorder, Self::Parked, Self::Context];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
@@ -28,6 +30,7 @@ impl TrackRole {
             Self::Focal => "focal",
             Self::Scored => "scored",
             Self::Recorder => "recorder",
+            Self::Parked => "parked",
             Self::Context => "context",
         }
     }
@@ -54,6 +57,12 @@ pub struct Track {
 }
 
 impl Track {
+    /// Whether it is a vehicle that stands for minutes. It comes behind all others where there is no room for all, and
+    /// nothing is asked of it.
+    pub fn is_parked(&self) -> bool {
+        self.role == TrackRole::Parked
+    }
+
     /// The recorded size, or the nominal one of its class.
     pub fn extent_or_nominal(&self) -> Extent {
         self.extent.unwrap_or_else(|| self.class.nominal_extent())

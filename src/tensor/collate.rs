@@ -43,7 +43,8 @@ pub struct Collator {
     pub normalizer: Normalizer,
     /// Timesteps of a row; scenes with fewer (history only) are padded with entries to generate.
     pub n_timesteps: usize,
-    /// At most so many agents a row: those nearest to the ego agent at the last timestep of the history.
+    /// At most so many agents a row: those nearest to the ego agent at the last timestep of the history, of whom
+    /// vehicles that are parked come last.
     pub max_agents: usize,
     /// At most so many lane polylines a row, nearest first.
     pub max_lanes: usize,
@@ -79,10 +80,12 @@ impl Collator {
         for (row, (view, frame)) in views.iter().zip(&frames).enumerate() {
             for (slot, agent_idx) in frame.agents.iter().enumerate() {
                 let at = row * n_agents + slot;
-                let mut agent = AgentRow::new(self, view, frame, *agent_idx, validity, at);
+                let recorded = &recorded[row].scene.tracks[*agent_idx];
+                let agent = AgentRow::new(self, view, frame, *agent_idx, validity, at);
+                let mut agent = agent.rough_like(view, recorded, *agent_idx);
                 // A network in training does not see the errors that would be left after the present.
                 if validity == FutureValidity::Everything {
-                    agent = agent.fading_from(view.scene, &recorded[row].scene.tracks[*agent_idx]);
+                    agent = agent.fading_from(view.scene, recorded);
                 }
                 let modes = agent.write(&mut rows);
                 modes_of_agents.extend(modes.map(|modes| (at, modes)));
@@ -118,7 +121,10 @@ impl Collator {
                 let state = view.scene.state(*agent_idx, current);
                 state.map_or(f64::INFINITY, |state| ego_from_scene.point(state.position).norm())
             };
-            agents.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(a.cmp(b)));
+            let is_parked = |agent_idx: &usize| view.scene.tracks[*agent_idx].is_parked() && *agent_idx != view.ego_idx;
+            let order =
+                |a: &usize, b: &usize| is_parked(a).cmp(&is_parked(b)).then(distance(a).total_cmp(&distance(b)));
+            agents.sort_by(|a, b| order(a, b).then(a.cmp(b)));
             agents.truncate(self.max_agents);
             agents.sort_unstable();
         }

@@ -10,7 +10,7 @@ const STILL_STEP_M: f64 = 0.004;
 const SAME_PLACE_M: f64 = 1e-6;
 
 /// Whether who stands is exactly still in a recording of which these are observed states of an agent each, state by
-/// state: steps too short to be motion are mostly none. Trackers of some datasets move standing vehicles by millimeters.
+/// state: steps too short to be motion are mostly none. Some trackers move standing vehicles by millimeters.
 pub(super) fn stands_still(agents: impl IntoIterator<Item = Vec<Option<State>>>) -> bool {
     let (mut n_still, mut n_moved) = (0, 0);
     for states in agents {

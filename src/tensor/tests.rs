@@ -5,7 +5,7 @@ use super::*;
 use crate::geometry::{Vec2, angle_difference};
 use crate::nn::testing::{scalar, values};
 use crate::scene::testing::{Drive, scene, without_states};
-use crate::scene::{ObservationMask, Scene, State, Trajectory};
+use crate::scene::{ObservationMask, Scene, State, TrackRole, Trajectory};
 use crate::seed::Seed;
 use candle_core::{Device, Tensor};
 
@@ -73,6 +73,20 @@ fn no_motion_is_constant_velocity() {
     // The car that drives straight on has no residual at all.
     let x0 = values(&batch.x0.get(0).unwrap().get(0).unwrap());
     assert!(x0.iter().all(|x| x.abs() < 1e-5), "{x0:?}");
+}
+
+#[test]
+fn parked_vehicles_are_left_out_before_others() {
+    let drives = [0.0, 5.0, 40.0, 7.0].map(|x| Drive::straight(x, 0.0, 0.0, if x == 40.0 { 9.0 } else { 0.0 }));
+    let mut scene = scene(&drives);
+    for agent_idx in [0, 1, 3] {
+        scene.tracks[agent_idx].role = TrackRole::Parked;
+    }
+    let mask = ObservationMask::predictive(4, 12, 4);
+    for (max_agents, expected) in [(1, vec![0]), (2, vec![0, 2]), (3, vec![0, 1, 2]), (4, vec![0, 1, 2, 3])] {
+        let collator = Collator { max_agents, ..collator([&scene], StateParametrization::Motion) };
+        assert_eq!(collate(&collator, &scene, 0, &mask).frames[0].agents, expected);
+    }
 }
 
 #[test]

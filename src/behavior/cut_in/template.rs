@@ -6,7 +6,9 @@ use super::feasible::{CutInPlan, Pair};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::maneuver::spread;
-use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, distinct, quintic, quintic_inverse};
+use crate::behavior::template::{
+    InTheWay, MOST_ANGLE_RAD, QUINTIC_PEAK, QUINTIC_SLOPE, Template, distinct, quintic, quintic_inverse,
+};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
@@ -170,7 +172,9 @@ impl Pair {
         let comfortable_s = style.hurry * (QUINTIC_PEAK * aside_m / COMFORTABLE_MPS2).sqrt();
         HURRIES.into_iter().find_map(|hurry| {
             let takes_s = most_s.min(comfortable_s * hurry);
-            if QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
+            let along_m = f64::midpoint(self.their_mps, plan.then_mps) * takes_s;
+            let is_steep = QUINTIC_SLOPE * aside_m > MOST_ANGLE_RAD.tan() * along_m;
+            if is_steep || QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
                 return None;
             }
             // A vehicle that moves over is turned, so a corner of its box enters the path first.
@@ -281,6 +285,28 @@ mod tests {
             "{n_found} of {} outcomes have a template, {n_braked} with an ego that brakes",
             outcomes.len()
         );
+    }
+
+    #[test]
+    fn nobody_cuts_in_at_a_steep_angle_or_while_drifting_away() {
+        let behavior = CutIn::new(CutInConfig::default());
+        let slow = going_on(&[Drive::straight(0.0, 0.0, 0.0, 3.0), Drive::straight(8.0, 3.5, 0.0, 3.0)], two_lanes());
+        let scenes = [slow, beside(Drive::straight(12.0, 3.5, 0.0, 10.0))];
+        let mut n_templates = 0;
+        for (scene, variant) in scenes.iter().flat_map(|scene| (0..40).map(move |variant| (scene, variant))) {
+            let Some(template) = behavior.template(scene, &[0, 1], &BTreeMap::new(), variant) else { continue };
+            let mut changed = scene.clone();
+            template.apply(&mut changed);
+            let states = changed.tracks[1].trajectory.entries().iter().flatten();
+            let steepest = states.map(|state| state.heading_rad.abs()).fold(0.0, f64::max);
+            assert!(steepest < MOST_ANGLE_RAD + 0.05, "{steepest}");
+            n_templates += 1;
+        }
+        assert!(n_templates > 20, "{n_templates}");
+        let away = |heading_rad: f64| {
+            behavior.template(&beside(Drive::straight(14.0, 3.5, heading_rad, 10.0)), &[0, 1], &BTreeMap::new(), 0)
+        };
+        assert!(away(0.03).is_some() && away(-0.08).is_some() && away(0.08).is_none());
     }
 
     #[test]

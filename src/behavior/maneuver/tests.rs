@@ -1,7 +1,9 @@
 //! Maneuvers of all behaviors against their miners.
 
 use super::spread;
-use crate::behavior::testing::{fork, fork_with_oncoming, going_on, side_road, stop_line, two_lanes};
+use crate::behavior::testing::{
+    fork, fork_with_oncoming, going_on, merging_side_road, side_road, stop_line, two_lanes,
+};
 use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::testing::Drive;
@@ -265,6 +267,25 @@ fn who_follows_closely_brakes_hard() {
         }
     }
     assert!((2.5..9.0).contains(&gentlest_mps2), "{gentlest_mps2}");
+}
+
+#[test]
+fn nobody_stops_behind_who_drives_on_ahead() {
+    // It turns into the main road, and the one that it cut off could stop within the scene.
+    let behavior = BehaviorConfig::from_id("failure_to_yield").unwrap().build();
+    let mut n_plans = 0;
+    for (x, speed_mps) in [(-22.0, 6.0), (-28.0, 8.0)] {
+        let scene = going_on(&from_the_side(x, speed_mps), merging_side_road());
+        for plan in super::plans(&*behavior, &scene, &[0, 1], 200) {
+            let mut changed = scene.clone();
+            plan.template(&scene, &[0, 1]).unwrap().apply(&mut changed);
+            let speeds = changed.tracks[1].trajectory.entries().iter().flatten().map(State::speed_mps);
+            let slowest_mps = speeds.fold(f64::INFINITY, f64::min);
+            assert!(slowest_mps > 0.5, "{slowest_mps} m/s from {speed_mps}");
+            n_plans += 1;
+        }
+    }
+    assert!(n_plans > 3, "{n_plans}");
 }
 
 #[test]

@@ -61,13 +61,24 @@ const FORK: &str = "
 /// A main road along x that has the right of way, and a side road along y that crosses it and has this role in the
 /// rule.
 pub(crate) fn side_road(role: &str) -> LaneGraph {
+    side_road_onto(role, "[0, -6], [0, 100]")
+}
+
+/// [`side_road`] that turns right into the main road and has to yield.
+pub(crate) fn merging_side_road() -> LaneGraph {
+    let arc = (0..=9).map(|i| (f64::from(i) * 10.0).to_radians());
+    let point = |turned: f64| format!("[{}, {}], ", 6.0 - 6.0 * turned.cos(), 6.0 * turned.sin() - 6.0);
+    side_road_onto("yield", &format!("{}[100, 0]", arc.map(point).collect::<String>()))
+}
+
+fn side_road_onto(role: &str, onto: &str) -> LaneGraph {
     let rule = |role: &str| format!(r#"tags = {{ "regulatory:1" = "role={role};subtype=right_of_way" }}"#);
     lane_graph(&format!(
         "lanes = [
             {{ id = 1, centerline = [[-100, 0], [-6, 0]], successors = [2], {} }},
             {{ id = 2, centerline = [[-6, 0], [100, 0]] }},
             {{ id = 3, centerline = [[0, -100], [0, -6]], successors = [4], {} }},
-            {{ id = 4, centerline = [[0, -6], [0, 100]] }}]",
+            {{ id = 4, centerline = [{onto}] }}]",
         rule("right_of_way"),
         rule(role)
     ))

@@ -131,6 +131,23 @@ fn the_cap_keeps_the_nearest_with_ties_by_id() {
 }
 
 #[test]
+fn parked_vehicles_are_there_if_there_is_room_but_never_the_ego_of_traffic() {
+    let parked = |id: &str, x: f64| track(id, TrackRole::Parked, Vec2::new(x, 0.0), 0.0, |_| true);
+    let late = track("late", TrackRole::Context, Vec2::new(40.0, 0.0), 0.0, |t| t >= PRESENT);
+    let tracks = vec![parked("p", 1.0), parked("q", 2.0), late, parked("r", 41.0)];
+    for seed in 0..10 {
+        let config = IngestConfig { seed, max_agents: 2, ..config() };
+        let (scene, counts) = assemble(raw(tracks.clone()), None, &config).expect("complete");
+        assert_eq!((scene.ego().id.0.as_str(), ids(&scene)), ("late", vec!["late", "r"]));
+        assert_eq!((counts.dropped["agents_over_cap"], counts.assumed["vehicles_parked"]), (2, 1));
+        let walker = Track { class: AgentClass::Pedestrian, ..context("w", 1.0, 1.0) };
+        let config = IngestConfig { max_agents: 1, ..config };
+        let (scene, _) = assemble(raw(vec![parked("p", 1.0), walker]), None, &config).expect("complete");
+        assert_eq!(ids(&scene), ["p"], "of nobody else, it is the ego");
+    }
+}
+
+#[test]
 fn who_is_not_there_at_present_and_static_objects_are_left_out() {
     let gone = track("gone", TrackRole::Context, Vec2::ZERO, 0.0, |t| t < PRESENT);
     let later = track("later", TrackRole::Context, Vec2::ZERO, 0.0, |t| t > PRESENT);

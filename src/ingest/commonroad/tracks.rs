@@ -63,7 +63,7 @@ impl Obstacle {
         states.iter().any(Option::is_some).then(|| Track {
             id: self.id.clone(),
             class: self.class,
-            role: TrackRole::Context,
+            role: if self.is_static && self.class.is_motorized() { TrackRole::Parked } else { TrackRole::Context },
             extent: self.extent,
             trajectory: Trajectory::new(states),
         })

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 const LIMITS: Limits = Limits { n_rows: 1 << 27, n_bytes: 4 << 30 };
 
 /// What Parquet files begin with.
-const PARQUET: &[u8] = b"PAR1";
+pub(super) const PARQUET: &[u8] = b"PAR1";
 
 /// The kind of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,6 +50,8 @@ pub(super) struct Table {
     texts: BTreeMap<String, Texts>,
     /// The line of each row; empty if the table is no text.
     lines: Vec<u32>,
+    /// What `lines` are called.
+    pub(super) counted: &'static str,
     /// The names of all columns, for messages.
     names: Vec<String>,
 }
@@ -84,7 +86,7 @@ impl Table {
 
     /// Where a row is, as messages say it.
     pub(super) fn place_of(&self, row: usize) -> String {
-        self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("line {line}"))
+        self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("{} {line}", self.counted))
     }
 
     /// The error that the table has none of these columns.
@@ -98,7 +100,7 @@ impl Table {
         let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
         let mut reader = csv_reader(separator_of(header)).from_reader(bytes);
         let names: Vec<String> = reader.byte_headers()?.iter().map(printable).collect();
-        let mut table = Self { names, ..Self::default() };
+        let mut table = Self { names, counted: "line", ..Self::default() };
         let mut found = Vec::new();
         for (name, kind) in wanted {
             let mut places = table.names.iter().enumerate().filter(|(_, found)| found == name);
@@ -157,7 +159,7 @@ impl Table {
                 Kind::Number => drop(table.numbers.insert((*name).to_owned(), columns.float_or_nan(name)?)),
                 Kind::Text => {
                     let mut texts = Texts::default();
-                    columns.text_or_null(name)?.iter().for_each(|text| texts.push(text.unwrap_or_default()));
+                    columns.text_or_null(name)?.iter().for_each(|text| texts.push(text.unwrap_or_default().trim()));
                     table.texts.insert((*name).to_owned(), texts);
                 }
             }

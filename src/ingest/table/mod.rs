@@ -1,9 +1,8 @@
 //! Tables in no format of their own, read as a mapping in the configuration says.
 //!
 //! A file has one recording or several, each with any number of tracks, whose rows may be in any order and at any
-//! times: they are resampled to 10 Hz. A long one in CSV is read in parts ([`parts`]); Parquet, and files of several
-//! recordings, are held in memory. The scenes of a recording are windows of it. A map is a file in Lanelet2 or
-//! OpenDRIVE that has the name of the place.
+//! times: they are resampled to 10 Hz. A long one is read in parts ([`parts`]). The scenes of a recording are windows
+//! of it. A map is a file in Lanelet2 or OpenDRIVE that has the name of the place.
 //!
 //! Reasons of rejects, of recordings or whole files:
 //!

@@ -1,17 +1,22 @@
 //! Are the scenes of a table that is read in parts those of the table as a whole?
 
+use super::columns::csv_reader;
 use super::*;
 use crate::ingest::raw::{RawScene, Reject};
+use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray};
+use parquet::arrow::ArrowWriter;
+use parquet::file::properties::WriterProperties;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 const SMALL: Sizes = Sizes { whole_bytes: 1000, part_bytes: 4000, part_s: 12.0, n_at_a_time: 2 };
 
-/// Two minutes at 5 Hz of a truck that drives, a car that comes late, is not seen for a while and repeats a row, one
+/// Four minutes at 5 Hz of a truck that drives, a car that comes late, is not seen for a while and repeats a row, one
 /// that parks, and somebody without an id.
 fn rows() -> Vec<(f64, String)> {
     let mut rows = Vec::new();
-    for i in 0..600 {
+    for i in 0..1200 {
         let t = 1000.1 + f64::from(i) / 5.0;
         rows.push((t, format!("truck,{t},{},3.5,truck,x", 2.0 * f64::from(i))));
         if i > 100 && !(300..305).contains(&i) {
@@ -32,7 +37,7 @@ fn table(rows: &[(f64, String)]) -> String {
 
 fn config(mapping: &str) -> IngestConfig {
     let table = format!(
-        "columns = {{ track = 'id', x = 'x', y = 'y', time = 't', class = 'c' }}
+        "columns.track = 'id'\ncolumns.x = 'x'\ncolumns.y = 'y'\ncolumns.time = 't'\ncolumns.class = 'c'
          classes = {{ car = 'vehicle', truck = 'vehicle' }}\nmax_gap_s = 1.5\n{mapping}"
     );
     IngestConfig {
@@ -44,7 +49,7 @@ fn config(mapping: &str) -> IngestConfig {
 }
 
 /// The units of files in as many passes as are wanted.
-fn units(tables: &Tables<'_>, sizes: Sizes, files: &[(&str, &str)]) -> Vec<Result<RawUnit, Reject>> {
+fn units<T: AsRef<[u8]>>(tables: &Tables<'_>, sizes: Sizes, files: &[(&str, T)]) -> Vec<Result<RawUnit, Reject>> {
     let (mut reader, mut units) = (tables.part_reader(sizes), Vec::new());
     let mut emit = |unit| {
         units.push(unit);
@@ -53,7 +58,7 @@ fn units(tables: &Tables<'_>, sizes: Sizes, files: &[(&str, &str)]) -> Vec<Resul
     loop {
         for (name, text) in files {
             let entry = Entry { path: (*name).to_owned(), container: "in".into(), size: None };
-            assert!(reader.read(&entry, &mut text.as_bytes(), &mut emit).unwrap().is_continue());
+            assert!(reader.read(&entry, &mut text.as_ref(), &mut emit).unwrap().is_continue());
         }
         if !reader.next_pass() {
             break;
@@ -90,6 +95,22 @@ fn scenes(
     (scenes, counts)
 }
 
+/// The sums of findings, which are those of the whole as are the scenes.
+fn compared(config: &IngestConfig, n_parts_above: usize, files: &[(&str, Vec<u8>)]) -> BTreeMap<String, u64> {
+    let tables = Tables::new(config).unwrap();
+    let (whole, parts) = (units(&tables, SIZES, files), units(&tables, SMALL, files));
+    assert!(whole.len() == 1 && parts.len() > n_parts_above, "{} parts", parts.len());
+    let (whole, parts) = (scenes(&tables, whole), scenes(&tables, parts));
+    assert!(whole.0.len() > 150 && whole.0.keys().eq(parts.0.keys()));
+    for (id, scene) in &whole.0 {
+        assert_eq!(scene, &parts.0[id], "{id}");
+    }
+    assert_eq!(whole.1, parts.1);
+    let n_parked = |scenes: &BTreeMap<String, String>| scenes.values().filter(|scene| scene.contains("Parked")).count();
+    assert!(n_parked(&whole.0) > whole.0.len() * 2 / 3);
+    whole.1
+}
+
 #[test]
 fn parts_give_the_scenes_of_the_whole() {
     let by_time = rows();
@@ -100,23 +121,64 @@ fn parts_give_the_scenes_of_the_whole() {
         for (mapping, companion) in
             [("", None), ("track_files = '*.meta'", Some("id,c\ntruck,truck\n\"late, car\",car\nparked,car\n"))]
         {
-            let config = config(mapping);
-            let tables = Tables::new(&config).unwrap();
             let text = if companion.is_some() { text.replace("id,t,x,y,c,", "id,t,x,y,d,") } else { text.clone() };
-            let files: Vec<(&str, &str)> =
-                [("a.csv", text.as_str())].into_iter().chain(companion.map(|text| ("a.meta", text))).collect();
-            let whole = units(&tables, SIZES, &files);
-            let parts = units(&tables, SMALL, &files);
-            assert!(whole.len() == 1 && parts.len() > n_passes_at_least * SMALL.n_at_a_time, "{} parts", parts.len());
-            let (whole, parts) = (scenes(&tables, whole), scenes(&tables, parts));
-            assert!(whole.0.len() > 150 && whole.0.keys().eq(parts.0.keys()));
-            for (id, scene) in &whole.0 {
-                assert_eq!(scene, &parts.0[id], "{id}");
-            }
-            assert_eq!(whole.1, parts.1);
+            let both = |name, table: Vec<u8>| {
+                let companion = companion.map(|text| ("a.meta", text.as_bytes().to_vec()));
+                [(name, table)].into_iter().chain(companion).collect::<Vec<_>>()
+            };
+            let n_parts_above = n_passes_at_least * SMALL.n_at_a_time;
+            let counts = compared(&config(mapping), n_parts_above, &both("a.csv", text.clone().into_bytes()));
             let expected = [("gaps_filled", 1), ("rows_repeated", 1), ("rows_without_track", 1)];
-            assert_eq!(whole.1, expected.map(|(what, n)| (what.to_owned(), n)).into());
+            assert_eq!(counts, expected.map(|(what, n)| (what.to_owned(), n)).into());
+            let mapping = format!("files = '*.parquet'\n{mapping}");
+            let of_parquet = compared(&config(&mapping), n_parts_above, &both("a.parquet", parquet(&text)));
+            assert_eq!(of_parquet, counts);
         }
+    }
+}
+
+/// The same table in Parquet, in row groups of 100 rows.
+fn parquet(text: &str) -> Vec<u8> {
+    let mut reader = csv_reader(b',').from_reader(text.as_bytes());
+    let names = reader.headers().unwrap().clone();
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    let column = |(index, name): (usize, &str)| -> (String, ArrayRef) {
+        let cells = rows.iter().map(|row| Some(&row[index]).filter(|cell| !cell.is_empty()));
+        let array: ArrayRef = match name {
+            "t" | "x" | "y" => Arc::new(Float64Array::from_iter(cells.map(|cell| cell.map(|n| n.parse().unwrap())))),
+            _ => Arc::new(StringArray::from_iter(cells)),
+        };
+        (name.to_owned(), array)
+    };
+    let batch = RecordBatch::try_from_iter(names.iter().enumerate().map(column)).unwrap();
+    let properties = WriterProperties::builder().set_max_row_group_row_count(Some(100)).build();
+    let mut bytes = Vec::new();
+    let mut writer = ArrowWriter::try_new(&mut bytes, batch.schema(), Some(properties)).unwrap();
+    writer.write(&batch).unwrap();
+    writer.close().unwrap();
+    bytes
+}
+
+#[test]
+fn recordings_of_one_file_are_cut_each_for_itself_however_their_rows_lie() {
+    let recording = |name: &'static str, shift_s: f64, n_rows: usize| {
+        let again = rows().into_iter().take(n_rows);
+        again.map(move |(t, row)| {
+            let at = t + shift_s;
+            (at, format!("{name},{}", row.replacen(&format!(",{t},"), &format!(",{at},"), 1)))
+        })
+    };
+    let one_after_the_other: Vec<(f64, String)> =
+        recording("b", 0.0, 3500).chain(recording("a", 50.0, 3300)).chain(recording("short", 7.0, 9)).collect();
+    let mut at_a_time = one_after_the_other.clone();
+    at_a_time.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let mut by_track = one_after_the_other.clone();
+    by_track.sort_by(|(a, one), (b, other)| one[2..5].cmp(&other[2..5]).then(a.total_cmp(b)));
+    let config = config("files = 'a.*'\ncolumns.recording = 'r'");
+    for rows in [one_after_the_other, at_a_time, by_track] {
+        let text = table(&rows).replacen("id,", "r,id,", 1);
+        compared(&config, 2 * SMALL.n_at_a_time, &[("a.csv", text.clone().into_bytes())]);
+        compared(&config, 2 * SMALL.n_at_a_time, &[("a.parquet", parquet(&text))]);
     }
 }
 

@@ -40,7 +40,8 @@ impl<'a> Rows<'a> {
             let bad = |detail| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
             Table::read(bytes, lines, &wanted).map_err(bad)
         };
-        let table = read(&unit.file, &unit.bytes, &unit.lines)?;
+        let mut table = read(&unit.file, &unit.bytes, &unit.lines)?;
+        table.counted = unit.part.as_ref().map_or(table.counted, |part| part.counted);
         let of_tracks = match &unit.companion {
             Some(companion) => {
                 let table = read(&companion.file, &companion.bytes, &[])?;
@@ -119,7 +120,8 @@ impl<'a> Rows<'a> {
             tracks[index].1.push(row as u32);
         }
         if let Some((part, names)) = self.part.as_ref().zip(tracks) {
-            let order = |(id, _): &(u32, Vec<u32>)| part.tracks.get(&names.different[*id as usize]);
+            let order =
+                |(id, _): &(u32, Vec<u32>)| part.tracks.get(&names.different[*id as usize]).map(|track| track.number);
             groups.iter_mut().for_each(|group| group.tracks.sort_by_key(order));
         }
         groups

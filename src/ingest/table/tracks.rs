@@ -7,6 +7,7 @@ use super::rows::{Group, Rows};
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
+use crate::ingest::standing::Standing;
 use crate::ingest::windows::Recording;
 use crate::ingest::{Finding, RawUnit, Reject};
 use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole, velocity_at};
@@ -173,6 +174,14 @@ impl Rows<'_> {
             return Ok(None);
         }
         let mut track = RecordedTrack::new(TrackId(id.to_owned()), class, TrackRole::Context, extent, &observations);
+        track.parked_s = match &self.part {
+            Some(part) => part.tracks.get(id).map(|seen| seen.parked_s.clone()).unwrap_or_default(),
+            None => {
+                let mut standing = Standing::default();
+                states.iter().for_each(|state| standing.see(state.time_s, state.position));
+                standing.parked_s(0.0)
+            }
+        };
         if self.mapping.position == PositionOf::Front {
             let back_m = extent.unwrap_or_else(|| class.nominal_extent()).length_m / 2.0;
             for (_, state, _) in &mut track.states {

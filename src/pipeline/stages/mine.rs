@@ -99,7 +99,8 @@ impl Whole for Mine<'_> {
                 let scene = store.scene(*idx)?;
                 has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
                 has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
-                Ok(behaviors.iter().flat_map(|behavior| behavior.detect(&scene)).collect::<Vec<_>>())
+                let found = behaviors.iter().flat_map(|behavior| behavior.detect(&scene));
+                Ok(found.filter(|event| !event.is_of_parked(&scene)).collect::<Vec<_>>())
             });
             found.collect()
         };

@@ -18,7 +18,7 @@ pub(crate) fn field() -> Field {
     let fields = vec![
         column("track_id", DataType::Utf8, "The recording's name for the track."),
         column("class", DataType::Utf8, "Kind of road user."),
-        column("role", DataType::Utf8, "Its role in the recording: focal, scored, recorder or context."),
+        column("role", DataType::Utf8, "Its role in the recording: focal, scored, recorder, parked or context."),
         size("length_m", "Size along the heading; missing if the recording gives none."),
         size("width_m", "Size across the heading; missing if the recording gives none."),
         states("x_m", "m", "Center, one entry a timestep; 0 if not valid."),

@@ -40,7 +40,11 @@ pub(crate) fn who_fields(unique_within: &str) -> Vec<Field> {
             &format!("The recording's name for the track; unique within the {unique_within}."),
         ),
         column("class", DataType::Utf8, "Kind of road user."),
-        column("recorded_role", DataType::Utf8, "Its role in the recording: focal, scored, recorder or context."),
+        column(
+            "recorded_role",
+            DataType::Utf8,
+            "Its role in the recording: focal, scored, recorder, parked or context.",
+        ),
         column(
             "is_center",
             DataType::Boolean,
