@@ -35,6 +35,7 @@ mod external;
 mod kept;
 mod margin;
 mod outcome;
+mod page;
 mod peek;
 pub mod protocol;
 mod reaction;
@@ -57,7 +58,9 @@ pub use margin::{DelaySurvived, Margin, Margins};
 pub use outcome::{Contact, Outcome, Side};
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};
-pub use run::{DRIVE_FILE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus};
+pub use run::{
+    DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus,
+};
 pub use score::score;
 pub use situation::Situation;
 pub use told_apart::ToldApart;

@@ -6,9 +6,9 @@
 //! suffices and at most fully. What it answers to was sampled or expected at the last replanning: it reacts within the
 //! time between two of them, about as a human does.
 //!
-//! Who stands, or creeps, mostly does so a moment later: with no more than a second in memory, some would wait at a free
-//! road forever. So one that has hardly moved for some time goes on along its lane as soon as that touches nobody, unless
-//! a light stands there, whose state nobody knows.
+//! Who stands, or creeps, mostly does so a moment later: with no more than a second in memory, some would wait at a
+//! free road forever. So one that has hardly moved for some time goes on along its lane as soon as that touches nobody,
+//! unless a light stands there, whose state nobody knows.
 
 use super::situation::Situation;
 use super::world::World;

@@ -5,6 +5,7 @@ use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
 use super::external::External;
 use super::kept::Kept;
 use super::margin::{Margin, Margins};
+use super::page::Cards;
 use super::report::DriveReport;
 use super::rollout::{Others, roll_out};
 use super::situation::Situation;
@@ -14,6 +15,7 @@ use crate::export::{EgoChoice, Selection};
 use crate::files::NewFolder;
 use crate::generate::Futures;
 use crate::progress::Progress;
+use crate::report::render_drives;
 use crate::scenario::{DriveRow, ScenarioRecord};
 use crate::scene::{LaneGraph, MapId};
 use crate::store::{CorpusReader, DrivenWriter, MapSource, write_atomically, write_drives, write_json_atomically};
@@ -30,6 +32,8 @@ pub const DRIVES_FILE: &str = "drives.parquet";
 pub const DRIVEN_FILE: &str = "driven.parquet";
 /// The report; written last.
 pub const DRIVE_FILE: &str = "drive.json";
+/// The report for people.
+pub const DRIVE_PAGE: &str = "drive.html";
 /// The folder of saved states.
 pub const STATES_DIR: &str = "states";
 
@@ -115,7 +119,7 @@ pub fn drive_corpus(
     let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
     let mut output = Output { states, rows: Vec::new(), margins: Vec::new() };
     let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect::<Result<_>>()?;
-    let (mut maps, mut tracks) = (Maps::default(), Tracks::default());
+    let (mut maps, mut tracks, mut cards) = (Maps::default(), Tracks::default(), Cards::default());
     let mut positions = positions.into_iter();
     let mut n_chosen = 0;
     progress.start("drive", positions.len().min(limit) as u64, "scenarios");
@@ -152,6 +156,9 @@ pub fn drive_corpus(
             {
                 tracks.add(situation, &driven.world, &recorded, config.ego == EgoDriver::Model);
             }
+            if let [asked, careful] = drives.as_slice() {
+                cards.offer(situation, (own_name(&config.ego), asked), (EgoDriver::Careful.name(), careful));
+            }
             output.margins.extend(margin);
         }
         if n_chosen == limit {
@@ -172,6 +179,8 @@ pub fn drive_corpus(
     report.finish(&rows, own_name(&config.ego));
     report.told_apart = tracks.tell_apart();
     report.margins = config.bisects.then(|| Margins::of(margins));
+    let page = render_drives(&cards.page(&report, &rows, own_name(&config.ego)));
+    write_atomically::<Error>(&folder.path().join(DRIVE_PAGE), |file| Ok(file.write_all(page.as_bytes())?))?;
     write_json_atomically(&folder.path().join(DRIVE_FILE), &report)?;
     folder.commit()?;
     if kept.n_found() > 0 {

@@ -115,7 +115,14 @@ fn scenarios_are_made_harder_until_a_driver_fails() {
         assert!(outcome.stdout.contains("it fails before the careful driver in"), "{}", outcome.stdout);
     }
     assert_same(&files(&one), &files(&two));
-    let margins = &report(&one)["margins"];
+    // Both drives of each failure that matters are on the page.
+    let (page, found) = (fs_err::read_to_string(one.join("drive.html")).unwrap(), report(&one));
+    let n_matter = found["that_matter"].as_array().unwrap().len();
+    assert!(n_matter > 0 && page.matches("<article").count() == n_matter);
+    let n_panels = |title: &str| page.split("[\"").filter(|part| part.starts_with(title)).count();
+    // Each title names a panel and its only drive.
+    assert_eq!(["careful: survived", "planner: hit"].map(n_panels), [2 * n_matter; 2]);
+    let margins = &found["margins"];
     assert_eq!(margins["n_scenarios"], N_SCENARIOS);
     let sooner = margins["scenarios"].as_array().unwrap();
     assert!(!sooner.is_empty() && margins["n_later"] == 0, "{margins}");
