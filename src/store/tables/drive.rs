@@ -8,7 +8,7 @@ use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::{DataType, Float64Type};
 
-/// `drive.v2`.
+/// `drive.v1`.
 pub(crate) fn schema() -> TableSchema {
     let fields = vec![
         column("scenario_id", DataType::Utf8, "The scenario, as in the corpus."),
@@ -52,7 +52,7 @@ pub(crate) fn schema() -> TableSchema {
     ];
     TableSchema {
         name: "drive",
-        version: 2,
+        version: 1,
         description: "One row a scenario and driver of its ego: how the drive ended.",
         fields,
         open: vec![open_columns()],
