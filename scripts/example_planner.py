@@ -10,6 +10,8 @@ faults.add_argument("--late", action="store_true", help="sees everything half a 
 faults.add_argument("--weak", action="store_true", help="brakes with at most 2 m/s²")
 faults.add_argument("--fast", action="store_true", help="wants to drive 20 %% faster")
 faults.add_argument("--ahead-only", action="store_true", help="sees who is on its route, no sooner")
+faults.add_argument("--no-merging", action="store_true", help="ignores who was not on its route from the beginning")
+faults.add_argument("--right-of-way", action="store_true", help="trusts that crossing traffic yields")
 faults.add_argument("--near-sighted", action="store_true", help="sees 15 m far")
 faults.add_argument("--blind", action="store_true", help="sees nobody")
 faults = faults.parse_args()
@@ -29,6 +31,8 @@ def act(observation, hello):
     at = min(range(len(route)), key=lambda i: abs(station + speed + 4.0 - i))
     toward = math.atan2(route[at][1] - y, route[at][0] - x) - heading
     curvature = 2.0 * math.sin(toward) / max(math.dist((x, y), route[at]), 1.0)
+    on_route = {a["id"] for a in observation["agents"] if abs(along(route, *a["states"][-1][:2])[1]) < width}
+    leaders = seen.setdefault("leaders", on_route)
     # Keep the distance to whoever is on the route, or will be within two seconds.
     wanted = hello["target_speed_mps"] * (1.2 if faults.fast else 1.0)
     acceleration = 1.5 * (1.0 - (speed / max(wanted, 1.0)) ** 4)
@@ -41,6 +45,11 @@ def act(observation, hello):
         other, aside = along(route, ox, oy)
         then, aside_then = along(route, ox + 2.0 * ovx, oy + 2.0 * ovy)
         comes = not faults.ahead_only and aside * aside_then < half * abs(aside) and abs(aside) < 8.0
+        on = min(int(other), len(route) - 2)
+        along_route = math.atan2(route[on + 1][1] - route[on][1], route[on + 1][0] - route[on][0])
+        crosses = math.cos(oh - along_route) < 0.7
+        if faults.no_merging and agent["id"] not in leaders or faults.right_of_way and crosses:
+            continue
         gap = other - station - (agent["length_m"] + hello["length_m"]) / 2.0
         if other < station or not (abs(aside) < half or comes) or (faults.near_sighted and gap > 15.0):
             continue

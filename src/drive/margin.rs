@@ -6,7 +6,7 @@ use super::{Outcome, Result};
 use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::quantile::quantile;
 use crate::scene::{Scene, State, Trajectory};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// The longest delay that is tried, seconds.
@@ -16,7 +16,7 @@ const MOST_DELAY_S: f64 = 1.5;
 const STRIDE: usize = 3;
 
 /// The longest delays of the others that two drivers survive in a scenario.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Margin {
     /// The scenario.
     pub scenario_id: String,
@@ -31,7 +31,7 @@ pub struct Margin {
 }
 
 /// The longest delay that a driver survives.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DelaySurvived {
     /// Seconds: it fails a timestep later, or that is the longest delay. Missing if it fails without any.
     pub delay_s: Option<f64>,

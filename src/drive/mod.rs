@@ -22,15 +22,20 @@
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
 //! world and the same motion of the ego give the same bytes, whoever else is driven beside it.
 //!
-//! Who is more than 10 m from every lane of the map and was not so at present is gone. Nobody arrives.
+//! *Who enters and leaves.* Who is more than 10 m from every lane of the map and was not so at present is gone. Others
+//! arrive where lanes of the map begin, as often and as fast as in the corpus' scenes of the place, where the gap
+//! allows.
 
 mod action;
+mod arrivals;
 mod driver;
 mod drivers;
 mod error;
 mod external;
+mod kept;
 mod margin;
 mod outcome;
+mod page;
 mod peek;
 pub mod protocol;
 mod reaction;
@@ -43,6 +48,7 @@ mod score;
 mod situation;
 #[cfg(test)]
 mod testing;
+mod told_apart;
 mod traffic;
 mod world;
 
@@ -52,8 +58,11 @@ pub use margin::{DelaySurvived, Margin, Margins};
 pub use outcome::{Contact, Outcome, Side};
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};
-pub use run::{DRIVE_FILE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus};
+pub use run::{
+    DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus,
+};
 pub use score::score;
 pub use situation::Situation;
+pub use told_apart::ToldApart;
 pub use traffic::{BANDS_S, Traffic};
 pub use world::World;

@@ -1,6 +1,6 @@
 //! The result of driving a corpus in figures: how many failed at what, and which failures matter.
 
-use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, Traffic};
+use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
 use serde::Serialize;
@@ -44,8 +44,11 @@ pub struct DriveReport {
     pub margins: Option<Margins>,
     /// By driver: traffic over the stretches of `bands_s`.
     pub traffic: BTreeMap<String, Traffic>,
+    /// How well a classifier tells what the model drove beside the driver that was asked for from what was recorded;
+    /// none for recordings that are too short, or too few.
+    pub told_apart: Vec<ToldApart>,
     /// The stretches, seconds after the present.
-    pub bands_s: [[f64; 2]; 3],
+    pub bands_s: [[f64; 2]; 4],
 }
 
 /// Failures of a driver among some scenarios.
@@ -125,7 +128,7 @@ impl Failures {
 impl DriveReport {
     pub(super) fn new(ego: &EgoDriver, rollout: Option<RolloutConfig>, seed: u64, model: &str) -> Self {
         Self {
-            schema: "drive_report.v1",
+            schema: "drive_report.v2",
             ego: ego.name().to_owned(),
             seed,
             model: model.to_owned(),
@@ -140,6 +143,7 @@ impl DriveReport {
             that_matter: Vec::new(),
             margins: None,
             traffic: BTreeMap::new(),
+            told_apart: Vec::new(),
             bands_s: BANDS_S,
         }
     }

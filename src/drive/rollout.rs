@@ -3,7 +3,7 @@
 use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
-use super::reaction::brake;
+use super::reaction::{brake, go_on};
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
@@ -72,7 +72,7 @@ pub enum Others<'a> {
 }
 
 /// A finished drive.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Driven {
     /// What was reached.
     pub world: World,
@@ -124,11 +124,14 @@ pub fn roll_out(
             futures.dt_s()
         )));
     }
-    if world.n_tracks() != scene.tracks.len() || world.n_timesteps() < scene.n_history {
+    let n_arrivals = situation.arrivals.n_expected();
+    let n_known = scene.tracks.len() - n_arrivals;
+    if !(n_known..=scene.tracks.len()).contains(&world.n_tracks()) || world.n_timesteps() < scene.n_history {
         return Err(unfit("does not have the tracks or timesteps of the saved state".to_owned()));
     }
     let [n_horizon, n_plan] = config.n_steps(scene.dt_s);
     let last = scene.current_timestep() + n_horizon;
+    let world = world.with_tracks(scene.tracks.len());
     let mut drive = Drive { situation, world, driver, min_ttc_s: None, contact: None, gave_up_plan: false };
     let mut saved = None;
     let mut end = drive.driver.begin(situation, &drive.world).err().map(failed);
@@ -171,6 +174,7 @@ impl Drive<'_> {
     /// Plans anew and drives the plan; says how the drive ends if it does.
     fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
         let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
+        situation.arrivals.enter(situation, &mut self.world);
         let sampled = match others {
             Others::Sampled(futures) => match self.sample(futures)? {
                 Ok(sampled) => Some((sampled, futures.n_history())),
@@ -191,13 +195,17 @@ impl Drive<'_> {
                 Some((sampled, n_history)) => sampled.state(agent_idx, n_history + step).copied(),
                 None => situation.scene.state(agent_idx, now + 1 + step).copied(),
             };
-            let ego = match self.driver.next(situation, &self.world, then(center_idx)) {
+            let ego = match self.world.present(center_idx) {
+                Some(_) => self.driver.next(situation, &self.world, then(center_idx)).map(Some),
+                None => Ok(None),
+            };
+            let ego = match ego {
                 Ok(ego) => ego,
                 Err(why) => return Ok(Some(failed(why))),
             };
             let timestep = self.world.n_timesteps();
             let next = |agent_idx: usize| match agent_idx == center_idx {
-                true => Some(ego),
+                true => ego,
                 false => situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)),
             };
             let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
@@ -227,6 +235,7 @@ impl Drive<'_> {
                 !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
             };
             let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
+            go_on(situation, &self.world, sampled, &agents);
             brake(situation, sampled, &agents);
         }
         Ok(sampled)
@@ -240,7 +249,10 @@ impl Drive<'_> {
             state.is_some_and(|state| situation.has_left_map(*agent_idx, &state))
         };
         let gone: Vec<usize> = (0..self.world.n_tracks()).filter(left).collect();
-        gone.iter().filter(|agent_idx| **agent_idx != ego_idx).for_each(|agent_idx| self.world.remove(*agent_idx));
+        // Where the model drives everybody, traffic goes on without the ego.
+        let (has_left, goes_on) = (gone.contains(&ego_idx), self.driver.is_model());
+        let is_removed = |agent_idx: &&usize| goes_on || **agent_idx != ego_idx;
+        gone.iter().filter(is_removed).for_each(|agent_idx| self.world.remove(*agent_idx));
         let ttc_s = ttc_s(situation, &self.world);
         self.min_ttc_s = [self.min_ttc_s, ttc_s].into_iter().flatten().reduce(f64::min);
         self.contact = contact(situation, &self.world);
@@ -252,12 +264,15 @@ impl Drive<'_> {
         if let Some(off_m) = off_m.filter(|off_m| *off_m > OFF_ROAD_SLACK_M) {
             return Some((Outcome::LeftRoad, Some(format!("is {off_m:.1} m off the road"))));
         }
-        gone.contains(&ego_idx).then(|| (Outcome::Survived, Some("came to the end of the map".to_owned())))
+        (has_left && !goes_on).then(|| (Outcome::Survived, Some("came to the end of the map".to_owned())))
     }
 
     /// The end of a drive that was not ended early.
     fn came_through(&self) -> End {
         let (situation, scene) = (self.situation, &self.situation.scene);
+        if self.world.present(situation.ego_idx).is_none() {
+            return (Outcome::Survived, Some("came to the end of the map".to_owned()));
+        }
         let n_stopped = (STOPPED_S / scene.dt_s).round() as usize;
         let first = self.world.now().saturating_sub(n_stopped).max(scene.current_timestep());
         let speed = |timestep: usize| self.world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());

@@ -1,16 +1,21 @@
 //! Drives every chosen scenario of a corpus, with the careful driver beside, and writes what came of it.
 
+use super::arrivals::Entries;
 use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
 use super::external::External;
+use super::kept::Kept;
 use super::margin::{Margin, Margins};
+use super::page::Cards;
 use super::report::DriveReport;
 use super::rollout::{Others, roll_out};
 use super::situation::Situation;
+use super::told_apart::Tracks;
 use super::{Driven, Driver, EgoDriver, Error, Outcome, Result, RolloutConfig, World};
 use crate::export::{EgoChoice, Selection};
 use crate::files::NewFolder;
 use crate::generate::Futures;
 use crate::progress::Progress;
+use crate::report::render_drives;
 use crate::scenario::{DriveRow, ScenarioRecord};
 use crate::scene::{LaneGraph, MapId};
 use crate::store::{CorpusReader, DrivenWriter, MapSource, write_atomically, write_drives, write_json_atomically};
@@ -18,8 +23,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io::Write;
 use std::path::Path;
 use std::str::FromStr;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 /// The table of drives.
 pub const DRIVES_FILE: &str = "drives.parquet";
@@ -27,11 +32,15 @@ pub const DRIVES_FILE: &str = "drives.parquet";
 pub const DRIVEN_FILE: &str = "driven.parquet";
 /// The report; written last.
 pub const DRIVE_FILE: &str = "drive.json";
+/// The report for people.
+pub const DRIVE_PAGE: &str = "drive.html";
 /// The folder of saved states.
 pub const STATES_DIR: &str = "states";
 
 /// Scenarios that are in memory at a time, for each worker.
 const CHUNK: usize = 8;
+/// Scenes of a place from which its arrivals are estimated.
+const MOST_SCENES: usize = 200;
 
 /// How a corpus is driven.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,6 +57,8 @@ pub struct DriveConfig {
     pub bisects: bool,
     /// Scenarios that are driven at the same time, each with a planner of its own.
     pub n_workers: usize,
+    /// The program: what another one has driven is driven again.
+    pub program: String,
 }
 
 /// When to save the state of a drive: at the first replanning at or after this.
@@ -103,11 +114,12 @@ pub fn drive_corpus(
         Origin::State(world) => (vec![reader.position(&world.scenario_id)?], 1),
     };
     let folder = NewFolder::begin(out, [("corpus", corpus)])?;
+    let kept = Kept::begin(out, &identity(&reader, from, ego, config, futures))?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
     let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
     let mut output = Output { states, rows: Vec::new(), margins: Vec::new() };
     let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect::<Result<_>>()?;
-    let mut maps = Maps::default();
+    let (mut maps, mut tracks, mut cards) = (Maps::default(), Tracks::default(), Cards::default());
     let mut positions = positions.into_iter();
     let mut n_chosen = 0;
     progress.start("drive", positions.len().min(limit) as u64, "scenarios");
@@ -118,7 +130,12 @@ pub fn drive_corpus(
             if !matches!(from, Origin::Scenarios(selection) if !selection.wants(&record)) {
                 n_chosen += 1;
                 match maps.situation(&record, ego, &reader) {
-                    Ok(situation) => chunk.push(situation),
+                    Ok(mut situation) => {
+                        let n_tracks = if let Origin::State(world) = from { world.n_tracks() } else { 0 };
+                        let [n_steps, _] = config.rollout.n_steps(situation.scene.dt_s);
+                        situation.expect(&maps.entries(&reader)?, futures.seed(), n_steps, n_tracks);
+                        chunk.push(situation);
+                    }
                     Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
                     Err(error) => return Err(error),
                 }
@@ -130,9 +147,18 @@ pub fn drive_corpus(
         if chunk.is_empty() {
             break;
         }
-        let drives = drive_chunk(&chunk, &mut workers, from, config, futures, progress)?;
+        let drives = drive_chunk(&chunk, &mut workers, &kept, from, config, futures, progress)?;
         for (situation, (drives, margin)) in chunk.iter().zip(drives) {
             output.add(situation, &drives, config, folder.path(), &mut report)?;
+            let scene = &situation.scene;
+            if let Some(driven) = drives.first().filter(|_| tracks.want(&scene.id))
+                && let Some(recorded) = reader.recorded_tracks(&scene.id, scene.n_timesteps)?
+            {
+                tracks.add(situation, &driven.world, &recorded, config.ego == EgoDriver::Model);
+            }
+            if let [asked, careful] = drives.as_slice() {
+                cards.offer(situation, (own_name(&config.ego), asked), (EgoDriver::Careful.name(), careful));
+            }
             output.margins.extend(margin);
         }
         if n_chosen == limit {
@@ -151,15 +177,43 @@ pub fn drive_corpus(
     states.finish()?;
     write_drives(&folder.path().join(DRIVES_FILE), &rows)?;
     report.finish(&rows, own_name(&config.ego));
+    report.told_apart = tracks.tell_apart();
     report.margins = config.bisects.then(|| Margins::of(margins));
+    let page = render_drives(&cards.page(&report, &rows, own_name(&config.ego)));
+    write_atomically::<Error>(&folder.path().join(DRIVE_PAGE), |file| Ok(file.write_all(page.as_bytes())?))?;
     write_json_atomically(&folder.path().join(DRIVE_FILE), &report)?;
     folder.commit()?;
+    if kept.n_found() > 0 {
+        progress.warn(&format!(
+            "{} scenarios were not driven again: an interrupted drive with the same settings had done so",
+            kept.n_found()
+        ));
+    }
+    kept.remove()?;
     Ok(report)
 }
 
-/// The last map: scenarios of a map mostly follow each other.
+/// All that drives depend on, but for what a planner does.
+fn identity(
+    reader: &CorpusReader,
+    from: &Origin<'_>,
+    ego: &EgoChoice,
+    config: &DriveConfig,
+    futures: &Futures<'_>,
+) -> String {
+    let from = if let Origin::State(world) = from { Some(world) } else { None };
+    // How many are driven at the same time changes nothing.
+    let config = DriveConfig { n_workers: 0, ..config.clone() };
+    let manifest = reader.manifest();
+    format!("{config:?} {ego:?} {from:?} {} {} {manifest:?}", futures.seed(), futures.fingerprint())
+}
+
+/// The last map: scenarios of a map mostly follow each other; and where traffic enters it, once that was asked for.
 #[derive(Default)]
-pub(super) struct Maps(Option<(MapId, LaneGraph)>);
+pub(super) struct Maps {
+    last: Option<(MapId, LaneGraph)>,
+    entries: Option<(MapId, Arc<Entries>)>,
+}
 
 impl Maps {
     /// The start of a scenario of this corpus.
@@ -172,11 +226,26 @@ impl Maps {
         let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
         let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
         let asked = record.scenario.scene.map_id.as_ref();
-        if let Some(id) = asked.filter(|id| self.0.as_ref().is_none_or(|(known, _)| known != *id)) {
-            self.0 = Some((id.clone(), reader.map(id)?));
+        if let Some(id) = asked.filter(|id| self.last.as_ref().is_none_or(|(known, _)| known != *id)) {
+            self.last = Some((id.clone(), reader.map(id)?));
         }
-        let map = self.0.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
+        let map = self.last.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
         Situation::new(record, ego_idx, map)
+    }
+
+    /// Where traffic enters the last map, by the scenes that the corpus has of it.
+    fn entries(&mut self, reader: &CorpusReader) -> Result<Arc<Entries>> {
+        let Some((id, map)) = &self.last else { return Ok(Arc::default()) };
+        if let Some((_, entries)) = self.entries.as_ref().filter(|(known, _)| known == id) {
+            return Ok(Arc::clone(entries));
+        }
+        let mut scenes = Vec::new();
+        for position in reader.scenes_of(id)?.into_iter().take(MOST_SCENES) {
+            scenes.push(reader.scenario(position)?.scenario.scene);
+        }
+        let entries = Arc::new(Entries::of(map, &scenes));
+        self.entries = Some((id.clone(), Arc::clone(&entries)));
+        Ok(entries)
     }
 }
 
@@ -189,7 +258,7 @@ fn own_name(ego: &EgoDriver) -> &str {
 }
 
 /// The drives from a situation, of each driver, and their margin.
-type Drives = (Vec<Driven>, Option<Margin>);
+pub(super) type Drives = (Vec<Driven>, Option<Margin>);
 
 /// The drivers of one thread: the one that was asked for, and the careful one if it is another.
 struct Worker {
@@ -260,6 +329,7 @@ impl Worker {
 fn drive_chunk(
     chunk: &[Situation],
     workers: &mut [Worker],
+    kept: &Kept,
     from: &Origin<'_>,
     config: &DriveConfig,
     futures: &Futures<'_>,
@@ -273,7 +343,14 @@ fn drive_chunk(
                 loop {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let (Some(situation), Some(place)) = (chunk.get(at), drives.get(at)) else { break };
-                    let driven = worker.drive(situation, from, config, futures);
+                    let driven = kept.get(&situation.scenario_id).and_then(|known| match known {
+                        Some(known) => Ok(known),
+                        None => {
+                            let driven = worker.drive(situation, from, config, futures)?;
+                            kept.put(&situation.scenario_id, &driven)?;
+                            Ok(driven)
+                        }
+                    });
                     if let Ok(mut place) = place.lock() {
                         *place = Some(driven);
                     }

@@ -1,5 +1,6 @@
 //! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
 
+use super::arrivals::{Arrivals, Entries};
 use super::margin::later;
 use super::world::World;
 use super::{Error, Result};
@@ -45,6 +46,8 @@ pub struct Situation {
     pub target_speed_mps: f64,
     /// The way of the ego: the one of the scenario, and on along its lane.
     pub(crate) route: DrivenPath,
+    /// Who arrives: the last tracks of the scene, which are nowhere at present.
+    pub(super) arrivals: Arrivals,
     road: Arc<Road>,
     /// The rectangle around the middle of each lane.
     lane_bounds: Vec<Option<Bounds>>,
@@ -95,6 +98,7 @@ impl Situation {
             is_collision: record.asks_for_collision(),
             target_speed_mps,
             route,
+            arrivals: Arrivals::default(),
             road: Arc::new(Road::new(&scene.lanes)),
             lane_bounds: bounds(&scene.lanes),
             starts_on_map: Vec::new(),
@@ -105,6 +109,16 @@ impl Situation {
         situation.look_at_present(&now);
         situation.starts_on_road = situation.off_road_m(&now).is_some_and(|off_m| off_m <= 0.0);
         Ok(situation)
+    }
+
+    /// Expects arrivals for so many timesteps, and at least as many as a world with `n_tracks` does.
+    pub(super) fn expect(&mut self, entries: &Arc<Entries>, seed: u64, n_steps: usize, n_tracks: usize) {
+        let n_least = n_tracks.saturating_sub(self.scene.tracks.len());
+        let (arrivals, tracks) = Arrivals::draw(entries, &self.scene, &self.scenario_id, seed, [n_steps, n_least]);
+        self.arrivals = arrivals;
+        self.starts_on_map.extend(tracks.iter().map(|_| true));
+        self.starts_in_ego.extend(tracks.iter().map(|_| false));
+        self.scene.tracks.extend(tracks);
     }
 
     /// Finds who is on the map and in the ego, which is at `ego` at present.
@@ -166,7 +180,7 @@ impl Situation {
         self.starts_on_road.then(|| self.off_road_m(state))?
     }
 
-    fn off_road_m(&self, state: &State) -> Option<f64> {
+    pub(super) fn off_road_m(&self, state: &State) -> Option<f64> {
         (!self.scene.lanes.is_empty()).then(|| self.road.distance_m(state.position))
     }
 
@@ -196,6 +210,7 @@ impl Situation {
     ) -> (Scene, ObservationMask) {
         let first = world.n_timesteps() - n_history;
         let mut scene = self.cut(world, first, n_timesteps, n_history);
+        self.bring_in_arrivals(world, &mut scene);
         let planned = if knows_plans { self.planned.as_slice() } else { &[] };
         for agent_idx in planned.iter().copied().filter(|idx| world.present(*idx).is_some()) {
             let trajectory = &mut scene.tracks[agent_idx].trajectory;
@@ -225,6 +240,17 @@ impl Situation {
         (scene, mask)
     }
 
+    /// Leaves out those at the end who have not arrived yet, and lets the others have come along as they arrived.
+    fn bring_in_arrivals(&self, world: &World, scene: &mut Scene) {
+        let n_before = scene.tracks.len() - self.arrivals.n_expected();
+        let is_there = |idx: &usize| world.present(*idx).is_some();
+        let n_kept = (n_before..scene.tracks.len()).rev().find(is_there).map_or(n_before, |idx| idx + 1);
+        scene.tracks.truncate(n_kept);
+        for track in &mut scene.tracks[n_before..] {
+            track.trajectory = came_along(&track.trajectory, scene.dt_s);
+        }
+    }
+
     /// Where an agent of the event is to be at a timestep by the scenario, while it follows it.
     pub(super) fn plan(&self, world: &World, agent_idx: usize, timestep: usize) -> Option<State> {
         let is_planned = timestep <= world.plan_ends && self.planned.contains(&agent_idx);
@@ -240,6 +266,18 @@ impl Situation {
         let tracks = self.scene.tracks.iter().enumerate().map(track).collect();
         Scene { tracks, n_timesteps, n_history, ego_idx: self.ego_idx, ..self.scene.clone() }
     }
+}
+
+/// A trajectory that begins before its first state, at the velocity of that one.
+fn came_along(trajectory: &Trajectory, dt_s: f64) -> Trajectory {
+    let Some((first, state)) = trajectory.valid().next().map(|(timestep, state)| (timestep, *state)) else {
+        return trajectory.clone();
+    };
+    let entry = |(timestep, entry): (usize, &Option<State>)| {
+        let before_s = first.checked_sub(timestep).map(|n_steps| n_steps as f64 * dt_s);
+        before_s.map_or(*entry, |s| Some(State { position: state.position - state.velocity * s, ..state }))
+    };
+    Trajectory::new(trajectory.entries().iter().enumerate().map(entry).collect())
 }
 
 /// The lanes whose middle comes this close to any of these points.

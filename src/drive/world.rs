@@ -74,6 +74,20 @@ impl World {
         }
     }
 
+    /// Puts a track that was never there somewhere now.
+    pub(super) fn place(&mut self, agent_idx: usize, state: State) {
+        if let Some(last) = self.states.get_mut(agent_idx).and_then(|states| states.last_mut()) {
+            *last = Some(packed(&state));
+        }
+    }
+
+    /// Has as many tracks more as are missing to `n_tracks`, which were never there.
+    pub(super) fn with_tracks(mut self, n_tracks: usize) -> Self {
+        let nowhere = vec![None; self.n_timesteps()];
+        self.states.resize(n_tracks.max(self.states.len()), nowhere);
+        self
+    }
+
     /// Takes a track away from now on.
     pub(super) fn remove(&mut self, agent_idx: usize) {
         if let Some(last) = self.states.get_mut(agent_idx).and_then(|states| states.last_mut()) {

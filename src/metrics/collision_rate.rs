@@ -3,7 +3,7 @@
 use super::sample_group::{future, present_agents};
 use super::{Direction, Metric, MetricSpec, SampleGroup};
 use crate::behavior::swept_boxes::SweptBoxes;
-use crate::scene::{AgentClass, Scene};
+use crate::scene::{AgentClass, Scene, State};
 
 /// An agent that stays within this distance of its present position stands, meters.
 const MIN_MOTION_M: f64 = 1.0;
@@ -60,9 +60,11 @@ pub(crate) struct Collision {
     pub(crate) timestep: usize,
 }
 
-/// The collisions among the agents tracked at present, pair by pair.
+/// The collisions among the agents tracked at present or later, pair by pair.
 pub(crate) fn collisions(scene: &Scene) -> Vec<Collision> {
-    let agents: Vec<(usize, SweptBoxes, bool)> = present_agents(scene)
+    let comes = |agent_idx: &usize| first_from_present(scene, *agent_idx).is_some();
+    let agents: Vec<(usize, SweptBoxes, bool)> = (0..scene.tracks.len())
+        .filter(comes)
         .filter_map(|i| Some((i, SweptBoxes::new(&scene.tracks[i])?, is_moving(scene, i))))
         .collect();
     let mut found = Vec::new();
@@ -93,9 +95,14 @@ fn first_contact(scene: &Scene, first: &SweptBoxes, second: &SweptBoxes) -> Opti
     overlap(present..present + 1).is_none().then_some(timestep)
 }
 
+/// The first state of an agent from the present on.
+fn first_from_present(scene: &Scene, agent_idx: usize) -> Option<&State> {
+    (scene.current_timestep()..scene.n_timesteps).find_map(|timestep| scene.state(agent_idx, timestep))
+}
+
 /// Whether an agent moves, and can move.
 pub(super) fn is_moving(scene: &Scene, agent_idx: usize) -> bool {
-    let Some(start) = scene.state(agent_idx, scene.current_timestep()) else { return false };
+    let Some(start) = first_from_present(scene, agent_idx) else { return false };
     scene.tracks[agent_idx].class != AgentClass::Static
         && future(scene)
             .filter_map(|timestep| scene.state(agent_idx, timestep))

@@ -13,7 +13,7 @@ use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, SceneId, Track};
 use arrow::array::{RecordBatch, StringArray, UInt64Array};
 use arrow::compute::concat_batches;
 use arrow::datatypes::UInt32Type;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -120,6 +120,19 @@ impl CorpusReader {
         let n_timesteps = columns.number::<UInt32Type>("n_timesteps", i)? as usize;
         let (tracks, observed) = tracks(path, rows.clone(), columns.text("scenario_id", i)?, n_timesteps)?;
         scenario::decode(&columns, i, tracks, observed, &self.maps)
+    }
+
+    /// The position of the first scenario of each scene on this map.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the table lacks a column.
+    pub fn scenes_of(&self, map_id: &MapId) -> Result<Vec<usize>> {
+        let columns = self.columns();
+        let [scenes, maps]: [&StringArray; 2] = [columns.get("scene_id")?, columns.get("map_id")?];
+        let mut known = BTreeSet::new();
+        let is_first = |i: &usize| known.insert(scenes.value(*i));
+        let is_on_map = |(_, id): &(usize, Option<&str>)| *id == Some(map_id.0.as_str());
+        Ok(maps.iter().enumerate().filter(is_on_map).map(|(i, _)| i).filter(is_first).collect())
     }
 
     /// The tracks of a recorded scene, in the scene frame; `None` if the corpus lacks the recording. The rest of the

@@ -61,6 +61,9 @@ mod tests {
             ..DriveRow::default()
         };
         write_drives(&drives, &[row("a", Some(4.5)), row("b", None)]).unwrap();
+        // No parameter of a known behavior has the name of another column.
+        let known = drive::schema().open.into_iter().flat_map(|columns| columns.known);
+        assert_eq!(known.filter(|field| drive::schema().has(field.name())).count(), 0);
         let batch = &parquet_file::read(&drives, &drive::schema()).unwrap()[0];
         let gap = batch["gap_m"].as_primitive::<Float64Type>();
         assert_eq!((gap.value(0), gap.iter().nth(1)), (4.5, Some(None)));

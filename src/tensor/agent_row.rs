@@ -32,6 +32,8 @@ pub(super) struct AgentRow<'a> {
     unit: [f64; 3],
     /// Whether its heading follows from its motion instead of being generated.
     derives_heading: bool,
+    /// How rough its motion is, as its recorded steps show, before errors are taken away.
+    texture: [f64; 3],
     /// What is added to the reference of latent entries after the present.
     fading: Option<FadingErrors>,
 }
@@ -91,8 +93,25 @@ impl<'a> AgentRow<'a> {
             frame_heading_rad,
             unit,
             derives_heading,
+            texture: [1.0; 3],
             fading: None,
         }
+    }
+
+    /// Lets its motion be as rough as the `recorded` track.
+    pub(super) fn rough_like(mut self, view: &SceneView<'_>, recorded: &Track, agent_idx: usize) -> Self {
+        let Some(covariance) = &self.collator.normalizer.motion_covariance else { return self };
+        let present = view.scene.current_timestep();
+        let reference = Reference::new(recorded, view.scene.dt_s, present, |timestep| {
+            self.frame.observed(agent_idx, timestep) && recorded.trajectory.is_valid(timestep)
+        });
+        let steps: Vec<[f64; 3]> = reference.observed_motion().map(|(_, step)| step).collect();
+        if self.reference.n_past() == covariance.n_past && steps.len() >= covariance.n_past {
+            let last = &steps[steps.len() - covariance.n_past..];
+            let in_units = |dim: usize| last.iter().map(|step| step[dim] / self.unit[dim]).collect::<Vec<f64>>();
+            self.texture = std::array::from_fn(|dim| covariance.texture_factor(dim, &in_units(dim)));
+        }
+        self
     }
 
     /// Lets what was taken from the `recorded` track as errors fade after the present, so that samples begin where the
@@ -222,7 +241,7 @@ impl<'a> AgentRow<'a> {
         rows.write_observed_motion(self.at, self.reference.observed_motion().map(seen), &self.unit);
         let (sight, covariance) =
             self.collator.sight.as_ref().zip(self.collator.normalizer.motion_covariance.as_ref())?;
-        let observed = (observed.as_slice(), self.reference.n_past());
+        let observed = (observed.as_slice(), self.reference.n_past(), self.texture);
         let mut modes = sight.modes_of_motion(covariance, observed, &latent, n_timesteps);
         if self.derives_heading {
             modes.clear_from(2, n_timesteps);

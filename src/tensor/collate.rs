@@ -80,10 +80,12 @@ impl Collator {
         for (row, (view, frame)) in views.iter().zip(&frames).enumerate() {
             for (slot, agent_idx) in frame.agents.iter().enumerate() {
                 let at = row * n_agents + slot;
-                let mut agent = AgentRow::new(self, view, frame, *agent_idx, validity, at);
+                let recorded = &recorded[row].scene.tracks[*agent_idx];
+                let agent = AgentRow::new(self, view, frame, *agent_idx, validity, at);
+                let mut agent = agent.rough_like(view, recorded, *agent_idx);
                 // A network in training does not see the errors that would be left after the present.
                 if validity == FutureValidity::Everything {
-                    agent = agent.fading_from(view.scene, &recorded[row].scene.tracks[*agent_idx]);
+                    agent = agent.fading_from(view.scene, recorded);
                 }
                 let modes = agent.write(&mut rows);
                 modes_of_agents.extend(modes.map(|modes| (at, modes)));

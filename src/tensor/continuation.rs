@@ -25,6 +25,12 @@ pub(super) struct Continuation {
 }
 
 impl Continuation {
+    /// z - W p in dimension `dim`, for the k observed steps `past` and the motion z after them.
+    pub(super) fn beyond(&self, dim: usize, past: &[f64], future: &[f64]) -> Vec<f64> {
+        let predicted = product(&self.weights[dim], past, past.len(), 1);
+        future.iter().zip(predicted).map(|(z, predicted)| z - predicted).collect()
+    }
+
     /// The sums of the predicted motion W p over 1, 2, … N timesteps, for the k observed steps `past` by ascending
     /// time. Dimensions that are not diffused go on as the reference does.
     pub(super) fn sums(&self, past: &[[f64; 3]]) -> Vec<[f64; 3]> {

@@ -33,6 +33,7 @@ mod surroundings;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod texture;
 
 pub use agent_frame::AgentFrame;
 pub use collate::{Collator, FutureValidity, SceneView};

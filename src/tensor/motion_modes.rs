@@ -8,6 +8,7 @@ use super::eigen::{Eigen, symmetric_eigen};
 use super::motion::MotionChain;
 use super::normalizer::Normalizer;
 use super::observation_errors::Estimates;
+use super::texture::{ModesOfPast, Texture, is_fast};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -33,6 +34,11 @@ pub struct MotionCovariance {
     /// dimension; none without K.
     #[serde(default)]
     pub noise: Vec<f64>,
+    /// How rough motion follows from rough steps, one a dimension; none where that is not known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub texture: Vec<Texture>,
+    #[serde(skip)]
+    pub(super) modes_of_past: ModesOfPast,
     #[serde(skip)]
     pub(super) continuations: Continuations,
     #[serde(skip)]
@@ -42,8 +48,8 @@ pub struct MotionCovariance {
 impl MotionCovariance {
     /// A covariance of `n_past` observed steps and `n_timesteps` future ones.
     pub(super) fn new(n_past: usize, n_timesteps: usize, values: Vec<Vec<f64>>, noise: Vec<f64>) -> Self {
-        let (continuations, estimates) = Default::default();
-        Self { n_past, n_timesteps, values, noise, continuations, estimates }
+        let (texture, modes_of_past, continuations, estimates) = Default::default();
+        Self { n_past, n_timesteps, values, noise, texture, modes_of_past, continuations, estimates }
     }
 
     /// The least variance of a mode: half a millimeter of noise a step gives a sample away, and no recording is
@@ -116,12 +122,13 @@ pub(super) struct ModeTable {
 
 impl ModeTable {
     /// The modes of an agent that is observed at `observed` and generated at `latent` timesteps, both ascending, of
-    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps. An agent that is never
-    /// observed has the variance σ_data² everywhere.
+    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps, and the variances of fast
+    /// motion are `texture` times the average ones, a dimension each. An agent that is never observed has the variance
+    /// σ_data² everywhere.
     pub(super) fn modes(
         &self,
         covariance: &MotionCovariance,
-        (observed, n_past): (&[usize], usize),
+        (observed, n_past, texture): (&[usize], usize, [f64; 3]),
         latent: &[usize],
         n_timesteps: usize,
     ) -> MotionModes {
@@ -136,10 +143,14 @@ impl ModeTable {
             return modes;
         }
         for (timesteps, stretch) in stretches(observed, n_past, latent) {
+            let texture = if stretch.n_past > 0 { texture } else { [1.0; 3] };
             let eigen = self.of_stretch(covariance, stretch);
             for (dim, Eigen { values, vectors }) in eigen.iter().enumerate() {
+                let n_larger = |value: f64| values.iter().filter(|other| **other > value).count();
                 for ((slot, value), vector) in timesteps.iter().zip(values).zip(vectors.chunks(timesteps.len())) {
-                    modes.variances[dim * n_timesteps + slot] = value.max(covariance.min_variance(dim)) as f32;
+                    let factor = if is_fast(n_larger(*value), values.len()) { texture[dim] } else { 1.0 };
+                    let variance = (value * factor).max(covariance.min_variance(dim));
+                    modes.variances[dim * n_timesteps + slot] = variance as f32;
                     for (t, component) in timesteps.iter().zip(vector) {
                         modes.vectors[dim * size + slot * n_timesteps + t] = *component as f32;
                     }
@@ -228,7 +239,7 @@ mod tests {
     fn white_motion_stays_white_in_every_stretch() {
         // A Brownian path given its end is the bridge that the chain is made of: its motion is white again.
         let table = ModeTable::default();
-        let modes = table.modes(&white(6), (&[3, 8], 0), &[0, 1, 2, 4, 5, 7, 9, 11], 12);
+        let modes = table.modes(&white(6), (&[3, 8], 0, [1.0; 3]), &[0, 1, 2, 4, 5, 7, 9, 11], 12);
         for t in 0..12 {
             let expected = if [3, 6, 8, 10].contains(&t) { 0.0 } else { 2.0 };
             assert!((modes.variances[t] - expected).abs() < 1e-5, "{t}: {:?}", modes.variances);
@@ -243,7 +254,7 @@ mod tests {
         let n = 5;
         let values = (0..n * n).map(|k| ((k / n + 1) * (k % n + 1)) as f64).collect();
         let covariance = MotionCovariance::new(0, n, vec![values], Vec::new());
-        let modes = ModeTable::default().modes(&covariance, (&[0], 0), &[1, 2, 3, 4, 5], 6);
+        let modes = ModeTable::default().modes(&covariance, (&[0], 0, [1.0; 3]), &[1, 2, 3, 4, 5], 6);
         let total: f32 = modes.variances.iter().sum();
         let largest = modes.variances.iter().copied().fold(0.0, f32::max);
         assert!((total - 55.0).abs() < 1e-3 && (largest - 55.0).abs() < 1e-3, "{:?}", modes.variances);
@@ -251,7 +262,7 @@ mod tests {
 
     #[test]
     fn who_is_never_observed_is_white() {
-        let modes = ModeTable::default().modes(&white(3), (&[], 0), &[1, 3], 4);
+        let modes = ModeTable::default().modes(&white(3), (&[], 0, [1.0; 3]), &[1, 3], 4);
         assert_eq!(modes.variances, [0.0, 0.25, 0.0, 0.25]);
     }
 
@@ -261,7 +272,7 @@ mod tests {
         let values = vec![2.0, 2.0, 0.0, 2.0, 2.5, 0.0, 0.0, 0.0, 3.0];
         let covariance = MotionCovariance::new(1, 2, vec![values], vec![0.0]);
         let variances = |n_past: usize, latent: &[usize]| {
-            let mut found = ModeTable::default().modes(&covariance, (&[0, 1], n_past), latent, 4).variances;
+            let mut found = ModeTable::default().modes(&covariance, (&[0, 1], n_past, [1.0; 3]), latent, 4).variances;
             found.sort_by(f32::total_cmp);
             found
         };

@@ -3,6 +3,7 @@
 use super::motion::MotionChain;
 use super::motion_modes::MotionCovariance;
 use super::reference::Reference;
+use super::texture::Texture;
 use crate::geometry::{angle_difference, unwrap_angles};
 use crate::scene::{ObservationMask, Scene};
 use schemars::JsonSchema;
@@ -76,16 +77,23 @@ impl Normalizer {
             return self.clone();
         }
         let (mut units, mut values, mut noise) = (self.motion_units(), own.values.clone(), own.noise.clone());
+        let texture_of = |covariance: &MotionCovariance, dim: usize| covariance.texture.get(dim).copied();
+        let mut texture: Vec<Option<Texture>> = (0..values.len()).map(|dim| texture_of(own, dim)).collect();
         for (dim, of_other) in others.values.iter().enumerate().filter(|(_, values)| values.iter().any(|v| *v > 0.0)) {
             units[dim] = other.motion_units()[dim];
             values[dim].clone_from(of_other);
+            texture[dim] = texture_of(others, dim);
             noise.get_mut(dim).zip(others.noise.get(dim)).into_iter().for_each(|(own, other)| *own = *other);
+        }
+        let mut covariance = MotionCovariance::new(own.n_past, own.n_timesteps, values, noise);
+        if texture.iter().any(Option::is_some) {
+            covariance.texture = texture.into_iter().map(|known| known.unwrap_or(Texture::AVERAGE)).collect();
         }
         Self {
             motion_longitudinal_unit_m: units[0],
             motion_lateral_unit_m: units[1],
             motion_heading_unit_rad: units[2],
-            motion_covariance: Some(MotionCovariance::new(own.n_past, own.n_timesteps, values, noise)),
+            motion_covariance: Some(covariance),
             ..self.clone()
         }
     }
@@ -320,7 +328,24 @@ impl NormalizerFit {
             let share = variance.max(0.0).sqrt() / Normalizer::SIGMA_DATA;
             *unit *= if share > MIN_REST { share } else { 1.0 };
         }
-        Some(in_units(units))
+        let mut covariance = in_units(units);
+        let of_dim = |(dim, limit): (usize, &f64)| {
+            let tracks = whole.iter().filter_map(|motion| {
+                let values = |motions: &[(usize, [f32; 3])]| {
+                    motions.iter().map(|(_, z)| f64::from(z[dim])).collect::<Vec<f64>>()
+                };
+                let (past, future) = (values(&motion.past[self.n_past - n_past..]), values(&motion.future));
+                let is_possible = past.iter().chain(&future).all(|value| value.abs() <= JUMP * limit);
+                let in_units = |values: Vec<f64>| values.into_iter().map(|value| value / units[dim]).collect();
+                is_possible.then(|| (in_units(past), in_units(future)))
+            });
+            covariance.fit_texture(dim, &tracks.collect::<Vec<_>>())
+        };
+        let texture: Vec<Option<Texture>> = limits.iter().enumerate().map(of_dim).collect();
+        if texture.iter().any(Option::is_some) {
+            covariance.texture = texture.into_iter().map(|known| known.unwrap_or(Texture::AVERAGE)).collect();
+        }
+        Some(covariance)
     }
 }
 
@@ -332,7 +357,8 @@ mod tests {
     fn scales_of_motion_are_exchanged_where_they_are_known() {
         let normalizer = |unit: f64, n_past: usize, turning: f64| {
             let values = vec![vec![1.0 / unit; 9], vec![1.0 / unit; 9], vec![turning; 9]];
-            let covariance = MotionCovariance::new(n_past, 3 - n_past, values, vec![0.1 / unit; 3]);
+            let mut covariance = MotionCovariance::new(n_past, 3 - n_past, values, vec![0.1 / unit; 3]);
+            covariance.texture = vec![Texture { exponent: unit / 10.0, factor: 1.0 }; 3];
             let fit = NormalizerFit::default().finish(StateParametrization::Motion, 3);
             Normalizer {
                 position_unit_m: unit,
@@ -349,6 +375,7 @@ mod tests {
         let covariance = mixed.motion_covariance.unwrap();
         assert_eq!(covariance.values, [vec![0.25; 9], vec![0.25; 9], vec![0.5; 9]]);
         assert_eq!(covariance.noise, [0.025, 0.025, 0.1]);
+        assert_eq!(covariance.texture.iter().map(|texture| texture.exponent).collect::<Vec<_>>(), [0.4, 0.4, 0.1]);
         assert_eq!(own.for_motion_of(&normalizer(4.0, 1, 0.0)), own, "too few tracks to predict from as many steps");
     }
 

@@ -24,11 +24,11 @@ impl Sight {
     }
 
     /// The modes of an agent's motion, given its `observed` and `latent` timesteps; after the last observed one, its
-    /// motion is predicted from `n_past` steps.
+    /// motion is predicted from `n_past` steps and has this texture.
     pub(super) fn modes_of_motion(
         &self,
         covariance: &MotionCovariance,
-        observed: (&[usize], usize),
+        observed: (&[usize], usize, [f64; 3]),
         latent: &[usize],
         n_timesteps: usize,
     ) -> MotionModes {

@@ -68,6 +68,45 @@ fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_s
 }
 
 #[test]
+fn a_drive_that_was_killed_goes_on_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, killed, kept, begun] = ["whole", "killed", "killed.drives", "begun"].map(|name| dir.path().join(name));
+    // It notes each scenario that begins.
+    let slow = planner(&format!(
+        "n == 1 and print(n, file=open('{}', 'a')); time.sleep(0.05)\n  print(json.dumps({{'type': 'action', \
+         'acceleration_mps2': 0}}))",
+        begun.display()
+    ))
+    .replace("n = 0\nfor", "for")
+    .replace("n += 1", "n = int(json.loads(line)['time_s'] == 0)");
+    let options = ["--horizon-s", "4", "--threads"];
+    drive(&slow, &whole, &[&options[..], &["2"]].concat()).expect(0);
+    fs_err::remove_file(&begun).unwrap();
+    let run = |threads: &str| {
+        let fixed = ["drive", CORPUS, "--ego", &slow, "--model", MODEL, "--out", killed.to_str().unwrap()];
+        command(&[&fixed[..], &options[..], &[threads]].concat())
+    };
+    let mut child = run("1").stderr(std::process::Stdio::null()).spawn().unwrap();
+    let is_whole = |entry: &std::io::Result<fs_err::DirEntry>| entry.as_ref().unwrap().file_name().len() == 64;
+    let n_kept = || fs_err::read_dir(&kept).map_or(0, |entries| entries.filter(is_whole).count());
+    while n_kept() == 0 {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let (n_kept, n_begun) = (n_kept() as u64, || fs_err::read_to_string(&begun).unwrap().lines().count() as u64);
+    let n_before = n_begun();
+    assert!((1..N_SCENARIOS).contains(&n_kept) && !killed.exists());
+    let again = run("2").output().unwrap();
+    let said = String::from_utf8_lossy(&again.stderr);
+    assert!(again.status.success() && said.contains(&format!("{n_kept} scenarios were not driven again")), "{said}");
+    assert_eq!(n_begun() - n_before, N_SCENARIOS - n_kept);
+    assert_same(&files(&whole), &files(&killed));
+    assert!(!kept.exists());
+}
+
+#[test]
 fn scenarios_are_made_harder_until_a_driver_fails() {
     let dir = tempfile::tempdir().unwrap();
     let [one, two] = ["one", "two"].map(|name| dir.path().join(name));
@@ -76,7 +115,14 @@ fn scenarios_are_made_harder_until_a_driver_fails() {
         assert!(outcome.stdout.contains("it fails before the careful driver in"), "{}", outcome.stdout);
     }
     assert_same(&files(&one), &files(&two));
-    let margins = &report(&one)["margins"];
+    // Both drives of each failure that matters are on the page.
+    let (page, found) = (fs_err::read_to_string(one.join("drive.html")).unwrap(), report(&one));
+    let n_matter = found["that_matter"].as_array().unwrap().len();
+    assert!(n_matter > 0 && page.matches("<article").count() == n_matter);
+    let n_panels = |title: &str| page.split("[\"").filter(|part| part.starts_with(title)).count();
+    // Each title names a panel and its only drive.
+    assert_eq!(["careful: survived", "planner: hit"].map(n_panels), [2 * n_matter; 2]);
+    let margins = &found["margins"];
     assert_eq!(margins["n_scenarios"], N_SCENARIOS);
     let sooner = margins["scenarios"].as_array().unwrap();
     assert!(!sooner.is_empty() && margins["n_later"] == 0, "{margins}");

@@ -20,6 +20,8 @@ const TO_SPARE_S: f64 = 0.5;
 /// The assumed lateral speed of the other once it is in the ego's path, m/s: about the mean of a lane change of three
 /// seconds.
 const CROSSING_MPS: f64 = 1.2;
+/// Who drifts away from the ego's lane faster than this does not cut in at once, m/s.
+const AWAY_MPS: f64 = 0.5;
 /// Below this speed an agent stands, m/s, and there is no cut-in.
 const STANDING_MPS: f64 = 1.0;
 
@@ -90,11 +92,13 @@ impl CutIn {
             && turned_rad < super::ALONG_RAD
             && own_mps.min(their_mps) >= STANDING_MPS
             && !lane.holds(theirs.position);
+        let side = if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 };
+        let away_mps = side * Vec2::from_angle(place.heading_rad).cross(theirs.velocity);
         let (own_extent, their_extent) = (ego.extent_or_nominal(), other.extent_or_nominal());
         // A vehicle that is partly in the ego's path already cannot cut into it.
         let across_m = their_extent.length_m * turned_rad.sin() + their_extent.width_m * turned_rad.cos();
         let is_aside = (place.offset_m - own_place.offset_m).abs() > (own_extent.width_m + across_m) / 2.0;
-        (is_possible && is_aside).then(|| Pair {
+        (is_possible && is_aside && away_mps < AWAY_MPS).then(|| Pair {
             own_offset_m: own_place.offset_m,
             their_station_m: their_place.station_m,
             their_offset_m: their_place.offset_m,
@@ -103,7 +107,7 @@ impl CutIn {
             own_mps,
             widths_m: [own_extent.width_m, their_extent.width_m],
             lengths_m: [own_extent.length_m, their_extent.length_m],
-            side: if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 },
+            side,
             horizon_s: horizon_s(scene),
             lane,
             their_lane,

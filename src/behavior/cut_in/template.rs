@@ -6,7 +6,9 @@ use super::feasible::{CutInPlan, Pair};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::maneuver::spread;
-use crate::behavior::template::{InTheWay, QUINTIC_PEAK, Template, distinct, quintic, quintic_inverse};
+use crate::behavior::template::{
+    InTheWay, MOST_ANGLE_RAD, QUINTIC_PEAK, QUINTIC_SLOPE, Template, distinct, quintic, quintic_inverse,
+};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
@@ -37,6 +39,8 @@ const LEFT_M: f64 = 2.0;
 const FOLLOWS_S: f64 = 0.9;
 const OPENS_S: f64 = 3.0;
 const MOST_OPENS_MPS: f64 = 2.0;
+/// The largest angle to the lane in the last state, radians.
+const ALONG_AT_END_RAD: f64 = 0.2;
 /// How much later than planned the box may enter the path, seconds.
 const LATE_S: f64 = 0.1;
 /// How far the ego must pass the place where the other came in, meters, because positions are known only at timesteps.
@@ -87,7 +91,10 @@ impl CutIn {
             let over = pair.coming_over(&plan, style)?;
             let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
             let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
-            let is_possible = template.is_drivable(scene)
+            let last = template.last_state(other_idx)?;
+            let there = pair.lane.project(last.position)?;
+            let is_possible = angle_difference(last.heading_rad, there.heading_rad).abs() < ALONG_AT_END_RAD
+                && template.is_drivable(scene)
                 && template.keeps_road(scene, &lanes)
                 && template.keeps_apart(scene)
                 && template.is_clear(scene, InTheWay::Everybody);
@@ -170,7 +177,9 @@ impl Pair {
         let comfortable_s = style.hurry * (QUINTIC_PEAK * aside_m / COMFORTABLE_MPS2).sqrt();
         HURRIES.into_iter().find_map(|hurry| {
             let takes_s = most_s.min(comfortable_s * hurry);
-            if QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
+            let along_m = f64::midpoint(self.their_mps, plan.then_mps) * takes_s;
+            let is_steep = QUINTIC_SLOPE * aside_m > MOST_ANGLE_RAD.tan() * along_m;
+            if is_steep || QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
                 return None;
             }
             // A vehicle that moves over is turned, so a corner of its box enters the path first.
@@ -281,6 +290,30 @@ mod tests {
             "{n_found} of {} outcomes have a template, {n_braked} with an ego that brakes",
             outcomes.len()
         );
+    }
+
+    #[test]
+    fn nobody_cuts_in_at_a_steep_angle_or_while_drifting_away() {
+        let behavior = CutIn::new(CutInConfig::default());
+        let slow = going_on(&[Drive::straight(0.0, 0.0, 0.0, 3.0), Drive::straight(8.0, 3.5, 0.0, 3.0)], two_lanes());
+        let scenes = [slow, beside(Drive::straight(12.0, 3.5, 0.0, 10.0))];
+        let mut n_templates = 0;
+        for (scene, variant) in scenes.iter().flat_map(|scene| (0..40).map(move |variant| (scene, variant))) {
+            let Some(template) = behavior.template(scene, &[0, 1], &BTreeMap::new(), variant) else { continue };
+            let mut changed = scene.clone();
+            template.apply(&mut changed);
+            let states = changed.tracks[1].trajectory.entries().iter().flatten();
+            let steepest = states.map(|state| state.heading_rad.abs()).fold(0.0, f64::max);
+            assert!(steepest < MOST_ANGLE_RAD + 0.05, "{steepest}");
+            let last = changed.tracks[1].trajectory.entries().last().unwrap().unwrap();
+            assert!(last.heading_rad.abs() < ALONG_AT_END_RAD, "{} at the end", last.heading_rad);
+            n_templates += 1;
+        }
+        assert!(n_templates > 20, "{n_templates}");
+        let away = |heading_rad: f64| {
+            behavior.template(&beside(Drive::straight(14.0, 3.5, heading_rad, 10.0)), &[0, 1], &BTreeMap::new(), 0)
+        };
+        assert!(away(0.03).is_some() && away(-0.08).is_some() && away(0.08).is_none());
     }
 
     #[test]

@@ -26,7 +26,7 @@ const COASTS_MPS2: f64 = 1.0;
 const LETS_GO_S: f64 = 1.0;
 /// The fastest changes of acceleration, m/s³: from gas to full braking in a second, and from the brake to the gas.
 const BRAKING_JERK_MPS3: f64 = 10.0;
-pub(super) const EASING_JERK_MPS3: f64 = 2.5;
+const EASING_JERK_MPS3: f64 = 2.5;
 /// The curvature of a bend is taken over this many places on either side.
 const BEND_PLACES: usize = 4;
 /// Integration steps per timestep.

@@ -4,7 +4,7 @@ use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
-use crate::behavior::template::{QUINTIC_PEAK, QUINTIC_SLOPE, quintic};
+use crate::behavior::template::{MOST_ANGLE_RAD, QUINTIC_PEAK, QUINTIC_SLOPE, quintic};
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, STANDING_STEP_M, Scene};
 use std::f64::consts::FRAC_PI_4;
@@ -20,8 +20,6 @@ const TAKES_S: [f64; 4] = [2.4, 3.0, 3.8, 4.6];
 const MOST_ACROSS_MPS2: f64 = 3.0;
 const LONG_ACROSS_MPS2: f64 = 1.5;
 const LONG_M: f64 = 6.5;
-/// The largest angle to the lane while moving over, radians.
-const MOST_ANGLE_RAD: f64 = 0.35;
 /// The least headway in the new lane, seconds; how hard whoever is faster slows down there, m/s²; and the least
 /// distance between two bodies on the way, meters.
 const ROOM_S: f64 = 0.7;

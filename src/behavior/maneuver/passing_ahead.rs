@@ -1,7 +1,6 @@
 //! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along
 //! their ways, and the other gives no more gas as it sees the first coming, eases off, or brakes if it has to.
 
-use super::driver::EASING_JERK_MPS3;
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::footprint::{Bounds, Footprint};
 use crate::behavior::lane_relation::SceneLanes;
@@ -16,13 +15,17 @@ const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 /// How long before the first gets into its way the other sees it coming and gives no more gas, seconds.
 const NOTICES_S: f64 = 1.5;
 /// How hard the other brakes, m/s², if it would follow by at least this, seconds; how long after the first gets into
-/// its way; and how hard it accelerates so long after the first has left it, or before it is slower than a first that
-/// drives on ahead of it; if it has braked for this long.
+/// its way; and how hard it accelerates once it can, or so long after the first has left its way; if it has braked for
+/// this long.
 const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
 const FOLLOWS_S: [f64; 3] = [1.0, 0.5, 0.0];
 const REACTION_S: f64 = 0.4;
 const GOES_ON_MPS2: f64 = 0.5;
 const LEAST_BRAKING_S: f64 = 0.5;
+/// Nobody brakes so hard without need that it would stop within this time, seconds.
+const LEAST_STOPPING_S: f64 = 1.5;
+/// Spacing of the times at which the other is tried to let go of the brake, seconds.
+const GOES_ON_SPACING_S: f64 = 0.3;
 /// How far apart the boxes stay, meters.
 const APART_M: f64 = 0.4;
 /// Agents that head along the way of the other within this do not cross it, radians.
@@ -76,21 +79,23 @@ impl Pair<'_> {
         };
         let [enters_s, leaves_s] = [enters, own.last_in_way_of(theirs)].map(|step| (step + 1) as f64 * self.dt_s);
         let brakes_s = enters_s + REACTION_S;
-        let drives_on_ahead = leaves_s >= own.boxes.len() as f64 * self.dt_s;
+        let (earliest_s, latest_s) = (brakes_s + LEAST_BRAKING_S, leaves_s + REACTION_S);
+        let n_times = ((latest_s - earliest_s) / GOES_ON_SPACING_S).ceil().max(0.0) as usize;
         let eased = Pace::steady(theirs.mps2).then((enters_s - NOTICES_S).max(0.0), theirs.mps2.min(0.0));
         let delay_s = delay as f64 * self.dt_s;
         let hard_enough = FOLLOWS_S.iter().position(|least_s| delay_s >= *least_s).unwrap_or_default();
+        let stopping_mps2 = self.other.state.speed_mps() / LEAST_STOPPING_S;
+        let ordinary = BRAKES_MPS2.iter().rposition(|mps2| *mps2 <= stopping_mps2).unwrap_or_default();
         let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
         let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
             let drive = |pace: &Pace| RailDrive::new(self.other, self.extents[1], theirs.rail, theirs.mps2, pace);
             let pace = eased.clone().then(brakes_s, theirs.mps2.min(-brakes_mps2));
-            let goes_on_s = match drives_on_ahead {
-                // Letting go of the brake takes so much speed, too.
-                true => drive(&pace)?.slows_to(own, brakes_mps2.powi(2) / (2.0 * EASING_JERK_MPS3), self.dt_s),
-                false => leaves_s + REACTION_S,
-            };
-            let braking = drive(&pace.then(goes_on_s.max(brakes_s + LEAST_BRAKING_S), GOES_ON_MPS2))?;
-            own.keeps(&braking, APART_M).then(|| Maneuver {
+            // It lets go of the brake as soon as that keeps the distance.
+            let mut times = (0..=n_times).map(|i| earliest_s + i as f64 * GOES_ON_SPACING_S);
+            let braking = times.find_map(|goes_on_s| {
+                drive(&pace.clone().then(goes_on_s, GOES_ON_MPS2)).filter(|braking| own.keeps(braking, APART_M))
+            })?;
+            Some(Maneuver {
                 kind: [own.rail * self.other.rails.len() + theirs.rail, nth * 100 + delay / spacing],
                 effort: effort(own.mps2).max(effort(theirs.mps2)),
                 parameters,
@@ -102,7 +107,7 @@ impl Pair<'_> {
             })
         };
         // No harder than it has to, but as somebody who sees how close it is.
-        BRAKES_MPS2.iter().enumerate().skip(hard_enough).find_map(maneuver).into_iter().collect()
+        BRAKES_MPS2.iter().enumerate().skip(hard_enough.min(ordinary)).find_map(maneuver).into_iter().collect()
     }
 }
 
@@ -144,13 +149,6 @@ impl RailDrive {
             own.bounds.is_within(&other.bounds, 0.0) && other.boxes.iter().any(|theirs| own.overlaps(theirs))
         };
         self.boxes.iter().rposition(|own| is_there(&own)).unwrap_or_default()
-    }
-
-    /// When it is last faster than the other by more than this, seconds.
-    fn slows_to(&self, other: &Self, faster_mps: f64, dt_s: f64) -> f64 {
-        let mut steps = self.driven_m.windows(2).zip(other.driven_m.windows(2));
-        let last = steps.rposition(|(own, theirs)| own[1] - own[0] - theirs[1] + theirs[0] > faster_mps * dt_s);
-        last.map_or(0, |step| step + 2) as f64 * dt_s
     }
 
     /// Whether the boxes of the two always stay this far apart.

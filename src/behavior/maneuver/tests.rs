@@ -274,7 +274,7 @@ fn nobody_stops_behind_who_drives_on_ahead() {
     // It turns into the main road, and the one that it cut off could stop within the scene.
     let behavior = BehaviorConfig::from_id("failure_to_yield").unwrap().build();
     let mut n_plans = 0;
-    for (x, speed_mps) in [(-22.0, 6.0), (-28.0, 8.0)] {
+    for (x, speed_mps) in [(-18.0, 6.0), (-22.0, 6.0), (-28.0, 8.0)] {
         let scene = going_on(&from_the_side(x, speed_mps), merging_side_road());
         for plan in super::plans(&*behavior, &scene, &[0, 1], 200) {
             let mut changed = scene.clone();

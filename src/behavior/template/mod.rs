@@ -25,6 +25,8 @@ const LEAST_OBSERVED: usize = 4;
 /// Within this time pedals are let go of, seconds, from accelerations up to this, m/s².
 const SETTLING_S: f64 = 1.0;
 const SETTLED_MPS2: f64 = 3.0;
+/// The largest angle to the lane of who moves over to the lane beside, radians.
+pub(super) const MOST_ANGLE_RAD: f64 = 0.35;
 /// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
 
@@ -69,7 +71,10 @@ impl Template {
         let planned: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(planned).collect();
         let observed = observed_acceleration(scene, agent_idx).unwrap_or_default();
         let observed = observed * (MOST_OBSERVED_MPS2 / observed.norm().max(MOST_OBSERVED_MPS2));
-        let positions = joined(state, observed, &planned?, scene.dt_s);
+        let mut positions = joined(state, observed, &planned?, scene.dt_s);
+        if scene.tracks[agent_idx].class.is_motorized() {
+            hold_who_stops(state, &mut positions);
+        }
         let states = states(state, scene.dt_s, &past(scene, agent_idx), &positions);
         self.motions.push(Motion { agent_idx, states });
         Some(self)
@@ -80,6 +85,11 @@ impl Template {
         self.motions.iter().map(|motion| motion.agent_idx)
     }
 
+    /// The last state of an agent that takes part.
+    pub(super) fn last_state(&self, agent_idx: usize) -> Option<State> {
+        self.motions.iter().find(|motion| motion.agent_idx == agent_idx)?.states.last().copied()
+    }
+
     /// Replaces the recorded futures of the agents in `scene`.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
@@ -88,6 +98,20 @@ impl Template {
             let kept = trajectory.entries()[..n_kept].iter().copied();
             *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
         }
+    }
+}
+
+/// Who has stopped stands, where coming over to a plan would push it back.
+fn hold_who_stops(now: &State, positions: &mut [Vec2]) {
+    let (mut before, mut forward) = (now.position, Vec2::from_angle(now.heading_rad));
+    for position in positions {
+        let step = *position - before;
+        if step.dot(forward) <= 0.0 {
+            *position = before;
+        } else if step.norm() >= STANDING_STEP_M {
+            forward = step * step.norm().recip();
+        }
+        before = *position;
     }
 }
 
@@ -286,6 +310,23 @@ mod tests {
                 assert!(cost(&moved) > least, "{i}");
             }
         }
+    }
+
+    #[test]
+    fn who_has_stopped_is_not_pushed_back() {
+        let now = State { position: Vec2::new(1.0, 0.0), velocity: Vec2::new(2.0, 0.0), ..State::default() };
+        let mut positions = [1.2, 1.3, 1.28, 1.25, 1.29, 1.4].map(|x| Vec2::new(x, 0.0));
+        hold_who_stops(&now, &mut positions);
+        assert_eq!(positions.map(|at| at.x), [1.2, 1.3, 1.3, 1.3, 1.3, 1.4]);
+        // To a stop at once, which takes some way that the plan does not have.
+        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 4.0)]);
+        let now = *scene.state(0, scene.current_timestep()).unwrap();
+        let stops = |_: f64| Some(now.position);
+        let mut changed = scene.clone();
+        Template::empty().with(&scene, 0, stops).unwrap().apply(&mut changed);
+        let states = &changed.tracks[0].trajectory.entries()[scene.current_timestep()..];
+        let back_m = states.windows(2).map(|pair| pair[0].unwrap().position.x - pair[1].unwrap().position.x);
+        assert!(back_m.fold(0.0, f64::max) <= 0.0);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use crate::cloud::{Access, Place};
 use crate::drive::{
     DriveConfig, DriveReport, EgoDriver, Origin, RolloutConfig, World, drive_corpus, score as score_planned,
 };
-use crate::engine::{ComputeChoice, Failure, Result};
+use crate::engine::{ComputeChoice, Failure, Result, version};
 use crate::export::EgoChoice;
 use crate::generate::Futures;
 use crate::pipeline::driven_by::open_model;
@@ -33,6 +33,7 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
         save_at: args.save_at,
         bisects: args.bisect,
         n_workers: rayon::current_num_threads(),
+        program: version()?,
     };
     begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDenoiser;
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {

@@ -1,6 +1,7 @@
 //! The drawings of one scene, and the keys by which it can be found.
 
 mod drawn;
+mod of_drives;
 mod of_records;
 mod packed;
 mod view;

@@ -2,6 +2,7 @@
 
 mod comparison;
 mod data;
+mod drives;
 mod outcome;
 mod plain;
 mod quality;
@@ -15,6 +16,7 @@ mod training;
 mod verdict;
 
 pub use comparison::render_comparison;
+pub use drives::render_drives;
 
 use super::distinguishability;
 use super::model::{Fact, ReportModel};

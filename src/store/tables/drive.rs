@@ -39,7 +39,7 @@ pub(crate) fn schema() -> TableSchema {
         column("contact_relative_mps", DataType::Float64, "The speed of one seen from the other.")
             .unit("m/s")
             .optional(),
-        column("min_ttc_s", DataType::Float64, "The shortest time to collision of the ego; missing without one.")
+        column("ego_min_ttc_s", DataType::Float64, "The shortest time to collision of the ego; missing without one.")
             .unit("s")
             .optional(),
         column("max_braking_mps2", DataType::Float64, "The hardest braking of the ego.").unit("m/s^2"),

@@ -10,7 +10,7 @@ mod ranges;
 
 use super::{Section, table};
 use crate::report::Drawn;
-use crate::report::card::pack_lanes;
+use crate::report::card::{SceneCard, pack_lanes};
 use crate::report::model::ReportModel;
 use crate::report::number::count;
 use crate::report::svg::{CONTEXT, GENERATED_CONTEXT};
@@ -23,7 +23,6 @@ const N_STILL: usize = 24;
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
     (!model.scenes.is_empty()).then(|| {
-        let lanes = Lanes::of(model);
         let body = html! {
             (accepted::table_of(&model.scenes))
             details class="script-only" hidden {
@@ -32,17 +31,25 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
                 div id="scatter" class="scatter" hidden {}
             }
             (reading_help(model.scenes.len()))
-            div id="cards" {
-                @for (i, card) in model.scenes.iter().enumerate() {
-                    (card::card(i, card, lanes.of_card[i], i < N_STILL))
-                }
-            }
+            (player(&model.scenes))
             (drawn(&model.drawn))
-            script type="application/json" id="lanes" { (json(&Value::from(lanes.packed))) }
             script type="application/json" id="index" { (json(&filters::index(&model.scenes))) }
         };
         Section::new("scenes", "Scenes", body)
     })
+}
+
+/// The scenes, with what the player needs.
+pub(super) fn player(scenes: &[SceneCard]) -> Markup {
+    let lanes = Lanes::of(scenes);
+    html! {
+        div id="cards" {
+            @for (i, card) in scenes.iter().enumerate() {
+                (card::card(i, card, lanes.of_card[i], i < N_STILL))
+            }
+        }
+        script type="application/json" id="lanes" { (json(&Value::from(lanes.packed))) }
+    }
 }
 
 /// How much of each sweep is drawn, and the setting to change for more.
@@ -96,10 +103,10 @@ struct Lanes {
 }
 
 impl Lanes {
-    fn of(model: &ReportModel) -> Self {
+    fn of(scenes: &[SceneCard]) -> Self {
         let mut known: BTreeMap<String, usize> = BTreeMap::new();
         let mut lanes = Self { packed: Vec::new(), of_card: Vec::new() };
-        for card in &model.scenes {
+        for card in scenes {
             let packed = pack_lanes(&card.lanes);
             let idx = *known.entry(packed).or_insert_with_key(|packed| {
                 lanes.packed.push(packed.clone());

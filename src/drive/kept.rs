@@ -1,0 +1,96 @@
+//! What an interrupted attempt has driven: it lies beside the folder that it was to become, and is not driven again.
+
+use super::run::Drives;
+use super::{Error, Result};
+use crate::files::{self, keep_list, listed, remove_listed};
+use crate::store::{self, read_binary, write_binary_atomically};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Drives by scenario, each a file.
+pub(super) struct Kept {
+    dir: PathBuf,
+    /// The format of the files, which tells apart drives of another program, corpus, model or other settings.
+    format: String,
+    n_found: AtomicUsize,
+}
+
+impl Kept {
+    /// Drives that go into `out`, whose lock must be held, and that depend on what `identity` says and nothing else.
+    pub(super) fn begin(out: &Path, identity: &str) -> Result<Self> {
+        let mut name = out.file_name().unwrap_or_default().to_owned();
+        name.push(".drives");
+        let dir = out.with_file_name(name);
+        if !dir.exists() {
+            fs_err::create_dir(&dir)?;
+            keep_list(&dir)?;
+        } else if listed(&dir)?.is_none() {
+            return Err(files::Error::Exists { path: dir }.into());
+        }
+        let format = format!("drives.{}", blake3::hash(identity.as_bytes()).to_hex());
+        Ok(Self { dir, format, n_found: AtomicUsize::new(0) })
+    }
+
+    /// The drives of a scenario, if they were driven before.
+    pub(super) fn get(&self, scenario_id: &str) -> Result<Option<Drives>> {
+        match read_binary(&self.path(scenario_id), &self.format) {
+            Ok(drives) => {
+                self.n_found.fetch_add(1, Ordering::Relaxed);
+                Ok(Some(drives))
+            }
+            Err(store::Error::SchemaVersion { .. } | store::Error::Corrupt { .. }) => Ok(None),
+            Err(store::Error::Io(error)) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Keeps the drives of a scenario.
+    pub(super) fn put(&self, scenario_id: &str, drives: &Drives) -> Result<()> {
+        Ok(write_binary_atomically(&self.path(scenario_id), &self.format, drives).map(drop)?)
+    }
+
+    /// How many scenarios were driven before.
+    pub(super) fn n_found(&self) -> usize {
+        self.n_found.load(Ordering::Relaxed)
+    }
+
+    /// Removes what was kept, once it is in its place.
+    pub(super) fn remove(self) -> Result<()> {
+        let ours = listed(&self.dir)?.unwrap_or_default();
+        remove_listed(&self.dir, &ours).map(drop).map_err(Error::from)
+    }
+
+    fn path(&self, scenario_id: &str) -> PathBuf {
+        // Ids of a foreign corpus may be no names of files.
+        self.dir.join(blake3::hash(scenario_id.as_bytes()).to_hex().as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::drivers::AtConstantVelocity;
+    use super::super::testing::{model, record, situation};
+    use super::super::{Others, RolloutConfig, roll_out};
+    use super::*;
+    use crate::generate::Futures;
+
+    #[test]
+    fn drives_come_back_to_the_last_digit_unless_they_are_those_of_something_else() {
+        let (dir, model, situation) = (tempfile::tempdir().unwrap(), model(), situation(&record()));
+        let (out, futures) = (dir.path().join("out"), Futures::new(&model, 1, &candle_core::Device::Cpu).unwrap());
+        let config = RolloutConfig { horizon_s: 0.5, ..RolloutConfig::default() };
+        let (others, driver) = (Others::Sampled(&futures), &mut AtConstantVelocity);
+        let driven = roll_out(&situation, situation.start(1), driver, &others, &config, Some(0)).unwrap();
+        let kept = Kept::begin(&out, "a").unwrap();
+        assert!(kept.get("x/1").unwrap().is_none());
+        kept.put("x/1", &(vec![driven.clone()], None)).unwrap();
+        let (again, margin) = Kept::begin(&out, "a").unwrap().get("x/1").unwrap().unwrap();
+        assert_eq!((format!("{again:?}"), margin, kept.n_found()), (format!("{:?}", [driven]), None, 0));
+        assert!(Kept::begin(&out, "b").unwrap().get("x/1").unwrap().is_none());
+        kept.remove().unwrap();
+        assert_eq!(fs_err::read_dir(dir.path()).unwrap().count(), 0);
+        // What lies there and is not ours stays.
+        fs_err::create_dir(dir.path().join("out.drives")).unwrap();
+        assert!(Kept::begin(&out, "a").is_err());
+    }
+}

@@ -1,0 +1,191 @@
+//! The page of a drive, for people: which failures matter, and both drives to play side by side.
+
+use super::report::DriveReport;
+use super::situation::Situation;
+use super::{Driven, Outcome};
+use crate::quantile::quantile;
+use crate::report::{DriveCell, DriveGrid, DrivesPage, Fact, PlainTable, SceneCard};
+use crate::scenario::DriveRow;
+use crate::scene::Roles;
+use std::collections::BTreeMap;
+
+/// Scenarios that are drawn.
+const MOST_DRAWN: usize = 50;
+/// Parts of a parameter in a heat map, with equally many scenarios, and how many scenarios it takes at least.
+const N_PARTS: usize = 4;
+const LEAST_SCENARIOS: usize = 12;
+/// The parameters that say most of how hard an event is, in this order; others follow by name.
+const TELLING: [&str; 5] = ["gap_m", "relative_speed_mps", "time_to_arrival_s", "max_deceleration_mps2", "min_ttc_s"];
+
+/// Cards of the failures that the careful driver avoids, hardest first.
+#[derive(Default)]
+pub(super) struct Cards(Vec<(f64, SceneCard)>);
+
+impl Cards {
+    /// Adds the drives of the asked driver and of the careful one, if they matter.
+    pub(super) fn offer(&mut self, situation: &Situation, asked: (&str, &Driven), careful: (&str, &Driven)) {
+        if !asked.1.outcome.is_failure() || careful.1.outcome != Outcome::Survived {
+            return;
+        }
+        let id_of = |idx: usize| situation.scene.tracks[idx].id.clone();
+        let others = situation.planned.iter().map(|idx| ("other".to_owned(), id_of(*idx)));
+        let roles: Roles = [("driven".to_owned(), id_of(situation.ego_idx))].into_iter().chain(others).collect();
+        let drives = [careful, asked].map(|(name, driven)| {
+            let outcome = driven.outcome.name().replace('_', " ");
+            let why = driven.why.as_ref().map(|why| format!(" ({why})")).unwrap_or_default();
+            (format!("{name}: {outcome}{why}"), situation.driven(&driven.world))
+        });
+        let braking_mps2 = careful.1.max_braking_mps2;
+        let behavior = situation.behavior.as_deref().unwrap_or("scenario").replace('_', " ");
+        let title = format!(
+            "{behavior}, {}: the careful driver brakes with up to {braking_mps2:.1} m/s²",
+            situation.scene.source.place
+        );
+        let parameters = situation.parameters.iter().map(|(name, value)| Fact::new(name, format!("{value:.2}")));
+        let facts = [Fact::new("Scenario", &situation.scenario_id)].into_iter().chain(parameters).collect();
+        self.0
+            .push((braking_mps2, SceneCard::of_drives((situation.scenario_id.clone(), title), facts, &drives, &roles)));
+        self.0.sort_by(|(a, one), (b, other)| b.total_cmp(a).then_with(|| one.id.cmp(&other.id)));
+        self.0.truncate(MOST_DRAWN);
+    }
+
+    /// The page of these cards, the report and the rows of `asked`.
+    pub(super) fn page(self, report: &DriveReport, rows: &[DriveRow], asked: &str) -> DrivesPage {
+        let facts = vec![
+            Fact::new("Driver", &report.ego),
+            Fact::new("Scenarios", report.n_scenarios),
+            Fact::new("Failed", report.failures.n_failed),
+            Fact::new("Of these, the careful driver survives", report.failures.n_avoidable),
+            Fact::new("Hit in the rear", report.failures.n_hit_in_rear),
+            Fact::new("Seed", report.seed),
+        ];
+        let mut by_behavior: BTreeMap<&str, Vec<&DriveRow>> = BTreeMap::new();
+        for row in rows.iter().filter(|row| row.driver == asked) {
+            by_behavior.entry(row.behavior.as_deref().unwrap_or("none")).or_default().push(row);
+        }
+        DrivesPage {
+            title: format!("Drives of {}", report.ego),
+            facts,
+            tables: vec![outcomes(report), behaviors(report), traffic(report)],
+            grids: by_behavior.into_iter().filter_map(|(behavior, rows)| grid(behavior, &rows)).collect(),
+            n_matter: report.that_matter.len(),
+            scenes: self.0.into_iter().map(|(_, card)| card).collect(),
+        }
+    }
+}
+
+fn outcomes(report: &DriveReport) -> PlainTable {
+    let mut table = PlainTable::new("Outcomes", &["Driver", "Outcome", "Scenarios"]);
+    for (driver, outcomes) in &report.outcomes {
+        for (outcome, n) in outcomes {
+            table.push(vec![driver.clone(), outcome.replace('_', " "), n.to_string()]);
+        }
+    }
+    table
+}
+
+fn behaviors(report: &DriveReport) -> PlainTable {
+    let columns = ["Behavior", "Scenarios", "Failed", "Avoidable", "Hit", "Hit in the rear", "Careful driver fails"];
+    let mut table = PlainTable::new("Failures by behavior", &columns);
+    for (behavior, f) in &report.by_behavior {
+        let counts = [f.n_scenarios, f.n_failed, f.n_avoidable, f.n_hit, f.n_hit_in_rear, f.n_careful_failed];
+        let cells = counts.iter().map(u64::to_string);
+        table.push([behavior.replace('_', " ")].into_iter().chain(cells).collect());
+    }
+    table
+}
+
+fn traffic(report: &DriveReport) -> PlainTable {
+    let columns = ["Driver", "Seconds", "Agents, of recorded", "Arrived", "Left", "Collided per 1,000 s", "Standing"];
+    let mut table = PlainTable::new("Traffic over time", &columns);
+    let per = |part: f64, whole: f64| if whole > 0.0 { format!("{:.2}", part / whole) } else { "–".to_owned() };
+    for (driver, traffic) in &report.traffic {
+        for (band, [from_s, to_s]) in report.bands_s.iter().enumerate().filter(|(i, _)| traffic.driven_s[*i] > 0.0) {
+            table.push(vec![
+                driver.clone(),
+                if band + 1 < report.bands_s.len() {
+                    format!("{from_s} to {to_s}")
+                } else {
+                    format!("{from_s} and more")
+                },
+                per(traffic.agent_s[band], traffic.agent_s_as_recorded[band]),
+                traffic.n_arrived[band].to_string(),
+                traffic.n_left[band].to_string(),
+                per(1000.0 * traffic.n_collided[band] as f64, traffic.agent_s[band]),
+                per(traffic.standing_s[band], traffic.agent_s[band]),
+            ]);
+        }
+    }
+    table
+}
+
+/// The failures by the two most telling parameters; `None` if there are not two, or too few scenarios.
+fn grid(behavior: &str, rows: &[&DriveRow]) -> Option<DriveGrid> {
+    let values = |name: &str| {
+        let mut values: Vec<f64> = rows.iter().filter_map(|row| row.parameters.get(name).copied()).collect();
+        values.sort_by(f64::total_cmp);
+        values
+    };
+    let mut names: Vec<&String> = rows.first()?.parameters.keys().collect();
+    let varies = |name: &str| values(name).first() != values(name).last();
+    names.retain(|name| values(name).len() == rows.len() && !name.contains("length") && varies(name));
+    names.sort_by_key(|name| (TELLING.iter().position(|telling| telling == name).unwrap_or(TELLING.len()), *name));
+    let [across, down] = [names.first()?.as_str(), names.get(1)?.as_str()];
+    let ranges = [across, down].map(|name| {
+        let (values, bound) = (values(name), |i: usize| i as f64 / N_PARTS as f64);
+        let part = |i: usize| Some([quantile(&values, bound(i))?, quantile(&values, bound(i + 1))?]);
+        (0..N_PARTS).filter_map(part).collect::<Vec<_>>()
+    });
+    let place = |row: &DriveRow, ranges: &[[f64; 2]], name: &str| {
+        let value = *row.parameters.get(name)?;
+        ranges.iter().position(|[_, high]| value <= *high)
+    };
+    let mut cells = vec![vec![DriveCell::default(); N_PARTS]; N_PARTS];
+    for row in rows {
+        let at = place(row, &ranges[0], across).zip(place(row, &ranges[1], down));
+        let Some(cell) = at.and_then(|(x, y)| cells.get_mut(y)?.get_mut(x)) else { continue };
+        let has_failed = Outcome::ALL.iter().any(|outcome| outcome.is_failure() && outcome.name() == row.outcome);
+        cell.n += 1;
+        cell.n_failed += u64::from(has_failed);
+        cell.n_avoidable += u64::from(has_failed && row.careful_survives == Some(true));
+        cell.n_careful_failed += u64::from(row.careful_survives == Some(false));
+    }
+    let parameters = [across, down].map(str::to_owned);
+    (rows.len() >= LEAST_SCENARIOS).then(|| DriveGrid { behavior: behavior.to_owned(), parameters, ranges, cells })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::render_drives;
+
+    #[test]
+    fn a_heat_map_counts_failures_and_shows_where_the_careful_driver_fails_too() {
+        // A gap of 0 to 15 m at two speeds: the planner fails below 6 m, the careful driver below 3 m.
+        let rows: Vec<DriveRow> = (0..32)
+            .map(|i| (f64::from(i / 2), f64::from(i % 2)))
+            .map(|(gap_m, relative_speed_mps)| DriveRow {
+                behavior: Some("cut_in".to_owned()),
+                driver: "planner".to_owned(),
+                outcome: if gap_m < 6.0 { "hit" } else { "survived" }.to_owned(),
+                careful_survives: Some(gap_m >= 3.0),
+                parameters: [("gap_m", gap_m), ("relative_speed_mps", relative_speed_mps), ("ego_length_m", 4.0)]
+                    .map(|(name, value)| (name.to_owned(), value))
+                    .into(),
+                ..DriveRow::default()
+            })
+            .collect();
+        let grid = grid("cut_in", &rows.iter().collect::<Vec<_>>()).unwrap();
+        assert_eq!(grid.parameters, ["gap_m", "relative_speed_mps"].map(str::to_owned));
+        let sums = (0..N_PARTS).map(|x| {
+            grid.cells.iter().map(|row| row[x]).fold([0; 4], |sum, cell| {
+                let cell = [cell.n, cell.n_failed, cell.n_avoidable, cell.n_careful_failed];
+                [0, 1, 2, 3].map(|i| sum[i] + cell[i])
+            })
+        });
+        assert_eq!(sums.collect::<Vec<_>>(), [[8, 8, 2, 6], [8, 4, 4, 0], [8, 0, 0, 0], [8, 0, 0, 0]]);
+        let report = DriveReport::new(&crate::drive::EgoDriver::Idm, None, 1, "m");
+        let page = render_drives(&Cards::default().page(&report, &rows, "planner"));
+        assert!(page.contains("short beyond") && page.contains("cut in") && !page.contains("<article"));
+    }
+}

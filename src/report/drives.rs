@@ -1,0 +1,48 @@
+//! The page of drives: where a planner fails that a careful driver does not, with both drives side by side.
+
+use super::card::SceneCard;
+use super::model::Fact;
+use super::plain::PlainTable;
+
+/// The page as plain data.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DrivesPage {
+    /// Its title.
+    pub title: String,
+    /// What was driven.
+    pub facts: Vec<Fact>,
+    /// Outcomes, traffic.
+    pub tables: Vec<PlainTable>,
+    /// Failures by two parameters of each behavior.
+    pub grids: Vec<DriveGrid>,
+    /// Scenarios that the careful driver survives and the planner does not, hardest first, as far as they are drawn.
+    pub scenes: Vec<SceneCard>,
+    /// How many there are.
+    pub n_matter: usize,
+}
+
+/// Failures by two parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DriveGrid {
+    /// The behavior.
+    pub behavior: String,
+    /// The parameter of columns, and of rows.
+    pub parameters: [String; 2],
+    /// The ranges of columns, and of rows.
+    pub ranges: [Vec<[f64; 2]>; 2],
+    /// By row and column.
+    pub cells: Vec<Vec<DriveCell>>,
+}
+
+/// The scenarios of a cell.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DriveCell {
+    /// Scenarios.
+    pub n: u64,
+    /// Those that the planner fails, and of them those that the careful driver survives.
+    pub n_failed: u64,
+    /// See `n_failed`.
+    pub n_avoidable: u64,
+    /// Those that the careful driver fails.
+    pub n_careful_failed: u64,
+}
