@@ -122,9 +122,9 @@ pub(super) struct ModeTable {
 
 impl ModeTable {
     /// The modes of an agent that is observed at `observed` and generated at `latent` timesteps, both ascending, of
-    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps; the variances of fast
-    /// motion are `texture` times the average ones, a dimension each. An agent that is never observed has the variance
-    /// σ_data² everywhere.
+    /// `n_timesteps`. After the last observed one its motion is predicted from `n_past` steps, and the variances of
+    /// fast motion are `texture` times the average ones, a dimension each. An agent that is never observed has the
+    /// variance σ_data² everywhere.
     pub(super) fn modes(
         &self,
         covariance: &MotionCovariance,
