@@ -3,7 +3,7 @@
 use super::raw::{Finding, RawScene};
 use super::report::IngestReport;
 use crate::geometry::angle_difference;
-use crate::scene::{Derivation, State, Track, TrackRole, Trajectory};
+use crate::scene::{Dataset, Derivation, State, Track, TrackRole, Trajectory};
 
 /// Longest gap of this kind, seconds.
 const MAX_GAP_S: f64 = 1.0;
@@ -15,15 +15,17 @@ const MAX_OFF_RAD: f64 = 0.5;
 const MAX_OFF_SIZE_M: f64 = 0.5;
 
 /// Joins tracks that continue others, and counts them and the gaps within tracks. Tracks with a role in their dataset
-/// stay as they are.
+/// stay as they are, and so do those of Argoverse's benchmarks.
 pub(super) fn mend(raw: &mut RawScene, counts: &mut IngestReport) {
     let max_gap = (MAX_GAP_S / raw.dt_s).round() as usize;
+    let is_benchmark = matches!(raw.source.dataset, Dataset::Argoverse1 | Dataset::Argoverse2);
     let mut joined: Option<String> = None;
     let mut n_joined = 0;
     let mut idx = 0;
     while idx < raw.tracks.len() {
         let next = |later: &usize| continues(&raw.tracks[idx], &raw.tracks[*later], raw.dt_s, max_gap);
-        let candidates: Vec<usize> = (0..raw.tracks.len()).filter(|later| *later != idx && next(later)).collect();
+        let others = (0..raw.tracks.len()).filter(|later| *later != idx && !is_benchmark);
+        let candidates: Vec<usize> = others.filter(next).collect();
         // Of several, none is it for sure.
         let [later] = candidates[..] else {
             idx += 1;
@@ -124,6 +126,8 @@ mod tests {
         assert_eq!(tracks, ["1: 9", "3: 10"]);
         assert_eq!(findings, ["tracks_joined: 1", "gaps_left_open_within_tracks: 2"]);
         assert_eq!(mended(|scene| scene.tracks.swap(0, 1))[0], ["1: 9", "3: 10"]);
+        let of_benchmark = mended(|scene| scene.source.dataset = Dataset::Argoverse1);
+        assert_eq!(of_benchmark[0].len(), 3, "{of_benchmark:?}");
     }
 
     #[test]
