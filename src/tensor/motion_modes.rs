@@ -52,6 +52,15 @@ impl MotionCovariance {
         Self { n_past, n_timesteps, values, noise, texture, modes_of_past, continuations, estimates }
     }
 
+    /// This covariance with the texture of each dimension, of which some may not be known.
+    pub(super) fn with_texture(self, texture: Vec<Option<Texture>>) -> Self {
+        if texture.iter().all(Option::is_none) {
+            return self;
+        }
+        let texture = texture.into_iter().map(|known| known.unwrap_or(Texture::AVERAGE)).collect();
+        Self { texture, ..self }
+    }
+
     /// The least variance of a mode: half a millimeter of noise a step gives a sample away, and no recording is
     /// smoother than it is exact.
     fn min_variance(&self, dim: usize) -> f64 {

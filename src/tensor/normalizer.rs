@@ -85,15 +85,12 @@ impl Normalizer {
             texture[dim] = texture_of(others, dim);
             noise.get_mut(dim).zip(others.noise.get(dim)).into_iter().for_each(|(own, other)| *own = *other);
         }
-        let mut covariance = MotionCovariance::new(own.n_past, own.n_timesteps, values, noise);
-        if texture.iter().any(Option::is_some) {
-            covariance.texture = texture.into_iter().map(|known| known.unwrap_or(Texture::AVERAGE)).collect();
-        }
+        let covariance = MotionCovariance::new(own.n_past, own.n_timesteps, values, noise);
         Self {
             motion_longitudinal_unit_m: units[0],
             motion_lateral_unit_m: units[1],
             motion_heading_unit_rad: units[2],
-            motion_covariance: Some(covariance),
+            motion_covariance: Some(covariance.with_texture(texture)),
             ..self.clone()
         }
     }
@@ -328,7 +325,7 @@ impl NormalizerFit {
             let share = variance.max(0.0).sqrt() / Normalizer::SIGMA_DATA;
             *unit *= if share > MIN_REST { share } else { 1.0 };
         }
-        let mut covariance = in_units(units);
+        let covariance = in_units(units);
         let of_dim = |(dim, limit): (usize, &f64)| {
             let tracks = whole.iter().filter_map(|motion| {
                 let values = |motions: &[(usize, [f32; 3])]| {
@@ -341,11 +338,8 @@ impl NormalizerFit {
             });
             covariance.fit_texture(dim, &tracks.collect::<Vec<_>>())
         };
-        let texture: Vec<Option<Texture>> = limits.iter().enumerate().map(of_dim).collect();
-        if texture.iter().any(Option::is_some) {
-            covariance.texture = texture.into_iter().map(|known| known.unwrap_or(Texture::AVERAGE)).collect();
-        }
-        Some(covariance)
+        let texture = limits.iter().enumerate().map(of_dim).collect();
+        Some(covariance.with_texture(texture))
     }
 }
 

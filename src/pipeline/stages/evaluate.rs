@@ -43,7 +43,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        13
+        14
     }
 
     fn check(&self) -> Result<()> {
