@@ -5,7 +5,7 @@ use super::CutIn;
 use super::feasible::{CutInPlan, Pair};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::spread;
+use crate::behavior::maneuver::{has_room, spread};
 use crate::behavior::template::{
     InTheWay, MOST_ANGLE_RAD, QUINTIC_PEAK, QUINTIC_SLOPE, Template, distinct, quintic, quintic_inverse,
 };
@@ -93,11 +93,13 @@ impl CutIn {
             let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
             let last = template.last_state(other_idx)?;
             let there = pair.lane.project(last.position)?;
+            let positions = template.positions(scene, other_idx)?;
             let is_possible = angle_difference(last.heading_rad, there.heading_rad).abs() < ALONG_AT_END_RAD
                 && template.is_drivable(scene)
                 && template.keeps_road(scene, &lanes)
                 && template.keeps_apart(scene)
-                && template.is_clear(scene, InTheWay::Everybody);
+                && template.is_clear(scene, InTheWay::Everybody)
+                && has_room(scene, other_idx, (over.midway_s(), &positions), &[ego_idx]);
             is_possible.then_some((plan.outcome, template))
         };
         Some(self.plans(&pair)?.into_iter().filter(|plan| is_wanted(&plan.outcome)).filter_map(way).collect())
@@ -126,6 +128,13 @@ pub(super) const STYLES: [Style; 4] = [
 struct ComingOver {
     begins_s: f64,
     takes_s: f64,
+}
+
+impl ComingOver {
+    /// When the center is midway between the lanes, seconds after the present.
+    fn midway_s(self) -> f64 {
+        self.begins_s + self.takes_s / 2.0
+    }
 }
 
 /// How the ego slows down to the speed of the other, from the intrusion on.
@@ -336,5 +345,24 @@ mod tests {
         assert_eq!(behavior.template(&taken, &[0, 1], &BTreeMap::new(), 0), None);
         let impossible = BTreeMap::from([("gap_m".to_owned(), [200.0, 300.0])]);
         assert_eq!(behavior.template(&free, &[0, 1], &impossible, 0), None);
+    }
+
+    #[test]
+    fn nobody_cuts_in_close_behind_somebody_slower() {
+        let behavior = CutIn::new(CutInConfig::default());
+        let drives = [(0.0, 0.0, 10.0), (12.0, 3.5, 10.0), (34.0, 0.0, 7.0)];
+        let scene = going_on(&drives.map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps)), two_lanes());
+        let mut n_templates = 0;
+        for template in (0..60).filter_map(|variant| behavior.template(&scene, &[0, 1], &BTreeMap::new(), variant)) {
+            let mut changed = scene.clone();
+            template.apply(&mut changed);
+            let own = *changed.state(1, changed.n_timesteps - 1).unwrap();
+            let ahead_x = scene.state(2, scene.current_timestep()).unwrap().position.x
+                + 7.0 * scene.dt_s * (scene.n_timesteps - scene.n_history) as f64;
+            let gap_m = ahead_x - own.position.x - scene.tracks[1].extent_or_nominal().length_m;
+            assert!(gap_m > 0.7 * own.speed_mps(), "{gap_m} m at {}", own.speed_mps());
+            n_templates += 1;
+        }
+        assert!(n_templates > 5, "{n_templates}");
     }
 }

@@ -1,6 +1,6 @@
 //! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
-use super::moving_over::{has_room, is_clear_of, ways_over};
+use super::moving_over::{is_clear_of, ways_over};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
 use crate::behavior::following::{Ahead, Follower};
@@ -31,7 +31,7 @@ impl CutOut {
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
         let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
-        ways.retain(|way| has_room(scene, leader_idx, way, &[ego_idx, revealed_idx]));
+        ways.retain(|way| way.has_room(scene, leader_idx, &[ego_idx, revealed_idx]));
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
         let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));
         let paces = EGO_MPS2.iter().flat_map(|own| REVEALED_MPS2.map(|theirs| (*own, theirs)));

@@ -14,6 +14,7 @@ impl LaneChange {
             return Vec::new();
         }
         let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();
+        let ways = ways.filter(|way| way.has_room(scene, agent_idx, &[]));
         let maneuver = |way: MovingOver| Maneuver {
             kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
             effort: way.effort,

@@ -23,6 +23,7 @@ mod ways;
 mod wrong_way;
 
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace};
+pub(super) use moving_over::has_room;
 pub(super) use turn::maneuvers as turn_maneuvers;
 
 use super::lane_relation::SceneLanes;

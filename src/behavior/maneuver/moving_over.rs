@@ -68,10 +68,23 @@ fn most_across_mps2(scene: &Scene, agent_idx: usize) -> f64 {
     if is_long { LONG_ACROSS_MPS2 } else { MOST_ACROSS_MPS2 }
 }
 
-/// Whether an agent that moves over has room beside everybody but `others`, if they keep their speeds: nobody closer
-/// than [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to whoever is ahead or behind, beyond the way in
-/// which the faster one slows down to the other.
-pub(super) fn has_room(scene: &Scene, agent_idx: usize, way: &MovingOver, others: &[usize]) -> bool {
+impl MovingOver {
+    /// Whether an agent that moves over has room beside everybody but `others`: see [`has_room`].
+    pub(super) fn has_room(&self, scene: &Scene, agent_idx: usize, others: &[usize]) -> bool {
+        has_room(scene, agent_idx, (self.midway_s, &self.positions), others)
+    }
+}
+
+/// Whether an agent that is midway between two lanes after so many seconds, and at these positions at present and at
+/// each timestep after it, has room beside everybody but `others`, if they keep their speeds: nobody closer than
+/// [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to whoever is ahead or behind, beyond the way in which
+/// the faster one slows down to the other.
+pub(in crate::behavior) fn has_room(
+    scene: &Scene,
+    agent_idx: usize,
+    (midway_s, positions): (f64, &[Vec2]),
+    others: &[usize],
+) -> bool {
     let own = scene.tracks[agent_idx].extent_or_nominal();
     let in_lane = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && !others.contains(idx));
     in_lane.into_iter().all(|idx| {
@@ -79,7 +92,7 @@ pub(super) fn has_room(scene: &Scene, agent_idx: usize, way: &MovingOver, others
         let Some(now) = now else { return true };
         let their = scene.tracks[idx].extent_or_nominal();
         let goes_on = |step: usize| now.position + now.velocity * (step as f64 * scene.dt_s);
-        let keeps_distance = (way.positions.windows(2).enumerate()).all(|(step, pair)| {
+        let keeps_distance = (positions.windows(2).enumerate()).all(|(step, pair)| {
             let moved = pair[1] - pair[0];
             let forward = moved * moved.norm().max(f64::MIN_POSITIVE).recip();
             let offset = goes_on(step + 1) - pair[1];
@@ -88,12 +101,12 @@ pub(super) fn has_room(scene: &Scene, agent_idx: usize, way: &MovingOver, others
             let speeds_mps = [moved.norm() / scene.dt_s, now.velocity.dot(forward)];
             let [ahead_mps, behind_mps] = if along_m > 0.0 { [speeds_mps[1], speeds_mps[0]] } else { speeds_mps };
             let slows_m = (behind_mps - ahead_mps).max(0.0).powi(2) / (2.0 * ORDINARY_BRAKING_MPS2);
-            (step as f64 * scene.dt_s) < way.midway_s
+            (step as f64 * scene.dt_s) < midway_s
                 || aside_m > (own.width_m + their.width_m) / 2.0
                 || gap_m > ROOM_S * behind_mps.max(0.0) + slows_m
         });
-        let theirs: Vec<Vec2> = (0..way.positions.len()).map(goes_on).collect();
-        keeps_distance && is_clear_of(scene, [agent_idx, idx], [&way.positions, &theirs])
+        let theirs: Vec<Vec2> = (0..positions.len()).map(goes_on).collect();
+        keeps_distance && is_clear_of(scene, [agent_idx, idx], [positions, &theirs])
     })
 }
 
@@ -177,15 +190,15 @@ mod tests {
                     |y: f64, x: f64| scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(x, y, 0.0, 10.0)]);
                 let away_m = side * (gap_m + length_m(&at(3.5, 50.0)));
                 let beside = at(3.5, away_m);
-                assert_eq!(has_room(&beside, 0, &way(&beside), &[]), expected, "{gap_m} m, {side}");
-                assert!(has_room(&beside, 0, &way(&beside), &[1]), "whose gap is meant to be small");
+                assert_eq!(way(&beside).has_room(&beside, 0, &[]), expected, "{gap_m} m, {side}");
+                assert!(way(&beside).has_room(&beside, 0, &[1]), "whose gap is meant to be small");
                 let away = at(-3.5, away_m);
-                assert!(has_room(&away, 0, &way(&away), &[]), "two lanes away");
+                assert!(way(&away).has_room(&away, 0, &[]), "two lanes away");
             }
         }
         // Slower by 5 m/s, and 7.5 m ahead when the way is over.
         let slow = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(22.0, 3.5, 0.0, 5.0)]);
-        assert!(!has_room(&slow, 0, &way(&slow), &[]));
+        assert!(!way(&slow).has_room(&slow, 0, &[]));
         // Two bodies beside each other, half a meter apart.
         let width_m = slow.tracks[0].extent_or_nominal().width_m;
         let both = [0.0, width_m + 0.5].map(|y| (0..5).map(|x| Vec2::new(f64::from(x), y)).collect::<Vec<_>>());

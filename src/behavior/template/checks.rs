@@ -2,8 +2,9 @@
 
 use super::{Motion, Template};
 use crate::behavior::lane_relation::SceneLanes;
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
+use std::f64::consts::FRAC_PI_4;
 
 /// The largest accelerations of vehicles along and across their way, m/s².
 const MOST_ALONG_MPS2: f64 = 8.0;
@@ -17,6 +18,8 @@ const NOISE_MPS2: f64 = 0.3;
 const MOST_JOLT_MPS2: f64 = 2.0;
 /// How long after the end agents of a template stay clear of each other at constant velocity, seconds.
 const AFTER_END_S: f64 = 0.7;
+/// How long after the end they stay clear of others that head the same way, at constant velocity, seconds.
+const CLEAR_OF_LEADERS_S: f64 = 1.5;
 /// Templates whose positions differ by less than this on average resemble each other, meters.
 const ALIKE_M: f64 = 0.4;
 /// Spacing of the timesteps at which a template is compared with the positions of others.
@@ -50,7 +53,8 @@ impl Template {
         })
     }
 
-    /// Whether nobody is in the way of the agents, if all others continue straight at their speed.
+    /// Whether nobody is in the way of the agents, if all others continue straight at their speed, nor will be at once
+    /// after the end where both head the same way.
     pub(in crate::behavior) fn is_clear(&self, scene: &Scene, in_the_way: InTheWay) -> bool {
         let present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
         let others = (0..scene.tracks.len()).filter(|idx| self.agents().all(|agent_idx| agent_idx != *idx));
@@ -62,10 +66,16 @@ impl Template {
                 in_the_way == InTheWay::Ahead && present(motion.agent_idx).is_some_and(|own| follows(now, own))
             };
             let others: Vec<_> = others.iter().filter(|(_, now)| !reacts(now)).collect();
-            (0..motion.states.len()).step_by(STRIDE).all(|step| {
+            let Some(last) = motion.states.last() else { return true };
+            let n_steps = motion.states.len();
+            let n_after = (CLEAR_OF_LEADERS_S / scene.dt_s) as usize;
+            (0..n_steps + n_after).step_by(STRIDE).all(|step| {
                 let elapsed_s = (step + 1) as f64 * scene.dt_s;
-                let footprint = own.footprint(&motion.states[step]);
-                others.iter().all(|(track, now)| {
+                let after_s = (step + 1).saturating_sub(n_steps) as f64 * scene.dt_s;
+                let at = motion.states[step.min(n_steps - 1)];
+                let footprint = own.footprint(&State { position: at.position + last.velocity * after_s, ..at });
+                let comes_later = |now: &State| after_s > 0.0 && !heads_alike(now, last);
+                others.iter().filter(|(_, now)| !comes_later(now)).all(|(track, now)| {
                     let then = State { position: now.position + now.velocity * elapsed_s, ..*now };
                     !footprint.overlaps(&track.footprint(&then))
                 })
@@ -145,11 +155,16 @@ pub(in crate::behavior) fn follows(follower: &State, leader: &State) -> bool {
     is_behind && Vec2::from_angle(follower.heading_rad).dot(forward) > 0.0
 }
 
+fn heads_alike(one: &State, other: &State) -> bool {
+    angle_difference(one.heading_rad, other.heading_rad).abs() < FRAC_PI_4
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Extent;
     use crate::scene::testing::{self, Drive};
+    use crate::scene::{Extent, Trajectory};
+    use std::f64::consts::PI;
 
     #[test]
     fn a_long_vehicle_does_not_turn_as_tightly_as_a_car() {
@@ -178,6 +193,29 @@ mod tests {
         for mps2 in [0.0, 1.0, 4.0] {
             let found = jolt_mps2(&scene, 0, &braking(mps2)).unwrap();
             assert!((found - mps2).abs() < 1e-6, "{found} instead of {mps2}");
+        }
+    }
+
+    #[test]
+    fn nobody_ends_about_to_run_into_a_leader() {
+        // The bumpers are 6 m apart at the end.
+        for (leader_mps, heading_rad, expected) in [(8.0, 0.0, true), (4.0, 0.0, false), (8.0, PI, true)] {
+            let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+            let future_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
+            let length_m = scene.tracks[0].extent_or_nominal().length_m;
+            let forward_mps = leader_mps * f64::cos(heading_rad);
+            let now = *scene.state(0, scene.current_timestep()).unwrap();
+            let ahead = now.position.x + (10.0 - forward_mps) * future_s + length_m + 6.0;
+            scene.tracks.push(scene.tracks[0].clone());
+            let state = State {
+                position: Vec2::new(ahead, now.position.y),
+                heading_rad,
+                velocity: Vec2::new(forward_mps, 0.0),
+            };
+            scene.tracks[1].trajectory = Trajectory::new(vec![Some(state); scene.n_timesteps]);
+            let place = |t_s: f64| Some(now.position + Vec2::new(10.0 * t_s, 0.0));
+            let template = Template::empty().with(&scene, 0, place).unwrap();
+            assert_eq!(template.is_clear(&scene, InTheWay::Everybody), expected, "{leader_mps} m/s, {heading_rad}");
         }
     }
 }

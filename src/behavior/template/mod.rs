@@ -90,6 +90,13 @@ impl Template {
         self.motions.iter().find(|motion| motion.agent_idx == agent_idx)?.states.last().copied()
     }
 
+    /// The positions of an agent that takes part, at present and at each timestep after it.
+    pub(super) fn positions(&self, scene: &Scene, agent_idx: usize) -> Option<Vec<Vec2>> {
+        let motion = self.motions.iter().find(|motion| motion.agent_idx == agent_idx)?;
+        let now = scene.state(agent_idx, scene.current_timestep())?;
+        Some(std::iter::once(now).chain(&motion.states).map(|state| state.position).collect())
+    }
+
     /// Replaces the recorded futures of the agents in `scene`.
     pub fn apply(self, scene: &mut Scene) {
         let n_kept = scene.current_timestep() + 1;
