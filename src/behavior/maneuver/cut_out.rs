@@ -12,7 +12,7 @@ use crate::scene::Scene;
 
 /// Accelerations of the ego and of the revealed vehicle, m/s²; nobody brakes hard for nothing.
 const EGO_MPS2: [f64; 2] = [0.0, -1.0];
-const REVEALED_MPS2: [f64; 2] = [0.0, -1.0];
+const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
 /// How long after the leader is midway the ego brakes, how long before the scene ends at the latest, seconds, and how
