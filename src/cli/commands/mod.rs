@@ -118,7 +118,7 @@ fn announce(planned: &[PlannedStage<'_>], output: &OutputArgs, printer: &Printer
     for redone in planned.iter().filter_map(PlannedStage::redone) {
         printer.message(redone);
     }
-    if planned.iter().all(|planned| planned.action == Action::Reuse) {
+    if !planned.is_empty() && planned.iter().all(|planned| planned.action == Action::Reuse) {
         printer.message("everything is up to date");
     }
     if output.verbose {
