@@ -11,11 +11,13 @@ use crate::scene::Scene;
 
 /// Accelerations of the ego and of the revealed vehicle, m/s²; nobody brakes hard for nothing.
 const EGO_MPS2: [f64; 2] = [0.0, -1.0];
-const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
+const REVEALED_MPS2: [f64; 2] = [0.0, -1.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
-/// How long after the leader is midway the ego brakes, seconds, and how hard, m/s².
+/// How long after the leader is midway the ego brakes, how long before the scene ends at the latest, seconds, and how
+/// hard, m/s².
 const REACTION_S: f64 = 0.6;
+const SHOWN_S: f64 = 0.5;
 const BRAKES_MPS2: [f64; 3] = [2.0, 4.0, 6.0];
 
 impl CutOut {
@@ -31,7 +33,10 @@ impl CutOut {
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
         let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
-        ways.retain(|way| way.has_room(scene, leader_idx, &[ego_idx, revealed_idx]));
+        let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
+        ways.retain(|way| {
+            way.midway_s + REACTION_S + SHOWN_S < horizon_s && way.has_room(scene, leader_idx, &[ego_idx, revealed_idx])
+        });
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
         let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));
         let paces = EGO_MPS2.iter().flat_map(|own| REVEALED_MPS2.map(|theirs| (*own, theirs)));
@@ -50,13 +55,20 @@ impl CutOut {
                         ..next
                     })
                 });
-                // Both drive along the same way, so the difference of their distances closes the gap.
-                let keeps = |pace: &Pace| {
-                    let own = ego.travel(*own_rail, pace).driven_m;
-                    own.iter().zip(&theirs.driven_m).all(|(own, theirs)| own - theirs < next.gap_m)
+                // Both drive along the same way, so the difference of their distances closes the gap. The ego comes down
+                // to the other's speed before that is gone, after the scene if need be.
+                let keeps = |(pace, mps2): &(Pace, f64)| {
+                    let own = ego.travel(*own_rail, pace);
+                    let closing_mps = own.speeds_mps.iter().zip(&theirs.speeds_mps).map(|(own, theirs)| own - theirs);
+                    let closing_mps = closing_mps.last().unwrap_or_default().max(0.0);
+                    let then_m = closing_mps * closing_mps / (2.0 * mps2);
+                    let closed = own.driven_m.iter().zip(&theirs.driven_m).map(|(own, theirs)| own - theirs);
+                    closed.clone().all(|closed_m| closed_m < next.gap_m)
+                        && closed.last().is_some_and(|closed_m| closed_m + then_m < next.gap_m)
                 };
-                let braking = |mps2: f64| Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2);
-                let pace = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
+                let braking = |mps2: f64| (Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2), mps2);
+                let braking = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
+                let pace = braking.map(|(pace, _)| pace);
                 let Some(pace) = pace else { continue };
                 let revealed_at = revealed.positions(*their_rail, &theirs.driven_m);
                 if !is_clear_of(scene, [leader_idx, revealed_idx], [&way.positions, &revealed_at]) {
