@@ -42,11 +42,6 @@ impl Layout {
         }
     }
 
-    /// The run folder; a stage that runs alone may have inputs elsewhere, but not these.
-    pub fn root(&self) -> &Path {
-        self.metrics.parent().unwrap_or_else(|| Path::new(""))
-    }
-
     /// Puts what is below the folder `from` below `to`.
     pub fn move_below(&mut self, from: &Path, to: &Path) {
         for place in [

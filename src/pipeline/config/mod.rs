@@ -207,22 +207,30 @@ impl PipelineConfig {
         Ok(toml::to_string(self)?)
     }
 
-    /// The configuration as TOML in the folder `root` of a run: it runs again from there, into the same folder. What
-    /// does not bear on results is left out: the number of threads, the memory and the cluster. Two runs of one
-    /// pipeline on two machines have the same.
-    pub fn saved_in(&self, root: &Path) -> anyhow::Result<String> {
+    /// The configuration without what does not bear on results: the number of threads, the memory, the output folder
+    /// and the cluster. Two runs of one pipeline on two machines have the same.
+    #[must_use]
+    pub fn portable(&self) -> Self {
         let mut config = self.clone();
         let RunConfig { threads, memory_limit_gb, output, .. } = RunConfig::default();
         config.run = RunConfig { threads, memory_limit_gb, output, ..config.run };
-        if root.parent().is_some_and(|above| above.ends_with(&config.run.name)) {
-            config.run.output = PathBuf::from("../..");
-        }
         config.cluster = None;
-        let text = config.to_toml()?;
+        config
+    }
+
+    /// The same as TOML in the folder `root` of a run: it runs again from there, into the same folder.
+    pub fn saved_in(&self, root: &Path) -> anyhow::Result<String> {
+        let mut config = self.portable();
         // In a bucket there is no way from one to the other.
         if name_elsewhere(root).is_some() {
-            return Ok(text);
+            return config.to_toml();
         }
-        Ok(paths::put_into(root, text))
+        config.run.output = PathBuf::from("../..");
+        Ok(paths::replaced(config.to_toml()?, |path| paths::seen_from(root, path)))
+    }
+
+    /// The same as TOML without paths, which are other ones from another directory.
+    pub fn without_paths(&self) -> anyhow::Result<String> {
+        Ok(paths::replaced(self.portable().to_toml()?, |_| Some(String::new())))
     }
 }

@@ -27,15 +27,14 @@ pub(super) fn take_from(folder: &Path, table: &mut DeTable<'_>) {
     });
 }
 
-/// A configuration with paths from the current directory, as a file in `folder` has to have it.
-pub(super) fn put_into(folder: &Path, config: String) -> String {
+/// A configuration with other paths but for the output; those for which there is none stay.
+pub(super) fn replaced(config: String, other: impl Fn(&Path) -> Option<String>) -> String {
     let mut places: Vec<(Range<usize>, String)> = Vec::new();
     if let Ok(mut table) = DeTable::parse(&config) {
-        // The output is named from the folder already.
         table.get_mut().remove("run");
         each_path(table.get_mut(), &mut |value| {
-            let seen = value.get_ref().as_str().and_then(|path| seen_from(folder, Path::new(path)));
-            places.extend(seen.map(|path| (value.span(), toml::Value::String(path).to_string())));
+            let other = value.get_ref().as_str().and_then(|path| other(Path::new(path)));
+            places.extend(other.map(|path| (value.span(), toml::Value::String(path).to_string())));
         });
     }
     places.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
@@ -78,7 +77,7 @@ fn is_relative(path: &Path) -> bool {
 
 /// A path that is relative to the current directory, from the folder, or absolute if they have nothing in common;
 /// `None` if it stays as it is.
-fn seen_from(folder: &Path, path: &Path) -> Option<String> {
+pub(super) fn seen_from(folder: &Path, path: &Path) -> Option<String> {
     if !is_relative(path) {
         return None;
     }

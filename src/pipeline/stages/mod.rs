@@ -115,7 +115,8 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
                 seed: run.seed,
                 device: run.compute().to_string(),
                 // A configuration that cannot be written has failed before: it is saved in the run folder.
-                config: config.saved_in(layout.root()).unwrap_or_default(),
+                config: config.portable().to_toml().unwrap_or_default(),
+                settings: config.without_paths().unwrap_or_default(),
             },
             layout,
         }),
