@@ -1,5 +1,6 @@
 //! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
+use super::driver::Travel;
 use super::moving_over::{is_clear_of, ways_over};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
@@ -55,16 +56,8 @@ impl CutOut {
                         ..next
                     })
                 });
-                // Both drive along the same way, so the difference of their distances closes the gap. The ego comes down
-                // to the other's speed before that is gone, after the scene if need be.
                 let keeps = |(pace, mps2): &(Pace, f64)| {
-                    let own = ego.travel(*own_rail, pace);
-                    let closing_mps = own.speeds_mps.iter().zip(&theirs.speeds_mps).map(|(own, theirs)| own - theirs);
-                    let closing_mps = closing_mps.last().unwrap_or_default().max(0.0);
-                    let then_m = closing_mps * closing_mps / (2.0 * mps2);
-                    let closed = own.driven_m.iter().zip(&theirs.driven_m).map(|(own, theirs)| own - theirs);
-                    closed.clone().all(|closed_m| closed_m < next.gap_m)
-                        && closed.last().is_some_and(|closed_m| closed_m + then_m < next.gap_m)
+                    keeps_distance(&ego.travel(*own_rail, pace), &theirs, next.gap_m, *mps2)
                 };
                 let braking = |mps2: f64| (Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2), mps2);
                 let braking = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
@@ -89,4 +82,14 @@ impl CutOut {
         }
         Some(maneuvers)
     }
+}
+
+/// Whether the ego comes down to the other's speed before the gap is gone, braking on at this rate after the scene. Both
+/// drive along the same way, so the difference of their distances closes the gap.
+fn keeps_distance(own: &Travel, theirs: &Travel, gap_m: f64, mps2: f64) -> bool {
+    let closed_m = |step: usize| own.driven_m[step] - theirs.driven_m[step];
+    let last = own.driven_m.len() - 1;
+    let closing_mps = (own.speeds_mps[last] - theirs.speeds_mps[last]).max(0.0);
+    let after_m = closing_mps * closing_mps / (2.0 * mps2);
+    (0..=last).all(|step| closed_m(step) < gap_m) && closed_m(last) + after_m < gap_m
 }
