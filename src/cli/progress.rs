@@ -4,7 +4,8 @@ use super::args::OutputArgs;
 use super::printer::{Printer, stderr_line};
 use super::signals;
 use crate::progress::Progress;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
+use std::fmt::Write;
 use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -141,30 +142,50 @@ impl Phase {
         Some(format!("{name}: {n_done} of {total} {unit}, about {left} left"))
     }
 
-    /// `ingest: 1990 scenes in 12.3 s (161.8/s), loss 0.12`.
+    /// `ingest: 1990 scenes in 12.3 s (162/s), loss 0.12`.
     fn closing_line(&self) -> String {
         let seconds = self.began.elapsed().as_secs_f64();
         let Self { name, unit, n_done, .. } = self;
         if *n_done == 0 {
             return format!("{name}: done in {seconds:.1} s");
         }
-        let rate = if seconds > 0.0 { *n_done as f64 / seconds } else { 0.0 };
+        let rate = per_second(if seconds > 0.0 { *n_done as f64 / seconds } else { 0.0 });
         let note = if self.note.is_empty() { String::new() } else { format!(", {}", self.note) };
-        format!("{name}: {n_done} {unit} in {seconds:.1} s ({rate:.1}/s){note}")
+        format!("{name}: {n_done} {unit} in {seconds:.1} s ({rate}){note}")
     }
 }
 
+/// A rate in the digits that matter.
+fn per_second(rate: f64) -> String {
+    match rate {
+        rate if rate >= 100.0 => format!("{rate:.0}/s"),
+        rate if rate >= 1.0 => format!("{rate:.1}/s"),
+        rate => format!("{rate:.2}/s"),
+    }
+}
+
+/// Rate and time left, once there is something to tell them by.
+fn pace(state: &ProgressState, to: &mut dyn Write) {
+    let rate = per_second(state.per_sec());
+    // Writing to a string cannot fail.
+    let _ = match state.len() {
+        _ if state.pos() == 0 => Ok(()),
+        None => write!(to, "({rate})"),
+        Some(_) => write!(to, "({rate}, {:#} left)", HumanDuration(state.eta())),
+    };
+}
+
+/// One line, also in a terminal of 60 columns: the note is cut off where the terminal ends.
 fn bar(phase: &str, total: u64, unit: &str) -> ProgressBar {
     let (bar, template) = if total == 0 {
-        (ProgressBar::new_spinner(), "{prefix:.bold} {spinner} {human_pos} {unit} ({per_sec}) {msg}")
+        (ProgressBar::new_spinner(), "{prefix:.bold} {spinner} {human_pos} {unit} {pace} {wide_msg}")
     } else {
-        let template = "{prefix:.bold} [{bar:30}] {human_pos}/{human_len} {unit} ({per_sec}, {eta} left) {msg}";
-        (ProgressBar::new(total), template)
+        (ProgressBar::new(total), "{prefix:.bold} [{bar:10}] {human_pos}/{human_len} {unit} {pace} {wide_msg}")
     };
     let template = template.replace("{unit}", &unit.replace(['{', '}'], ""));
     // The template is ours and always well-formed; were it not, indicatif's own style serves as well.
     if let Ok(style) = ProgressStyle::with_template(&template) {
-        bar.set_style(style.progress_chars("=> "));
+        bar.set_style(style.with_key("pace", pace).progress_chars("=> "));
     }
     bar.set_prefix(phase.to_owned());
     bar.enable_steady_tick(Duration::from_millis(200));

@@ -185,7 +185,7 @@ impl TrackPool {
             progress.advance(1);
             Some(TestedSeries { telling: telling(&key, &test), key, rows, test })
         };
-        progress.start("tell apart", self.series.len() as u64, "series of tracks");
+        progress.start("tell apart", self.series.len() as u64, "series");
         let series = self.series.into_par_iter().filter_map(of_series).collect();
         progress.finish();
         Distinguished { series }

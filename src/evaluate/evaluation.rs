@@ -18,7 +18,7 @@ use crate::metrics::{Check, MetricRow};
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Scene, SceneId};
 use crate::store::{self, VerdictWriter};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// The result of an evaluation. Its rows are in files until [`Evaluated::remove_rows`].
@@ -30,6 +30,8 @@ pub struct Evaluated {
     pub n_predicted_scenes: usize,
     /// Tracks that a benchmark requires and that could not be predicted.
     pub n_tracks_left_out: usize,
+    /// The number of recorded scenes that accepted scenarios continue.
+    pub n_accepted_scenes: u64,
     rows: FinishedRows,
 }
 
@@ -77,7 +79,7 @@ pub struct EvaluationFiles<'a> {
 }
 
 /// Merges measured shards and decides on their scenarios. Its memory does not grow with scenarios, except for the paths
-/// of accepted ones, which recognize near-duplicates.
+/// of accepted ones, which recognize near-duplicates, and the names of their scenes.
 pub struct Evaluation<'a> {
     config: &'a EvaluateConfig,
     docs: Vec<MetricDoc>,
@@ -89,6 +91,8 @@ pub struct Evaluation<'a> {
     sampling: SamplingTally,
     predictions: Predictions,
     distinguished: Distinguished,
+    /// The recorded scenes that accepted scenarios continue.
+    accepted_scenes: BTreeSet<SceneId>,
 }
 
 impl<'a> Evaluation<'a> {
@@ -109,6 +113,7 @@ impl<'a> Evaluation<'a> {
             realism: RealismTable::default(),
             sampling: SamplingTally::default(),
             predictions: Predictions::create(files.predictions, &config.predictions)?,
+            accepted_scenes: BTreeSet::new(),
             config,
         })
     }
@@ -154,6 +159,9 @@ impl<'a> Evaluation<'a> {
             let (assessment, not_checked) = assessments.remove(&record.scenario.id).unzip();
             record.assessment = assessment;
             let verdict = self.verdicts.decide(&mut record, not_checked.as_deref().unwrap_or_default());
+            if record.assessment.as_ref().is_some_and(|assessment| assessment.accepted) {
+                self.accepted_scenes.insert(record.scenario.provenance.scene_id.clone());
+            }
             kept.extend(verdict.kept.then_some(record));
             self.verdict_table.push(verdict)?;
         }
@@ -188,6 +196,7 @@ impl<'a> Evaluation<'a> {
             maps: Vec::new(),
         };
         summary.gates = gates::check(&self.config.gates, &summary);
-        Ok(Evaluated { summary, rows, n_predicted_scenes, n_tracks_left_out })
+        let n_accepted_scenes = self.accepted_scenes.len() as u64;
+        Ok(Evaluated { summary, rows, n_accepted_scenes, n_predicted_scenes, n_tracks_left_out })
     }
 }

@@ -66,7 +66,12 @@ pub(super) fn assemble(
     let around_ego = Circle { center: ego_state.position, radius_m: config.map_radius_m };
     if map.is_some_and(|map| !map.has_any_within(around_ego)) {
         let Vec2 { x, y } = ego_state.position;
-        let detail = format!("no lane of {} within {} m of ({x:.1}, {y:.1})", raw.map_id, config.map_radius_m);
+        let lanes = map.and_then(LaneIndex::bounds).map_or_else(String::new, |(least, greatest)| {
+            let Vec2 { x, y } = least;
+            format!("; its lanes lie from ({x:.1}, {y:.1}) to ({:.1}, {:.1})", greatest.x, greatest.y)
+        });
+        let (map, within_m) = (&raw.map_id, config.map_radius_m);
+        let detail = format!("no lane of {map} within {within_m} m of ({x:.1}, {y:.1}){lanes}");
         return Err(reject(&raw, "no_lanes_in_radius", detail));
     }
     let kept = choose_agents(&raw.tracks, ego_idx, present, config, &mut counts);

@@ -338,6 +338,10 @@ impl UnitParser<'_> {
         let own_index = own_map.clone().map(LaneIndex::new);
         let map = own_index.as_ref().or_else(|| self.maps.get(&scene.map_id));
         if map.is_none() && self.config.wants_maps() {
+            if self.source.has_own_maps() {
+                let detail = format!("{}: has no lane; ingest.maps = \"none\" reads it without", scene.source.file);
+                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail });
+            }
             return UnitOutcome::MissingMap(scene.map_id);
         }
         match assemble(scene, map, self.config) {

@@ -23,6 +23,13 @@ impl LaneIndex {
         &self.graph
     }
 
+    /// Least and greatest coordinates of all centerlines.
+    pub(super) fn bounds(&self) -> Option<(Vec2, Vec2)> {
+        self.bounds.iter().copied().reduce(|(least, greatest), (a, b)| {
+            (Vec2::new(least.x.min(a.x), least.y.min(a.y)), Vec2::new(greatest.x.max(b.x), greatest.y.max(b.y)))
+        })
+    }
+
     /// Whether the centerline of any lane comes within the circle.
     pub(super) fn has_any_within(&self, circle: Circle) -> bool {
         self.candidates(circle.center, circle.radius_m).any(|lane| circle.meets(lane))

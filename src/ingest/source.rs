@@ -146,4 +146,10 @@ impl Horizon {
     pub const fn n_timesteps(self) -> usize {
         self.n_history + self.n_future
     }
+
+    /// What is wrong with a recording of so many frames, or whatever it calls them.
+    pub fn too_long_for(self, n: i64, frames: &str) -> String {
+        let n_timesteps = self.n_timesteps();
+        format!("{n} {frames}, a scene has {n_timesteps}: set ingest.n_history and ingest.n_future for shorter scenes")
+    }
 }

@@ -40,8 +40,7 @@ impl Recording {
         }
         let n_windows = (n_frames - n_timesteps as i64).div_euclid(stride) + 1;
         if n_windows <= 0 {
-            let detail = format!("{n_frames} frames, a scene has {n_timesteps}");
-            return rejected(self.unit.reject("recording_too_short", detail));
+            return rejected(self.unit.reject("recording_too_short", horizon.too_long_for(n_frames, "frames")));
         }
 
         let n_holdout_frames = (config.holdout_share * n_frames as f64).round() as i64;

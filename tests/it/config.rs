@@ -1,6 +1,6 @@
 //! Are pipeline files read as they should be, and are those that the project carries in order?
 
-use crate::support::{Workspace, djinn};
+use crate::support::{Workspace, command, djinn, files};
 use djinn::pipeline::config::PipelineConfig;
 use std::path::{Path, PathBuf};
 
@@ -49,6 +49,35 @@ fn the_published_schema_is_that_of_the_code() {
     }
     let published = fs_err::read_to_string(&path).unwrap_or_default();
     assert!(published == text, "schemas/config.schema.json is out of date; run the tests with DJINN_UPDATE_SCHEMAS=1");
+}
+
+#[test]
+fn a_saved_configuration_runs_again_from_where_it_lies() {
+    let workspace = Workspace::new();
+    let [job, elsewhere] = ["job", "elsewhere"].map(|name| workspace.path(name));
+    [&job, &elsewhere].into_iter().for_each(|folder| fs_err::create_dir(folder).unwrap());
+    let recordings = root().join("tests/fixtures/recordings/interaction/FIX-multi-v1_2.zip");
+    fs_err::copy(recordings, job.join("r.zip")).unwrap();
+    let pipeline = "[run]\noutput = 'out'\n[ingest]\ndataset = 'interaction'\ninputs = ['r.zip']\n[report]\n";
+    fs_err::write(job.join("p.toml"), pipeline).unwrap();
+    let run = |folder: &Path, pipeline: &str| {
+        let output = command(&["run", pipeline]).current_dir(folder).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{said}");
+        said
+    };
+    let is_again = |said: &str| said.contains("everything is up to date");
+    assert!(!is_again(&run(&job, "p.toml")));
+    let written = || {
+        // Records name the inputs as they were called.
+        files(&job.join("out")).into_iter().filter(|(name, _)| !name.ends_with(".json") && !name.ends_with("log.txt"))
+    };
+    let before: Vec<_> = written().collect();
+    for pipeline in ["../job/p.toml", "../job/out/p/main/config.toml"] {
+        let said = run(&elsewhere, pipeline);
+        assert!(is_again(&said) && said.contains("../job/out/p/main/report.html"), "{pipeline}: {said}");
+    }
+    assert!(written().eq(before) && files(&elsewhere).is_empty());
 }
 
 #[test]

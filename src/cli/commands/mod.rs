@@ -35,7 +35,7 @@ use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
 use crate::cli::signals;
 use crate::cloud::Place;
-use crate::engine::plan::PlannedStage;
+use crate::engine::plan::{Action, PlannedStage};
 use crate::engine::{Blame, Failure, Kept, Result};
 use crate::files::in_their_names;
 use crate::pipeline::StageId;
@@ -117,6 +117,9 @@ fn refuse_too_large(config: &PipelineConfig, layout: &Layout, planned: &[Planned
 fn announce(planned: &[PlannedStage<'_>], output: &OutputArgs, printer: &Printer) {
     for redone in planned.iter().filter_map(PlannedStage::redone) {
         printer.message(redone);
+    }
+    if !planned.is_empty() && planned.iter().all(|planned| planned.action == Action::Reuse) {
+        printer.message("everything is up to date");
     }
     if output.verbose {
         for PlannedStage { expected, action, .. } in planned {

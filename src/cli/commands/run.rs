@@ -12,7 +12,7 @@ use crate::engine::run_folder::{RunFolder, run_stages};
 use crate::engine::shards::{self, Makers, Part};
 use crate::engine::{Failure, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
-use crate::pipeline::layout::{Layout, REPORT};
+use crate::pipeline::layout::{CORPUS, Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
 use crate::settings;
 use std::path::{Path, PathBuf};
@@ -64,7 +64,7 @@ fn run_in(
     }
     let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
-    let records = run_stages(&folder, Some(&config.about()?), (compute, makers), planned, &progress)?;
+    let records = run_stages(&folder, Some(&config.about(root)?), (compute, makers), planned, &progress)?;
     describe(&records, root, printer);
     // Where a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
@@ -75,13 +75,19 @@ fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
     let record = |stage: StageId| records.iter().find(|record| record.stage == stage.name());
     if let Some(evaluated) = record(StageId::Evaluate) {
         let count = |key: &str| evaluated.summary[key].as_u64().unwrap_or_default();
+        // Runs of earlier versions have not counted them.
+        let scenes = match count("n_accepted_scenes") {
+            0 => String::new(),
+            n => format!(", from {n} recorded scenes"),
+        };
         printer.message(format_args!(
-            "{} of {} scenarios are accepted ({} verified, {} valid)",
+            "{} of {} scenarios are accepted ({} verified, {} valid){scenes}",
             count("n_accepted"),
             count("n_scenarios"),
             count("n_verified"),
             count("n_valid")
         ));
+        printer.message(format_args!("the corpus is {}", root.join(CORPUS).display()));
     }
     match record(StageId::Report) {
         Some(_) => printer.message(format_args!("the report is {}", root.join(REPORT).display())),

@@ -23,7 +23,8 @@ pub(super) const NOTES: &str = "<benchmark id>.xml: CommonRoad 2020a, valid agai
     is then. The ego itself is no obstacle, unless the export was asked to replay it (tracks.tsv says which one it is \
     then): take it out before you plan. velocity is that along the heading, velocityY that to the left of it. Lanelets \
     are numbered in ascending order of the map's lane ids. The date in the files is a placeholder: equal corpora give \
-    equal files.";
+    equal files. `djinn ingest --dataset commonroad` takes the files back, with ingest.n_history = 1 and \
+    ingest.n_future as many steps as they go on.";
 
 /// Writes a file for each scenario.
 pub(super) struct CommonRoad {

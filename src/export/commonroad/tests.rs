@@ -2,9 +2,11 @@
 
 use super::*;
 use crate::export::testing::{self, Node, add_all};
-use crate::geometry::Polyline;
+use crate::geometry::{Polyline, wrap_angle};
+use crate::ingest::{self, IngestBatch, IngestConfig};
+use crate::progress::Silent;
 use crate::scene::testing::without_states;
-use crate::scene::{Lane, LaneGraph, Scene};
+use crate::scene::{AgentClass, Dataset, Lane, LaneGraph, Scene, Trajectory};
 use std::sync::Arc;
 
 fn written(scene: &Scene, ego: EgoMotion) -> std::result::Result<(Node, Written), &'static str> {
@@ -129,4 +131,44 @@ fn what_cannot_be_written_is_told() {
     let (root, outcome) = written(&narrow, EgoMotion::Replayed).unwrap();
     assert_eq!(root.all("lanelet").len(), 1);
     assert_eq!(outcome.assumed[..2], [("nominal_lane_width", 1), ("lane_without_extent", 1)]);
+}
+
+#[test]
+fn what_is_exported_can_be_ingested_again() {
+    let mut scene = testing::scene();
+    // The pedestrian walks to the left.
+    let ahead = |state: &Option<State>| state.map(|state| State { heading_rad: 0.0, ..state });
+    scene.tracks[2].trajectory = Trajectory::new(scene.tracks[2].trajectory.entries().iter().map(ahead).collect());
+    scene.tracks[2].class = AgentClass::Pedestrian;
+    let dir = tempfile::tempdir().unwrap();
+    let written = add_all(Box::new(CommonRoad::new(dir.path(), EgoMotion::Replayed)), std::slice::from_ref(&scene));
+    let tracks = &written[0].as_ref().unwrap().tracks;
+    let present = scene.current_timestep();
+    let config = IngestConfig {
+        n_history: Some(1),
+        n_future: Some(scene.n_timesteps - scene.n_history),
+        ..IngestConfig::new(Dataset::CommonRoad, vec![dir.path().to_owned()])
+    };
+    let mut scenes = Vec::new();
+    let mut keep = |batch: IngestBatch| {
+        scenes.extend(batch.scenes);
+        Ok(())
+    };
+    ingest::ingest(&config, None, &Silent, &mut keep).unwrap();
+    let [again] = scenes.as_slice() else { panic!("{} scenes", scenes.len()) };
+    for (idx, track) in scene.tracks.iter().enumerate() {
+        let name = tracks[idx].as_ref().unwrap();
+        let found = again.tracks.iter().position(|track| &track.id.0 == name).unwrap();
+        assert_eq!(
+            (again.tracks[found].class, again.tracks[found].extent),
+            (track.class, Some(track.extent_or_nominal()))
+        );
+        for timestep in present..scene.n_timesteps {
+            let world = |of: &Scene, idx: usize, at| of.state(idx, at).map(|at| at.transformed(&of.world_from_scene));
+            let (was, is) = (world(&scene, idx, timestep).unwrap(), world(again, found, timestep - present).unwrap());
+            let off = (was.position - is.position).norm().max((was.velocity - is.velocity).norm());
+            assert!(off < 1e-6 && wrap_angle(was.heading_rad - is.heading_rad).abs() < 1e-6, "{was:?}, {is:?}");
+        }
+    }
+    assert_eq!(again.lanes.lanes().len(), scene.lanes.lanes().len());
 }

@@ -89,7 +89,7 @@ fn visit_file(
             return Ok(ControlFlow::Continue(()));
         }
         match open(path) {
-            Ok(file) => visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, gunzip(file))),
+            Ok(file) => visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, Packed(gunzip(file)))),
             Err(error) => visit(&entry, &mut Unopened::because(error)),
         }
     } else {
@@ -133,8 +133,22 @@ fn is_hidden(clean_name: &str) -> bool {
 /// The container itself is at fault; `after` is the last entry that could be read.
 fn damaged(container: &Path, after: Option<&str>, error: &io::Error) -> Error {
     let place = after.map_or(String::new(), |entry| format!(" after entry {entry}"));
-    let detail = format!("{error}{place}; the file may be damaged or truncated, download it again");
+    let detail = format!("{error}{place}; {DAMAGED}");
     Error::Container { container: container.to_owned(), file: String::new(), detail }
+}
+
+const DAMAGED: &str = "the file may be damaged or truncated, download it again";
+
+/// An entry of an archive, whose errors say what to do.
+struct Packed<R>(R);
+
+impl<R: Read> Read for Packed<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.0.read(into).map_err(|error| match error.kind() {
+            io::ErrorKind::Interrupted => error,
+            kind => io::Error::new(kind, format!("{error}; {DAMAGED}")),
+        })
+    }
 }
 
 /// Stands for an entry that could not be opened: the first read gives the reason.

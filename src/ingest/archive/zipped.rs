@@ -1,6 +1,6 @@
 //! What does a `.zip` archive hold?
 
-use super::{BUFFER_BYTES, Entry, Unopened, Visitor, clean_name, damaged, is_hidden, open};
+use super::{BUFFER_BYTES, Entry, Packed, Unopened, Visitor, clean_name, damaged, is_hidden, open};
 use crate::ingest::Error;
 use std::io;
 use std::ops::ControlFlow;
@@ -24,7 +24,7 @@ pub(super) fn visit(
             Ok(file) if file.is_symlink() => continue,
             Ok(file) => {
                 let entry = entry(Some(file.size()));
-                visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, file))?
+                visit(&entry, &mut io::BufReader::with_capacity(BUFFER_BYTES, Packed(file)))?
             }
             Err(error) => visit(&entry(None), &mut Unopened::because(to_io(error)))?,
         };

@@ -8,7 +8,7 @@ use crate::ingest::map_report::MapReport;
 use crate::ingest::plausible_lanes::{plausible, turn_around};
 use crate::ingest::xml_tree::Element;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId, TurnDirection};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Types of lanelets that no motor vehicle drives on.
 const NOT_DRIVABLE: [&str; 4] = ["sidewalk", "crosswalk", "bicycleLane", "border"];
@@ -32,9 +32,23 @@ pub(super) fn read(root: &Element) -> (LaneGraph, MapReport) {
             }
         }
     }
+    report_links(root, &lanes, &mut report);
     let lanes = plausible(lanes, &mut report);
     report.n_lanes = lanes.len() as u64;
     (connect(lanes), report)
+}
+
+/// Reports links to lanelets that the file does not have.
+fn report_links(root: &Element, lanes: &[Lane], report: &mut MapReport) {
+    let ids: BTreeSet<LaneId> = root.all("lanelet").filter_map(|lanelet| lanelet.id("id").ok().map(LaneId)).collect();
+    for lane in lanes {
+        let beside = [lane.left_neighbor, lane.right_neighbor];
+        let links = lane.successors.iter().chain(&lane.predecessors).chain(beside.iter().flatten());
+        for to in links.filter(|to| !ids.contains(to)) {
+            let detail = format!("lanelet {} is linked to lanelet {}, which is not there", lane.id.0, to.0);
+            report.warn("links_to_nowhere", detail);
+        }
+    }
 }
 
 fn lane(lanelet: &Element, turns: &BTreeMap<i64, TurnDirection>, report: &mut MapReport) -> Result<Lane, Malformed> {
@@ -43,6 +57,9 @@ fn lane(lanelet: &Element, turns: &BTreeMap<i64, TurnDirection>, report: &mut Ma
     if turn_around(&mut left, &mut right, None) {
         report.warn("lanes_turned_around", format!("lanelet {id}: its bounds ran against one another"));
     }
+    // The points of both belong to each other, also those that repeat.
+    let mut center = between(&left, &right);
+    [&mut left, &mut right, &mut center].into_iter().for_each(|line| line.0.dedup());
     let links = |name| lanelet.all(name).map(|link| link.id("ref").map(LaneId)).collect::<Result<Vec<_>, _>>();
     let neighbor = |name| lanelet.find(&[name]).map(|link| link.id("ref").map(LaneId)).transpose();
     let limit = lanelet.find(&["speedLimit"]).map(|limit| ("speed_limit_mps".to_owned(), limit.text().to_owned()));
@@ -61,15 +78,13 @@ fn lane(lanelet: &Element, turns: &BTreeMap<i64, TurnDirection>, report: &mut Ma
         left_neighbor: neighbor("adjacentLeft")?,
         right_neighbor: neighbor("adjacentRight")?,
         attributes: attributes.into(),
-        ..Lane::unconnected(id, between(&left, &right), [left, right])
+        ..Lane::unconnected(id, center, [left, right])
     })
 }
 
 fn bound(lanelet: &Element, name: &str) -> Result<Polyline, Malformed> {
     let bound = lanelet.find(&[name]).ok_or_else(|| Malformed::from(format!("has no <{name}>")))?;
-    let mut points = bound.all("point").map(point).collect::<Result<Vec<_>, _>>()?;
-    points.dedup();
-    Ok(Polyline(points))
+    Ok(Polyline(bound.all("point").map(point).collect::<Result<Vec<_>, _>>()?))
 }
 
 /// A point within the bounds of coordinates.

@@ -24,6 +24,7 @@ use tracks::Obstacle;
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
 /// Time between timesteps, seconds; scenarios with another are left out.
 const DT_S: f64 = 0.1;
+const VERSIONS: [&str; 3] = ["2018a", "2018b", "2020a"];
 /// Larger than any scenario.
 const MAX_BYTES: u64 = 64 << 20;
 
@@ -94,19 +95,28 @@ impl Scenario {
             return Err(unit.reject("other_time_step", format!("timeStepSize is {found}, expected {DT_S} s")));
         }
         unit.bytes = Vec::new();
-        if let Some(id) = root.attribute("benchmarkID") {
+        if let Some(id) = root.attribute("benchmarkID").filter(|id| !id.is_empty()) {
             unit.case_id = id.to_owned();
         }
         let (map, report) = map::read(&root);
         let (obstacles, left_out) = tracks::read(&root);
         let mut findings = report.findings(&unit.file);
+        let version = root.attribute("commonRoadVersion").unwrap_or_default();
+        if !VERSIONS.contains(&version) {
+            let detail = format!(
+                "{}: commonRoadVersion is \"{version}\", expected one of {}; read as if it were",
+                unit.file,
+                VERSIONS.join(", ")
+            );
+            findings.push(Finding { what: "unknown_versions", n: 1, detail });
+        }
         if let Some(first) = left_out.first() {
             let detail = format!("{}: {first}", unit.file);
             findings.push(Finding { what: "obstacles_left_out", n: left_out.len() as u64, detail });
         }
         Ok(Self {
             place: place_of(&unit.case_id),
-            version: root.attribute("commonRoadVersion").unwrap_or_default().to_owned(),
+            version: version.to_owned(),
             map: (!map.lanes().is_empty()).then(|| Arc::new(map)),
             obstacles,
             findings,
@@ -119,8 +129,11 @@ impl Scenario {
         let (n_timesteps, stride) = (horizon.n_timesteps() as i64, stride.max(1) as i64);
         let n_steps = tracks::time_steps(&self.obstacles).map_or(0, |(first, last)| last - first + 1);
         if n_steps < n_timesteps {
-            let detail = format!("{n_steps} time steps, a scene has {n_timesteps}");
-            let reject = self.unit.reject("recording_too_short", detail);
+            let reject = if n_steps == 0 {
+                self.unit.reject("no_obstacles", "has no obstacle that moves; its planning problems are not read")
+            } else {
+                self.unit.reject("recording_too_short", horizon.too_long_for(n_steps, "time steps"))
+            };
             return vec![Box::new(|| Err(reject))];
         }
         let first = tracks::time_steps(&self.obstacles).map_or(0, |(first, _)| first);

@@ -132,7 +132,9 @@ fn one_bad_obstacle_or_lanelet_is_named_and_costs_nothing_else() {
         assert_ne!(text, whole(), "{good}");
         let (scenes, report) = read(&text).unwrap_or_else(|error| panic!("{bad}: {error}"));
         let found = format!("{report:?}");
-        let n_warnings: u64 = report.warnings.values().map(|warning| warning.count).sum();
+        // A lanelet that is left out may be one that others lead to.
+        let warnings = report.warnings.iter().filter(|(what, _)| **what != "links_to_nowhere");
+        let n_warnings: u64 = warnings.map(|(_, warning)| warning.count).sum();
         assert_eq!(n_warnings, 1, "however many windows: {bad}: {found}");
         assert!(!scenes.is_empty() && found.contains(&expected.replace('"', "\\\"")), "{bad}: {found}");
     }

@@ -6,6 +6,7 @@ use crate::ingest::error::Malformed;
 use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::xml_tree::Element;
 use crate::scene::{AgentClass, Extent, State, Track, TrackId, TrackRole, Trajectory};
+use std::collections::BTreeSet;
 
 /// The longest scenario, timesteps: times further apart are a fault.
 const MAX_TIME_STEPS: i64 = 1_000_000;
@@ -22,7 +23,8 @@ pub(super) struct Obstacle {
 
 /// The obstacles, and what is wrong with those that are left out.
 pub(super) fn read(root: &Element) -> (Vec<Obstacle>, Vec<String>) {
-    let (mut obstacles, mut left_out) = (Vec::new(), Vec::new());
+    let (mut obstacles, mut left_out): (Vec<Obstacle>, _) = (Vec::new(), Vec::new());
+    let mut ids = BTreeSet::new();
     for element in root.children() {
         let is_static = match element.name.as_str() {
             "dynamicObstacle" => false,
@@ -32,7 +34,10 @@ pub(super) fn read(root: &Element) -> (Vec<Obstacle>, Vec<String>) {
             _ => continue,
         };
         match obstacle(element, is_static) {
-            Ok(obstacle) => obstacles.push(obstacle),
+            Ok(obstacle) if ids.insert(obstacle.id.clone()) => obstacles.push(obstacle),
+            Ok(Obstacle { id, .. }) => {
+                left_out.push(format!("obstacle {id} on line {}: the first of this id is kept", element.line));
+            }
             Err(what) => {
                 let (id, line) = (element.attribute("id").unwrap_or("without id"), element.line);
                 left_out.push(format!("obstacle {id} on line {line}: {what}"));
@@ -94,8 +99,12 @@ fn read_state(element: &Element, class: AgentClass) -> Result<(i64, State), Malf
     let position =
         element.find(&["position", "point"]).ok_or_else(|| format!("has no exact position at time {time}"))?;
     let heading_rad = recorded_heading(element.number(&["orientation", "exact"])?, class);
-    let speed_mps = element.number(&["velocity", "exact"]).unwrap_or_default();
-    let velocity = Vec2::from_angle(heading_rad) * speed_mps;
+    // Along the heading and to its left.
+    let speed = |name: &str| match element.find(&[name, "exact"]) {
+        Some(_) => element.number(&[name, "exact"]),
+        None => Ok(0.0),
+    };
+    let velocity = Vec2::new(speed("velocity")?, speed("velocityY")?).rotated(heading_rad);
     Ok((time as i64, State { position: point(position)?, heading_rad, velocity }))
 }
 

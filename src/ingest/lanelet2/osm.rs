@@ -60,12 +60,14 @@ pub(super) struct Member {
 pub(super) fn parse(text: &str, file: &str, report: &mut MapReport) -> Result<Osm, Error> {
     let mut reader = quick_xml::Reader::from_str(text);
     let mut document = Document { osm: Osm::default(), open: Open::Nothing, report };
-    let mut depth = 0;
+    let (mut depth, mut is_empty) = (0, true);
     loop {
         let at = usize::try_from(reader.buffer_position()).unwrap_or(text.len());
         let line = |at: usize| format!("line {}", line_at(text.as_bytes(), at));
         let malformed = |what: Malformed| Error::map(file, line(at), what);
-        match reader.read_event() {
+        let event = reader.read_event();
+        is_empty &= !matches!(event, Ok(Event::Start(_) | Event::Empty(_)));
+        match event {
             Ok(Event::Start(element)) => {
                 depth += 1;
                 if depth > MAX_DEPTH {
@@ -88,6 +90,7 @@ pub(super) fn parse(text: &str, file: &str, report: &mut MapReport) -> Result<Os
                 return Err(malformed(format!("unexpected reference `&{};`", &*entity).into()));
             }
             Ok(Event::Eof) if depth > 0 => return Err(malformed("the document ends within an element".into())),
+            Ok(Event::Eof) if is_empty => return Err(Error::map(file, "line 1", "holds no element, and is no XML")),
             Ok(Event::Eof) => return Ok(document.osm),
             Ok(_) => {}
             Err(error) => {

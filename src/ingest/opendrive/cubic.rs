@@ -33,7 +33,19 @@ pub(super) fn cubic_slope([_, b, c, d]: [f64; 4], x: f64) -> f64 {
 
 /// The value at `s_m` of functions by ascending start: that of the last one that has begun; before the first, 0.
 pub(super) fn value_at(functions: &[Cubic], s_m: f64) -> f64 {
+    begun(functions, s_m).map_or(0.0, |function| cubic(function.coefficients, s_m - function.start_m))
+}
+
+/// The largest second derivative between two distances, of functions of which none begins between them.
+pub(super) fn bend_between(functions: &[Cubic], [from_m, to_m]: [f64; 2]) -> f64 {
+    begun(functions, 0.5 * (from_m + to_m)).map_or(0.0, |function| {
+        let [_, _, c, d] = function.coefficients;
+        let bend = |s_m: f64| (2.0 * c + 6.0 * d * (s_m - function.start_m)).abs();
+        bend(from_m).max(bend(to_m))
+    })
+}
+
+fn begun(functions: &[Cubic], s_m: f64) -> Option<&Cubic> {
     let n_begun = functions.partition_point(|function| function.start_m <= s_m);
-    let begun = n_begun.checked_sub(1).and_then(|last| functions.get(last));
-    begun.map_or(0.0, |function| cubic(function.coefficients, s_m - function.start_m))
+    n_begun.checked_sub(1).and_then(|last| functions.get(last))
 }

@@ -1,6 +1,6 @@
 //! Which lane goes on in which: by the links of lanes and roads, and the connections of junctions.
 
-use super::road::{Road, RoadLink};
+use super::road::{Road, RoadLink, end_of};
 use crate::ingest::error::Malformed;
 use crate::ingest::xml_tree::Element;
 use std::collections::BTreeMap;
@@ -14,9 +14,9 @@ pub(super) type LaneEnd = (LaneKey, usize);
 /// Lanes of a road that go on in those of a road of a junction.
 #[derive(Debug)]
 pub(super) struct Connection {
-    junction: String,
-    incoming: String,
-    connecting: String,
+    pub(super) junction: String,
+    pub(super) incoming: String,
+    pub(super) connecting: String,
     /// The end of the connecting road that touches the incoming one.
     contact: usize,
     /// The lanes of both, one by one.
@@ -38,7 +38,7 @@ impl Connection {
                 junction: id.to_owned(),
                 incoming: incoming.to_owned(),
                 connecting: connecting.to_owned(),
-                contact: usize::from(element.attribute("contactPoint") == Some("end")),
+                contact: end_of(element, element.attribute("contactPoint"))?,
                 lanes: lanes.collect::<Result<Vec<_>, Malformed>>()?,
             }))
         };

@@ -83,13 +83,7 @@ pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGrap
             }
         }
     }
-    for (road, link) in roads.iter().flat_map(|road| road.links.iter().flatten().map(move |link| (road, link))) {
-        if let RoadLink::Road(to, _) = link
-            && !ids.contains(to)
-        {
-            report.warn("links_to_nowhere", format!("road {} is linked to road {to}, which is not read", road.id));
-        }
-    }
+    report_gaps(&roads, &connections, &ids, &root, &mut report);
     let lanes = lanes(&roads, &connections, &mut report).map_err(error)?;
     let lanes = plausible(lanes, &mut report);
     if lanes.is_empty() {
@@ -98,6 +92,37 @@ pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGrap
     }
     report.n_lanes = lanes.len() as u64;
     Ok((connect(lanes), report))
+}
+
+/// Reports reference lines that break off, and links to what is not there.
+fn report_gaps(
+    roads: &[Road],
+    connections: &[Connection],
+    ids: &BTreeSet<String>,
+    root: &Element,
+    report: &mut MapReport,
+) {
+    let junctions: BTreeSet<&str> = root.all("junction").filter_map(|junction| junction.attribute("id")).collect();
+    for road in roads {
+        if let Some(gap) = road.gap() {
+            report.warn("broken_reference_lines", format!("road {}: {gap}", road.id));
+        }
+        for link in road.links.iter().flatten() {
+            let (what, to, is_there) = match link {
+                RoadLink::Road(to, _) => ("road", to, ids.contains(to)),
+                RoadLink::Junction(to) => ("junction", to, junctions.contains(to.as_str())),
+            };
+            if !is_there {
+                report
+                    .warn("links_to_nowhere", format!("road {} is linked to {what} {to}, which is not read", road.id));
+            }
+        }
+    }
+    for Connection { junction, incoming, connecting, .. } in connections {
+        if let Some(road) = [incoming, connecting].into_iter().find(|road| !ids.contains(*road)) {
+            report.warn("links_to_nowhere", format!("junction {junction} connects road {road}, which is not read"));
+        }
+    }
 }
 
 fn checked(road: Road) -> Result<Road, Malformed> {
@@ -193,7 +218,21 @@ impl Lanes {
             let lane = roads[road].sections.get(section)?.lanes.iter().find(|found| found.id == lane)?;
             Some((index, (end == 1) == is_along(&roads[road], lane)))
         });
-        let [Some((one, one_ends)), Some((other, other_ends))] = found else { return };
+        let [Some((one, one_ends)), Some((other, other_ends))] = found else {
+            let [one, other] = ends.map(|((road, section, lane), _)| (&roads[road], section, lane));
+            let is_there = |(road, section, lane): &(&Road, usize, i64)| {
+                road.sections.get(*section).is_some_and(|section| section.lanes.iter().any(|found| found.id == *lane))
+            };
+            let missing = [(one, other), (other, one)].into_iter().find(|(lane, _)| !is_there(lane));
+            if let Some(((road, _, lane), (from_road, _, from))) = missing {
+                let detail = format!(
+                    "lane {from} of road {} is linked to lane {lane} of road {}, which is not there",
+                    from_road.id, road.id
+                );
+                report.warn("links_to_nowhere", detail);
+            }
+            return;
+        };
         if one_ends == other_ends {
             let [one, other] = [one, other].map(|index| lane_name(&self.lanes[index]));
             report.warn("lane_links_against_traffic", format!("{one} and {other} meet head on"));

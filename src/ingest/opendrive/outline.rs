@@ -1,7 +1,7 @@
 //! The edges of lanes as points.
 
 use super::SAME_M;
-use super::cubic::value_at;
+use super::cubic::{bend_between, value_at};
 use super::plan_view::pose_at;
 use super::road::{Road, RoadLane};
 use crate::geometry::{Polyline, Vec2, angle_difference};
@@ -96,7 +96,13 @@ fn distances(road: &Road, section: usize, [start_m, end_m]: [f64; 2]) -> Option<
             let turned_rad = heading(share).zip(heading(share + 0.25)).map(|(a, b)| angle_difference(b, a).abs());
             turned_rad.unwrap_or_default() / (0.25 * (to_m - from_m))
         });
-        let curvature_per_m = turns.into_iter().fold(0.0, f64::max);
+        // Edges bend beside the reference line, too.
+        let of_road = bend_between(&road.lane_offset, [from_m, to_m]);
+        let of_lane = |lane: &RoadLane| {
+            let within = [from_m - start_m, to_m - start_m];
+            bend_between(&lane.widths, within).max(bend_between(&lane.borders, within))
+        };
+        let curvature_per_m = turns.into_iter().chain([of_road]).chain(lanes.iter().map(of_lane)).fold(0.0, f64::max);
         let step_m = (8.0 * MAX_ERROR_M / curvature_per_m).sqrt().clamp(MIN_STEP_M, MAX_STEP_M);
         let n_steps = ((to_m - from_m) / step_m).ceil().max(1.0);
         distances_m.extend((1..=n_steps as usize).map(|step| from_m + (to_m - from_m) * step as f64 / n_steps));

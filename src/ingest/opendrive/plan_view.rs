@@ -26,7 +26,7 @@ pub(super) struct Piece {
     /// Distance along the road at which it begins.
     pub(super) start_m: f64,
     pub(super) length_m: f64,
-    origin: Vec2,
+    pub(super) origin: Vec2,
     heading_rad: f64,
     shape: Shape,
 }

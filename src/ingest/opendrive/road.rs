@@ -1,7 +1,7 @@
 //! Roads as their elements describe them.
 
 use super::cubic::Cubic;
-use super::plan_view::Piece;
+use super::plan_view::{Piece, pose_at};
 use crate::ingest::error::Malformed;
 use crate::ingest::xml_tree::Element;
 
@@ -21,6 +21,9 @@ const DRIVABLE: [&str; 13] = [
     "roadWorks",
     "mwyEntry",
 ];
+
+/// Pieces of a reference line that are farther apart do not follow one another, meters.
+const MAX_GAP_M: f64 = 1.0;
 
 /// A road.
 #[derive(Debug)]
@@ -90,6 +93,9 @@ impl Road {
         }
         let link = |name| element.find(&["link", name]).map(road_link).transpose();
         let sections = children(element, "lanes", "laneSection").map(section).collect::<Result<Vec<_>, _>>()?;
+        if sections.is_empty() {
+            return Err("has no <laneSection> in <lanes>".into());
+        }
         Ok(Self {
             id: element.attribute("id").ok_or("has no id")?.to_owned(),
             length_m,
@@ -101,6 +107,20 @@ impl Road {
             sections: sorted(sections),
             links: [link("predecessor")?, link("successor")?],
         })
+    }
+
+    /// How the pieces of the reference line fail to follow one another, if they do.
+    pub(super) fn gap(&self) -> Option<String> {
+        let mut pieces = self.plan_view.windows(2).filter_map(|pair| {
+            let apart_m = pair[1].origin.distance(pose_at(&pair[..1], pair[1].start_m)?.0);
+            let start_m = pair[1].start_m;
+            let detail = || format!("its geometry at {start_m} m begins {apart_m:.1} m from where the one before ends");
+            (apart_m > MAX_GAP_M).then(detail)
+        });
+        let end_m = self.plan_view.last().map_or(0.0, |last| last.start_m + last.length_m.max(0.0));
+        let is_short = self.length_m - end_m > MAX_GAP_M;
+        let taken_on = || format!("its geometry ends after {end_m} of {} m, and is taken on", self.length_m);
+        pieces.next().or_else(|| is_short.then(taken_on))
     }
 
     /// Where a section begins and ends along the road.
@@ -128,10 +148,24 @@ fn cubics(group: Option<&Element>, name: &str, start: &str) -> Result<Vec<Cubic>
 
 fn road_link(element: &Element) -> Result<RoadLink, Malformed> {
     let id = element.attribute("elementId").ok_or_else(|| format!("<{}> has no elementId", element.name))?.to_owned();
-    Ok(match element.attribute("elementType") {
-        Some("junction") => RoadLink::Junction(id),
-        _ => RoadLink::Road(id, usize::from(element.attribute("contactPoint") == Some("end"))),
-    })
+    match (element.attribute("elementType"), element.attribute("contactPoint")) {
+        (Some("junction"), _) => Ok(RoadLink::Junction(id)),
+        (Some("road") | None, contact) => Ok(RoadLink::Road(id, end_of(element, contact)?)),
+        (Some(other), _) => Err(unlisted(element, "elementType", other, "road or junction")),
+    }
+}
+
+/// The end of a road that a contact point names: start (0) or end (1).
+pub(super) fn end_of(element: &Element, contact: Option<&str>) -> Result<usize, Malformed> {
+    match contact {
+        Some("start") | None => Ok(0),
+        Some("end") => Ok(1),
+        Some(other) => Err(unlisted(element, "contactPoint", other, "start or end")),
+    }
+}
+
+fn unlisted(element: &Element, name: &str, found: &str, expected: &str) -> Malformed {
+    format!("<{}> on line {} has {name} \"{found}\", expected {expected}", element.name, element.line).into()
 }
 
 fn section(element: &Element) -> Result<Section, Malformed> {

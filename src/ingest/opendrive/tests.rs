@@ -90,6 +90,21 @@ fn bends_are_followed_to_millimeters() {
 }
 
 #[test]
+fn widths_that_bend_are_followed_to_millimeters() {
+    // From nothing to 3.5 m in 14 m.
+    let width = |x: f64| 3.0 * 3.5 * (x / 14.0).powi(2) - 2.0 * 3.5 * (x / 14.0).powi(3);
+    let (c, d) = (3.0 * 3.5 / 14f64.powi(2), -2.0 * 3.5 / 14f64.powi(3));
+    let widths = format!("<width sOffset='0' a='0' b='0' c='{c}' d='{d}'/><width sOffset='14' a='3.5'/>");
+    let opening = lane(-1, "driving", &widths, "");
+    let (graph, _) =
+        read(&road("1", "", STRAIGHT, &format!("<laneSection s='0'><right>{opening}</right></laneSection>")));
+    let edge = &by_lane(&graph, "1", "-1")[0].right;
+    for middle in edge.0.windows(2).map(|pair| pair[0].lerp(pair[1], 0.5)).filter(|middle| middle.x < 14.0) {
+        assert!((middle.y + width(middle.x)).abs() < 0.006, "{middle:?}");
+    }
+}
+
+#[test]
 fn sections_roads_and_junctions_connect_lanes() {
     let section = |s: f64, links: [&str; 2]| {
         let [left, right] = [lane(1, "driving", WIDE, links[0]), lane(-1, "driving", WIDE, links[1])];

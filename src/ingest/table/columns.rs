@@ -98,7 +98,8 @@ impl Table {
     fn of_csv(bytes: &[u8], lines: &[u64], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
-        let mut reader = csv_reader(separator_of(header)).from_reader(bytes);
+        let separator = separator_of(header);
+        let mut reader = csv_reader(separator).from_reader(bytes);
         let names: Vec<String> = reader.byte_headers()?.iter().map(printable).collect();
         let mut table = Self { names, counted: "line", ..Self::default() };
         let mut found = Vec::new();
@@ -122,7 +123,9 @@ impl Table {
                 let (n, expected) = (record.len(), table.names.len());
                 let is_open = record.iter().any(|cell| cell.contains(&b'\n'));
                 let quote = if is_open { "; a quote on it is closed on a later line, or never" } else { "" };
-                return Err(format!("line {line}: {n} cells, expected {expected}{quote}").into());
+                let between = char::from(separator);
+                let detail = format!("{n} cells, expected {expected} between {between:?}, as in the header{quote}");
+                return Err(format!("line {line}: {detail}").into());
             }
             for (slot, (index, name, kind)) in found.iter().enumerate() {
                 let cell = &record[*index];
@@ -242,7 +245,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_said_with_its_line() {
         for (text, expected) in [
-            ("id,x\na,1\nb\n", "line 3: 1 cells, expected 2"),
+            ("id,x\na,1\nb\n", "line 3: 1 cells, expected 2 between ',', as in the header"),
             ("id,x\na,1\nb,one\n", "line 3: column x is \"one\", expected a number"),
             ("id,x,x\n", "line 1: the column x appears twice"),
         ] {

@@ -145,6 +145,12 @@ impl TableMapping {
             (Some(_), None, Some(_)) => return refuse("frame_rate_hz", "is of columns.frame, which is not named"),
             _ => {}
         }
+        let TableColumns { track, x, y, heading, .. } = &self.columns;
+        let once = [Some(track), Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref()];
+        let once: Vec<&String> = once.into_iter().flatten().collect();
+        if let Some((_, twice)) = once.iter().enumerate().find(|(idx, name)| once[..*idx].contains(name)) {
+            return refuse("columns", &format!("has \"{twice}\" for two of track, x, y, time, frame and heading"));
+        }
         if length.is_some() != width.is_some() {
             return refuse("columns", "has only one of length and width: name both or neither");
         }

@@ -23,6 +23,8 @@ const MAX_SIZE_M: f64 = 1e3;
 const MAX_USUAL_S: f64 = 1.0;
 /// So many rows of a track in a part tell how far they usually are apart.
 const N_ROWS_OF_PART: usize = 20;
+/// A recording in which nobody goes as far is not in meters.
+const MAX_AT_REST_M: f64 = 0.5;
 /// Two rows of a track at one time are one if their positions are this near, meters.
 const SAME_M: f64 = 1e-6;
 
@@ -65,6 +67,8 @@ impl Rows<'_> {
             }
             tracks.extend(self.track(id, rows, start_s, &mut counts)?);
         }
+        let away_m = tracks.iter().map(farthest_m).fold(0.0, f64::max);
+        counts.at_rest_m = (self.part.is_none() && !tracks.is_empty() && away_m < MAX_AT_REST_M).then_some(away_m);
         let findings = counts.findings(&self.file);
         Ok(Recording { dataset: Dataset::Table, unit, tracks, findings })
     }
@@ -331,6 +335,12 @@ impl Gaps {
     }
 }
 
+/// How far a track goes from where it begins, meters.
+fn farthest_m(track: &RecordedTrack) -> f64 {
+    let positions = || track.states.iter().map(|(_, state, _)| state.position);
+    positions().next().map_or(0.0, |first| positions().map(|at| at.distance(first)).fold(0.0, f64::max))
+}
+
 /// What is remarkable in a recording.
 #[derive(Debug, Default)]
 struct Counts {
@@ -339,6 +349,8 @@ struct Counts {
     n_gaps: usize,
     n_other_classes: usize,
     first_other_class: Option<String>,
+    /// How far anybody goes, if nobody does.
+    at_rest_m: Option<f64>,
 }
 
 impl Counts {
@@ -346,7 +358,14 @@ impl Counts {
         let finding = |what: &'static str, n: usize, detail: &str| {
             (n > 0).then(|| Finding { what, n: n as u64, detail: format!("{file}: {detail}") })
         };
+        let at_rest = self.at_rest_m.map(|away_m| {
+            format!(
+                "nobody is ever more than {away_m:.4} m from where it begins; are positions in meters, by \
+                 ingest.table.length_unit_m, and not in degrees?"
+            )
+        });
         let all = [
+            finding("recordings_at_rest", usize::from(at_rest.is_some()), at_rest.as_deref().unwrap_or_default()),
             finding("rows_without_track", self.n_without_track, "rows without an id are left out"),
             finding("rows_repeated", self.n_repeated, "rows that repeat the one before are left out"),
             finding("gaps_filled", self.n_gaps, "gaps within tracks are filled in"),

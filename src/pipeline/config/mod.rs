@@ -19,7 +19,7 @@ use crate::engine::run_folder::RunAbout;
 use crate::engine::{ComputeChoice, DeviceChoice};
 use crate::engine::{Failure, Result};
 use crate::evaluate::EvaluateConfig;
-use crate::files::regular;
+use crate::files::{name_elsewhere, regular};
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
@@ -133,11 +133,20 @@ impl RunConfig {
     }
 }
 
+fn in_utf8(path: &Path, bytes: Vec<u8>) -> Result<String> {
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        let line = 1 + error.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+        Failure::input_message(format_args!("{}:{line}: is not in UTF-8", path.display()))
+            .with_hint("save the file in that encoding")
+    })
+}
+
 impl PipelineConfig {
     /// Reads a pipeline file (none: all defaults) and applies overrides such as `run.seed=7`.
     pub fn load(path: Option<&Path>, overrides: &[String]) -> Result<Self> {
         let text = match path {
-            Some(path) => regular(path).and_then(|_| fs_err::read_to_string(path)).map_err(Failure::input)?,
+            Some(path) => in_utf8(path, regular(path).and_then(|_| fs_err::read(path)).map_err(Failure::input)?)?,
             None => String::new(),
         };
         let mut config = parse(path, &text, overrides).map_err(|error| {
@@ -165,13 +174,13 @@ impl PipelineConfig {
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))
     }
 
-    /// The description that a run of it writes.
-    pub fn about(&self) -> anyhow::Result<RunAbout> {
+    /// The description that a run of it writes into its folder.
+    pub fn about(&self, root: &Path) -> anyhow::Result<RunAbout> {
         Ok(RunAbout {
             pipeline: self.run.name.clone(),
             seed: self.run.seed,
             device: self.run.compute().to_string(),
-            config: self.portable().to_toml()?,
+            config: self.saved_in(root)?,
         })
     }
 
@@ -207,5 +216,21 @@ impl PipelineConfig {
         config.run = RunConfig { threads, memory_limit_gb, output, ..config.run };
         config.cluster = None;
         config
+    }
+
+    /// The same as TOML in the folder `root` of a run: it runs again from there, into the same folder.
+    pub fn saved_in(&self, root: &Path) -> anyhow::Result<String> {
+        let mut config = self.portable();
+        // In a bucket there is no way from one to the other.
+        if name_elsewhere(root).is_some() {
+            return config.to_toml();
+        }
+        config.run.output = PathBuf::from("../..");
+        Ok(paths::replaced(config.to_toml()?, |path| paths::seen_from(root, path)))
+    }
+
+    /// The same as TOML without paths, which are other ones from another directory.
+    pub fn without_paths(&self) -> anyhow::Result<String> {
+        Ok(paths::replaced(self.portable().to_toml()?, |_| Some(String::new())))
     }
 }

@@ -1,6 +1,7 @@
 //! Relative paths in a pipeline are relative to its file: it means the same wherever djinn is started.
 
 use crate::cloud::ObjectUrl;
+use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -18,33 +19,94 @@ const KEYS: [(&str, &str); 7] = [
 
 /// Makes the paths of a table that was read from a file in `folder` relative to the current directory.
 pub(super) fn take_from(folder: &Path, table: &mut DeTable<'_>) {
+    each_path(table, &mut |value| {
+        let there = value.get_ref().as_str().and_then(|path| within(folder, Path::new(path)));
+        if let Some(there) = there {
+            *value.get_mut() = DeValue::String(there.into());
+        }
+    });
+}
+
+/// A configuration with other paths but for the output; those for which there is none stay.
+pub(super) fn replaced(config: String, other: impl Fn(&Path) -> Option<String>) -> String {
+    let mut places: Vec<(Range<usize>, String)> = Vec::new();
+    if let Ok(mut table) = DeTable::parse(&config) {
+        table.get_mut().remove("run");
+        each_path(table.get_mut(), &mut |value| {
+            let other = value.get_ref().as_str().and_then(|path| other(Path::new(path)));
+            places.extend(other.map(|path| (value.span(), toml::Value::String(path).to_string())));
+        });
+    }
+    places.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
+    places.into_iter().fold(config, |mut config, (span, path)| {
+        config.replace_range(span, &path);
+        config
+    })
+}
+
+/// Calls `at` with every path of a table.
+fn each_path<'a>(table: &mut DeTable<'a>, at: &mut dyn FnMut(&mut Spanned<DeValue<'a>>)) {
     for (section, value) in table.iter_mut() {
         let keys: Vec<&str> = KEYS.iter().filter(|(of, _)| *of == section.get_ref()).map(|(_, key)| *key).collect();
-        walk(folder, &keys, false, value);
+        walk(&keys, false, value, at);
     }
 }
 
-fn walk(folder: &Path, keys: &[&str], is_path: bool, value: &mut Spanned<DeValue<'_>>) {
+fn walk<'a>(
+    keys: &[&str],
+    is_path: bool,
+    value: &mut Spanned<DeValue<'a>>,
+    at: &mut dyn FnMut(&mut Spanned<DeValue<'a>>),
+) {
     match value.get_mut() {
-        DeValue::String(path) if is_path => {
-            if let Some(there) = within(folder, Path::new(path.as_ref())) {
-                *path = there.into();
-            }
-        }
-        DeValue::Array(items) => items.iter_mut().for_each(|item| walk(folder, keys, is_path, item)),
+        DeValue::String(_) if is_path => at(value),
+        DeValue::Array(items) => items.iter_mut().for_each(|item| walk(keys, is_path, item, at)),
         DeValue::Table(table) => {
             for (key, value) in table.iter_mut() {
                 let is_path = keys.contains(&key.get_ref().as_ref());
-                walk(folder, keys, is_path, value);
+                walk(keys, is_path, value, at);
             }
         }
         _ => {}
     }
 }
 
+fn is_relative(path: &Path) -> bool {
+    !path.as_os_str().is_empty() && path.is_relative() && matches!(ObjectUrl::of(path), Ok(None))
+}
+
+/// A path that is relative to the current directory, from the folder, or absolute if they have nothing in common;
+/// `None` if it stays as it is.
+pub(super) fn seen_from(folder: &Path, path: &Path) -> Option<String> {
+    if !is_relative(path) {
+        return None;
+    }
+    // Without links in them, so that `..` leads where it seems to.
+    let mut there = fs_err::canonicalize(".").ok()?;
+    let folder = there.join(folder);
+    let folder = folder.ancestors().find_map(|known| {
+        let below = folder.strip_prefix(known).ok()?;
+        Some(fs_err::canonicalize(known).ok()?.join(below))
+    })?;
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if !there.is_symlink() => drop(there.pop()),
+            part => there.push(part),
+        }
+    }
+    let n_common = there.components().zip(folder.components()).take_while(|(a, b)| a == b).count();
+    let is_at_root = !there.components().take(n_common).any(|part| matches!(part, Component::Normal(_)));
+    if !is_at_root {
+        let up = folder.components().skip(n_common).map(|_| Component::ParentDir);
+        there = up.chain(there.components().skip(n_common)).collect();
+    }
+    there.into_os_string().into_string().ok()
+}
+
 /// A path that is relative to the folder, from the current directory; `None` if it stays as it is.
 fn within(folder: &Path, path: &Path) -> Option<String> {
-    if path.as_os_str().is_empty() || path.is_absolute() || !matches!(ObjectUrl::of(path), Ok(None)) {
+    if !is_relative(path) {
         return None;
     }
     let mut there = PathBuf::new();
@@ -67,6 +129,29 @@ fn within(folder: &Path, path: &Path) -> Option<String> {
 mod tests {
     use crate::pipeline::config::parse;
     use std::path::Path;
+
+    #[test]
+    fn a_saved_configuration_names_the_same_files_from_where_it_lies() {
+        let inputs = ["r.zip", "../x/r", "/abs", "a/../b", "."];
+        let text = format!("[run]\nname = 'p'\n[ingest]\ndataset = 'argoverse1'\ninputs = {inputs:?}\n");
+        let config = parse(None, &text, &[]).unwrap();
+        let here = fs_err::canonicalize(".").unwrap();
+        let name = here.file_name().unwrap().to_str().unwrap();
+        let saved = |root: &Path| config.saved_in(root).unwrap().parse::<toml::Table>().unwrap();
+        let of = |saved: &toml::Table| {
+            let inputs = saved["ingest"]["inputs"].as_array().unwrap();
+            inputs.iter().map(|path| path.as_str().unwrap().to_owned()).collect::<Vec<_>>()
+        };
+        // Neither there yet nor anything that is read.
+        let beside = saved(Path::new("output/p/main"));
+        assert_eq!(of(&beside), ["../../../r.zip", "../../../../x/r", "/abs", "../../../b", "../../.."]);
+        assert_eq!(beside["run"]["output"].as_str(), Some("../.."));
+        let above = of(&saved(Path::new("../other")));
+        assert_eq!(above[..2], [format!("../{name}/r.zip"), "../x/r".to_owned()]);
+        // Nothing in common but the root.
+        let elsewhere = of(&saved(Path::new("/nowhere")));
+        assert_eq!(Path::new(&elsewhere[0]), here.join("r.zip"));
+    }
 
     #[test]
     fn paths_are_relative_to_the_file_and_those_of_overrides_to_the_current_directory() {

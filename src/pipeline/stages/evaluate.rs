@@ -157,6 +157,7 @@ impl Sharded for Evaluate<'_> {
         write_metrics(&path(METRICS), found.all_rows()?)?;
         corpus.write_metrics(found.rows_of_corpus()?)?;
         let (n_predicted_scenes, n_tracks_left_out) = (found.n_predicted_scenes, found.n_tracks_left_out);
+        let n_accepted_scenes = found.n_accepted_scenes;
         let summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
         corpus.finish(&self.notes(&summary))?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
@@ -166,6 +167,7 @@ impl Sharded for Evaluate<'_> {
             "n_new": summary.n_new,
             "n_valid": summary.n_valid,
             "n_accepted": summary.n_accepted,
+            "n_accepted_scenes": n_accepted_scenes,
             "n_kept": summary.n_kept,
             "predictions": { "n_scenes": n_predicted_scenes, "n_tracks_left_out": n_tracks_left_out },
             "gates": summary.gates,

@@ -116,6 +116,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
                 device: run.compute().to_string(),
                 // A configuration that cannot be written has failed before: it is saved in the run folder.
                 config: config.portable().to_toml().unwrap_or_default(),
+                settings: config.without_paths().unwrap_or_default(),
             },
             layout,
         }),

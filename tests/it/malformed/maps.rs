@@ -99,6 +99,87 @@ pub(super) const CASES: &[Case] = &[
         &["town.xodr", "road 2 on line 20: <road> on line 20 has length \"long\", expected a number"],
     ),
     case(
+        "a road without lanes",
+        ROADS,
+        Made(|bytes| {
+            let text = text(bytes);
+            let at = text.rfind("<laneSection").unwrap();
+            let end = text.rfind("</lanes>").unwrap();
+            [&text[..at], &text[end..]].concat().into_bytes()
+        }),
+        GoesOn,
+        &["town.xodr", "road 2 on line 20: has no <laneSection>"],
+    ),
+    case(
+        "a reference line with a hole",
+        ROADS,
+        Replace(&[(
+            "<geometry s='0' x='20' y='0' hdg='0' length='60'>",
+            "<geometry s='0' x='20' y='0' hdg='0' \
+            length='30'><line/></geometry><geometry s='30' x='90' y='30' hdg='0' length='30'>",
+        )]),
+        GoesOn,
+        &["town.xodr", "road 2: its geometry at 30 m begins 50.0 m from where the one before ends"],
+    ),
+    case(
+        "a reference line that ends early",
+        ROADS,
+        Replace(&[("hdg='0' length='60'", "hdg='0' length='30'")]),
+        GoesOn,
+        &["town.xodr", "road 2: its geometry ends after 30 of 60 m"],
+    ),
+    case(
+        "a link to an unknown junction",
+        ROADS,
+        Replace(&[("elementType='road' elementId='2'", "elementType='junction' elementId='9'")]),
+        GoesOn,
+        &["town.xodr", "road 1 is linked to junction 9, which is not read"],
+    ),
+    case(
+        "a link to an unknown lane",
+        ROADS,
+        Replace(&[("<successor id='-1'/>", "<successor id='-7'/>")]),
+        GoesOn,
+        &["town.xodr", "lane -1 of road 1 is linked to lane -7 of road 2, which is not there"],
+    ),
+    case(
+        "a link to a street",
+        ROADS,
+        Replace(&[("elementType='road' elementId='2'", "elementType='street' elementId='2'")]),
+        GoesOn,
+        &["town.xodr", "<successor> on line 5 has elementType \"street\", expected road or junction"],
+    ),
+    case(
+        "a contact in the middle",
+        ROADS,
+        Replace(&[("contactPoint='start'", "contactPoint='middle'")]),
+        GoesOn,
+        &["town.xodr", "<successor> on line 5 has contactPoint \"middle\", expected start or end"],
+    ),
+    case(
+        "a junction of unknown roads",
+        ROADS,
+        Replace(&[(
+            "</OpenDRIVE>",
+            "<junction id='5'><connection incomingRoad='1' connectingRoad='8'/></junction>\n\
+            </OpenDRIVE>",
+        )]),
+        GoesOn,
+        &["town.xodr", "junction 5 connects road 8, which is not read"],
+    ),
+    case(
+        "a map of somewhere else",
+        ROADS,
+        Made(|bytes| {
+            text(bytes)
+                .replace("x='-20' y='0'", "x='5000' y='0'")
+                .replace("x='20' y='0'", "x='5040' y='0'")
+                .into_bytes()
+        }),
+        Ends,
+        &["no lane of table/town within 100 m", "its lanes lie from (5000.0, -1.8) to (5100.0, -1.8)"],
+    ),
+    case(
         "an unknown geometry",
         ROADS,
         Made(|bytes| replaced_last(bytes, "<line/>", "<helix/>")),
@@ -152,6 +233,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     // Maps in Lanelet2.
     case("an empty map in OSM", LANELETS, Whole(""), Ends, &["town.osm", "no "]),
+    case("no OSM", LANELETS, Whole("{\"type\": \"osm\"}"), Ends, &["town.osm", "line 1", "no XML"]),
     case("OSM cut short", LANELETS, Cut(70), Ends, &["town.osm", "line 15"]),
     case(
         "a coordinate that is a word",
@@ -236,6 +318,60 @@ pub(super) const CASES: &[Case] = &[
         Replace(&[("<x>80</x><y>0</y>", "<x>east</x><y>0</y>")]),
         GoesOn,
         &["a.xml", "lanelet 2 on line 9: ", "on line 10 is \"east\", expected a number"],
+    ),
+    case(
+        "a version to come",
+        SCENARIO,
+        Replace(&[("'2020a'", "'2031z'")]),
+        GoesOn,
+        &["a.xml: commonRoadVersion is \"2031z\", expected one of 2018a, 2018b, 2020a"],
+    ),
+    case(
+        "an obstacle twice",
+        SCENARIO,
+        Replace(&[("<dynamicObstacle id='8'>", "<dynamicObstacle id='7'>")]),
+        GoesOn,
+        &["a.xml: obstacle 7 on line 81: the first of this id is kept"],
+    ),
+    case(
+        "a speed that is a word",
+        SCENARIO,
+        Made(|bytes| replaced_last(bytes, "<velocity><exact>10.0", "<velocity><exact>fast")),
+        GoesOn,
+        &["a.xml", "obstacle 8", "on line 144 is \"fast\", expected a number"],
+    ),
+    case(
+        "a lanelet that leads nowhere",
+        SCENARIO,
+        Replace(&[("<successor ref='2'/>", "<successor ref='9'/>")]),
+        GoesOn,
+        &["a.xml: lanelet 1 is linked to lanelet 9, which is not there"],
+    ),
+    case(
+        "no lanelets",
+        SCENARIO,
+        Made(|bytes| text(bytes).replace("lanelet id", "lane id").replace("</lanelet>", "</lane>").into_bytes()),
+        Rejected,
+        &["a.xml: has no lane", "ingest.maps = \"none\""],
+    ),
+    case(
+        "nobody who moves",
+        SCENARIO,
+        Made(|bytes| text(bytes).replace("dynamicObstacle", "planningProblem").into_bytes()),
+        Rejected,
+        &["a.xml", "has no obstacle that moves"],
+    ),
+    case(
+        "a scenario of two seconds",
+        SCENARIO,
+        Made(|bytes| {
+            let text = text(bytes);
+            let begins: Vec<usize> = text.match_indices("<state>").map(|(at, _)| at).collect();
+            let ends: Vec<usize> = text.match_indices("</trajectory>").map(|(at, _)| at).collect();
+            [&text[..begins[20]], &text[ends[0]..begins[79]], &text[ends[1]..]].concat().into_bytes()
+        }),
+        Rejected,
+        &["a.xml", "21 time steps, a scene has 40", "ingest.n_history and ingest.n_future"],
     ),
     // INTERACTION and Argoverse.
     case("a map that is missing", (Input::Interaction, MAP), Gone, Ends, &["map", "ingest.map_inputs", "ingest.maps"]),

@@ -64,6 +64,20 @@ pub(super) const CASES: &[Case] = &[
         Ends,
         &["ingest.table.files", "`track_*.csv`", "such as train/a.csv"],
     ),
+    case(
+        "one column for two",
+        MAPPED,
+        Replace(&[("y = 'y'", "y = 'x'")]),
+        Ends,
+        &["ingest.table.columns", "has \"x\" for two of track, x, y"],
+    ),
+    case(
+        "a mapping in Latin-1",
+        MAPPED,
+        Made(|bytes| [b"# stra\xdfe\n", bytes].concat()),
+        Ends,
+        &["p.toml:1: is not in UTF-8", "save the file in that encoding"],
+    ),
     // Tables in CSV.
     case("an empty table", TABLE, Whole(""), Rejected, &["train/a.csv", "is empty"]),
     case("a header alone", TABLE, Whole("id,t,x,y,h,l,w,c\n"), Rejected, &["train/a.csv", "has no rows"]),
@@ -151,6 +165,25 @@ pub(super) const CASES: &[Case] = &[
         Replace(&[("7,0.7,7,-1.75,0,4.5,1.8,car", "7;0.7;7;-1.75;0;4.5;1.8;car")]),
         Rejected,
         &["train/a.csv", "line 9", "1 cells, expected 8"],
+    ),
+    case(
+        "another separator than the header's",
+        TABLE,
+        Replace(&[("id,t,x,y,h,l,w,c", "id;t;x;y;h;l;w;c")]),
+        Rejected,
+        &["train/a.csv", "line 2: 1 cells, expected 8 between ';', as in the header"],
+    ),
+    case(
+        "degrees for meters",
+        TABLE,
+        Made(|bytes| {
+            let degrees = |(i, line): (usize, &str)| {
+                line.replacen(&format!(",{},-1.75", i as i64 - 1), &format!(",8.40000{i:02},49.01"), 1)
+            };
+            text(bytes).split_inclusive('\n').enumerate().map(degrees).collect::<String>().into_bytes()
+        }),
+        GoesOn,
+        &["train/a.csv: nobody is ever more than 0.0000 m", "not in degrees", "ingest.table.length_unit_m"],
     ),
     case("an open quote", TABLE, Replace(&[("7,0.7,7", "\"7,0.7,7")]), Rejected, &["train/a.csv: line 9: ", "quote"]),
     case(

@@ -34,7 +34,11 @@ pub struct About {
     /// The device that networks computed on.
     pub device: String,
     /// The resolved configuration, as TOML.
+    #[serde(skip)]
     pub config: String,
+    /// The same without paths: a report is not made anew because they are called otherwise.
+    #[serde(rename = "config")]
+    pub settings: String,
 }
 
 impl Stage for Report<'_> {
