@@ -84,8 +84,8 @@ impl CutOut {
     }
 }
 
-/// Whether the ego comes down to the other's speed before the gap is gone, braking on at this rate after the scene. Both
-/// drive along the same way, so the difference of their distances closes the gap.
+/// Whether the ego comes down to the other's speed before the gap is gone, braking on at this rate after the scene.
+/// Both drive along the same way, so the difference of their distances closes the gap.
 fn keeps_distance(own: &Travel, theirs: &Travel, gap_m: f64, mps2: f64) -> bool {
     let closed_m = |step: usize| own.driven_m[step] - theirs.driven_m[step];
     let last = own.driven_m.len() - 1;

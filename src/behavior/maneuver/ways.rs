@@ -70,8 +70,8 @@ fn settling_m(state: &State) -> f64 {
     (state.speed_mps() * SETTLES_S).max(LEAST_SETTLING_M)
 }
 
-/// The ways ahead of an agent, which drives this curvature, 1/m: along its lanes, or those beside to which it moves over,
-/// with every choice at a fork; straight on if it is in no lane.
+/// The ways ahead of an agent, which drives this curvature, 1/m: along its lanes, or those beside to which it moves
+/// over, with every choice at a fork; straight on if it is in no lane.
 pub(super) fn ways(lanes: &SceneLanes<'_>, state: &State, curvature_1pm: f64) -> Vec<Way> {
     let own = lanes
         .lanes_at(state.position)
