@@ -22,6 +22,8 @@ const TO_SPARE_S: f64 = 0.5;
 const CROSSING_MPS: f64 = 1.2;
 /// Who drifts away from the ego's lane faster than this does not cut in at once, m/s.
 const AWAY_MPS: f64 = 0.5;
+/// Who is farther off the middle of its lane is between lanes, meters.
+const IN_LANE_M: f64 = 0.9;
 /// Below this speed an agent stands, m/s, and there is no cut-in.
 const STANDING_MPS: f64 = 1.0;
 
@@ -90,6 +92,7 @@ impl CutIn {
         let their_mps = settled_mps(scene, other_idx, their_mps);
         let is_possible = [ego, other].iter().all(|track| track.class.is_motorized())
             && turned_rad < super::ALONG_RAD
+            && own_place.offset_m.abs() < IN_LANE_M
             && own_mps.min(their_mps) >= STANDING_MPS
             && !lane.holds(theirs.position);
         let side = if place.offset_m < own_place.offset_m { -1.0 } else { 1.0 };

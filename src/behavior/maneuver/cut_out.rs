@@ -1,5 +1,6 @@
 //! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
+use super::driver::Travel;
 use super::moving_over::{is_clear_of, ways_over};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
@@ -11,11 +12,13 @@ use crate::scene::Scene;
 
 /// Accelerations of the ego and of the revealed vehicle, m/s²; nobody brakes hard for nothing.
 const EGO_MPS2: [f64; 2] = [0.0, -1.0];
-const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
+const REVEALED_MPS2: [f64; 2] = [0.0, -1.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
-/// How long after the leader is midway the ego brakes, seconds, and how hard, m/s².
+/// How long after the leader is midway the ego brakes, how long before the scene ends at the latest, seconds, and how
+/// hard, m/s².
 const REACTION_S: f64 = 0.6;
+const SHOWN_S: f64 = 0.5;
 const BRAKES_MPS2: [f64; 3] = [2.0, 4.0, 6.0];
 
 impl CutOut {
@@ -31,7 +34,10 @@ impl CutOut {
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
         let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
-        ways.retain(|way| way.has_room(scene, leader_idx, &[ego_idx, revealed_idx]));
+        let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
+        ways.retain(|way| {
+            way.midway_s + REACTION_S + SHOWN_S < horizon_s && way.has_room(scene, leader_idx, &[ego_idx, revealed_idx])
+        });
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
         let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));
         let paces = EGO_MPS2.iter().flat_map(|own| REVEALED_MPS2.map(|theirs| (*own, theirs)));
@@ -50,13 +56,12 @@ impl CutOut {
                         ..next
                     })
                 });
-                // Both drive along the same way, so the difference of their distances closes the gap.
-                let keeps = |pace: &Pace| {
-                    let own = ego.travel(*own_rail, pace).driven_m;
-                    own.iter().zip(&theirs.driven_m).all(|(own, theirs)| own - theirs < next.gap_m)
+                let keeps = |(pace, mps2): &(Pace, f64)| {
+                    keeps_distance(&ego.travel(*own_rail, pace), &theirs, next.gap_m, *mps2)
                 };
-                let braking = |mps2: f64| Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2);
-                let pace = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
+                let braking = |mps2: f64| (Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2), mps2);
+                let braking = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
+                let pace = braking.map(|(pace, _)| pace);
                 let Some(pace) = pace else { continue };
                 let revealed_at = revealed.positions(*their_rail, &theirs.driven_m);
                 if !is_clear_of(scene, [leader_idx, revealed_idx], [&way.positions, &revealed_at]) {
@@ -77,4 +82,14 @@ impl CutOut {
         }
         Some(maneuvers)
     }
+}
+
+/// Whether the ego comes down to the other's speed before the gap is gone, braking on at this rate after the scene. Both
+/// drive along the same way, so the difference of their distances closes the gap.
+fn keeps_distance(own: &Travel, theirs: &Travel, gap_m: f64, mps2: f64) -> bool {
+    let closed_m = |step: usize| own.driven_m[step] - theirs.driven_m[step];
+    let last = own.driven_m.len() - 1;
+    let closing_mps = (own.speeds_mps[last] - theirs.speeds_mps[last]).max(0.0);
+    let after_m = closing_mps * closing_mps / (2.0 * mps2);
+    (0..=last).all(|step| closed_m(step) < gap_m) && closed_m(last) + after_m < gap_m
 }

@@ -112,14 +112,15 @@ impl Driver {
         let hardest_mps2 = ORDINARY_MPS2.into_iter().fold(0.0, f64::max);
         let reach_m = (state.speed_mps() + hardest_mps2 * horizon_s / 2.0) * horizon_s;
         let mut rails: Vec<Rail> = Vec::new();
-        for rail in ways(lanes, &state).iter().filter_map(|way| Rail::new(way, reach_m)) {
+        let observed = observed_acceleration(scene, agent_idx).unwrap_or_default();
+        let forward = state.velocity * (1.0 / state.speed_mps().max(f64::MIN_POSITIVE));
+        let curvature_1pm = forward.cross(observed) / state.speed_mps().powi(2).max(f64::MIN_POSITIVE);
+        for rail in ways(lanes, &state, curvature_1pm).iter().filter_map(|way| Rail::new(way, reach_m)) {
             if rails.iter().all(|other| other.end().distance(rail.end()) > SAME_M) {
                 rails.push(rail);
             }
         }
-        let forward = state.velocity * (1.0 / state.speed_mps().max(f64::MIN_POSITIVE));
-        let observed_mps2 = observed_acceleration(scene, agent_idx).map_or(0.0, |observed| observed.dot(forward));
-        let observed_mps2 = observed_mps2.clamp(-BRAKES_MPS2, BRAKES_MPS2);
+        let observed_mps2 = observed.dot(forward).clamp(-BRAKES_MPS2, BRAKES_MPS2);
         Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 

@@ -15,7 +15,7 @@ const BEGINS_S: [f64; 4] = [0.4, 0.9, 1.4, 1.9];
 const LASTS_S: [f64; 3] = [0.9, 1.5, 2.5];
 
 impl HardBrake {
-    /// Maneuvers of an agent that keeps its speed and then brakes.
+    /// Maneuvers of an agent that keeps its speed, or brakes on, and then brakes hard.
     pub(in crate::behavior) fn brakings(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
         let config = self.config();
         let driver = scene.tracks[agent_idx].class.is_motorized().then(|| SceneLanes::new(&scene.lanes));
@@ -31,7 +31,8 @@ impl HardBrake {
             }
             for (rail, from_s) in (0..driver.rails.len()).flat_map(|rail| BEGINS_S.map(|from_s| (rail, from_s))) {
                 for lasts_s in LASTS_S {
-                    let pace = Pace::steady(0.0).then(from_s, -deceleration_mps2).then(from_s + lasts_s, 0.0);
+                    let pace = Pace::steady(driver.braking_mps2().min(0.0));
+                    let pace = pace.then(from_s, -deceleration_mps2).then(from_s + lasts_s, 0.0);
                     let positions = vec![driver.positions(rail, &driver.travel(rail, &pace).driven_m)];
                     maneuvers.push(Maneuver {
                         kind: [i, (from_s * 10.0) as usize],

@@ -26,7 +26,9 @@ const ROOM_S: f64 = 0.7;
 const ORDINARY_BRAKING_MPS2: f64 = 2.0;
 const CLEARANCE_M: f64 = 0.6;
 /// Accelerations along the lane, m/s².
-const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -1.0];
+const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -0.6];
+/// Nobody moves over who moves to the other side at present faster than this, m/s.
+const AWAY_MPS: f64 = 0.3;
 
 /// One way to move over.
 pub(super) struct MovingOver {
@@ -135,9 +137,11 @@ pub(super) fn is_clear_of(scene: &Scene, agents: [usize; 2], positions: [&[Vec2]
 /// The ways in which a driver can move over to a lane that lies to this side. Empty if it is too slow.
 fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mps2: f64) -> Vec<MovingOver> {
     let now = driver.state;
-    let Some(aside_m) = target.project(now.position).map(|place| place.offset_m.abs()) else { return Vec::new() };
+    let Some(there) = target.project(now.position) else { return Vec::new() };
+    let aside_m = there.offset_m.abs();
+    let toward_mps = -there.offset_m.signum() * Vec2::from_angle(there.heading_rad).cross(now.velocity);
     let mut found = Vec::new();
-    if now.speed_mps() < LEAST_SPEED_MPS {
+    if now.speed_mps() < LEAST_SPEED_MPS || toward_mps < -AWAY_MPS {
         return found;
     }
     for (along_mps2, rail) in ALONG_MPS2.iter().flat_map(|mps2| (0..driver.rails.len()).map(move |rail| (*mps2, rail)))

@@ -22,6 +22,8 @@ const NOTICED_S: f64 = 1.0;
 const EGO_MPS2: [f64; 3] = [0.0, 0.6, -1.0];
 const REACTION_S: f64 = 0.4;
 const BRAKES_MPS2: [f64; 5] = [1.5, 2.5, 3.5, 5.0, 7.0];
+/// How long before the scene ends the vehicle reacts at the latest, seconds.
+const SHOWN_S: f64 = 0.6;
 /// How far before the pedestrian the vehicle stops, meters.
 const LEFT_M: f64 = 0.5;
 
@@ -61,6 +63,9 @@ impl PedestrianStepsOut {
                 };
                 let reaches_lane_s = STARTING_S / 2.0 + to_lane_m / walks_mps;
                 let seen_s = begins_s + reaches_lane_s.min(NOTICED_S);
+                if seen_s + REACTION_S + SHOWN_S > n_steps as f64 * scene.dt_s {
+                    continue;
+                }
                 let gap_m = gap_m + along_mps * (begins_s + STARTING_S / 2.0);
                 let walked: Vec<Vec2> =
                     (0..=n_steps).map(|step| theirs.position + walked(step as f64 * scene.dt_s)).collect();
