@@ -6,7 +6,7 @@ import math
 from djinn.drive import along, find, serve
 
 faults = argparse.ArgumentParser(description=__doc__)
-faults.add_argument("--late", action="store_true", help="sees everything half a second late")
+faults.add_argument("--late", action="store_true", help="sees everything half a second late, itself included")
 faults.add_argument("--weak", action="store_true", help="brakes with at most 2 m/s²")
 faults.add_argument("--fast", action="store_true", help="wants to drive 20 %% faster")
 faults.add_argument("--ahead-only", action="store_true", help="sees who is on its route, no sooner")
@@ -18,12 +18,20 @@ faults = faults.parse_args()
 seen = {}  # The observations of the present scenario.
 
 
+def half_a_second_before(observation, hello):
+    n = round(0.5 / hello["dt_s"])
+    agents = [{**agent, "states": agent["states"][:-n]} for agent in observation["agents"]]
+    return {**observation, "agents": [agent for agent in agents if agent["states"] and agent["states"][-1]]}
+
+
 def act(observation, hello):
     history = seen.setdefault(hello["scenario_id"], [])
     if observation["time_s"] == 0.0:
         seen.clear()
         seen[hello["scenario_id"]] = history = []
-    history.append(observation)
+    # The first observation has the second before it, too.
+    history += [observation] if history or not faults.late else [half_a_second_before(observation, hello), observation]
+    observation = history[-2 if faults.late else -1]
     route, width = hello["route"], hello["width_m"]
     x, y, heading, vx, vy = find(observation, hello["ego_id"])["states"][-1]
     speed, (station, _) = math.hypot(vx, vy), along(route, x, y)
@@ -36,8 +44,7 @@ def act(observation, hello):
     # Keep the distance to whoever is on the route, or will be within two seconds.
     wanted = hello["target_speed_mps"] * (1.2 if faults.fast else 1.0)
     acceleration = 1.5 * (1.0 - (speed / max(wanted, 1.0)) ** 4)
-    looked_at = history[max(len(history) - 2, 0)] if faults.late else observation
-    for agent in [] if faults.blind else looked_at["agents"]:
+    for agent in [] if faults.blind else observation["agents"]:
         if agent["id"] == hello["ego_id"]:
             continue
         ox, oy, oh, ovx, ovy = agent["states"][-1]

@@ -43,10 +43,10 @@ pub struct DelaySurvived {
 /// What the margins of a corpus come to.
 #[derive(Debug, Clone, PartialEq, Serialize, Default)]
 pub struct Margins {
-    /// The scenarios in which the driver fails at a delay that the careful driver survives: the largest difference
-    /// first.
+    /// Scenarios that were made harder, first those in which the driver fails at a delay that the careful driver
+    /// survives: the largest difference first.
     pub scenarios: Vec<Margin>,
-    /// Scenarios that were made harder.
+    /// How many there are.
     pub n_scenarios: u64,
     /// Those in which the driver fails earlier than the careful one, and those in which it is the other way around.
     pub n_sooner: u64,
@@ -67,10 +67,11 @@ impl Margins {
         };
         let median_delay_s = [delays(|margin| &margin.own), delays(|margin| &margin.careful)];
         let n_scenarios = margins.len() as u64;
-        let n_later = margins.iter().filter(|margin| margin.lead_s() < 0.0).count() as u64;
-        let mut scenarios: Vec<Margin> = margins.into_iter().filter(|margin| margin.lead_s() > 0.0).collect();
+        let count = |has: fn(f64) -> bool| margins.iter().filter(|margin| has(margin.lead_s())).count() as u64;
+        let [n_sooner, n_later] = [count(|lead_s| lead_s > 0.0), count(|lead_s| lead_s < 0.0)];
+        let mut scenarios = margins;
         scenarios.sort_by(|a, b| b.lead_s().total_cmp(&a.lead_s()).then_with(|| a.scenario_id.cmp(&b.scenario_id)));
-        Self { n_scenarios, n_sooner: scenarios.len() as u64, n_later, median_delay_s, scenarios }
+        Self { n_scenarios, n_sooner, n_later, median_delay_s, scenarios }
     }
 }
 
@@ -232,7 +233,8 @@ mod tests {
             margin("d", Some(0.4), None),
         ]);
         let ids: Vec<&str> = margins.scenarios.iter().map(|margin| margin.scenario_id.as_str()).collect();
-        assert_eq!((ids, margins.n_scenarios, margins.n_later), (vec!["b", "a"], 4, 1));
+        assert_eq!((ids, margins.n_scenarios), (vec!["b", "a", "c", "d"], 4));
+        assert_eq!([margins.n_sooner, margins.n_later], [2, 1]);
         assert!((margins.median_delay_s[0] - 0.3).abs() < 1e-9 && (margins.median_delay_s[1] - 0.3).abs() < 1e-9);
     }
 }

@@ -96,7 +96,15 @@ fn behaviors(report: &DriveReport) -> PlainTable {
 }
 
 fn traffic(report: &DriveReport) -> PlainTable {
-    let columns = ["Driver", "Seconds", "Agents, of recorded", "Arrived", "Left", "Collided per 1,000 s", "Standing"];
+    let columns = [
+        "Driver",
+        "Seconds",
+        "Agents per recorded one",
+        "Arrived",
+        "Left",
+        "Collided per 1,000 s",
+        "Share that stands",
+    ];
     let mut table = PlainTable::new("Traffic over time", &columns);
     let per = |part: f64, whole: f64| if whole > 0.0 { format!("{:.2}", part / whole) } else { "–".to_owned() };
     for (driver, traffic) in &report.traffic {
@@ -187,5 +195,6 @@ mod tests {
         let report = DriveReport::new(&crate::drive::EgoDriver::Idm, None, 1, "m");
         let page = render_drives(&Cards::default().page(&report, &rows, "planner"));
         assert!(page.contains("short beyond") && page.contains("cut in") && !page.contains("<article"));
+        assert!(page.contains("survives 0 scenarios that this driver does not.") && !page.contains("come first"));
     }
 }

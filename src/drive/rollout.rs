@@ -257,7 +257,7 @@ impl Drive<'_> {
         self.min_ttc_s = [self.min_ttc_s, ttc_s].into_iter().flatten().reduce(f64::min);
         self.contact = contact(situation, &self.world);
         if let Some(Contact { track, side, relative_mps }) = &self.contact {
-            let why = format!("touches {track} with its {} at {relative_mps:.1} m/s", side.name());
+            let why = format!("touches track {track} with its {} at {relative_mps:.1} m/s", side.name());
             return Some((Outcome::Hit, Some(why)));
         }
         let off_m = self.world.present(ego_idx).and_then(|state| situation.ego_off_road_m(&state));

@@ -122,9 +122,12 @@ fn scenarios_are_made_harder_until_a_driver_fails() {
     let n_panels = |title: &str| page.split("[\"").filter(|part| part.starts_with(title)).count();
     // Each title names a panel and its only drive.
     assert_eq!(["careful: survived", "planner: hit"].map(n_panels), [2 * n_matter; 2]);
+    assert!(page.contains("a drive ends when it fails"));
     let margins = &found["margins"];
     assert_eq!(margins["n_scenarios"], N_SCENARIOS);
-    let sooner = margins["scenarios"].as_array().unwrap();
+    let (all, n_sooner) = (margins["scenarios"].as_array().unwrap(), margins["n_sooner"].as_u64().unwrap() as usize);
+    let sooner = &all[..n_sooner];
+    assert_eq!(all.len() as u64, N_SCENARIOS);
     assert!(!sooner.is_empty() && margins["n_later"] == 0, "{margins}");
     for margin in sooner {
         let delay_s = |driver: &str| margin[driver]["delay_s"].as_f64().unwrap_or(-1.0);

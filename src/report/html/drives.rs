@@ -1,7 +1,7 @@
 //! The page of drives.
 
 use super::plain::plain_table;
-use super::scenes::player;
+use super::scenes::{keys_help, player};
 use super::{COURSES, PLAYER, Section, facts, page};
 use crate::report::drives::{DriveCell, DriveGrid, DrivesPage};
 use crate::report::number::{count, value};
@@ -14,9 +14,18 @@ pub fn render_drives(content: &DrivesPage) -> String {
     let scenes = html! {
         p class="note" {
             "The careful driver of UN Regulation No. 157 survives " (count(content.n_matter as u64))
-            " scenarios that this driver does not; those in which it has to brake hardest come first"
-            @if n_drawn < content.n_matter { ", and the first " (n_drawn) " are drawn" }
-            ". Both drives begin with the same second."
+            @if content.n_matter == 1 { " scenario" } @else { " scenarios" } " that this driver does not"
+            @if n_drawn > 0 { "; those in which it has to brake hardest come first" }
+            @if n_drawn < content.n_matter { ", and the first " (n_drawn) " are drawn" } "."
+        }
+        @if n_drawn > 0 {
+            p class="note" {
+                "The careful driver comes first in each, then the driver of this page: the same past second (dotted), \
+                 and what came of it. The vehicle that they drive is blue, who takes part in the event orange. \
+                 Outlines are where a drive ends, faint ones a second apart on the way there; a drive ends when it \
+                 fails. The curves below are of the second drive."
+            }
+            (keys_help())
         }
         (player(&content.scenes))
     };
@@ -24,10 +33,11 @@ pub fn render_drives(content: &DrivesPage) -> String {
     if !content.grids.is_empty() {
         let grids = html! {
             p class="note" {
-                "Failures of scenarios, by two parameters of the event. " span class="key full" { "none" } " "
-                span class="key short" { "some that the careful driver survives" } " "
-                span class="key infeasible" { "no scenario" } " "
-                span class="key beyond" { "the careful driver fails, too" } ": its boundary."
+                "By two parameters of the event, each in parts with equally many scenarios; 2/7: fails 2 of 7. "
+                span class="key full" { "none that the careful driver survives" } " "
+                span class="key short" { "some that it survives" } " "
+                span class="key beyond" { "the careful driver fails some, too" } ": the boundary of what it survives. "
+                span class="key infeasible" { "–" } " no scenario."
             }
             @for grid in &content.grids { (heat_map(grid)) }
         };

@@ -150,6 +150,8 @@
     panels.setAttribute("aria-label", "Player. The space bar plays and pauses, arrow keys go a step.");
 
     const last = Math.max(0, data.steps - 1);
+    // A drive that ends sooner than the one beside it stands still at its end.
+    const ends = states.map((ofPanel) => Math.max(...ofPanel.flat().map((agent) => agent.states.length)) - 1);
     const button = (text, label, onclick) => {
       const made = element("button", { type: "button", textContent: text, onclick });
       made.setAttribute("aria-label", label);
@@ -163,10 +165,11 @@
     const show = (wanted) => {
       timestep = Math.min(last, Math.max(0, wanted));
       figures.forEach((figure, p) => {
+        const at = Math.min(timestep, ends[p]);
         for (const group of figure.querySelectorAll("[data-sample]")) {
           const ofSample = states[p][group.dataset.sample];
           for (const now of group.querySelectorAll(".now")) {
-            const state = ofSample[now.dataset.agent].states[timestep];
+            const state = ofSample[now.dataset.agent].states[at];
             now.style.display = state ? "" : "none";
             if (!state) continue;
             now.setAttribute("transform", placed(state));
@@ -174,7 +177,7 @@
           }
         }
         for (const label of figure.querySelectorAll("[data-label]")) {
-          const state = states[p][0][label.dataset.label].states[timestep];
+          const state = states[p][0][label.dataset.label].states[at];
           label.style.display = state ? "" : "none";
           if (!state) continue;
           label.setAttribute("x", state[0]);

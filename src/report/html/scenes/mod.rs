@@ -91,6 +91,13 @@ fn reading_help(n_scenes: usize) -> Markup {
         p class="note print-only" {
             "In print, the first " (n_scenes.min(N_STILL)) " of " (n_scenes) " scenes are drawn."
         }
+        (keys_help())
+    }
+}
+
+/// How to play a scene without a mouse.
+pub(super) fn keys_help() -> Markup {
+    html! {
         p class="note script-only" hidden { "With the focus on a scene, the space bar plays and pauses, the arrow keys \
                                              go a step back and forth, Home and End to its ends." }
     }
