@@ -17,9 +17,9 @@ const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
 /// How long after the leader is midway the ego brakes, how long before the scene ends at the latest, seconds, and how
 /// hard, m/s².
-const REACTION_S: f64 = 0.6;
-const SHOWN_S: f64 = 0.5;
-const BRAKES_MPS2: [f64; 3] = [2.0, 4.0, 6.0];
+const REACTION_S: f64 = 0.3;
+const SHOWN_S: f64 = 0.4;
+const BRAKES_MPS2: [f64; 4] = [2.0, 3.5, 5.0, 7.0];
 
 impl CutOut {
     /// Maneuvers in which the leader leaves the lane and the ego brakes as gently as it can for the revealed vehicle.
