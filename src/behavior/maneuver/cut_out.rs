@@ -93,3 +93,22 @@ fn keeps_distance(own: &Travel, theirs: &Travel, gap_m: f64, mps2: f64) -> bool 
     let after_m = closing_mps * closing_mps / (2.0 * mps2);
     (0..=last).all(|step| closed_m(step) < gap_m) && closed_m(last) + after_m < gap_m
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_still_closes_in_at_the_end_needs_room_to_brake_on() {
+        let travel = |speeds_mps: [f64; 2]| Travel {
+            driven_m: speeds_mps.iter().scan(0.0, |sum, speed| Some(std::mem::replace(sum, *sum + speed))).collect(),
+            speeds_mps: speeds_mps.to_vec(),
+        };
+        let (own, slow) = (travel([10.0, 8.0]), travel([2.0, 2.0]));
+        // It has closed 8 m, and closes 6² / (2 · 3) more.
+        for (gap_m, mps2, expected) in [(14.1, 3.0, true), (13.9, 3.0, false), (13.9, 4.0, true), (7.9, 100.0, false)] {
+            assert_eq!(keeps_distance(&own, &slow, gap_m, mps2), expected, "{gap_m} m, {mps2} m/s²");
+        }
+        assert!(keeps_distance(&slow, &own, 0.1, 1.0), "nobody closes in");
+    }
+}
