@@ -1,6 +1,7 @@
 //! The agents of a row and their frame, and the conversion of its samples to scenes.
 
 use super::ending::{HeadingSource, derive_motion, hold_still, stands_still, turn_into_motion};
+use super::lane_keeping::lane_keepers;
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
 
@@ -54,7 +55,10 @@ impl AgentFrame {
             let state = |t| track.trajectory.get(t).filter(|_| self.observed(agent_idx, t)).copied();
             (0..n_timesteps).map(state).collect()
         };
-        let holds = stands_still(source.tracks.iter().enumerate().map(|(agent_idx, track)| observed(agent_idx, track)));
+        let given: Vec<Vec<Option<State>>> =
+            source.tracks.iter().enumerate().map(|(agent_idx, track)| observed(agent_idx, track)).collect();
+        let holds = stands_still(&given);
+        let keepers = lane_keepers(source, &given);
         let mut tracks: Vec<Track> = source.tracks.clone();
         for (agent_idx, track) in tracks.iter_mut().enumerate() {
             let slot = self.agents.iter().position(|agent| *agent == agent_idx);
@@ -75,6 +79,9 @@ impl AgentFrame {
                 };
             }
             if let Some(slot) = slot {
+                if let Some(keeper) = &keepers[agent_idx] {
+                    keeper.keep(&mut entries, &latent[slot]);
+                }
                 if holds {
                     hold_still(&mut entries, &latent[slot]);
                 }

@@ -11,7 +11,7 @@ const SAME_PLACE_M: f64 = 1e-6;
 
 /// Whether who stands is exactly still in a recording of which these are observed states of an agent each, state by
 /// state: steps too short to be motion are mostly none. Some trackers move standing vehicles by millimeters.
-pub(super) fn stands_still(agents: impl IntoIterator<Item = Vec<Option<State>>>) -> bool {
+pub(super) fn stands_still<'a>(agents: impl IntoIterator<Item = &'a Vec<Option<State>>>) -> bool {
     let (mut n_still, mut n_moved) = (0, 0);
     for states in agents {
         for pair in states.windows(2) {
@@ -167,12 +167,12 @@ mod tests {
         let path = |step_m: f64, n: usize| -> Vec<Option<State>> {
             (0..n).map(|t| Some(State { position: Vec2::new(step_m * t as f64, 0.0), ..State::default() })).collect()
         };
-        assert!(stands_still([path(0.0, 5), path(1.0, 9)]) && !stands_still([path(0.002, 5), path(1.0, 9)]));
-        assert!(stands_still([path(0.0, 5), path(0.002, 5)]) && !stands_still([path(0.0, 5), path(0.002, 6)]));
-        assert!(stands_still([path(1.0, 9)]), "nobody stands");
+        assert!(stands_still(&[path(0.0, 5), path(1.0, 9)]) && !stands_still(&[path(0.002, 5), path(1.0, 9)]));
+        assert!(stands_still(&[path(0.0, 5), path(0.002, 5)]) && !stands_still(&[path(0.0, 5), path(0.002, 6)]));
+        assert!(stands_still(&[path(1.0, 9)]), "nobody stands");
         let mut gap = path(0.002, 3);
         gap[1] = None;
-        assert!(stands_still([gap]), "a step goes from one timestep to the next");
+        assert!(stands_still(&[gap]), "a step goes from one timestep to the next");
     }
 
     #[test]

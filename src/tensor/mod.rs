@@ -17,6 +17,7 @@ mod eigen;
 mod ending;
 mod features;
 mod hidden_states;
+mod lane_keeping;
 mod lane_pieces;
 mod mask_sampler;
 mod motion;
