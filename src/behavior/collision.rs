@@ -2,9 +2,11 @@
 
 use super::maneuver::Maneuver;
 use super::swept_boxes::SweptBoxes;
-use super::{Behavior, BehaviorEvent, EventLabel, NoOptions};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::angle_difference;
 use crate::scene::{AgentClass, Extent, Scene, Track};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
 /// Name of the behavior in configs and tables.
@@ -34,15 +36,11 @@ const NEGATIVE_DISTANCE_M: f64 = 1.0;
 /// Parameters, at the last timestep before they touch: `relative_speed_mps` (of one seen from the other),
 /// `first_speed_mps`, `second_speed_mps`, `heading_difference_rad` (0 to π: from behind, from the side, head-on), and
 /// `bearing_rad`, where the second is as seen from the first (0 to π: ahead, beside, behind).
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Collision;
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Collision {}
 
 impl Collision {
-    /// The behavior, which has no options.
-    pub const fn new(_: NoOptions) -> Self {
-        Self
-    }
-
     fn detect_pair(scene: &Scene, pair: [usize; 2], [first, second]: [&SweptBoxes; 2]) -> Option<BehaviorEvent> {
         let both = || first.both_at(second, 0..scene.n_timesteps);
         let present = scene.current_timestep();

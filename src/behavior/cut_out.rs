@@ -30,21 +30,6 @@ const ALONG_RAD: f64 = FRAC_PI_6;
 /// The ego drives at least this fast at the reveal, m/s.
 const MIN_SPEED_MPS: f64 = 4.0;
 
-/// Options of [`CutOut`]; vehicles take part.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CutOutConfig {
-    /// The ego must be on course to reach the revealed vehicle in less than this, seconds. Default 4.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_ttc_s: f64,
-}
-
-impl Default for CutOutConfig {
-    fn default() -> Self {
-        Self { max_ttc_s: 4.0 }
-    }
-}
-
 /// The vehicle (`leader`) that another (`ego`) follows leaves the lane and reveals one (`revealed`) that stands or is
 /// much slower.
 ///
@@ -75,9 +60,18 @@ impl Default for CutOutConfig {
 /// Parameters, all at the reveal: `ttc_s` (gap per relative speed; absent where they do not close in), `gap_m` (from
 /// the ego's front to the revealed vehicle, along the lane), `relative_speed_mps` (positive when closing),
 /// `ego_speed_mps` and `revealed_speed_mps` (along the lane), `side` (to which the leader leaves: +1 left, -1 right).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct CutOut {
-    config: CutOutConfig,
+    /// The ego must be on course to reach the revealed vehicle in less than this, seconds. Default 4.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
+    pub max_ttc_s: f64,
+}
+
+impl Default for CutOut {
+    fn default() -> Self {
+        Self { max_ttc_s: 4.0 }
+    }
 }
 
 /// The timestep at which the leader is out of the lane.
@@ -88,11 +82,6 @@ struct Reveal {
 }
 
 impl CutOut {
-    /// The behavior with these options.
-    pub const fn new(config: CutOutConfig) -> Self {
-        Self { config }
-    }
-
     /// The vehicle that the ego follows at present, and the next one beyond it.
     pub(super) fn queue(&self, ego: &Follower<'_>, present: usize) -> Option<[Ahead; 2]> {
         let speed_mps = ego.speed_mps(present);
@@ -100,7 +89,7 @@ impl CutOut {
             return None;
         }
         // To be reached in time at the reveal, it can be at most this far away now, plus the way of the ego until then.
-        match ego.ahead(present, (MAX_HEADWAY_S + self.config.max_ttc_s) * speed_mps)[..] {
+        match ego.ahead(present, (MAX_HEADWAY_S + self.max_ttc_s) * speed_mps)[..] {
             [leader, revealed, ..] if leader.gap_m <= MAX_HEADWAY_S * speed_mps => Some([leader, revealed]),
             _ => None,
         }
@@ -117,7 +106,7 @@ impl CutOut {
         revealed.own_mps >= MIN_SPEED_MPS
             && Self::is_slow(revealed.their_mps, revealed.own_mps)
             && revealed.gap_m > 0.0
-            && revealed.gap_m < self.config.max_ttc_s * closing_mps
+            && revealed.gap_m < self.max_ttc_s * closing_mps
     }
 
     fn reveal(&self, scene: &Scene, ego: &Follower<'_>, leader_idx: usize) -> Option<Reveal> {
@@ -158,7 +147,7 @@ impl CutOut {
         let ego = Follower::of(scene, lanes, ego_idx)?;
         let [leader, next] = self.queue(&ego, scene.current_timestep())?;
         let reveal = self.reveal(scene, &ego, leader.agent_idx)?;
-        let reach_m = next.gap_m + ego.speed_mps(reveal.timestep) * self.config.max_ttc_s;
+        let reach_m = next.gap_m + ego.speed_mps(reveal.timestep) * self.max_ttc_s;
         let revealed = ego.ahead(reveal.timestep, reach_m).first().copied()?;
         if revealed.agent_idx != next.agent_idx {
             return None;

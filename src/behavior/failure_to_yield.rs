@@ -25,31 +25,6 @@ const RULE_REACH_M: f64 = 40.0;
 /// Without braking, a post-encroachment time that is too long by less than this is a hard negative, seconds.
 const NEGATIVE_MORE_S: f64 = 1.5;
 
-/// Options of [`FailureToYield`]; vehicles take part.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct FailureToYieldConfig {
-    /// A post-encroachment time below this is short, seconds. Default 1. Who would come later without braking does not
-    /// have to brake.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub max_pet_s: f64,
-    /// Who has the right of way brakes if it does so with at least this, m/s². Default 3.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_deceleration_mps2: f64,
-    /// It brakes for the one that enters if it would get there in less than this, seconds. Default 4.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_time_to_arrival_s: f64,
-    /// It drives at least this fast when the other enters, m/s. Default 3: who is slower lets the other go.
-    #[schemars(range(min = 0.0))]
-    pub min_speed_mps: f64,
-}
-
-impl Default for FailureToYieldConfig {
-    fn default() -> Self {
-        Self { max_pet_s: 1.0, min_deceleration_mps2: 3.0, max_time_to_arrival_s: 4.0, min_speed_mps: 3.0 }
-    }
-}
-
 /// One vehicle (`entering`) gets into the way of another that has the right of way (`priority`), shortly ahead of it.
 ///
 /// The lanes are those that the two turn out to keep: the one that each is in at present, with those that lead to it
@@ -82,9 +57,28 @@ impl Default for FailureToYieldConfig {
 /// Parameters: `pet_s` (absent if the other stops before the conflict zone); when the first enters, `time_to_arrival_s`
 /// (of the other at the conflict zone, if it kept its speed), `entering_speed_mps` and `priority_speed_mps`;
 /// `max_deceleration_mps2` (the hardest braking of the other from then on; 0 if it does not brake).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct FailureToYield {
-    config: FailureToYieldConfig,
+    /// A post-encroachment time below this is short, seconds. Default 1. Who would come later without braking does not
+    /// have to brake.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_pet_s: f64,
+    /// Who has the right of way brakes if it does so with at least this, m/s². Default 3.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub min_deceleration_mps2: f64,
+    /// It brakes for the one that enters if it would get there in less than this, seconds. Default 4.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
+    pub max_time_to_arrival_s: f64,
+    /// It drives at least this fast when the other enters, m/s. Default 3: who is slower lets the other go.
+    #[schemars(range(min = 0.0))]
+    pub min_speed_mps: f64,
+}
+
+impl Default for FailureToYield {
+    fn default() -> Self {
+        Self { max_pet_s: 1.0, min_deceleration_mps2: 3.0, max_time_to_arrival_s: 4.0, min_speed_mps: 3.0 }
+    }
 }
 
 /// An agent that may take part, with the places where its lanes end at which rules apply to it.
@@ -120,28 +114,22 @@ impl<'a> Agent<'a> {
 }
 
 impl FailureToYield {
-    /// The behavior with these options.
-    pub const fn new(config: FailureToYieldConfig) -> Self {
-        Self { config }
-    }
-
     fn event(&self, scene: &Scene, entering: &Agent<'_>, priority: &Agent<'_>) -> Option<BehaviorEvent> {
-        let config = &self.config;
-        let negative_pet_s = config.max_pet_s + NEGATIVE_MORE_S;
-        let within_s = negative_pet_s.max(config.max_time_to_arrival_s);
+        let negative_pet_s = self.max_pet_s + NEGATIVE_MORE_S;
+        let within_s = negative_pet_s.max(self.max_time_to_arrival_s);
         let conflict = Conflict::between(&entering.course, &priority.course, within_s)?;
         let own = entering.course.state(conflict.enters).filter(|own| entering.yields_to(priority, own.position))?;
         let speed_mps = priority.course.state(conflict.enters).map(State::speed_mps);
-        let speed_mps = speed_mps.filter(|mps| *mps >= config.min_speed_mps)?;
+        let speed_mps = speed_mps.filter(|mps| *mps >= self.min_speed_mps)?;
         let arrival_s = conflict.arrival_s(&priority.course, conflict.enters);
-        let arrival_s = arrival_s.filter(|arrival_s| *arrival_s < config.max_time_to_arrival_s)?;
+        let arrival_s = arrival_s.filter(|arrival_s| *arrival_s < self.max_time_to_arrival_s)?;
         let pet_s = conflict.pet_s(&priority.course, scene.dt_s);
         let deceleration_mps2 = priority.course.strongest_deceleration_mps2(scene, conflict.enters);
         let is_below = |limit_s: f64| pet_s.is_some_and(|pet_s| pet_s < limit_s);
         let has_to_act =
-            conflict.pet_at_kept_speed_s(&priority.course, scene.dt_s).is_some_and(|pet_s| pet_s < config.max_pet_s);
+            conflict.pet_at_kept_speed_s(&priority.course, scene.dt_s).is_some_and(|pet_s| pet_s < self.max_pet_s);
         let brakes = |least_mps2: f64| deceleration_mps2.is_some_and(|mps2| mps2 >= least_mps2);
-        let acts = brakes(config.min_deceleration_mps2) || (brakes(EASES_OFF_MPS2) && is_below(config.max_pet_s));
+        let acts = brakes(self.min_deceleration_mps2) || (brakes(EASES_OFF_MPS2) && is_below(self.max_pet_s));
         let label = match has_to_act && acts {
             true => EventLabel::Positive,
             false if is_below(negative_pet_s) => EventLabel::Negative,

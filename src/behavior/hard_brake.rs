@@ -25,24 +25,6 @@ const SMOOTHING_S: f64 = 0.4;
 /// How long the deceleration must last, from its first to its last timestep, seconds.
 const MIN_DURATION_S: f64 = 0.3;
 
-/// Options of [`HardBrake`]; vehicles are considered.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct HardBrakeConfig {
-    /// Least deceleration of hard braking, m/s². Default 4.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub min_deceleration_mps2: f64,
-    /// Least speed at the start, m/s. Default 3.
-    #[schemars(range(min = 0.0))]
-    pub min_speed_mps: f64,
-}
-
-impl Default for HardBrakeConfig {
-    fn default() -> Self {
-        Self { min_deceleration_mps2: 4.0, min_speed_mps: 3.0 }
-    }
-}
-
 /// One agent (`agent`) brakes hard.
 ///
 /// **Positive**: the agent's smoothed deceleration is at least 4 m/s² over at least 0.3 s without a break, beginning at
@@ -60,24 +42,25 @@ impl Default for HardBrakeConfig {
 ///
 /// Parameters: `speed_mps` and `end_speed_mps` (at start and end), `max_deceleration_mps2`, `mean_deceleration_mps2`,
 /// `duration_s`.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct HardBrake {
-    config: HardBrakeConfig,
+    /// Least deceleration of hard braking, m/s². Default 4.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub min_deceleration_mps2: f64,
+    /// Least speed at the start, m/s. Default 3.
+    #[schemars(range(min = 0.0))]
+    pub min_speed_mps: f64,
+}
+
+impl Default for HardBrake {
+    fn default() -> Self {
+        Self { min_deceleration_mps2: 4.0, min_speed_mps: 3.0 }
+    }
 }
 
 impl HardBrake {
-    /// The behavior with these options.
-    pub const fn new(config: HardBrakeConfig) -> Self {
-        Self { config }
-    }
-
-    /// Its options.
-    pub(super) const fn config(&self) -> &HardBrakeConfig {
-        &self.config
-    }
-
     fn detect_agent(&self, scene: &Scene, agent_idx: usize, track: &Track) -> Vec<BehaviorEvent> {
-        let config = &self.config;
         let accelerations =
             smoothed_accelerations_mps2(&track.trajectory, scene.current_timestep(), scene.dt_s, SMOOTHING_S);
         let lasts =
@@ -85,12 +68,12 @@ impl HardBrake {
         let is_plausible =
             |run: &RangeInclusive<usize>| accelerations[run.clone()].iter().flatten().all(|a| -a <= IMPLAUSIBLE_MPS2);
         let starts_fast =
-            |run: &RangeInclusive<usize>| speed_at(track, *run.start()).is_some_and(|v| v >= config.min_speed_mps);
-        let hard: Vec<_> = runs_at_or_below(&accelerations, -config.min_deceleration_mps2)
+            |run: &RangeInclusive<usize>| speed_at(track, *run.start()).is_some_and(|v| v >= self.min_speed_mps);
+        let hard: Vec<_> = runs_at_or_below(&accelerations, -self.min_deceleration_mps2)
             .into_iter()
             .filter(|run| lasts(run) && is_plausible(run) && starts_fast(run))
             .collect();
-        let near: Vec<_> = runs_at_or_below(&accelerations, -NEGATIVE_SHARE * config.min_deceleration_mps2)
+        let near: Vec<_> = runs_at_or_below(&accelerations, -NEGATIVE_SHARE * self.min_deceleration_mps2)
             .into_iter()
             .filter(|run| lasts(run) && is_plausible(run) && !hard.iter().any(|h| run.contains(h.start())))
             .collect();

@@ -3,9 +3,11 @@
 use super::lane_relation::SceneLanes;
 use super::lane_tracker::{LaneMove, LaneTrace};
 use super::maneuver::Maneuver;
-use super::{Behavior, BehaviorEvent, EventLabel, NoOptions};
+use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::Vec2;
 use crate::scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "lane_change";
@@ -44,15 +46,11 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 /// Parameters: `side` (+1 left, -1 right); at the crossing `crossing_timestep`, `speed_mps` and `lateral_speed_mps`
 /// (toward the new lane); `duration_s` from start to end; `margin_m` (smallest distance to the side of the lane, for
 /// agents that never cross).
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct LaneChange;
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LaneChange {}
 
 impl LaneChange {
-    /// The behavior, which has no options.
-    pub const fn new(_: NoOptions) -> Self {
-        Self
-    }
-
     fn detect_agent<'a>(scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let stay = (MIN_STAY_S / scene.dt_s - 1e-9).ceil().max(1.0) as usize;

@@ -46,25 +46,25 @@ mod unprotected_left_turn;
 mod wrong_way;
 
 pub use collision::Collision;
-pub use cut_in::{CutIn, CutInConfig};
-pub use cut_in_paper::{CutInPaper, CutInPaperConfig};
-pub use cut_out::{CutOut, CutOutConfig};
+pub use cut_in::CutIn;
+pub use cut_in_paper::CutInPaper;
+pub use cut_out::CutOut;
 pub use event::{BehaviorEvent, EventLabel};
-pub use failure_to_yield::{FailureToYield, FailureToYieldConfig};
-pub use hard_brake::{HardBrake, HardBrakeConfig};
+pub use failure_to_yield::FailureToYield;
+pub use hard_brake::HardBrake;
 pub use lane_change::LaneChange;
 pub use left_turn::LeftTurn;
 pub use maneuver::Maneuver;
-pub use near_miss::{NearMiss, NearMissConfig};
+pub use near_miss::NearMiss;
 pub use outcome::Outcome;
-pub use pedestrian_steps_out::{PedestrianStepsOut, PedestrianStepsOutConfig};
+pub use pedestrian_steps_out::PedestrianStepsOut;
 pub use right_turn::RightTurn;
-pub use runs_stop_line::{RunsStopLine, RunsStopLineConfig};
+pub use runs_stop_line::RunsStopLine;
 pub use subject::Subject;
-pub use tailgating::{Tailgating, TailgatingConfig};
+pub use tailgating::Tailgating;
 pub use template::Template;
-pub use unprotected_left_turn::{UnprotectedLeftTurn, UnprotectedLeftTurnConfig};
-pub use wrong_way::{WrongWay, WrongWayConfig};
+pub use unprotected_left_turn::UnprotectedLeftTurn;
+pub use wrong_way::WrongWay;
 
 use crate::scene::{AgentClass, Scene};
 use crate::settings;
@@ -127,27 +127,23 @@ pub trait Behavior: Send + Sync {
     }
 }
 
-/// The options of a behavior that has none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct NoOptions {}
-
-/// Lists the behaviors: each has a module with its `ID`, `ROLES` and `PARAMETERS`, a type of its name, and options.
+/// Lists the behaviors: each has a module with its `ID`, `ROLES` and `PARAMETERS`, and a type of its name, whose fields
+/// are its options.
 macro_rules! behaviors {
-    ($($(#[$doc:meta])* $Behavior:ident($Config:ident) in $module:ident {
+    ($($(#[$doc:meta])* $Behavior:ident in $module:ident {
         subject: $subject:expr, is_collision: $is_collision:literal, needs_lanes: $needs_lanes:literal
     }: $description:literal,)*) => {
         /// A behavior to mine, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
         pub enum BehaviorConfig {
-            $($(#[$doc])* $Behavior($Config),)*
+            $($(#[$doc])* $Behavior($Behavior),)*
         }
 
         impl BehaviorConfig {
             /// The behavior with these options.
             pub fn build(&self) -> Box<dyn Behavior> {
-                match self.clone() { $(Self::$Behavior(config) => Box::new($Behavior::new(config)),)* }
+                match self.clone() { $(Self::$Behavior(behavior) => Box::new(behavior),)* }
             }
 
             /// The name of the behavior.
@@ -165,70 +161,70 @@ macro_rules! behaviors {
             subject: $subject,
             is_collision: $is_collision,
             needs_lanes: $needs_lanes,
-            default_config: || BehaviorConfig::$Behavior($Config::default()),
+            default_config: || BehaviorConfig::$Behavior($Behavior::default()),
         }),*];
     };
 }
 
 behaviors! {
     /// One vehicle crosses into the lane of another, shortly ahead of it.
-    CutIn(CutInConfig) in cut_in { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
+    CutIn in cut_in { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
         "one vehicle (other) crosses into the lane that another (ego) keeps, less than 3 s ahead of it",
     /// One vehicle gets into the path of another, whichever of the two changes course: the paper's cut-in.
-    CutInPaper(CutInPaperConfig) in cut_in_paper {
+    CutInPaper in cut_in_paper {
         subject: Subject::Role("ego"), is_collision: false, needs_lanes: false
     }:
         "one vehicle (other) gets into the path of another (ego) less than 3 s before that one gets there",
     /// An agent turns left.
-    LeftTurn(NoOptions) in left_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
+    LeftTurn in left_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
         "an agent turns left by at least 60 degrees, as at an intersection",
     /// An agent turns right.
-    RightTurn(NoOptions) in right_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
+    RightTurn in right_turn { subject: Subject::Role("agent"), is_collision: false, needs_lanes: false }:
         "an agent turns right by at least 60 degrees, as at an intersection",
     /// An agent changes lanes.
-    LaneChange(NoOptions) in lane_change {
+    LaneChange in lane_change {
         subject: Subject::Role("agent"), is_collision: false, needs_lanes: true
     }:
         "an agent moves over to the lane beside its own and stays there for at least 1 s",
     /// An agent brakes hard.
-    HardBrake(HardBrakeConfig) in hard_brake { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: false }:
+    HardBrake in hard_brake { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: false }:
         "an agent brakes with at least 4 m/s² over at least 0.3 s",
     /// Two road users barely avoid each other.
-    NearMiss(NearMissConfig) in near_miss { subject: Subject::WhoComesUpon, is_collision: false, needs_lanes: false }:
+    NearMiss in near_miss { subject: Subject::WhoComesUpon, is_collision: false, needs_lanes: false }:
         "two road users avoid each other by braking hard within 1.5 s, by 0.5 s where they cross or by 0.2 m, without \
          touching",
     /// Two road users drive into each other.
-    Collision(NoOptions) in collision { subject: Subject::WhoComesUpon, is_collision: true, needs_lanes: false }:
+    Collision in collision { subject: Subject::WhoComesUpon, is_collision: true, needs_lanes: false }:
         "two road users drive into each other",
     /// One vehicle drives too close behind another.
-    Tailgating(TailgatingConfig) in tailgating {
+    Tailgating in tailgating {
         subject: Subject::Role("leader"), is_collision: false, needs_lanes: true
     }:
         "one vehicle (follower) drives less than 0.9 s behind another (leader) for at least 2 s, both at 8 m/s or more",
     /// The vehicle ahead leaves the lane and reveals a slow one.
-    CutOut(CutOutConfig) in cut_out { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
+    CutOut in cut_out { subject: Subject::Role("ego"), is_collision: false, needs_lanes: true }:
         "the vehicle ahead (leader) leaves the lane and reveals a slow one that the ego reaches in less than 4 s",
     /// Somebody on foot steps into the lane of a vehicle.
-    PedestrianStepsOut(PedestrianStepsOutConfig) in pedestrian_steps_out {
+    PedestrianStepsOut in pedestrian_steps_out {
         subject: Subject::Role("ego"), is_collision: false, needs_lanes: true
     }:
         "somebody on foot steps from beside the road into the lane of a vehicle (ego) that is less than 3 s away",
     /// One vehicle turns left across the lane of an oncoming one, shortly ahead of it.
-    UnprotectedLeftTurn(UnprotectedLeftTurnConfig) in unprotected_left_turn {
+    UnprotectedLeftTurn in unprotected_left_turn {
         subject: Subject::Role("oncoming"), is_collision: false, needs_lanes: true
     }:
         "one vehicle (turner) turns left across the lane of an oncoming one, less than 2 s before it gets there",
     /// One vehicle takes the right of way of another.
-    FailureToYield(FailureToYieldConfig) in failure_to_yield {
+    FailureToYield in failure_to_yield {
         subject: Subject::Role("priority"), is_collision: false, needs_lanes: true
     }:
         "one vehicle (entering) gets into the way of one that has the right of way and brakes for it, or is there 1 s \
          later",
     /// A vehicle drives against the direction of its lane.
-    WrongWay(WrongWayConfig) in wrong_way { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: true }:
+    WrongWay in wrong_way { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: true }:
         "a vehicle drives against the direction of its lane for at least 1.5 s",
     /// A vehicle does not stop where all have to.
-    RunsStopLine(RunsStopLineConfig) in runs_stop_line {
+    RunsStopLine in runs_stop_line {
         subject: Subject::Role("agent"), is_collision: false, needs_lanes: true
     }:
         "a vehicle passes the line of an all-way stop without having been slower than 2.2 m/s before it",

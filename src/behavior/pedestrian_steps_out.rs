@@ -24,21 +24,6 @@ const NEGATIVE_MORE_S: f64 = 2.0;
 /// The vehicle drives at least this fast then, m/s: a slower one is waiting.
 const MIN_SPEED_MPS: f64 = 3.0;
 
-/// Options of [`PedestrianStepsOut`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct PedestrianStepsOutConfig {
-    /// The vehicle is this far away at most at its speed when the pedestrian steps out, seconds. Default 3.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_time_to_arrival_s: f64,
-}
-
-impl Default for PedestrianStepsOutConfig {
-    fn default() -> Self {
-        Self { max_time_to_arrival_s: 3.0 }
-    }
-}
-
 /// A pedestrian (`pedestrian`) steps from beside the road into the lane that a vehicle (`ego`) keeps, shortly ahead of
 /// it.
 ///
@@ -66,9 +51,18 @@ impl Default for PedestrianStepsOutConfig {
 /// Parameters, all at the step: `time_to_arrival_s` (absent where the ego stands), `gap_m` (from the ego's front to the
 /// pedestrian, along the lane), `ego_speed_mps`, `pedestrian_speed_mps`, `side` (from which it comes: +1 left, -1
 /// right).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct PedestrianStepsOut {
-    config: PedestrianStepsOutConfig,
+    /// The vehicle is this far away at most at its speed when the pedestrian steps out, seconds. Default 3.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
+    pub max_time_to_arrival_s: f64,
+}
+
+impl Default for PedestrianStepsOut {
+    fn default() -> Self {
+        Self { max_time_to_arrival_s: 3.0 }
+    }
 }
 
 /// The relation of a vehicle and a pedestrian at a timestep.
@@ -81,11 +75,6 @@ struct Step {
 }
 
 impl PedestrianStepsOut {
-    /// The behavior with these options.
-    pub const fn new(config: PedestrianStepsOutConfig) -> Self {
-        Self { config }
-    }
-
     /// Whether the agent is on foot, judged from its timesteps before `end`, and beside the road at present.
     pub(super) fn is_beside_road(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> bool {
         let track = &scene.tracks[agent_idx];
@@ -112,12 +101,11 @@ impl PedestrianStepsOut {
     }
 
     fn event(&self, scene: &Scene, ego: &Follower<'_>, pair: [usize; 2]) -> Option<BehaviorEvent> {
-        let config = &self.config;
         let step = self.step(scene, ego, pair)?;
         let arrives_within = |time_s: f64| step.gap_m < time_s * step.ego_mps;
-        let label = match step.ego_mps >= MIN_SPEED_MPS && arrives_within(config.max_time_to_arrival_s) {
+        let label = match step.ego_mps >= MIN_SPEED_MPS && arrives_within(self.max_time_to_arrival_s) {
             true => EventLabel::Positive,
-            false if arrives_within(config.max_time_to_arrival_s + NEGATIVE_MORE_S) => EventLabel::Negative,
+            false if arrives_within(self.max_time_to_arrival_s + NEGATIVE_MORE_S) => EventLabel::Negative,
             false => return None,
         };
         let half_width_m = scene.tracks[pair[1]].extent_or_nominal().width_m / 2.0;

@@ -4,8 +4,10 @@ pub(super) use super::turn::{PARAMETERS, ROLES};
 
 use super::maneuver::{Maneuver, turn_maneuvers};
 use super::turn::{TurnSide, turns};
-use super::{Behavior, BehaviorEvent, NoOptions};
+use super::{Behavior, BehaviorEvent};
 use crate::scene::Scene;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "right_turn";
@@ -28,15 +30,9 @@ pub(super) const ID: &str = "right_turn";
 /// Parameters: `heading_change_rad` (over all; positive to the left), and between start and end `radius_m`
 /// (path per change of heading), `path_m`, `duration_s`, `mean_speed_mps` and `lateral_acceleration_mps2` (mean speed
 /// squared per radius).
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct RightTurn;
-
-impl RightTurn {
-    /// The behavior, which has no options.
-    pub const fn new(_: NoOptions) -> Self {
-        Self
-    }
-}
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RightTurn {}
 
 impl Behavior for RightTurn {
     fn id(&self) -> &'static str {

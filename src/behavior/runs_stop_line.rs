@@ -18,24 +18,9 @@ pub(super) const PARAMETERS: &[&str] = &["speed_mps", "min_speed_mps"];
 /// Who rolled, but was never slower than this, is a hard negative, m/s; who was has stopped.
 const STOPPED_MPS: f64 = 0.5;
 
-/// Options of [`RunsStopLine`]; vehicles are considered.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct RunsStopLineConfig {
-    /// Who was slower than this has stopped as most drivers do, by rolling, m/s. Default 2.2 (8 km/h).
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub max_rolling_mps: f64,
-}
-
 /// Over this way before the line the vehicle must have stopped, meters, and it must be tracked there: less hides stops
 /// behind a waiting vehicle, more loses vehicles at the edge of the recording.
 const APPROACH_M: f64 = 10.0;
-
-impl Default for RunsStopLineConfig {
-    fn default() -> Self {
-        Self { max_rolling_mps: 2.2 }
-    }
-}
 
 /// One vehicle (`agent`) passes a stop line without stopping.
 ///
@@ -54,17 +39,21 @@ impl Default for RunsStopLineConfig {
 /// **Negative**: the same of who was slower than 2.2 m/s, but never slower than 0.5 m/s: it rolls through.
 ///
 /// Parameters: `speed_mps` (at the line), `min_speed_mps` (the lowest over the 10 m).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct RunsStopLine {
-    config: RunsStopLineConfig,
+    /// Who was slower than this has stopped as most drivers do, by rolling, m/s. Default 2.2 (8 km/h).
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub max_rolling_mps: f64,
+}
+
+impl Default for RunsStopLine {
+    fn default() -> Self {
+        Self { max_rolling_mps: 2.2 }
+    }
 }
 
 impl RunsStopLine {
-    /// The behavior with these options.
-    pub const fn new(config: RunsStopLineConfig) -> Self {
-        Self { config }
-    }
-
     fn events(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let Some(lane) = KeptLane::of(scene, lanes, agent_idx) else { return Vec::new() };
         let track = &scene.tracks[agent_idx];
@@ -87,7 +76,7 @@ impl RunsStopLine {
         let first = fronts[..passed].iter().rposition(|front| front.station_m < line_m - APPROACH_M)? + 1;
         let approach = &fronts[first..=passed];
         let min_mps = approach.iter().map(|front| front.speed_mps).reduce(f64::min)?;
-        let label = match min_mps >= self.config.max_rolling_mps {
+        let label = match min_mps >= self.max_rolling_mps {
             true => EventLabel::Positive,
             false if min_mps >= STOPPED_MPS => EventLabel::Negative,
             false => return None,

@@ -21,24 +21,6 @@ const NEGATIVE_MORE_S: f64 = 0.5;
 /// Both drive at least this fast, m/s (29 km/h): slower is dense traffic.
 const MIN_SPEED_MPS: f64 = 8.0;
 
-/// Options of [`Tailgating`]; vehicles take part.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct TailgatingConfig {
-    /// Time headways below this are too short, seconds. Default 0.9.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
-    pub max_headway_s: f64,
-    /// How long this lasts without a break, from the first to the last timestep, seconds. Default 2.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub min_duration_s: f64,
-}
-
-impl Default for TailgatingConfig {
-    fn default() -> Self {
-        Self { max_headway_s: 0.9, min_duration_s: 2.0 }
-    }
-}
-
 /// One vehicle (`follower`) drives too close behind another (`leader`).
 ///
 /// **Positive**: over at least 2 s without a break, all of
@@ -63,9 +45,21 @@ impl Default for TailgatingConfig {
 ///
 /// Parameters: `time_headway_s` and `mean_speed_mps` (means of the headway and of the follower's speed over the event),
 /// `duration_s`.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct Tailgating {
-    config: TailgatingConfig,
+    /// Time headways below this are too short, seconds. Default 0.9.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 10.0))]
+    pub max_headway_s: f64,
+    /// How long this lasts without a break, from the first to the last timestep, seconds. Default 2.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub min_duration_s: f64,
+}
+
+impl Default for Tailgating {
+    fn default() -> Self {
+        Self { max_headway_s: 0.9, min_duration_s: 2.0 }
+    }
 }
 
 /// A timestep at which one vehicle follows another fast enough.
@@ -92,16 +86,6 @@ pub(super) fn means(moments: &[FollowingMoment]) -> (f64, f64) {
 }
 
 impl Tailgating {
-    /// The behavior with these options.
-    pub const fn new(config: TailgatingConfig) -> Self {
-        Self { config }
-    }
-
-    /// Its options.
-    pub(super) const fn config(&self) -> &TailgatingConfig {
-        &self.config
-    }
-
     /// The vehicles that the agent follows at `timesteps`.
     pub(super) fn moments(
         &self,
@@ -130,12 +114,12 @@ impl Tailgating {
         // The first among equally long ones.
         let longest = runs.rev().max_by_key(|run| run.len())?;
         let duration_s = (longest.len() - 1) as f64 * dt_s;
-        (duration_s >= self.config.min_duration_s - 1e-9).then(|| longest.to_vec())
+        (duration_s >= self.min_duration_s - 1e-9).then(|| longest.to_vec())
     }
 
     /// Headways below this are a hard negative, seconds.
     fn negative_headway_s(&self) -> f64 {
-        self.config.max_headway_s + NEGATIVE_MORE_S
+        self.max_headway_s + NEGATIVE_MORE_S
     }
 
     /// The gap beyond which a vehicle at this speed follows nobody, meters.
@@ -161,7 +145,7 @@ impl Tailgating {
     fn events_of(&self, scene: &Scene, follower: &Follower<'_>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let event = |(leader_idx, moments): (usize, Vec<FollowingMoment>)| {
             let run = |limit_s: f64| self.longest(&moments, limit_s, scene.dt_s);
-            let positive = run(self.config.max_headway_s).map(|run| (EventLabel::Positive, run));
+            let positive = run(self.max_headway_s).map(|run| (EventLabel::Positive, run));
             let negative = || run(self.negative_headway_s()).map(|run| (EventLabel::Negative, run));
             let (label, run) = positive.or_else(negative)?;
             let (headway_s, speed_mps) = means(&run);

@@ -36,21 +36,6 @@ const NEGATIVE_MORE_S: f64 = 2.0;
 /// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s: who is slower leaves the gap.
 const MIN_SPEED_MPS: f64 = 5.0;
 
-/// Options of [`UnprotectedLeftTurn`]; vehicles take part.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct UnprotectedLeftTurnConfig {
-    /// A post-encroachment time below this is short, seconds. Default 2.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub max_pet_s: f64,
-}
-
-impl Default for UnprotectedLeftTurnConfig {
-    fn default() -> Self {
-        Self { max_pet_s: 2.0 }
-    }
-}
-
 /// One vehicle (`turner`) turns left along its lane, across the lane of an oncoming one (`oncoming`) and shortly ahead
 /// of it.
 ///
@@ -85,17 +70,21 @@ impl Default for UnprotectedLeftTurnConfig {
 /// Parameters: `pet_s`; when the turner enters, `time_to_arrival_s` (of the oncoming vehicle at the conflict zone, if
 /// it kept its speed), `turner_speed_mps` and `oncoming_speed_mps`; `max_deceleration_mps2` (the hardest braking of the
 /// oncoming vehicle from then on, over half a second; 0 if it does not brake).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct UnprotectedLeftTurn {
-    config: UnprotectedLeftTurnConfig,
+    /// A post-encroachment time below this is short, seconds. Default 2.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub max_pet_s: f64,
+}
+
+impl Default for UnprotectedLeftTurn {
+    fn default() -> Self {
+        Self { max_pet_s: 2.0 }
+    }
 }
 
 impl UnprotectedLeftTurn {
-    /// The behavior with these options.
-    pub const fn new(config: UnprotectedLeftTurnConfig) -> Self {
-        Self { config }
-    }
-
     fn event(
         &self,
         scene: &Scene,
@@ -103,8 +92,7 @@ impl UnprotectedLeftTurn {
         turner: &Agent<'_>,
         oncoming: &Agent<'_>,
     ) -> Option<BehaviorEvent> {
-        let config = &self.config;
-        let negative_pet_s = config.max_pet_s + NEGATIVE_MORE_S;
+        let negative_pet_s = self.max_pet_s + NEGATIVE_MORE_S;
         let conflict = Conflict::between(&turner.course, &oncoming.course, negative_pet_s)?;
         if conflict.merges {
             return None;
@@ -115,7 +103,7 @@ impl UnprotectedLeftTurn {
         if !Self::turns_across(lanes, turner, oncoming, &conflict)? {
             return None;
         }
-        let label = if pet_s < config.max_pet_s { EventLabel::Positive } else { EventLabel::Negative };
+        let label = if pet_s < self.max_pet_s { EventLabel::Positive } else { EventLabel::Negative };
         let timesteps = conflict.enters..=conflict.last_timestep();
         let event = BehaviorEvent::new((ID, ROLES), scene, label, &[turner.agent_idx, oncoming.agent_idx], timesteps)
             .with("pet_s", pet_s)

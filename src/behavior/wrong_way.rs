@@ -25,21 +25,6 @@ const MIN_SPEED_MPS: f64 = 2.0;
 /// A time that is too short, but at least this part of the least one, is a hard negative (0.5 of 1.5 s).
 const NEGATIVE_PART: f64 = 3.0;
 
-/// Options of [`WrongWay`]; vehicles are considered.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct WrongWayConfig {
-    /// How long this lasts without a break, from the first to the last timestep, seconds. Default 1.5.
-    #[schemars(range(min = 0.0, max = 100.0))]
-    pub min_duration_s: f64,
-}
-
-impl Default for WrongWayConfig {
-    fn default() -> Self {
-        Self { min_duration_s: 1.5 }
-    }
-}
-
 /// One vehicle (`agent`) drives against the direction of the lane that it is in.
 ///
 /// **Positive**: over at least 1.5 s without a break, all of
@@ -57,17 +42,21 @@ impl Default for WrongWayConfig {
 /// **Negative**: such a stretch of 0.5 s or more that is too short.
 ///
 /// Parameters over the event: `duration_s`, `mean_speed_mps`, `path_m` (the length of the path).
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct WrongWay {
-    config: WrongWayConfig,
+    /// How long this lasts without a break, from the first to the last timestep, seconds. Default 1.5.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub min_duration_s: f64,
+}
+
+impl Default for WrongWay {
+    fn default() -> Self {
+        Self { min_duration_s: 1.5 }
+    }
 }
 
 impl WrongWay {
-    /// The behavior with these options.
-    pub const fn new(config: WrongWayConfig) -> Self {
-        Self { config }
-    }
-
     fn is_against(lanes: &SceneLanes<'_>, state: &State) -> bool {
         let is_opposite = |lane_rad: f64| angle_difference(lane_rad, state.heading_rad).abs() > PI - OPPOSITE_RAD;
         if state.velocity.dot(Vec2::from_angle(state.heading_rad)) < MIN_SPEED_MPS {
@@ -97,9 +86,9 @@ impl WrongWay {
         let run = Self::longest(lanes, track)?;
         let duration_s = (run.end() - run.start()) as f64 * scene.dt_s;
         let lasts = |least_s: f64| duration_s >= least_s - 1e-9;
-        let label = match lasts(self.config.min_duration_s) {
+        let label = match lasts(self.min_duration_s) {
             true => EventLabel::Positive,
-            false if lasts(self.config.min_duration_s / NEGATIVE_PART) => EventLabel::Negative,
+            false if lasts(self.min_duration_s / NEGATIVE_PART) => EventLabel::Negative,
             false => return None,
         };
         let places: Vec<Vec2> = run.clone().filter_map(|t| Some(track.trajectory.get(t)?.position)).collect();

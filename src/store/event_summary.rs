@@ -59,24 +59,16 @@ fn event_counts(events: &[BehaviorEvent]) -> PolarsResult<Vec<EventSummary>> {
         "label" => events.iter().map(|event| event.label.name()).collect::<Vec<_>>(),
         "scene_id" => events.iter().map(|event| event.scene_id.0.as_str()).collect::<Vec<_>>(),
     }?;
-    let groups = frame
-        .lazy()
-        .group_by_stable([col("behavior"), col("label")])
-        .agg([
-            len().cast(DataType::UInt64).alias("n_events"),
-            col("scene_id").n_unique().cast(DataType::UInt64).alias("n_scenes"),
-        ])
-        .collect()?;
-    let summary = |i: usize| {
+    let summary = |group: DataFrame| {
         Ok(EventSummary {
-            behavior: text(&groups, "behavior", i)?,
-            label: label(&groups, i)?,
-            n_events: count(&groups, "n_events", i)?,
-            n_scenes: count(&groups, "n_scenes", i)?,
+            behavior: first(&group, "behavior")?,
+            label: label(&group)?,
+            n_events: group.height(),
+            n_scenes: group.column("scene_id")?.n_unique()?,
             parameters: Vec::new(),
         })
     };
-    (0..groups.height()).map(summary).collect()
+    frame.partition_by_stable(["behavior", "label"], true)?.into_iter().map(summary).collect()
 }
 
 fn add_parameters(summaries: &mut [EventSummary], events: &[BehaviorEvent]) -> PolarsResult<()> {
@@ -91,32 +83,16 @@ fn add_parameters(summaries: &mut [EventSummary], events: &[BehaviorEvent]) -> P
         "name" => rows.iter().map(|(_, name, _)| *name).collect::<Vec<_>>(),
         "value" => rows.iter().map(|(.., value)| *value).collect::<Vec<_>>(),
     }?;
-    let quantile =
-        |(i, q): (usize, &f64)| col("value").quantile(lit(*q), QuantileMethod::Linear).alias(format!("quantile {i}"));
-    let groups = frame
-        .lazy()
-        .group_by_stable([col("behavior"), col("label"), col("name")])
-        .agg(
-            [len().cast(DataType::UInt64).alias("n"), col("value").mean().alias("mean")]
-                .into_iter()
-                .chain(QUANTILES.iter().enumerate().map(quantile))
-                .collect::<Vec<_>>(),
-        )
-        .collect()?;
-    for i in 0..groups.height() {
-        let name = text(&groups, "name", i)?;
-        let mut quantiles = [0.0; QUANTILES.len()];
-        for (q, value) in quantiles.iter_mut().enumerate() {
-            *value = number(&groups, &format!("quantile {q}"), i)?;
+    for group in frame.partition_by_stable(["behavior", "label", "name"], true)? {
+        let name = first(&group, "name")?;
+        let values = group.column("value")?.f64()?;
+        let mut quantiles = [f64::NAN; QUANTILES.len()];
+        for (quantile, q) in quantiles.iter_mut().zip(QUANTILES) {
+            *quantile = values.quantile(q, QuantileMethod::Linear)?.unwrap_or(f64::NAN);
         }
-        let parameter = ParameterSummary {
-            unit: unit_of_name(&name),
-            name,
-            n: count(&groups, "n", i)?,
-            mean: number(&groups, "mean", i)?,
-            quantiles,
-        };
-        let key = (text(&groups, "behavior", i)?, label(&groups, i)?);
+        let (unit, mean) = (unit_of_name(&name), values.mean().unwrap_or(f64::NAN));
+        let parameter = ParameterSummary { name, unit, n: group.height(), mean, quantiles };
+        let key = (first(&group, "behavior")?, label(&group)?);
         let of_group = |s: &&mut EventSummary| s.behavior == key.0 && s.label == key.1;
         if let Some(summary) = summaries.iter_mut().find(of_group) {
             summary.parameters.push(parameter);
@@ -128,20 +104,13 @@ fn add_parameters(summaries: &mut [EventSummary], events: &[BehaviorEvent]) -> P
     Ok(())
 }
 
-fn text(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<String> {
-    Ok(frame.column(column)?.str()?.get(i).unwrap_or_default().to_owned())
+/// The value of a column in the first row of a group.
+fn first(group: &DataFrame, column: &str) -> PolarsResult<String> {
+    Ok(group.column(column)?.str()?.get(0).unwrap_or_default().to_owned())
 }
 
-fn number(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<f64> {
-    Ok(frame.column(column)?.f64()?.get(i).unwrap_or(f64::NAN))
-}
-
-fn count(frame: &DataFrame, column: &str, i: usize) -> PolarsResult<usize> {
-    Ok(frame.column(column)?.u64()?.get(i).unwrap_or_default() as usize)
-}
-
-fn label(frame: &DataFrame, i: usize) -> PolarsResult<EventLabel> {
-    let name = text(frame, "label", i)?;
+fn label(group: &DataFrame) -> PolarsResult<EventLabel> {
+    let name = first(group, "label")?;
     label_from_name(&name).ok_or_else(|| polars_err!(ComputeError: "unknown label {name}"))
 }
 

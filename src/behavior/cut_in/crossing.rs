@@ -1,7 +1,7 @@
 //! A vehicle crosses into the lane of another: when, how far does each move over, and would the ego still be cut off if
 //! it drove straight?
 
-use super::CutInConfig;
+use super::CutIn;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::intrusion::Intrusion;
 use crate::behavior::kept_lane::KeptLane;
@@ -19,7 +19,7 @@ pub(super) struct LaneCrossing<'a> {
     pub(super) scene: &'a Scene,
     pub(super) pair: [usize; 2],
     pub(super) lane: &'a KeptLane,
-    pub(super) config: &'a CutInConfig,
+    pub(super) behavior: &'a CutIn,
 }
 
 /// The other comes into the lane ahead of the ego.
@@ -71,7 +71,7 @@ impl LaneCrossing<'_> {
             offsets.map(|place| toward * (place.offset_m - start.offset_m)).reduce(f64::max)
         };
         let (shift_m, ego_shift_m) = (moved_m(1, -side)?, moved_m(0, side)?);
-        if shift_m < self.config.min_shift_m || shift_m <= ego_shift_m {
+        if shift_m < self.behavior.min_shift_m || shift_m <= ego_shift_m {
             return None;
         }
         // Where the two lanes merge ahead, the offsets of both vehicles are the same.
@@ -187,7 +187,7 @@ impl LaneCrossing<'_> {
             return None;
         }
         // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
-        let max_delay = (self.config.max_delay_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
+        let max_delay = (self.behavior.max_delay_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
         (scene.n_history..scene.n_timesteps).find_map(|timestep| {
             let theirs = places[timestep][1].filter(is_in_strip)?;
             let is_there = |own: &LanePlace| {

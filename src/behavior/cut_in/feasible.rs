@@ -147,7 +147,7 @@ impl CutIn {
         let half_lengths_m = (own_length_m + their_length_m) / 2.0;
         let gap_m = then.station_m - pair.own_station_m - own_mps * time_s - half_lengths_m;
         // The ego must get there before the scene ends.
-        let left_s = self.config.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
+        let left_s = self.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
         let is_reached = (SHARE_M..own_mps * left_s).contains(&gap_m);
         if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
             return Some(None);
@@ -177,7 +177,7 @@ impl CutIn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::{Behavior, CutInConfig};
+    use crate::behavior::Behavior;
     use crate::scene::testing::{Drive, scene};
     use crate::scene::{State, Trajectory};
 
@@ -200,7 +200,7 @@ mod tests {
     /// Reachable outcomes of the second of two cars ahead of the first, which drives along x at 10 m/s.
     fn outcomes(other: Drive) -> Vec<Outcome> {
         let scene = slowed(scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other]));
-        CutIn::new(CutInConfig::default()).feasible(&scene, &[0, 1])
+        CutIn::default().feasible(&scene, &[0, 1])
     }
 
     fn drive(x: f64, y: f64, heading_rad: f64, speed_mps: f64) -> Drive {
@@ -244,7 +244,7 @@ mod tests {
             let observed = |t: usize| track.trajectory.get(t).copied().filter(|_| t < known.n_history);
             track.trajectory = Trajectory::new((0..known.n_timesteps).map(observed).collect());
         }
-        let of = |scene: &Scene| CutIn::new(CutInConfig::default()).feasible(scene, &[0, 1]);
+        let of = |scene: &Scene| CutIn::default().feasible(scene, &[0, 1]);
         assert!(!of(&known).is_empty());
         assert_eq!(of(&known), of(&unknown));
     }

@@ -51,26 +51,6 @@ const NEGATIVE_DISTANCE_M: f64 = 5.0;
 /// excludes agents that turn into the lane, enter a roundabout or come toward the ego.
 const ALONG_RAD: f64 = FRAC_PI_6;
 
-/// Options of [`CutIn`]; vehicles take part.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CutInConfig {
-    /// The ego must reach the other's place less than this much later, seconds. Default 3.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
-    pub max_delay_s: f64,
-    /// The other must move over by at least this, across the lane of the ego, meters. Default 0.5.
-    #[schemars(range(min = 0.0))]
-    pub min_shift_m: f64,
-    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
-    pub collision_free: bool,
-}
-
-impl Default for CutInConfig {
-    fn default() -> Self {
-        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false }
-    }
-}
-
 /// One vehicle (`other`) crosses into the lane that another (`ego`) keeps, shortly ahead of it.
 ///
 /// The lane of the ego is the one it is in at present, with those that lead to it and follow on; the other is measured
@@ -123,17 +103,26 @@ impl Default for CutInConfig {
 /// - `ego_length_m`, `other_length_m`: lengths of the boxes, which tell cars from trucks where a dataset calls both
 ///   vehicles; nominal where it gives no size;
 /// - `min_distance_m`: smallest distance of the boxes at the same time, from the present on; also for negatives.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct CutIn {
-    config: CutInConfig,
+    /// The ego must reach the other's place less than this much later, seconds. Default 3.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 100.0))]
+    pub max_delay_s: f64,
+    /// The other must move over by at least this, across the lane of the ego, meters. Default 0.5.
+    #[schemars(range(min = 0.0))]
+    pub min_shift_m: f64,
+    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
+    pub collision_free: bool,
+}
+
+impl Default for CutIn {
+    fn default() -> Self {
+        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false }
+    }
 }
 
 impl CutIn {
-    /// The behavior with these options.
-    pub const fn new(config: CutInConfig) -> Self {
-        Self { config }
-    }
-
     fn positive(&self, scene: &Scene, pair: [usize; 2], crossing: &Crossing) -> BehaviorEvent {
         let timesteps = crossing.intrusion..=crossing.reached;
         let event = BehaviorEvent::new((ID, ROLES), scene, EventLabel::Positive, &pair, timesteps)
@@ -177,7 +166,7 @@ impl Behavior for CutIn {
         let kept = |agent_idx: usize| kept[agent_idx].get_or_init(|| KeptLane::of(scene, &lanes, agent_idx)).as_ref();
         let collides = |ego: &SweptBoxes, other: &SweptBoxes| {
             let future = scene.current_timestep()..scene.n_timesteps;
-            self.config.collision_free && ego.both_at(other, future).any(|(_, own, theirs)| own.overlaps(theirs))
+            self.collision_free && ego.both_at(other, future).any(|(_, own, theirs)| own.overlaps(theirs))
         };
         let search = PairSearch {
             scene,
@@ -188,7 +177,7 @@ impl Behavior for CutIn {
         };
         search.events(|pair, ego, other| {
             let lane = kept(pair[0])?;
-            let crossing = LaneCrossing { scene, pair, lane, config: &self.config }.find(|| kept(pair[1]))?;
+            let crossing = LaneCrossing { scene, pair, lane, behavior: self }.find(|| kept(pair[1]))?;
             (!collides(ego, other)).then(|| self.positive(scene, pair, &crossing))
         })
     }

@@ -87,7 +87,7 @@ impl CutIn {
         let pair = self.pair(scene, ego_idx, other_idx)?;
         let lanes = SceneLanes::new(&scene.lanes);
         let way = |plan: CutInPlan| {
-            let braking = pair.braking(&plan, self.config.max_delay_s, style)?;
+            let braking = pair.braking(&plan, self.max_delay_s, style)?;
             let over = pair.coming_over(&plan, style)?;
             let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
             let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
@@ -257,7 +257,7 @@ fn changed_s(elapsed_s: f64, takes_s: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::behavior::testing::{going_on, two_lanes};
-    use crate::behavior::{Behavior, BehaviorEvent, CutInConfig, EventLabel};
+    use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
     use crate::scene::Trajectory;
     use crate::scene::testing::Drive;
 
@@ -268,7 +268,7 @@ mod tests {
 
     #[test]
     fn the_miner_finds_the_cut_in_that_a_template_was_solved_for() {
-        let behavior = CutIn::new(CutInConfig::default());
+        let behavior = CutIn::default();
         let scene = beside(Drive::straight(16.0, 3.5, 0.0, 9.0));
         let outcomes = behavior.feasible(&scene, &[0, 1]);
         let (mut n_found, mut n_braked) = (0, 0);
@@ -303,7 +303,7 @@ mod tests {
 
     #[test]
     fn nobody_cuts_in_at_a_steep_angle_or_while_drifting_away() {
-        let behavior = CutIn::new(CutInConfig::default());
+        let behavior = CutIn::default();
         let slow = going_on(&[Drive::straight(0.0, 0.0, 0.0, 3.0), Drive::straight(8.0, 3.5, 0.0, 3.0)], two_lanes());
         let scenes = [slow, beside(Drive::straight(12.0, 3.5, 0.0, 10.0))];
         let mut n_templates = 0;
@@ -327,7 +327,7 @@ mod tests {
 
     #[test]
     fn who_would_drive_into_somebody_has_no_template() {
-        let behavior = CutIn::new(CutInConfig::default());
+        let behavior = CutIn::default();
         let free = beside(Drive::straight(12.0, 3.5, 0.0, 10.0));
         assert!(behavior.template(&free, &[0, 1], &BTreeMap::new(), 0).is_some());
         let mut taken = free.clone();
@@ -349,7 +349,7 @@ mod tests {
 
     #[test]
     fn nobody_cuts_in_close_behind_somebody_slower() {
-        let behavior = CutIn::new(CutInConfig::default());
+        let behavior = CutIn::default();
         let drives = [(0.0, 0.0, 10.0), (12.0, 3.5, 10.0), (34.0, 0.0, 7.0)];
         let scene = going_on(&drives.map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps)), two_lanes());
         let mut n_templates = 0;

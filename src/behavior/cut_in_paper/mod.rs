@@ -39,42 +39,9 @@ pub(super) const PARAMETERS: &[&str] = &[
 /// The ego must reach the other's place less than this much later, seconds (the paper's).
 const MAX_DELAY_S: f64 = 3.0;
 
-/// Options of [`CutInPaper`]; vehicles take part. The defaults are the definition of the DJINN paper, to the letter.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CutInPaperConfig {
-    /// A pair without a cut-in is a hard negative if its boxes come closer than this, meters. Default 5.
-    #[schemars(range(min = 0.0))]
-    pub negative_distance_m: f64,
-    /// If given, the two headings at the overlap must differ by less than this, radians. This excludes crossing and
-    /// oncoming traffic; π/4 is a good value. Default none.
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
-    pub max_heading_difference_rad: Option<f64>,
-    /// If given, the other must move sideways toward the ego's path by at least this within the future, meters across
-    /// its own heading at present. This excludes egos that move in behind the other, and boxes that graze while both
-    /// keep their lanes; 1 is a good value. On a bend any motion along the road is sideways too. Default none.
-    #[schemars(range(min = 0.0))]
-    pub min_shift_m: Option<f64>,
-    /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
-    pub same_time: bool,
-    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
-    pub collision_free: bool,
-}
-
-impl Default for CutInPaperConfig {
-    fn default() -> Self {
-        Self {
-            negative_distance_m: 5.0,
-            max_heading_difference_rad: None,
-            min_shift_m: None,
-            same_time: false,
-            collision_free: false,
-        }
-    }
-}
-
 /// One vehicle (`other`) merges into the path of another (`ego`), whichever of the two changes course: the definition
-/// of the DJINN paper. [`CutIn`](super::CutIn) is what safety engineers call a cut-in.
+/// of the DJINN paper, with the default options to the letter. [`CutIn`](super::CutIn) is what safety engineers call a
+/// cut-in.
 ///
 /// **Positive** (DJINN, "Conditional Generation from Behavior Classes"): the box of `other` at a future time t_other
 /// overlaps the box of `ego` at a future time t_ego, with t_ego - 3 s < t_other < t_ego (both strict).
@@ -107,17 +74,40 @@ impl Default for CutInPaperConfig {
 /// - `ego_length_m`, `other_length_m`: lengths of the boxes, which tell cars from trucks where a dataset calls both
 ///   vehicles; nominal where it gives no size;
 /// - `min_distance_m`: smallest distance of the boxes at the same time, from the present on; also for negatives.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
 pub struct CutInPaper {
-    config: CutInPaperConfig,
+    /// A pair without a cut-in is a hard negative if its boxes come closer than this, meters. Default 5.
+    #[schemars(range(min = 0.0))]
+    pub negative_distance_m: f64,
+    /// If given, the two headings at the overlap must differ by less than this, radians. This excludes crossing and
+    /// oncoming traffic; π/4 is a good value. Default none.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 6.3))]
+    pub max_heading_difference_rad: Option<f64>,
+    /// If given, the other must move sideways toward the ego's path by at least this within the future, meters across
+    /// its own heading at present. This excludes egos that move in behind the other, and boxes that graze while both
+    /// keep their lanes; 1 is a good value. On a bend any motion along the road is sideways too. Default none.
+    #[schemars(range(min = 0.0))]
+    pub min_shift_m: Option<f64>,
+    /// Whether the distance for hard negatives is between states at the same time. Default false: at any two times.
+    pub same_time: bool,
+    /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
+    pub collision_free: bool,
+}
+
+impl Default for CutInPaper {
+    fn default() -> Self {
+        Self {
+            negative_distance_m: 5.0,
+            max_heading_difference_rad: None,
+            min_shift_m: None,
+            same_time: false,
+            collision_free: false,
+        }
+    }
 }
 
 impl CutInPaper {
-    /// The behavior with these options.
-    pub const fn new(config: CutInPaperConfig) -> Self {
-        Self { config }
-    }
-
     /// (t_other, t_ego) of the cut-in of `other` before `ego`, if there is one. Both sweeps hold a box at present.
     fn overlap(
         &self,
@@ -128,7 +118,7 @@ impl CutInPaper {
     ) -> Option<(usize, usize)> {
         let present = scene.current_timestep();
         let same_way = |t_other: usize, t_ego: usize| {
-            self.config.max_heading_difference_rad.is_none_or(|limit_rad| {
+            self.max_heading_difference_rad.is_none_or(|limit_rad| {
                 let heading =
                     |agent_idx: usize, timestep: usize| scene.state(agent_idx, timestep).map(|s| s.heading_rad);
                 heading(other_idx, t_other)
@@ -140,10 +130,10 @@ impl CutInPaper {
             ego.first_overlap_after(other, scene.n_history..scene.n_timesteps, Self::max_delay(scene.dt_s), same_way)?;
         let initial = other.at(present)?;
         let is_following = ego.overlaps_any(initial, 0..scene.n_timesteps);
-        let collides = self.config.collision_free
+        let collides = self.collision_free
             && ego.both_at(other, present..scene.n_timesteps).any(|(_, own, theirs)| own.overlaps(theirs));
         let moves_over = || {
-            self.config.min_shift_m.is_none_or(|least_m| {
+            self.min_shift_m.is_none_or(|least_m| {
                 let intrusion = Intrusion::at(scene, [ego_idx, other_idx], overlap.0);
                 intrusion.and_then(|i| i.shift_m).is_some_and(|shift_m| shift_m >= least_m)
             })
@@ -179,9 +169,9 @@ impl Behavior for CutInPaper {
         let search = PairSearch {
             scene,
             names: (ID, ROLES),
-            negative_distance_m: self.config.negative_distance_m,
+            negative_distance_m: self.negative_distance_m,
             judged: 0..scene.n_timesteps,
-            same_time: self.config.same_time,
+            same_time: self.same_time,
         };
         search.events(|pair, ego, other| Some(self.positive(scene, pair, self.overlap(scene, pair, ego, other)?)))
     }

@@ -8,7 +8,7 @@ use crate::geometry::OrientedBox;
 type Verdict = (usize, usize, EventLabel, Option<(usize, usize)>);
 
 /// The definition without any pruning: every pair of states of every ordered pair of agents.
-fn plain_labels(config: &CutInPaperConfig, scene: &Scene) -> Vec<Verdict> {
+fn plain_labels(config: &CutInPaper, scene: &Scene) -> Vec<Verdict> {
     let footprint = |agent_idx: usize, t: usize| -> Option<OrientedBox> { scene.tracks[agent_idx].footprint_at(t) };
     let present = scene.current_timestep();
     let n_agents = scene.tracks.len();
@@ -54,22 +54,22 @@ fn plain_labels(config: &CutInPaperConfig, scene: &Scene) -> Vec<Verdict> {
     labels
 }
 
-fn labels(config: &CutInPaperConfig, scene: &Scene) -> Vec<Verdict> {
+fn labels(config: &CutInPaper, scene: &Scene) -> Vec<Verdict> {
     let idx = |event: &BehaviorEvent, role: &str| scene.track_idx(event.track(role).expect("role")).expect("track");
     let times = |event: &BehaviorEvent| {
         (event.label == EventLabel::Positive).then_some((event.start_timestep, event.end_timestep))
     };
-    let events = CutInPaper::new(config.clone()).detect(scene);
+    let events = config.detect(scene);
     events.iter().map(|e| (idx(e, "ego"), idx(e, "other"), e.label, times(e))).collect()
 }
 
 #[test]
 fn the_quick_search_agrees_with_the_plain_definition() {
-    let paper = CutInPaperConfig::default();
+    let paper = CutInPaper::default();
     let configs = [
-        CutInPaperConfig { max_heading_difference_rad: Some(std::f64::consts::FRAC_PI_4), ..paper.clone() },
-        CutInPaperConfig { same_time: true, ..paper.clone() },
-        CutInPaperConfig { negative_distance_m: 2.0, collision_free: true, ..paper.clone() },
+        CutInPaper { max_heading_difference_rad: Some(std::f64::consts::FRAC_PI_4), ..paper.clone() },
+        CutInPaper { same_time: true, ..paper.clone() },
+        CutInPaper { negative_distance_m: 2.0, collision_free: true, ..paper.clone() },
         paper,
     ];
     let (mut n_positive, mut n_negative, mut n_far) = (0, 0, 0);

@@ -17,15 +17,14 @@ const LASTS_S: [f64; 3] = [0.9, 1.5, 2.5];
 impl HardBrake {
     /// Maneuvers of an agent that keeps its speed, or brakes on, and then brakes hard.
     pub(in crate::behavior) fn brakings(&self, scene: &Scene, agent_idx: usize) -> Vec<Maneuver> {
-        let config = self.config();
         let driver = scene.tracks[agent_idx].class.is_motorized().then(|| SceneLanes::new(&scene.lanes));
         let driver = driver.and_then(|lanes| Driver::new(scene, &lanes, agent_idx));
-        let Some(driver) = driver.filter(|driver| driver.state.speed_mps() >= config.min_speed_mps) else {
+        let Some(driver) = driver.filter(|driver| driver.state.speed_mps() >= self.min_speed_mps) else {
             return Vec::new();
         };
         let mut maneuvers = Vec::new();
         for (i, more_mps2) in MORE_MPS2.into_iter().enumerate() {
-            let deceleration_mps2 = config.min_deceleration_mps2 + more_mps2;
+            let deceleration_mps2 = self.min_deceleration_mps2 + more_mps2;
             if deceleration_mps2 > HARDEST_MPS2 {
                 continue;
             }

@@ -22,14 +22,14 @@ const LEAST_GAP_M: f64 = 2.0;
 impl Tailgating {
     /// Maneuvers in which the follower closes in on the leader, or falls back, to a short headway.
     pub(in crate::behavior) fn approaches(&self, scene: &Scene, [own_idx, leader_idx]: [usize; 2]) -> Vec<Maneuver> {
-        let (config, lanes) = (self.config(), SceneLanes::new(&scene.lanes));
+        let lanes = SceneLanes::new(&scene.lanes);
         let is_admitted = [own_idx, leader_idx].iter().all(|idx| scene.tracks[*idx].class.is_motorized());
         let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, own_idx)).flatten();
         let ahead = follower.and_then(|own| own.ahead(scene.current_timestep(), REACH_M).first().copied());
         let Some(now) = ahead.filter(|ahead| ahead.agent_idx == leader_idx) else { return Vec::new() };
         let drivers = [own_idx, leader_idx].map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let [Some(own), Some(leader)] = drivers else { return Vec::new() };
-        let gaps = gaps(&now, config.max_headway_s);
+        let gaps = gaps(&now, self.max_headway_s);
         let mut maneuvers = Vec::new();
         for (rail, mps2) in (0..leader.rails.len()).flat_map(|rail| LEADER_MPS2.map(|mps2| (rail, mps2))) {
             let led_m = leader.travel(rail, &Pace::steady(mps2)).driven_m;

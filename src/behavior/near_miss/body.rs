@@ -1,6 +1,6 @@
 //! A road user in the analysis of near misses: its box, the inner part of the box, and the path that it drives.
 
-use super::config::{MIN_OVERLAP_M, NearMissConfig};
+use super::config::{MIN_OVERLAP_M, NearMiss};
 use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::swept_boxes::SweptBoxes;
@@ -28,9 +28,9 @@ pub(super) struct Body<'a> {
 
 impl<'a> Body<'a> {
     /// The agent at this index. `None` if it cannot take part.
-    pub(super) fn new(scene: &'a Scene, agent_idx: usize, config: &NearMissConfig) -> Option<Self> {
+    pub(super) fn new(scene: &'a Scene, agent_idx: usize, behavior: &NearMiss) -> Option<Self> {
         let track = &scene.tracks[agent_idx];
-        if !track.class.is_road_user() || (config.recorded_sizes && track.extent.is_none()) {
+        if !track.class.is_road_user() || (behavior.recorded_sizes && track.extent.is_none()) {
             return None;
         }
         let [extent, inner_extent] = extents(track);

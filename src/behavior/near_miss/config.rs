@@ -1,4 +1,4 @@
-//! The options of near misses.
+//! The definition of near misses, and its options.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,10 +19,38 @@ const NEGATIVE_TTC_FACTOR: f64 = 2.0;
 /// Who is slower than this stands, m/s: errors of tracks reach it.
 pub(super) const MIN_SPEED_MPS: f64 = 1.0;
 
-/// Options of [`super::NearMiss`]; all road users take part.
+/// Two road users (`first` and `second`) barely avoid each other.
+///
+/// **Positive**: at some timestep of the scene, any of
+///
+/// - The boxes would overlap by 0.5 m if both kept their velocities and headings, and also if both continued at these
+///   speeds along the paths that they drive (an agent that waits beside a bend is in nobody's way), and would touch in
+///   less than 1.5 s. Avoiding it takes a deceleration of at least 3.4 m/s² (DRAC: the relative speed divided by twice
+///   that time). Both are tracked until then, because the motion after the last state is unknown. At least one of the
+///   two moves at 1 m/s or more.
+/// - One is where the other was less than 0.5 s before: the boxes of these two timesteps overlap by 0.5 m, and both
+///   move at 1 m/s or more. Their courses differ there by at least 30 degrees, and so does each course from the path
+///   that the other drives through this place: an agent that follows another around a bend or merges behind it does not
+///   cross it.
+/// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are
+///   recorded.
+///
+/// The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
+///
+/// *What does not count*: pairs whose boxes overlap at any timestep, which are collisions; two standing agents; static
+/// objects; following and driving side by side, however long; passing in the next lane; grazing courses; stopping in
+/// good time, however close; agents of unrecorded size.
+///
+/// **Negative**: boxes that come closer than 2 m, or whose time to collision in the first sense is less than 3 s,
+/// without meeting the stricter limits.
+///
+/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s),
+/// `pet_s` (post-encroachment time: the shortest time between one and the other covering the same place; absent if they
+/// never do). At the closest timestep: `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`,
+/// `heading_difference_rad` (0 to π: following, crossing, oncoming).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct NearMissConfig {
+pub struct NearMiss {
     /// Whether only road users of recorded size take part. Default true. If false, the others take part with half their
     /// nominal length and width; their tracks usually cannot separate near misses from noise.
     pub recorded_sizes: bool,
@@ -39,13 +67,13 @@ pub struct NearMissConfig {
     pub max_pet_s: f64,
 }
 
-impl Default for NearMissConfig {
+impl Default for NearMiss {
     fn default() -> Self {
         Self { recorded_sizes: true, max_distance_m: 0.2, max_ttc_s: 1.5, max_pet_s: 0.5 }
     }
 }
 
-impl NearMissConfig {
+impl NearMiss {
     /// Boxes that come closer than this are a hard negative at least, meters.
     pub(super) const fn negative_distance_m(&self) -> f64 {
         NEGATIVE_DISTANCE_M.max(self.max_distance_m)

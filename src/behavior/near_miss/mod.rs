@@ -7,7 +7,7 @@ mod plan;
 #[cfg(test)]
 mod plan_tests;
 
-pub use config::NearMissConfig;
+pub use config::NearMiss;
 
 use self::body::Body;
 use super::maneuver::Maneuver;
@@ -35,40 +35,6 @@ pub(super) const PARAMETERS: &[&str] = &[
 
 /// Times to collision beyond this are meaningless, seconds: nobody keeps course and speed for so long.
 const MAX_TTC_S: f64 = 10.0;
-/// Two road users (`first` and `second`) barely avoid each other.
-///
-/// **Positive**: at some timestep of the scene, any of
-///
-/// - The boxes would overlap by 0.5 m if both kept their velocities and headings, and also if both continued at these
-///   speeds along the paths that they drive (an agent that waits beside a bend is in nobody's way), and would touch in
-///   less than 1.5 s. Avoiding it takes a deceleration of at least 3.4 m/s² (DRAC: the relative speed divided by twice
-///   that time). Both are tracked until then, because the motion after the last state is unknown. At least one of the
-///   two moves at 1 m/s or more.
-/// - One is where the other was less than 0.5 s before: the boxes of these two timesteps overlap by 0.5 m, and both
-///   move at 1 m/s or more. Their courses differ there by at least 30 degrees, and so does each course from the path
-///   that the other drives through this place: an agent that follows another around a bend or merges behind it does not
-///   cross it.
-/// - The boxes are less than 0.2 m apart, their velocities differ by at least 8 m/s, and the sizes of both are
-///   recorded.
-///
-/// The event *starts* at the first such timestep and is *complete* at the last one, with or without breaks between.
-///
-/// *What does not count*: pairs whose boxes overlap at any timestep, which are collisions; two standing agents; static
-/// objects; following and driving side by side, however long; passing in the next lane; grazing courses; stopping in
-/// good time, however close; agents of unrecorded size.
-///
-/// **Negative**: boxes that come closer than 2 m, or whose time to collision in the first sense is less than 3 s,
-/// without meeting the stricter limits.
-///
-/// Parameters over the whole scene: `min_distance_m`, `min_ttc_s` (absent where the courses do not meet within 10 s),
-/// `pet_s` (post-encroachment time: the shortest time between one and the other covering the same place; absent if they
-/// never do). At the closest timestep: `relative_speed_mps`, `first_speed_mps`, `second_speed_mps`,
-/// `heading_difference_rad` (0 to π: following, crossing, oncoming).
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct NearMiss {
-    config: NearMissConfig,
-}
-
 /// One timestep at which two agents are close by the limits of hard negatives.
 struct Encounter {
     timestep: usize,
@@ -80,19 +46,8 @@ struct Encounter {
 }
 
 impl NearMiss {
-    /// The behavior with these options.
-    pub const fn new(config: NearMissConfig) -> Self {
-        Self { config }
-    }
-
-    /// Its options.
-    const fn config(&self) -> &NearMissConfig {
-        &self.config
-    }
-
     fn detect_pair(&self, scene: &Scene, first: &Body<'_>, second: &Body<'_>) -> Option<BehaviorEvent> {
         let encounters = self.encounters(scene, first, second)?;
-        let config = &self.config;
         let span = |is_meant: &dyn Fn(&Encounter) -> bool| {
             let mut hits = encounters.iter().filter(|e| is_meant(e)).map(|e| e.timestep);
             let start = hits.next()?;
@@ -100,12 +55,12 @@ impl NearMiss {
         };
         let are_sized = first.track.extent.is_some() && second.track.extent.is_some();
         let passes = |e: &Encounter| {
-            are_sized && e.distance_m < config.max_distance_m && e.relative_mps >= config::MIN_PASSING_MPS
+            are_sized && e.distance_m < self.max_distance_m && e.relative_mps >= config::MIN_PASSING_MPS
         };
         let known_s = first.last_timestep()?.min(second.last_timestep()?) as f64 * scene.dt_s;
         let escapes = |e: &Encounter| {
             e.conflict_s.is_some_and(|time_s| {
-                e.timestep as f64 * scene.dt_s + time_s <= known_s && config.is_urgent(time_s, e.relative_mps)
+                e.timestep as f64 * scene.dt_s + time_s <= known_s && self.is_urgent(time_s, e.relative_mps)
             })
         };
         let close = span(&|e| passes(e) || escapes(e));
@@ -114,8 +69,8 @@ impl NearMiss {
         let joined = both.map(|(a, b)| *a.start().min(b.start())..=*a.end().max(b.end()));
         let positive = joined.or(close).or(crossing).map(|span| (EventLabel::Positive, span));
         let is_near = |e: &Encounter| {
-            e.distance_m < config.negative_distance_m()
-                || e.conflict_s.is_some_and(|time_s| time_s < config.negative_ttc_s())
+            e.distance_m < self.negative_distance_m()
+                || e.conflict_s.is_some_and(|time_s| time_s < self.negative_ttc_s())
         };
         let negative = || span(&is_near).map(|span| (EventLabel::Negative, span));
         let (label, timesteps) = positive.or_else(negative)?;
@@ -135,9 +90,8 @@ impl NearMiss {
 
     /// The timesteps at which the pair could meet the limits of hard negatives. `None` if the boxes ever overlap.
     fn encounters(&self, scene: &Scene, first: &Body<'_>, second: &Body<'_>) -> Option<Vec<Encounter>> {
-        let config = &self.config;
-        let wide_distance_m = config.negative_distance_m();
-        let wide_ttc_s = config.negative_ttc_s();
+        let wide_distance_m = self.negative_distance_m();
+        let wide_ttc_s = self.negative_ttc_s();
         let mut encounters = Vec::new();
         for (timestep, one, other) in first.outer.both_at(&second.outer, 0..scene.n_timesteps) {
             let (Some(a), Some(b)) = (first.state(timestep), second.state(timestep)) else { continue };
@@ -174,7 +128,7 @@ impl NearMiss {
             body.state(timestep).is_some_and(|state| state.speed_mps() >= config::MIN_SPEED_MPS)
         };
         // Delays that are a whole number of timesteps but for rounding are excluded.
-        let max_delay = (self.config.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
+        let max_delay = (self.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
         let found = |t: usize, u: usize| {
             [(first, second), (second, first)]
                 .into_iter()
@@ -186,11 +140,10 @@ impl NearMiss {
 
     /// Agents that stay farther apart than this over the whole scene have no encounter.
     fn reach_m(&self, scene: &Scene) -> f64 {
-        let config = &self.config;
         let states = scene.tracks.iter().flat_map(|track| track.trajectory.valid());
         let max_speed_mps = states.map(|(_, state)| state.speed_mps()).filter(|v| v.is_finite()).fold(0.0, f64::max);
-        let wide_ttc_s = config.negative_ttc_s();
-        config.negative_distance_m().max(2.0 * max_speed_mps * wide_ttc_s)
+        let wide_ttc_s = self.negative_ttc_s();
+        self.negative_distance_m().max(2.0 * max_speed_mps * wide_ttc_s)
     }
 }
 
@@ -217,14 +170,14 @@ impl Behavior for NearMiss {
     }
 
     fn needs_sizes(&self) -> bool {
-        self.config.recorded_sizes
+        self.recorded_sizes
     }
 
     /// At most one event a pair, in the order of tracks.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let reach_m = self.reach_m(scene);
         let bodies: Vec<Body<'_>> =
-            (0..scene.tracks.len()).filter_map(|agent_idx| Body::new(scene, agent_idx, &self.config)).collect();
+            (0..scene.tracks.len()).filter_map(|agent_idx| Body::new(scene, agent_idx, self)).collect();
         let mut events = Vec::new();
         for (i, first) in bodies.iter().enumerate() {
             for second in &bodies[i + 1..] {
@@ -265,8 +218,7 @@ mod tests {
         let mut unsized_ = sized.clone();
         unsized_.tracks.iter_mut().for_each(|track| track.extent = None);
         // Where boxes are half as large, gaps are longer.
-        let lenient = NearMissConfig { recorded_sizes: false, max_pet_s: 1.0, ..NearMissConfig::default() };
-        let lenient = NearMiss::new(lenient);
+        let lenient = NearMiss { recorded_sizes: false, max_pet_s: 1.0, ..NearMiss::default() };
         let labels = |behavior: &NearMiss, scene| behavior.detect(scene).iter().map(|event| event.label).collect();
         let strict = NearMiss::default();
         [labels(&strict, &sized), labels(&strict, &unsized_), labels(&lenient, &unsized_)]

@@ -52,10 +52,9 @@ impl NearMiss {
     /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
     /// accelerate with at most half of -4 to 2.5 m/s², and nobody else is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
-        let config = self.config();
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
-            track.class.is_road_user() && (!config.recorded_sizes || track.extent.is_some())
+            track.class.is_road_user() && (!self.recorded_sizes || track.extent.is_some())
         };
         let search = agents.iter().all(takes_part).then(|| Search::new(self, scene, agents)).flatten();
         search.map_or_else(Vec::new, |search| search.drafts())
@@ -117,7 +116,7 @@ impl<'a> Search<'a> {
         let straight_s =
             time_to_collision_s(&own.drive.inner[begins], velocities[0], &other.drive.inner[begins], velocities[1])?;
         let relative_mps = (velocities[0] - velocities[1]).norm();
-        if !self.behavior.config().is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
+        if !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
             return None;
         }
         BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
@@ -130,13 +129,12 @@ impl<'a> Search<'a> {
 
     /// Two agents that cross shortly after each other. `None` if they do not.
     fn crossed(&self, courses: [&PlannedDrive; 2]) -> Option<Maneuver> {
-        let config = self.behavior.config();
         let [one, other] = courses.map(|course| &course.drive);
         let n_steps = one.outer.len();
         if courses.iter().any(|course| course.clear < n_steps) {
             return None;
         }
-        let most_delay = (config.max_pet_s / self.dt_s - 1e-6).floor().max(0.0) as usize;
+        let most_delay = (self.behavior.max_pet_s / self.dt_s - 1e-6).floor().max(0.0) as usize;
         let pairs =
             |delay: usize| (0..n_steps.saturating_sub(delay)).flat_map(move |t| [(t, t + delay), (t + delay, t)]);
         let crosses = |(t, u): (usize, usize)| {

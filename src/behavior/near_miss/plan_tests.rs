@@ -81,7 +81,7 @@ fn who_has_somebody_in_the_way_has_none() {
 
 #[test]
 fn the_two_are_asked_for_as_events_name_them() {
-    for behavior in [&NearMiss::default() as &dyn Behavior, &crate::behavior::Collision] {
+    for behavior in [&NearMiss::default() as &dyn Behavior, &crate::behavior::Collision {}] {
         assert_eq!(behavior.completed(&crossing(), [0, 1]), Some(vec![0, 1]));
         assert_eq!(behavior.completed(&crossing(), [1, 0]), None);
     }

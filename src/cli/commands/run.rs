@@ -14,11 +14,12 @@ use crate::engine::{Failure, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::{CORPUS, Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
-use crate::settings;
 use std::path::{Path, PathBuf};
 
 pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
-    let (config, root) = load(&file_of(&args.pipeline, printer)?, &args.set, &args.place)?;
+    let in_parts = args.part.map(|part| check_part(args, part)).transpose()?;
+    let file = file_of(&args.pipeline, printer)?;
+    let (config, root) = load(&file, &args.set, &args.place)?;
     use_threads(output, config.run.threads)?;
     let access = match args.part {
         _ if args.dry_run => Access::Read,
@@ -26,14 +27,14 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
         _ => Access::Write,
     };
     let place = Place::open(&root, access)?;
-    let outcome = run_in(place.path(), (args, &config), output, printer);
+    let outcome = run_in(place.path(), (args, in_parts, &config), output, printer);
     super::finish(place, outcome)
 }
 
 /// Runs the pipeline in the folder `root`.
 fn run_in(
     root: &Path,
-    (args, config): (&RunArgs, &PipelineConfig),
+    (args, in_parts, config): (&RunArgs, Option<StageId>, &PipelineConfig),
     output: &OutputArgs,
     printer: &Printer,
 ) -> Result<()> {
@@ -51,7 +52,6 @@ fn run_in(
     resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
     let compute = config.run.compute();
-    let in_parts = args.part.map(|part| check_part(args, part)).transpose()?;
     if let (Some(id), Some(worker)) = (in_parts, args.worker) {
         return shards::work(stages::alone(id, config, &layout)?.as_ref(), root, worker, compute, &progress);
     }
@@ -135,19 +135,6 @@ pub(super) fn load(pipeline: &Path, overrides: &[String], place: &RunPlace) -> R
     if let Some(folder) = &place.output {
         config.run.output.clone_from(folder);
     }
-    for name in [&config.run.name, &place.run] {
-        check_folder_name(name)?;
-    }
-    let root = config.run.output.join(&config.run.name).join(&place.run);
+    let root = config.folder_of(&place.run)?;
     Ok((config, root))
-}
-
-/// The name becomes one folder: nothing that leads elsewhere.
-fn check_folder_name(name: &str) -> Result<()> {
-    settings::printable_name("the name of a run", name).map_err(Failure::input)?;
-    let mut parts = std::path::Path::new(name).components();
-    match (parts.next(), parts.next()) {
-        (Some(std::path::Component::Normal(_)), None) => Ok(()),
-        _ => Err(Failure::input_message(format_args!("`{name}` cannot name a folder of a run"))),
-    }
 }

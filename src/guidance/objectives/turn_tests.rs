@@ -57,7 +57,7 @@ fn driven(states: &[Vec<f64>], lanes: LaneGraph) -> Scene {
 /// Whether the miner finds a turn to this side, and whether it finds one to the other.
 fn found(scene: &Scene, side: Side) -> [bool; 2] {
     let is_found = |events: Vec<BehaviorEvent>| events.iter().any(|event| event.label == EventLabel::Positive);
-    let [left, right] = [is_found(LeftTurn.detect(scene)), is_found(RightTurn.detect(scene))];
+    let [left, right] = [is_found(LeftTurn {}.detect(scene)), is_found(RightTurn {}.detect(scene))];
     if side == Side::Left { [left, right] } else { [right, left] }
 }
 

@@ -26,13 +26,6 @@ pub struct Entry {
     pub size: Option<u64>,
 }
 
-impl Entry {
-    /// The failure to read this entry.
-    pub fn unreadable(&self, error: &io::Error) -> Error {
-        Error::Container { container: self.container.clone(), file: self.path.clone(), detail: error.to_string() }
-    }
-}
-
 /// Callback for every wanted entry: with the entry and its bytes, of which any number may be read.
 ///
 /// An entry that cannot be opened is handed on all the same, as a stream whose first read fails, so that the caller

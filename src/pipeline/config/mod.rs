@@ -34,7 +34,7 @@ use crate::train::{
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// A whole pipeline.
 #[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
@@ -158,6 +158,21 @@ impl PipelineConfig {
             config.run.name = stem.into_owned();
         }
         Ok(config)
+    }
+
+    /// The folder of its run `run`.
+    ///
+    /// # Errors
+    /// If a name of the two does not become one folder, but leads elsewhere.
+    pub fn folder_of(&self, run: &str) -> Result<PathBuf> {
+        for name in [self.run.name.as_str(), run] {
+            settings::printable_name("the name of a run", name).map_err(Failure::input)?;
+            let mut parts = Path::new(name).components();
+            if !matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None)) {
+                return Err(Failure::input_message(format_args!("`{name}` cannot name a folder of a run")));
+            }
+        }
+        Ok(self.run.output.join(&self.run.name).join(run))
     }
 
     /// Refuses numbers beyond the ranges that the schema states, URLs where they cannot be, and texts that would break

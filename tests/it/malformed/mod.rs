@@ -1,15 +1,13 @@
 //! Are recordings, maps and mappings that are not what they should be refused or counted, in words that lead to the
 //! fault and to what to do about it?
 //!
-//! Each case is a good input (`inputs`) with one change (`tables`, `maps`). Whoever finds another one adds a row.
+//! Each case is a good input (`inputs`) with one change (`cases.txt`). Whoever finds another one adds it there.
 
 mod cases;
 mod inputs;
-mod maps;
-mod tables;
 
 use crate::support::{Outcome, command};
-use cases::{Case, Edit, Then};
+use cases::{Case, Edit, Then, Which, cases, made, text};
 use inputs::Input;
 use rayon::prelude::*;
 use std::path::Path;
@@ -29,8 +27,8 @@ fn good_inputs_are_read_without_a_word() {
 
 #[test]
 fn what_is_malformed_is_said_with_its_place_and_what_to_do() {
-    let cases: Vec<&Case> = tables::CASES.iter().chain(maps::CASES).collect();
-    let say = |case: &&Case| {
+    let cases = cases();
+    let say = |case: &Case| {
         let faults = faults(case);
         (!faults.is_empty()).then(|| format!("{:?}: {}\n{}", case.input, case.name, faults.join("\n")))
     };
@@ -69,21 +67,28 @@ fn faults(case: &Case) -> Vec<String> {
 }
 
 fn edit(files: &mut inputs::Files, case: &Case) {
-    let file = files.get_mut(case.file).unwrap_or_else(|| panic!("{}: {} is not there", case.name, case.file));
-    match case.edit {
-        Edit::Whole(text) => *file = text.as_bytes().to_vec(),
-        Edit::Bytes(bytes) => *file = bytes.to_vec(),
-        Edit::Cut(n) => file.truncate(file.len() * n / 100),
-        Edit::Made(make) => *file = make(file),
-        Edit::Replace(pairs) => {
-            let mut text = String::from_utf8(file.clone()).unwrap();
-            for (from, to) in pairs {
-                assert!(text.contains(from), "{}: {from} is not in {}", case.name, case.file);
-                text = text.replacen(from, to, 1);
+    let Case { name, .. } = case;
+    for edit in &case.edits {
+        let file = files.get_mut(case.file).unwrap_or_else(|| panic!("{name}: {} is not there", case.file));
+        match edit {
+            Edit::Whole(text) => *file = text.clone().into_bytes(),
+            Edit::Cut(n) => file.truncate(file.len() * n / 100),
+            Edit::Made => *file = made(name, file),
+            Edit::Replace(which, from, to) => {
+                let mut text = text(file);
+                assert!(text.contains(from), "{name}: {from} is not in {}", case.file);
+                match which {
+                    Which::First => text = text.replacen(from, to, 1),
+                    Which::All => text = text.replace(from, to),
+                    Which::Last => {
+                        let at = text.rfind(from).unwrap();
+                        text.replace_range(at..at + from.len(), to);
+                    }
+                }
+                *file = text.into_bytes();
             }
-            *file = text.into_bytes();
+            Edit::Gone => drop(files.remove(case.file)),
         }
-        Edit::Gone => drop(files.remove(case.file)),
     }
 }
 
