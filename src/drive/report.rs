@@ -8,6 +8,8 @@ use std::collections::BTreeMap;
 
 /// Values of a parameter are divided into this many parts with equally many scenarios.
 const N_PARTS: usize = 3;
+/// Behaviors that a driver who reacts in time keeps from happening: they are defined by not doing so.
+const AVOIDED: [&str; 2] = ["collision", "near_miss"];
 
 /// The figures of a drive of a corpus; the file `drive.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -68,6 +70,10 @@ pub struct Failures {
     pub n_hit_in_rear: u64,
     /// Those that the careful driver does not survive.
     pub n_careful_failed: u64,
+    /// Those in which the event happens as its behavior is defined.
+    pub n_event_happens: u64,
+    /// Collisions and near misses that do not happen because the driver avoids them in time.
+    pub n_event_avoided: u64,
 }
 
 /// A part of the values of a parameter.
@@ -116,6 +122,9 @@ impl Failures {
         let is_in_rear = row.contact.as_ref().is_some_and(|(_, side, _)| side == Side::Rear.name());
         self.n_hit_in_rear += u64::from(is_hit && is_in_rear);
         self.n_careful_failed += u64::from(row.careful_survives == Some(false));
+        self.n_event_happens += u64::from(row.event_happens == Some(true));
+        let can_avoid = row.behavior.as_deref().is_some_and(|id| AVOIDED.contains(&id));
+        self.n_event_avoided += u64::from(row.event_happens == Some(false) && can_avoid && !has_failed);
     }
 
     fn of<'r>(rows: impl IntoIterator<Item = &'r DriveRow>) -> Self {
@@ -229,6 +238,7 @@ mod tests {
             careful_survives: Some(careful_survives),
             max_braking_mps2: gap_m,
             parameters: BTreeMap::from([("gap_m".to_owned(), gap_m)]),
+            event_happens: Some(gap_m > 1.0),
             ..DriveRow::default()
         }
     }
@@ -255,8 +265,16 @@ mod tests {
             n_hit_avoidable: 1,
             n_hit_in_rear: 0,
             n_careful_failed: 2,
+            n_event_happens: 3,
+            n_event_avoided: 0,
         };
         assert_eq!((report.failures, report.by_behavior["cut_in"]), (failures, failures));
+        let lost = |behavior: &str| {
+            let row = row("s", "planner", Survived, true, 0.0);
+            Failures::of([&DriveRow { behavior: Some(behavior.to_owned()), ..row }])
+        };
+        let counts = ["near_miss", "cut_in"].map(|id| (lost(id).n_event_happens, lost(id).n_event_avoided));
+        assert_eq!(counts, [(0, 1), (0, 0)]);
         let ids: Vec<&str> = report.that_matter.iter().map(|matters| matters.scenario_id.as_str()).collect();
         assert_eq!(ids, ["s2", "s0"]);
         let parts: Vec<(u64, u64)> =

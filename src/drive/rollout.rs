@@ -22,6 +22,8 @@ const FREE_M: f64 = 10.0;
 /// meters.
 const LOOKS_AHEAD_S: f64 = 2.0;
 const LEFT_LOG_M: f64 = 1.0;
+/// An ego that is this far from where the scenario has it drives otherwise, meters.
+const DIFFERS_M: f64 = 0.05;
 
 /// How a drive is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -90,6 +92,8 @@ pub struct Driven {
     pub progress_m: f64,
     /// Whether the agents of the event gave their plan up for the ego.
     pub gave_up_plan: bool,
+    /// Whether the event happens in what was driven; missing for a scenario without an event.
+    pub event_happens: Option<bool>,
     /// The traffic around it.
     pub traffic: Traffic,
     /// The world at the first replanning at or after the timestep that was asked for.
@@ -152,7 +156,20 @@ pub fn roll_out(
         progress_m += after.position.distance(before.position);
     }
     let traffic = Traffic::of(situation, &world);
-    Ok(Driven { world, outcome, why, contact, min_ttc_s, max_braking_mps2, progress_m, gave_up_plan, traffic, saved })
+    let event_happens = (!situation.roles.is_empty()).then(|| situation.event_in(&situation.driven(&world)).is_some());
+    Ok(Driven {
+        world,
+        outcome,
+        why,
+        contact,
+        min_ttc_s,
+        max_braking_mps2,
+        progress_m,
+        gave_up_plan,
+        event_happens,
+        traffic,
+        saved,
+    })
 }
 
 fn failed(Failed { fault, why }: Failed) -> End {
@@ -222,6 +239,10 @@ impl Drive<'_> {
         let (situation, now) = (self.situation, self.world.now());
         let sizes = [futures.n_history(), futures.n_timesteps()];
         let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
+        situation.let_go(&mut self.world);
+        if self.has_left_log(DIFFERS_M) {
+            situation.keep_in_aim(&mut self.world, &expected);
+        }
         if self.plan_leads_into(&expected) {
             (self.world.plan_ends, self.gave_up_plan) = (now, true);
         }
@@ -285,13 +306,18 @@ impl Drive<'_> {
         }
     }
 
+    /// Whether the ego is this far from where the scenario has it.
+    fn has_left_log(&self, by_m: f64) -> bool {
+        let (ego_idx, now) = (self.situation.ego_idx, self.world.now());
+        let states = self.situation.scene.state(ego_idx, now).zip(self.world.present(ego_idx));
+        states.is_none_or(|(logged, ego)| logged.position.distance(ego.position) >= by_m)
+    }
+
     /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it, if
     /// that one goes on as is `expected`.
     fn plan_leads_into(&self, expected: &[State]) -> bool {
         let (situation, world, now) = (self.situation, &self.world, self.world.now());
-        let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };
-        let logged = situation.scene.state(situation.ego_idx, now);
-        if logged.is_some_and(|logged| logged.position.distance(ego.position) < LEFT_LOG_M) {
+        if situation.is_collision || !self.has_left_log(LEFT_LOG_M) {
             return false;
         }
         let n_ahead = (LOOKS_AHEAD_S / situation.scene.dt_s).round() as usize;
