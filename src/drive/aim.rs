@@ -81,7 +81,7 @@ impl Situation {
     /// The plans of the others, one of whom accelerates so much more. `None` if it cannot.
     fn planned_again(&self, world: &World, (who, more_mps2): (usize, f64), n_steps: usize) -> Option<Plan> {
         let states = self.planned.iter().filter(|idx| world.present(**idx).is_some()).map(|agent_idx| {
-            let planned = self.from_now(world, *agent_idx, n_steps);
+            let planned = self.course(world, *agent_idx, n_steps);
             if *agent_idx != who || more_mps2 == 0.0 {
                 return Some((*agent_idx, planned));
             }
@@ -92,7 +92,7 @@ impl Situation {
     }
 
     /// The states that an agent of the event is to have, from now on; straight on after the scenario.
-    fn from_now(&self, world: &World, agent_idx: usize, n_steps: usize) -> Vec<State> {
+    fn course(&self, world: &World, agent_idx: usize, n_steps: usize) -> Vec<State> {
         let mut states: Vec<State> = world.present(agent_idx).into_iter().collect();
         while let Some(last) = states.last().copied().filter(|_| states.len() <= n_steps) {
             let timestep = world.now() + states.len();
@@ -192,12 +192,12 @@ mod tests {
             let mut world = moved.start(1);
             let expected = expected(&situation, &world, 30);
             let found = |world: &World| {
-                let states = vec![(other, situation.from_now(world, other, 30))];
+                let states = vec![(other, situation.course(world, other, 30))];
                 situation.event_in(&situation.foreseen(world, &expected, &states)).is_some()
             };
-            let (happened, planned) = (found(&world), situation.from_now(&world, other, 30));
+            let (happened, planned) = (found(&world), situation.course(&world, other, 30));
             situation.keep_in_aim(&mut world, &expected);
-            let again = situation.from_now(&world, other, 30);
+            let again = situation.course(&world, other, 30);
             assert!(found(&world) || !happened, "{ahead_m} m");
             n_lost += usize::from(!happened);
             if !happened && found(&world) {
