@@ -1,8 +1,8 @@
-//! Keeps the event in aim: where it would no longer happen with what is planned, because the ego is not where the
-//! scenario has it, the plan of its other agents is solved again from the present.
+//! Keeps the event in aim: where it would not happen as planned, because the ego drives otherwise or keeps its
+//! distance, the plan of its other agents is solved again from the present.
 //!
-//! They keep their ways and drive faster or slower on them, within the limits of vehicles: as little as suffices for
-//! the definition of the behavior to find the event in what was driven and what is expected of the ego.
+//! They keep their ways, and one of them drives faster or slower, within the limits of vehicles: as little as suffices
+//! for the definition of the behavior to find the event in what was driven and what is expected of the ego.
 
 use super::drivers::reacting;
 use super::reaction::retimed;
@@ -27,7 +27,7 @@ struct Plan {
 impl Situation {
     /// Ends the plan once the event has happened: not before it does so in the scenario.
     pub(super) fn let_go(&self, world: &mut World) {
-        let is_due = (self.event[1]..world.plan_ends).contains(&world.now()) && !self.is_collision;
+        let is_due = (self.event[1]..world.plan_ends).contains(&world.now());
         if is_due && self.event_in(&self.foreseen(world, &[], &[])).is_some() {
             world.plan_ends = world.now();
         }
@@ -37,33 +37,44 @@ impl Situation {
     /// at the next timesteps.
     pub(super) fn keep_in_aim(&self, world: &mut World, expected: &[State]) {
         let is_over = world.now() >= world.plan_ends || expected.is_empty();
-        if !self.aims || self.is_collision || is_over || self.planned.is_empty() {
-            return;
-        }
+        let Some(who) = self.planned.first().copied().filter(|_| self.aims && !is_over) else { return };
         let n_steps = expected.len();
+        let as_planned = self.planned_again(world, (who, 0.0), n_steps);
+        // Nobody dodges an ego that does not react.
+        let is_hit = as_planned.is_some_and(|plan| self.is_hit(expected, &plan));
+        let n_wanted = if is_hit { 1 } else { 2 };
         let mut best: Option<(usize, Plan)> = None;
         let tried = MORE_MPS2.iter().flat_map(|more_mps2| self.planned.iter().map(move |who| (*more_mps2, *who)));
         for (more_mps2, who) in tried {
             let Some(mut plan) = self.planned_again(world, (who, more_mps2), n_steps) else { continue };
-            if more_mps2 != 0.0 && !self.is_free(world, expected, &plan) {
+            // An ego that keeps its distance once somebody is in its way should not undo the event, nor be hurt.
+            let reacting = reacting(self, world, n_steps, |idx, timestep| self.then(world, &plan, idx, timestep));
+            let is_fair = self.is_hit(expected, &plan) == is_hit && !self.is_hit(&reacting, &plan);
+            if more_mps2 != 0.0 && !(is_fair && self.is_free(world, &plan)) {
                 continue;
             }
-            // An ego that keeps its distance once somebody is in its way should not undo it.
-            let reacting = reacting(self, world, n_steps, |idx, timestep| self.then(world, &plan, idx, timestep));
-            let foreseen =
-                [expected, reacting.as_slice()].map(|ego| self.event_in(&self.foreseen(world, ego, &plan.states)));
-            let found: Vec<usize> = foreseen.iter().flatten().map(|event| event.end_timestep).collect();
+            let foreseen = [expected, reacting.as_slice()].map(|ego| self.foreseen(world, ego, &plan.states));
+            let events = foreseen.iter().filter_map(|scene| self.event_in(scene));
+            let found: Vec<usize> = events.map(|event| event.end_timestep).collect();
             if found.len() > best.as_ref().map_or(0, |(n_found, _)| *n_found) {
                 plan.ends = found.iter().copied().fold(world.plan_ends, usize::max);
                 best = Some((found.len(), plan));
             }
-            if found.len() == foreseen.len() {
+            if found.len() >= n_wanted {
                 break;
             }
         }
         if let Some((_, plan)) = best {
             world.plan_anew(plan.ends, &plan.states);
         }
+    }
+
+    /// Whether an ego with these states at the next timesteps and one with a plan touch.
+    fn is_hit(&self, ego: &[State], plan: &Plan) -> bool {
+        plan.states.iter().filter(|(idx, _)| self.can_touch(*idx)).any(|(agent_idx, states)| {
+            let mut pairs = ego.iter().zip(states.iter().skip(1));
+            pairs.any(|(ego, other)| self.overlap([(self.ego_idx, ego), (*agent_idx, other)]))
+        })
     }
 
     /// Where another than the ego is at a timestep by this plan, if everybody else goes on straight.
@@ -127,17 +138,14 @@ impl Situation {
         Scene { tracks, n_timesteps, ego_idx, ..self.scene.clone() }
     }
 
-    /// Whether nobody comes to touch another by this plan, if everybody else goes on straight.
-    fn is_free(&self, world: &World, expected: &[State], plan: &Plan) -> bool {
-        let at = |agent_idx: usize, step: usize| match step.checked_sub(1).filter(|_| agent_idx == self.ego_idx) {
-            Some(i) => expected.get(i).copied(),
-            None => self.then(world, plan, agent_idx, world.now() + step),
-        };
+    /// Whether nobody but the ego comes to touch another by this plan, if everybody else goes on straight.
+    fn is_free(&self, world: &World, plan: &Plan) -> bool {
         plan.states.iter().all(|(agent_idx, own)| {
-            (0..world.n_tracks()).filter(|idx| idx != agent_idx).all(|other_idx| {
+            (0..world.n_tracks()).filter(|idx| idx != agent_idx && *idx != self.ego_idx).all(|other_idx| {
                 let touches = |step: usize| {
-                    let states = at(*agent_idx, step).zip(at(other_idx, step));
-                    states.is_some_and(|(own, other)| self.overlap([(*agent_idx, &own), (other_idx, &other)]))
+                    let other = self.then(world, plan, other_idx, world.now() + step);
+                    let states = own.get(step).zip(other);
+                    states.is_some_and(|(own, other)| self.overlap([(*agent_idx, own), (other_idx, &other)]))
                 };
                 touches(0) || !(1..own.len()).any(touches)
             })

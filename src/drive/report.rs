@@ -1,5 +1,6 @@
 //! The result of driving a corpus in figures: how many failed at what, and which failures matter.
 
+use super::event::is_decided_by_ego;
 use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
@@ -8,8 +9,6 @@ use std::collections::BTreeMap;
 
 /// Values of a parameter are divided into this many parts with equally many scenarios.
 const N_PARTS: usize = 3;
-/// Behaviors that a driver who reacts in time keeps from happening: they are defined by not doing so.
-const AVOIDED: [&str; 2] = ["collision", "near_miss"];
 
 /// The figures of a drive of a corpus; the file `drive.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -123,8 +122,8 @@ impl Failures {
         self.n_hit_in_rear += u64::from(is_hit && is_in_rear);
         self.n_careful_failed += u64::from(row.careful_survives == Some(false));
         self.n_event_happens += u64::from(row.event_happens == Some(true));
-        let can_avoid = row.behavior.as_deref().is_some_and(|id| AVOIDED.contains(&id));
-        self.n_event_avoided += u64::from(row.event_happens == Some(false) && can_avoid && !has_failed);
+        let is_avoided = row.event_happens == Some(false) && is_decided_by_ego(row.behavior.as_deref());
+        self.n_event_avoided += u64::from(is_avoided && !has_failed);
     }
 
     fn of<'r>(rows: impl IntoIterator<Item = &'r DriveRow>) -> Self {

@@ -22,8 +22,6 @@ const FREE_M: f64 = 10.0;
 /// meters.
 const LOOKS_AHEAD_S: f64 = 2.0;
 const LEFT_LOG_M: f64 = 1.0;
-/// An ego that is this far from where the scenario has it drives otherwise, meters.
-const DIFFERS_M: f64 = 0.05;
 
 /// How a drive is done.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -240,7 +238,7 @@ impl Drive<'_> {
         let sizes = [futures.n_history(), futures.n_timesteps()];
         let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
         situation.let_go(&mut self.world);
-        if self.has_left_log(DIFFERS_M) {
+        if self.driver.answers() {
             situation.keep_in_aim(&mut self.world, &expected);
         }
         if self.plan_leads_into(&expected) {
@@ -306,18 +304,13 @@ impl Drive<'_> {
         }
     }
 
-    /// Whether the ego is this far from where the scenario has it.
-    fn has_left_log(&self, by_m: f64) -> bool {
-        let (ego_idx, now) = (self.situation.ego_idx, self.world.now());
-        let states = self.situation.scene.state(ego_idx, now).zip(self.world.present(ego_idx));
-        states.is_none_or(|(logged, ego)| logged.position.distance(ego.position) >= by_m)
-    }
-
     /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it, if
     /// that one goes on as is `expected`.
     fn plan_leads_into(&self, expected: &[State]) -> bool {
         let (situation, world, now) = (self.situation, &self.world, self.world.now());
-        if situation.is_collision || !self.has_left_log(LEFT_LOG_M) {
+        let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };
+        let logged = situation.scene.state(situation.ego_idx, now);
+        if logged.is_some_and(|logged| logged.position.distance(ego.position) < LEFT_LOG_M) {
             return false;
         }
         let n_ahead = (LOOKS_AHEAD_S / situation.scene.dt_s).round() as usize;

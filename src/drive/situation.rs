@@ -1,6 +1,7 @@
 //! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
 
 use super::arrivals::{Arrivals, Entries};
+use super::event::is_decided_by_ego;
 use super::margin::later;
 use super::world::World;
 use super::{Error, Result};
@@ -100,7 +101,7 @@ impl Situation {
             roles,
             event: event.map_or([present; 2], |event| [event.start_timestep, event.end_timestep]),
             is_collision: record.asks_for_collision(),
-            aims: true,
+            aims: !is_decided_by_ego(record.requested_behavior.as_deref()),
             target_speed_mps,
             route,
             arrivals: Arrivals::default(),
@@ -163,7 +164,7 @@ impl Situation {
     pub fn start(&self, seed: u64) -> World {
         let tracks = self.scene.tracks.iter().map(|track| &track.trajectory.entries()[..self.scene.n_history]);
         // Many an event is complete before its maneuver is: who cuts in is not in the lane yet. See `let_go`.
-        let ends = if self.is_collision { self.event[1] } else { self.scene.n_timesteps };
+        let ends = if is_decided_by_ego(self.behavior.as_deref()) { self.event[1] } else { self.scene.n_timesteps };
         World::new(&self.scenario_id, seed, ends.min(self.scene.n_timesteps - 1), tracks)
     }
 
