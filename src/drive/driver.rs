@@ -42,6 +42,11 @@ pub trait Driver: Send {
         false
     }
 
+    /// Whether it answers to others, so that they keep the event in aim: who is replayed cannot undo it.
+    fn answers(&self) -> bool {
+        true
+    }
+
     /// The drive is over, for this reason.
     fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) {}
 }

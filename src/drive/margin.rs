@@ -3,7 +3,6 @@
 
 use super::situation::Situation;
 use super::{Outcome, Result};
-use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::quantile::quantile;
 use crate::scene::{Scene, State, Trajectory};
 use serde::{Deserialize, Serialize};
@@ -99,7 +98,10 @@ impl Margin {
             let latest = latest(delayed.len(), |n_steps| Ok(ends(n_steps)? == Outcome::Survived))?;
             Ok(DelaySurvived {
                 delay_s: latest.map(|n_steps| n_steps as f64 * dt_s),
-                parameters: latest.map(|n_steps| parameters(later(n_steps).unwrap_or(situation))).unwrap_or_default(),
+                parameters: latest
+                    .map(|n_steps| later(n_steps).unwrap_or(situation))
+                    .and_then(|situation| situation.event_in(&situation.scene))
+                    .map_or_else(BTreeMap::new, |event| event.parameters),
             })
         };
         Ok(Some(Self {
@@ -148,20 +150,6 @@ fn latest(n_most: usize, mut survived: impl FnMut(usize) -> Result<bool>) -> Res
         }
     }
     Ok(Some(latest))
-}
-
-/// The parameters of the event of a situation, if the ego does what it does in the scenario.
-fn parameters(situation: &Situation) -> BTreeMap<String, f64> {
-    let Some(behavior) = situation.behavior.as_deref().and_then(BehaviorConfig::from_id) else {
-        return BTreeMap::new();
-    };
-    let agents: Vec<_> = situation.planned.iter().chain([&situation.ego_idx]).collect();
-    let events = behavior.build().detect(&situation.scene).into_iter();
-    let found = events.filter(|event| event.label == EventLabel::Positive).find(|event| {
-        let mut tracks = event.roles.tracks().filter_map(|track| situation.scene.track_idx(track));
-        tracks.all(|idx| agents.contains(&&idx))
-    });
-    found.map(|event| event.parameters).unwrap_or_default()
 }
 
 /// The states of an agent that does everything `n_steps` later, and before comes along at its first velocity.

@@ -7,10 +7,12 @@
 //! every scenario of a corpus, with the careful driver of UN Regulation No. 157 beside the driver that is asked for.
 //! [`score`] takes trajectories instead, and others that do not answer.
 //!
-//! *The event.* Until the last timestep of the event, its other agents follow the scenario's states as a plan, which
-//! the model observes; then the model drives them, too. They do not wait for the ego: one that would, within two
-//! seconds, drive its front into an ego that is no longer where the scenario has it gives its plan up for the model,
-//! unless the event is a collision.
+//! *The event.* Until it has happened, its other agents follow the scenario's states as a plan, which the model
+//! observes; then the model drives them, too. Where it would not happen as planned, because the ego drives otherwise or
+//! keeps its distance, one of them drives its way faster or slower from then on; nobody dodges an ego that does not
+//! react. One that would, within two seconds, drive its front into an ego that is elsewhere gives its plan up for the
+//! model, unless the event is a collision. Collisions and near misses stay as they are planned, and until their end:
+//! whether they happen is up to the ego.
 //!
 //! *What others know of the ego.* Where the model does not drive it, the others are sampled around what they expect of
 //! it: that it goes on along its way at its speed, or brakes on as in the last 0.3 s. They learn otherwise at the next
@@ -27,10 +29,12 @@
 //! allows.
 
 mod action;
+mod aim;
 mod arrivals;
 mod driver;
 mod drivers;
 mod error;
+mod event;
 mod external;
 mod kept;
 mod margin;

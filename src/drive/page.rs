@@ -85,11 +85,22 @@ fn outcomes(report: &DriveReport) -> PlainTable {
 }
 
 fn behaviors(report: &DriveReport) -> PlainTable {
-    let columns = ["Behavior", "Scenarios", "Failed", "Avoidable", "Hit", "Hit in the rear", "Careful driver fails"];
+    let columns = [
+        "Behavior",
+        "Scenarios",
+        "Failed",
+        "Avoidable",
+        "Hit",
+        "Hit in the rear",
+        "Careful driver fails",
+        "Event happens",
+        "Event avoided",
+    ];
     let mut table = PlainTable::new("Failures by behavior", &columns);
     for (behavior, f) in &report.by_behavior {
         let counts = [f.n_scenarios, f.n_failed, f.n_avoidable, f.n_hit, f.n_hit_in_rear, f.n_careful_failed];
-        let cells = counts.iter().map(u64::to_string);
+        let counts = counts.into_iter().chain([f.n_event_happens, f.n_event_avoided]);
+        let cells = counts.map(|n| n.to_string());
         table.push([behavior.replace('_', " ")].into_iter().chain(cells).collect());
     }
     table

@@ -31,6 +31,8 @@ const STARTS_MPS2: f64 = 1.5;
 const STARTS_UP_TO_MPS: f64 = 5.0;
 /// One brakes, then those behind it, and so on.
 const N_ROUNDS: usize = 4;
+/// How long it takes to press a pedal, seconds.
+const PEDAL_S: f64 = 0.3;
 
 /// Lets those of `agents` brake who would drive their front into another in the future of this scene, whose tracks are
 /// those of the situation.
@@ -157,31 +159,62 @@ fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[Stat
 
 /// The way of these states, driven with this deceleration from the first on, but nowhere ahead of them.
 fn braked(states: &[State], deceleration_mps2: f64, dt_s: f64) -> Vec<State> {
+    let stations = stations(states);
+    let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
+    let then = stations.iter().skip(1).map(|driven_m| {
+        let then_mps = (speed_mps - deceleration_mps2 * dt_s).max(0.0);
+        let moved_m = (f64::midpoint(speed_mps, then_mps) * dt_s).min(driven_m - station_m);
+        station_m += moved_m;
+        speed_mps = then_mps.min(moved_m / dt_s);
+        station_m
+    });
+    at_stations(states, &stations, then, dt_s)
+}
+
+/// The way of these states, driven with so much more acceleration, m/s², which is taken up as a pedal is pressed; on
+/// straight after their end.
+pub(super) fn retimed(states: &[State], more_mps2: f64, dt_s: f64) -> Vec<State> {
+    let stations = stations(states);
+    let (mut more_mps, mut station_m, mut elapsed_s) = (0.0, 0.0, 0.0);
+    let then = stations.windows(2).map(|pair| {
+        elapsed_s += dt_s;
+        more_mps += more_mps2 * (elapsed_s / PEDAL_S).min(1.0) * dt_s;
+        let moved_m = (pair[1] - pair[0] + more_mps * dt_s).max(0.0);
+        // Who stands by the extra braking has nothing left to lose.
+        more_mps = (moved_m - (pair[1] - pair[0])) / dt_s;
+        station_m += moved_m;
+        station_m
+    });
+    at_stations(states, &stations, then, dt_s)
+}
+
+/// How far each of these states is along their way, meters.
+fn stations(states: &[State]) -> Vec<f64> {
     let mut driven_m = 0.0;
     let steps = states.windows(2).map(|pair| {
         driven_m += pair[1].position.distance(pair[0].position);
         driven_m
     });
-    let stations: Vec<f64> = std::iter::once(0.0).chain(steps).collect();
-    let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
-    let mut braked: Vec<State> = states.iter().take(1).copied().collect();
-    for (i, driven_m) in stations.iter().enumerate().skip(1) {
-        let then_mps = (speed_mps - deceleration_mps2 * dt_s).max(0.0);
-        let moved_m = (f64::midpoint(speed_mps, then_mps) * dt_s).min(driven_m - station_m);
-        station_m += moved_m;
-        speed_mps = then_mps.min(moved_m / dt_s);
+    states.iter().take(1).map(|_| 0.0).chain(steps).collect()
+}
+
+/// The first of these states, and the states at other stations of their way at the next timesteps.
+fn at_stations(states: &[State], stations: &[f64], then: impl Iterator<Item = f64>, dt_s: f64) -> Vec<State> {
+    let mut driven: Vec<State> = states.iter().take(1).copied().collect();
+    for station_m in then {
         // The first of the states that is as far, and the one before.
-        let after = stations.partition_point(|driven_m| *driven_m < station_m).min(i);
+        let after = stations.partition_point(|driven_m| *driven_m < station_m).min(stations.len() - 1);
         let [from, to] = [after.saturating_sub(1), after];
         let length_m = stations[to] - stations[from];
         let part = if length_m > 0.0 { ((station_m - stations[from]) / length_m).clamp(0.0, 1.0) } else { 1.0 };
+        let beyond_m = (station_m - stations[to]).max(0.0);
         let [from, to] = [&states[from], &states[to]];
-        let position = from.position.lerp(to.position, part);
         let heading_rad = wrap_angle(from.heading_rad + part * wrap_angle(to.heading_rad - from.heading_rad));
-        let velocity = braked.last().map_or(Vec2::ZERO, |last| (position - last.position) * (1.0 / dt_s));
-        braked.push(State { position, heading_rad, velocity });
+        let position = from.position.lerp(to.position, part) + Vec2::from_angle(heading_rad) * beyond_m;
+        let velocity = driven.last().map_or(Vec2::ZERO, |last| (position - last.position) * (1.0 / dt_s));
+        driven.push(State { position, heading_rad, velocity });
     }
-    braked
+    driven
 }
 
 #[cfg(test)]
@@ -213,6 +246,20 @@ mod tests {
         let own = braked(&steady(0.0, 10.0), 8.0, DT_S);
         assert_eq!(braked(&own, 2.0, DT_S).last().map(|state| state.position), own.last().map(|state| state.position));
         assert!(braked(&steady(3.0, 0.0), 8.0, DT_S).iter().all(|state| state.position == Vec2::new(3.0, 0.0)));
+    }
+
+    #[test]
+    fn a_plan_is_driven_faster_or_slower_on_its_way_and_on_after_its_end() {
+        // 2 m/s² more, of which the first 0.3 s bring half: 2.85 s of it after 3 s, which is 8.3 m; the way ends at 30.
+        for (more_mps2, speed_mps, end_m) in [(2.0, 15.7, 38.3), (-2.0, 4.3, 21.7), (-8.0, 0.0, 7.0)] {
+            let found = retimed(&steady(0.0, 10.0), more_mps2, DT_S);
+            let last = found[30];
+            let is_near = (last.position.x - end_m).abs() < 1.0 && (last.speed_mps() - speed_mps).abs() < 0.3;
+            assert!(is_near && found[0].position.x == 0.0, "{} {}", last.position.x, last.speed_mps());
+            assert!(found.windows(2).all(|pair| pair[1].position.x >= pair[0].position.x));
+        }
+        let same = retimed(&steady(0.0, 10.0), 0.0, DT_S);
+        assert!(same.iter().zip(steady(0.0, 10.0)).all(|(a, b)| a.position.distance(b.position) < 1e-9));
     }
 
     /// Four agents one behind the other on a straight road, of whom the first stands: what becomes of the others?

@@ -1,5 +1,6 @@
 //! The result of driving a corpus in figures: how many failed at what, and which failures matter.
 
+use super::event::is_decided_by_ego;
 use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
@@ -68,6 +69,10 @@ pub struct Failures {
     pub n_hit_in_rear: u64,
     /// Those that the careful driver does not survive.
     pub n_careful_failed: u64,
+    /// Those in which the event happens as its behavior is defined.
+    pub n_event_happens: u64,
+    /// Collisions and near misses that do not happen because the driver avoids them in time.
+    pub n_event_avoided: u64,
 }
 
 /// A part of the values of a parameter.
@@ -116,6 +121,9 @@ impl Failures {
         let is_in_rear = row.contact.as_ref().is_some_and(|(_, side, _)| side == Side::Rear.name());
         self.n_hit_in_rear += u64::from(is_hit && is_in_rear);
         self.n_careful_failed += u64::from(row.careful_survives == Some(false));
+        self.n_event_happens += u64::from(row.event_happens == Some(true));
+        let is_avoided = row.event_happens == Some(false) && is_decided_by_ego(row.behavior.as_deref());
+        self.n_event_avoided += u64::from(is_avoided && !has_failed);
     }
 
     fn of<'r>(rows: impl IntoIterator<Item = &'r DriveRow>) -> Self {
@@ -229,6 +237,7 @@ mod tests {
             careful_survives: Some(careful_survives),
             max_braking_mps2: gap_m,
             parameters: BTreeMap::from([("gap_m".to_owned(), gap_m)]),
+            event_happens: Some(gap_m > 1.0),
             ..DriveRow::default()
         }
     }
@@ -255,8 +264,16 @@ mod tests {
             n_hit_avoidable: 1,
             n_hit_in_rear: 0,
             n_careful_failed: 2,
+            n_event_happens: 3,
+            n_event_avoided: 0,
         };
         assert_eq!((report.failures, report.by_behavior["cut_in"]), (failures, failures));
+        let lost = |behavior: &str| {
+            let row = row("s", "planner", Survived, true, 0.0);
+            Failures::of([&DriveRow { behavior: Some(behavior.to_owned()), ..row }])
+        };
+        let counts = ["near_miss", "cut_in"].map(|id| (lost(id).n_event_happens, lost(id).n_event_avoided));
+        assert_eq!(counts, [(0, 1), (0, 0)]);
         let ids: Vec<&str> = report.that_matter.iter().map(|matters| matters.scenario_id.as_str()).collect();
         assert_eq!(ids, ["s2", "s0"]);
         let parts: Vec<(u64, u64)> =

@@ -90,6 +90,8 @@ pub struct Driven {
     pub progress_m: f64,
     /// Whether the agents of the event gave their plan up for the ego.
     pub gave_up_plan: bool,
+    /// Whether the event happens in what was driven; missing for a scenario without an event.
+    pub event_happens: Option<bool>,
     /// The traffic around it.
     pub traffic: Traffic,
     /// The world at the first replanning at or after the timestep that was asked for.
@@ -152,7 +154,20 @@ pub fn roll_out(
         progress_m += after.position.distance(before.position);
     }
     let traffic = Traffic::of(situation, &world);
-    Ok(Driven { world, outcome, why, contact, min_ttc_s, max_braking_mps2, progress_m, gave_up_plan, traffic, saved })
+    let event_happens = (!situation.roles.is_empty()).then(|| situation.event_in(&situation.driven(&world)).is_some());
+    Ok(Driven {
+        world,
+        outcome,
+        why,
+        contact,
+        min_ttc_s,
+        max_braking_mps2,
+        progress_m,
+        gave_up_plan,
+        event_happens,
+        traffic,
+        saved,
+    })
 }
 
 fn failed(Failed { fault, why }: Failed) -> End {
@@ -222,6 +237,10 @@ impl Drive<'_> {
         let (situation, now) = (self.situation, self.world.now());
         let sizes = [futures.n_history(), futures.n_timesteps()];
         let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
+        situation.let_go(&mut self.world);
+        if self.driver.answers() {
+            situation.keep_in_aim(&mut self.world, &expected);
+        }
         if self.plan_leads_into(&expected) {
             (self.world.plan_ends, self.gave_up_plan) = (now, true);
         }

@@ -63,7 +63,9 @@ fn the_event_goes_as_planned_and_then_everybody_drives_on() {
     let driven = driven(&situation, situation.start(1), &mut Log, &config);
     let (other, world) = (situation.planned[0], &driven.world);
     let at = |timestep: usize| situation.scene.state(other, timestep).copied();
-    assert!((0..=end).all(|timestep| world.state(other, timestep) == at(timestep)));
+    assert!(
+        (0..=end).all(|timestep| world.state(other, timestep) == at(timestep)) && driven.event_happens == Some(true)
+    );
     let last = situation.scene.current_timestep() + 40;
     assert!(driven.outcome != Outcome::Survived || world.now() == last, "{:?}", driven.why);
     // No jump where the model takes over.
@@ -96,7 +98,7 @@ fn a_plan_that_would_ram_an_ego_that_is_elsewhere_is_given_up() {
     record.events[0].end_timestep = scene.n_timesteps - 1;
     let situation = situation(&record);
     let driven = driven(&situation, situation.start(1), &mut Stops, &SHORT);
-    assert!(driven.gave_up_plan && driven.world.plan_ends < situation.event[1]);
+    assert!(driven.gave_up_plan && driven.world.plan_ends < situation.scene.n_timesteps - 1);
     // If the event is a collision, it is kept.
     let mut situation = situation;
     situation.is_collision = true;

@@ -382,10 +382,7 @@ impl Output {
         let careful = drives.last().map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
         let careful_survives = careful.map(|outcome| outcome == Outcome::Survived);
         for (driven, name) in drives.iter().zip([own_name(&config.ego), EgoDriver::Careful.name()]) {
-            let mut scene = situation.driven(&driven.world);
-            for track in &mut scene.tracks {
-                track.trajectory = track.trajectory.with_velocities_from_positions(scene.n_history, scene.dt_s);
-            }
+            let scene = situation.driven(&driven.world);
             let (n_history, plan_ends) = (scene.n_history, driven.world.plan_ends);
             let moved_by = |agent_idx: usize, timestep: usize| match () {
                 () if timestep < n_history => "scenario",
@@ -430,6 +427,7 @@ pub(super) fn row(situation: &Situation, driver: &str, driven: &Driven, careful_
         max_braking_mps2: driven.max_braking_mps2,
         progress_m: driven.progress_m,
         gave_up_plan: driven.gave_up_plan,
+        event_happens: driven.event_happens,
         parameters: situation.parameters.clone(),
     }
 }

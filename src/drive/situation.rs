@@ -1,6 +1,7 @@
 //! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
 
 use super::arrivals::{Arrivals, Entries};
+use super::event::is_decided_by_ego;
 use super::margin::later;
 use super::world::World;
 use super::{Error, Result};
@@ -36,12 +37,16 @@ pub struct Situation {
     pub scene: Scene,
     /// The agent that is driven.
     pub ego_idx: usize,
-    /// The other agents of the event.
+    /// The agents of the event, in the order of its roles.
+    pub roles: Vec<usize>,
+    /// Those of them that are not the ego.
     pub planned: Vec<usize>,
     /// The first and the last timestep of the event; the present without one.
     pub event: [usize; 2],
     /// Whether the event is a collision.
     pub is_collision: bool,
+    /// Whether the event is kept in aim where the ego drives otherwise.
+    pub(super) aims: bool,
     /// The ego's largest speed in the scenario, m/s: what it wants to drive.
     pub target_speed_mps: f64,
     /// The way of the ego: the one of the scenario, and on along its lane.
@@ -85,17 +90,18 @@ impl Situation {
         let length_m = ego.extent_or_nominal().length_m;
         let route = DrivenPath::along(&points, length_m).ok_or_else(|| unfit("has no way for its ego"))?;
         let event = record.main_event();
-        let planned: Vec<usize> = event.map_or_else(Vec::new, |event| {
-            event.roles.tracks().filter_map(|track| scene.track_idx(track)).filter(|idx| *idx != ego_idx).collect()
-        });
+        let roles: Vec<usize> = event
+            .map_or_else(Vec::new, |event| event.roles.tracks().filter_map(|track| scene.track_idx(track)).collect());
         let mut situation = Self {
             scenario_id: record.scenario.id.clone(),
             behavior: record.requested_behavior.clone(),
             parameters: event.map(|event| event.parameters.clone()).unwrap_or_default(),
             ego_idx,
-            planned,
+            planned: roles.iter().copied().filter(|idx| *idx != ego_idx).collect(),
+            roles,
             event: event.map_or([present; 2], |event| [event.start_timestep, event.end_timestep]),
             is_collision: record.asks_for_collision(),
+            aims: !is_decided_by_ego(record.requested_behavior.as_deref()),
             target_speed_mps,
             route,
             arrivals: Arrivals::default(),
@@ -138,6 +144,8 @@ impl Situation {
             delayed.scene.tracks[*agent_idx].trajectory = later(&self.scene, *agent_idx, n_steps);
         }
         delayed.event = self.event.map(|timestep| timestep + n_steps);
+        // Who is later is to be so.
+        delayed.aims = false;
         delayed.look_at_present(&self.scene.state(self.ego_idx, self.scene.current_timestep()).copied()?);
         let meets = |situation: &Self, one: usize, other: usize, timestep: usize| {
             let [a, b] = [one, other].map(|idx| situation.scene.state(idx, timestep).map(|state| (idx, state)));
@@ -155,7 +163,9 @@ impl Situation {
     /// The world at present, with this seed.
     pub fn start(&self, seed: u64) -> World {
         let tracks = self.scene.tracks.iter().map(|track| &track.trajectory.entries()[..self.scene.n_history]);
-        World::new(&self.scenario_id, seed, self.event[1].min(self.scene.n_timesteps - 1), tracks)
+        // Many an event is complete before its maneuver is: who cuts in is not in the lane yet. See `let_go`.
+        let ends = if is_decided_by_ego(self.behavior.as_deref()) { self.event[1] } else { self.scene.n_timesteps };
+        World::new(&self.scenario_id, seed, ends.min(self.scene.n_timesteps - 1), tracks)
     }
 
     /// The box of an agent in this state; of unknown size, the least of its class.
@@ -196,7 +206,11 @@ impl Situation {
 
     /// The scene of everything that was reached, whose past is the scenario's.
     pub fn driven(&self, world: &World) -> Scene {
-        self.cut(world, 0, world.n_timesteps(), self.scene.n_history)
+        let mut scene = self.cut(world, 0, world.n_timesteps(), self.scene.n_history);
+        for track in &mut scene.tracks {
+            track.trajectory = track.trajectory.with_velocities_from_positions(scene.n_history, scene.dt_s);
+        }
+        scene
     }
 
     /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
@@ -254,7 +268,10 @@ impl Situation {
     /// Where an agent of the event is to be at a timestep by the scenario, while it follows it.
     pub(super) fn plan(&self, world: &World, agent_idx: usize, timestep: usize) -> Option<State> {
         let is_planned = timestep <= world.plan_ends && self.planned.contains(&agent_idx);
-        is_planned.then(|| self.scene.state(agent_idx, timestep).copied())?
+        is_planned.then(|| match world.is_planned_anew(agent_idx) {
+            true => world.planned(agent_idx, timestep),
+            false => self.scene.state(agent_idx, timestep).copied(),
+        })?
     }
 
     /// `n_timesteps` of the world from `first` on, without a state where it has none yet.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// The version of the format of saved worlds.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// The states of everybody in a scenario, in its scene frame, up to now. Nothing else decides what comes next.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -18,8 +18,10 @@ pub struct World {
     pub scenario_id: String,
     /// The seed of everything random.
     pub seed: u64,
-    /// The last timestep at which the agents of the event follow the scenario.
+    /// The last timestep at which the agents of the event follow their plan.
     pub plan_ends: usize,
+    /// Plans that were solved again: the agent, the timestep of the first state, and the states.
+    plans: Vec<(usize, usize, Vec<[f64; 5]>)>,
     /// By track in the order of the scenario, then by timestep: x, y, heading, velocity in x and y.
     states: Vec<Vec<Option<[f64; 5]>>>,
 }
@@ -39,7 +41,14 @@ impl World {
         T: IntoIterator<Item = &'s [Option<State>]>,
     {
         let states = tracks.into_iter().map(|states| states.iter().map(|s| s.as_ref().map(packed)).collect());
-        Self { version: VERSION, scenario_id: scenario_id.to_owned(), seed, plan_ends, states: states.collect() }
+        Self {
+            version: VERSION,
+            scenario_id: scenario_id.to_owned(),
+            seed,
+            plan_ends,
+            plans: Vec::new(),
+            states: states.collect(),
+        }
     }
 
     /// Number of tracks.
@@ -79,6 +88,28 @@ impl World {
         if let Some(last) = self.states.get_mut(agent_idx).and_then(|states| states.last_mut()) {
             *last = Some(packed(&state));
         }
+    }
+
+    /// From the next timestep on, agents of the event follow these states, of which the first are those of now, and so
+    /// up to this timestep.
+    pub(super) fn plan_anew(&mut self, ends: usize, plans: &[(usize, Vec<State>)]) {
+        let first = self.now();
+        self.plan_ends = ends;
+        let packed =
+            |(agent_idx, states): &(usize, Vec<State>)| (*agent_idx, first, states.iter().map(packed).collect());
+        self.plans = plans.iter().map(packed).collect();
+    }
+
+    /// The state of an agent at a timestep by the plan that was solved again last. `None` if there is none, or it ends
+    /// before.
+    pub(super) fn planned(&self, agent_idx: usize, timestep: usize) -> Option<State> {
+        let (_, first, states) = self.plans.iter().find(|(idx, ..)| *idx == agent_idx)?;
+        states.get(timestep.checked_sub(*first)?).copied().map(unpacked)
+    }
+
+    /// Whether a plan was solved again for an agent.
+    pub(super) fn is_planned_anew(&self, agent_idx: usize) -> bool {
+        self.plans.iter().any(|(idx, ..)| *idx == agent_idx)
     }
 
     /// Has as many tracks more as are missing to `n_tracks`, which were never there.
@@ -136,8 +167,8 @@ mod tests {
         assert_eq!((world.now(), world.present(0), world.present(1)), (2, None, Some(state)));
         fs_err::write(&path, world.to_json().unwrap()).unwrap();
         assert_eq!(World::read(&path).unwrap(), world);
-        fs_err::write(&path, world.to_json().unwrap().replacen("\"version\":1", "\"version\":9", 1)).unwrap();
-        assert!(World::read(&path).unwrap_err().to_string().contains("has version 9, expected 1"));
+        fs_err::write(&path, world.to_json().unwrap().replacen("\"version\":2", "\"version\":9", 1)).unwrap();
+        assert!(World::read(&path).unwrap_err().to_string().contains("has version 9, expected 2"));
         fs_err::write(&path, "{}").unwrap();
         assert!(World::read(&path).unwrap_err().to_string().contains("--save-at"));
     }

@@ -29,6 +29,8 @@ pub struct DriveRow {
     pub progress_m: f64,
     /// Whether the agents of the event gave their plan up.
     pub gave_up_plan: bool,
+    /// Whether the scenario's event happens in what was driven; `None` for one without an event.
+    pub event_happens: Option<bool>,
     /// The parameters of the scenario's event.
     pub parameters: BTreeMap<String, f64>,
 }

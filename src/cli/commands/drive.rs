@@ -90,6 +90,11 @@ fn text(report: &DriveReport) -> String {
         "{} of {} scenarios fail ({} hit in the rear); the careful driver survives {} of these",
         failures.n_failed, failures.n_scenarios, failures.n_hit_in_rear, failures.n_avoidable
     );
+    let _ = writeln!(
+        text,
+        "the event happens in {} of them, and in {} the driver avoids a collision or near miss in time",
+        failures.n_event_happens, failures.n_event_avoided
+    );
     if let Some(margins) = &report.margins {
         let [own, careful] = margins.median_delay_s;
         let _ = writeln!(

@@ -16,7 +16,7 @@ const MOST_MPS2: f64 = 8.0;
 /// Who comes this close to the flank of the ego, meters, is in its way.
 const MARGIN_M: f64 = 0.2;
 
-/// The driver. It knows no rules of right of way, and sees who is in its way and nobody else.
+/// The driver. It knows no rules of right of way, and sees the nearest in its way and nobody else.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct Idm;
 
@@ -27,10 +27,37 @@ impl Driver for Idm {
 
     fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         let state = ego(situation, world)?;
-        let seen = seen(situation, world, world.now());
-        let acceleration_mps2 = acceleration(situation, &state, leaders(situation, &seen).map(|(_, seen)| seen));
-        Ok(advanced(situation, &state, acceleration_mps2))
+        Ok(advanced(situation, &state, behind_nearest(situation, &state, &seen(situation, world, world.now()))))
     }
+}
+
+/// The states of the ego at the next `n_steps` timesteps if it drives so among others that are somewhere `then`, by
+/// track and timestep.
+pub(in crate::drive) fn reacting(
+    situation: &Situation,
+    world: &World,
+    n_steps: usize,
+    then: impl Fn(usize, usize) -> Option<State>,
+) -> Vec<State> {
+    let mut world = world.clone();
+    let next = |_| {
+        let state = Idm.next(situation, &world, None).ok()?;
+        let timestep = world.n_timesteps();
+        let states = (0..world.n_tracks()).map(|idx| match idx == situation.ego_idx {
+            true => Some(state),
+            false => then(idx, timestep),
+        });
+        let states: Vec<Option<State>> = states.collect();
+        world.push(states);
+        Some(state)
+    };
+    (0..n_steps).map_while(next).collect()
+}
+
+/// The model's acceleration behind the nearest of those that are in the way, m/s².
+fn behind_nearest(situation: &Situation, ego: &State, seen: &[Option<Seen>]) -> f64 {
+    let nearest = leaders(situation, seen).map(|(_, seen)| seen).min_by(|a, b| a.gap_m.total_cmp(&b.gap_m));
+    acceleration(situation, ego, nearest.into_iter())
 }
 
 /// Those that are in the way of the ego, ahead of it, of the others as it sees them now.

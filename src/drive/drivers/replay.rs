@@ -43,6 +43,10 @@ impl Driver for Log {
             None => Ok(advanced(situation, &ego(situation, world)?, 0.0)),
         }
     }
+
+    fn answers(&self) -> bool {
+        false
+    }
 }
 
 /// The ego at this position and heading at the next timestep, with the velocity that takes it there.

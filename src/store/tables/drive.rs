@@ -49,6 +49,13 @@ pub(crate) fn schema() -> TableSchema {
             DataType::Boolean,
             "Whether the other agents of the event gave their plan up because it led into the ego.",
         ),
+        column(
+            "event_happens",
+            DataType::Boolean,
+            "Whether the definition of the requested behavior, with default options, finds its event with the same \
+             roles in what was driven. Missing for a scenario without an event.",
+        )
+        .optional(),
     ];
     TableSchema {
         name: "drive",
@@ -78,6 +85,7 @@ pub(crate) fn encode(rows: &[DriveRow]) -> Result<RecordBatch> {
         numbers::<Float64Type>(rows.iter().map(|row| row.max_braking_mps2)),
         numbers::<Float64Type>(rows.iter().map(|row| row.progress_m)),
         flags(rows.iter().map(|row| row.gave_up_plan)),
+        optional_flags(rows.iter().map(|row| row.event_happens)),
     ];
     let (fields, columns): (Vec<_>, Vec<_>) = parameters::flatten(&names, &of_rows).into_iter().unzip();
     arrays.extend(columns);

@@ -1,0 +1,58 @@
+"""Does one driver do worse than another in the same scenarios, also where both survive? Two drives of one corpus, paired.
+
+    pip install pyarrow
+    djinn drive CORPUS --ego ./old --out old && djinn drive CORPUS --ego ./new --out new
+    python scripts/compare_drives.py old new
+
+Prints CSV: in how many scenarios the second fails and the first does not, and the reverse; the same for a shorter time to collision,
+harder braking and a harder contact; and how likely a difference at least so large is by chance (sign test, two-sided).
+"""
+
+import argparse
+import csv
+import math
+import pathlib
+import sys
+
+import pyarrow.parquet as pq
+
+# What is worse, and from which difference on.
+WORSE = {
+    "fails": (lambda row: row["outcome"] not in ("survived", "not_sampled"), 0),
+    "time to collision shorter by 0.1 s": (lambda row: -math.inf if row["ego_min_ttc_s"] is None else -row["ego_min_ttc_s"], 0.1),
+    "brakes harder by 0.2 m/s2": (lambda row: row["max_braking_mps2"], 0.2),
+    "contact harder by 0.2 m/s": (lambda row: row["contact_relative_mps"] or 0.0, 0.2),
+}
+
+
+def rows(folder):
+    """The row of each scenario, of the driver that was asked for: the first one."""
+    found = {}
+    for row in pq.read_table(folder / "drives.parquet").to_pylist():
+        found.setdefault(row["scenario_id"], row)
+    return found
+
+
+def by_chance(more, less):
+    """The probability that coins fall so unequally."""
+    n = more + less
+    return min(1.0, 2.0 * sum(math.comb(n, k) for k in range(max(more, less), n + 1)) / 2.0**n)
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("first", type=pathlib.Path, help="folder of a drive")
+    arguments.add_argument("second", type=pathlib.Path, help="folder of a drive of the same corpus")
+    arguments = arguments.parse_args()
+    first, second = rows(arguments.first), rows(arguments.second)
+    both = first.keys() & second.keys()
+    table = csv.writer(sys.stdout, lineterminator="\n")
+    table.writerow(["worse", "scenarios", "second only", "first only", "by chance"])
+    for name, (value, least) in WORSE.items():
+        pairs = [(value(first[key]), value(second[key])) for key in both]
+        more, less = (sum(1 for pair in ordered if pair[1] > pair[0] + least) for ordered in (pairs, [pair[::-1] for pair in pairs]))
+        table.writerow([name, len(both), more, less, f"{by_chance(more, less):.2g}"])
+
+
+if __name__ == "__main__":
+    main()

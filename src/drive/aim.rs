@@ -1,0 +1,226 @@
+//! Keeps the event in aim: where it would not happen as planned, because the ego drives otherwise or keeps its
+//! distance, the plan of its other agents is solved again from the present.
+//!
+//! They keep their ways, and one of them drives faster or slower, within the limits of vehicles: as little as suffices
+//! for the definition of the behavior to find the event in what was driven and what is expected of the ego.
+
+use super::drivers::reacting;
+use super::reaction::retimed;
+use super::situation::Situation;
+use super::world::World;
+use crate::geometry::angle_difference;
+use crate::scene::{Scene, State, Track, Trajectory};
+
+/// By how much more the others accelerate, m/s²: the weakest first.
+const MORE_MPS2: [f64; 13] = [0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 3.0, -3.0, -4.5, -6.0];
+/// The largest accelerations forward, in braking and across, m/s²: as of templates. Plans that were beyond stay so.
+const MOST_MPS2: [f64; 3] = [3.5, 8.0, 3.6];
+/// Velocities are compared over this time, seconds: shorter, they are noise.
+const OVER_S: f64 = 0.3;
+
+/// A plan that was solved again: the states of each agent from now on, and its last timestep.
+struct Plan {
+    states: Vec<(usize, Vec<State>)>,
+    ends: usize,
+}
+
+impl Situation {
+    /// Ends the plan once the event has happened: not before it does so in the scenario.
+    pub(super) fn let_go(&self, world: &mut World) {
+        let is_due = (self.event[1]..world.plan_ends).contains(&world.now());
+        if is_due && self.event_in(&self.foreseen(world, &[], &[])).is_some() {
+            world.plan_ends = world.now();
+        }
+    }
+
+    /// Plans anew for the others of the event if it would not happen as planned. `expected` of the ego are its states
+    /// at the next timesteps.
+    pub(super) fn keep_in_aim(&self, world: &mut World, expected: &[State]) {
+        let is_over = world.now() >= world.plan_ends || expected.is_empty();
+        let Some(who) = self.planned.first().copied().filter(|_| self.aims && !is_over) else { return };
+        let n_steps = expected.len();
+        let as_planned = self.planned_again(world, (who, 0.0), n_steps);
+        // Nobody dodges an ego that does not react.
+        let is_hit = as_planned.is_some_and(|plan| self.is_hit(expected, &plan));
+        let n_wanted = if is_hit { 1 } else { 2 };
+        let mut best: Option<(usize, Plan)> = None;
+        let tried = MORE_MPS2.iter().flat_map(|more_mps2| self.planned.iter().map(move |who| (*more_mps2, *who)));
+        for (more_mps2, who) in tried {
+            let Some(mut plan) = self.planned_again(world, (who, more_mps2), n_steps) else { continue };
+            // An ego that keeps its distance once somebody is in its way should not undo the event, nor be hurt.
+            let reacting = reacting(self, world, n_steps, |idx, timestep| self.then(world, &plan, idx, timestep));
+            let is_fair = self.is_hit(expected, &plan) == is_hit && !self.is_hit(&reacting, &plan);
+            if more_mps2 != 0.0 && !(is_fair && self.is_free(world, &plan)) {
+                continue;
+            }
+            let foreseen = [expected, reacting.as_slice()].map(|ego| self.foreseen(world, ego, &plan.states));
+            let events = foreseen.iter().filter_map(|scene| self.event_in(scene));
+            let found: Vec<usize> = events.map(|event| event.end_timestep).collect();
+            if found.len() > best.as_ref().map_or(0, |(n_found, _)| *n_found) {
+                plan.ends = found.iter().copied().fold(world.plan_ends, usize::max);
+                best = Some((found.len(), plan));
+            }
+            if found.len() >= n_wanted {
+                break;
+            }
+        }
+        if let Some((_, plan)) = best {
+            world.plan_anew(plan.ends, &plan.states);
+        }
+    }
+
+    /// Whether an ego with these states at the next timesteps and one with a plan touch.
+    fn is_hit(&self, ego: &[State], plan: &Plan) -> bool {
+        plan.states.iter().filter(|(idx, _)| self.can_touch(*idx)).any(|(agent_idx, states)| {
+            let mut pairs = ego.iter().zip(states.iter().skip(1));
+            pairs.any(|(ego, other)| self.overlap([(self.ego_idx, ego), (*agent_idx, other)]))
+        })
+    }
+
+    /// Where another than the ego is at a timestep by this plan, if everybody else goes on straight.
+    fn then(&self, world: &World, plan: &Plan, agent_idx: usize, timestep: usize) -> Option<State> {
+        let step = timestep - world.now();
+        match plan.states.iter().find(|(idx, _)| *idx == agent_idx) {
+            Some((_, states)) => states.get(step).copied(),
+            None => world.present(agent_idx).map(|now| {
+                let moved = now.velocity * (step as f64 * self.scene.dt_s);
+                State { position: now.position + moved, ..now }
+            }),
+        }
+    }
+
+    /// The plans of the others, one of whom accelerates so much more. `None` if it cannot.
+    fn planned_again(&self, world: &World, (who, more_mps2): (usize, f64), n_steps: usize) -> Option<Plan> {
+        let states = self.planned.iter().filter(|idx| world.present(**idx).is_some()).map(|agent_idx| {
+            let planned = self.course(world, *agent_idx, n_steps);
+            if *agent_idx != who || more_mps2 == 0.0 {
+                return Some((*agent_idx, planned));
+            }
+            let again = retimed(&planned, more_mps2, self.scene.dt_s);
+            self.is_drivable(&planned, &again).then_some((*agent_idx, again))
+        });
+        Some(Plan { states: states.collect::<Option<_>>()?, ends: world.plan_ends })
+    }
+
+    /// The states that an agent of the event is to have, from now on; straight on after the scenario.
+    fn course(&self, world: &World, agent_idx: usize, n_steps: usize) -> Vec<State> {
+        let mut states: Vec<State> = world.present(agent_idx).into_iter().collect();
+        while let Some(last) = states.last().copied().filter(|_| states.len() <= n_steps) {
+            let timestep = world.now() + states.len();
+            let planned = world.planned(agent_idx, timestep);
+            let as_first =
+                || self.scene.state(agent_idx, timestep).filter(|_| !world.is_planned_anew(agent_idx)).copied();
+            let planned = planned.or_else(as_first);
+            let on = || State { position: last.position + last.velocity * self.scene.dt_s, ..last };
+            states.push(planned.unwrap_or_else(on));
+        }
+        states
+    }
+
+    /// What was driven by the agents of the event and the ego, and what is planned and expected.
+    fn foreseen(&self, world: &World, expected: &[State], planned: &[(usize, Vec<State>)]) -> Scene {
+        let n_timesteps = world.n_timesteps() + expected.len();
+        let mut tracks: Vec<Track> = Vec::new();
+        let mut agents: Vec<usize> = self.planned.iter().copied().chain([self.ego_idx]).collect();
+        agents.sort_unstable();
+        for agent_idx in &agents {
+            let driven = (0..world.n_timesteps()).map(|timestep| world.state(*agent_idx, timestep));
+            let planned = planned.iter().find(|(idx, _)| idx == agent_idx).map(|(_, states)| &states[1..]);
+            let then = if *agent_idx == self.ego_idx { Some(expected) } else { planned };
+            let states = driven.chain(then.unwrap_or_default().iter().copied().map(Some));
+            let mut states: Vec<Option<State>> = states.collect();
+            states.resize(n_timesteps, None);
+            let trajectory = Trajectory::new(states);
+            let trajectory = trajectory.with_velocities_from_positions(self.scene.n_history, self.scene.dt_s);
+            tracks.push(Track { trajectory, ..self.scene.tracks[*agent_idx].clone() });
+        }
+        let ego_idx = agents.iter().position(|idx| *idx == self.ego_idx).unwrap_or_default();
+        Scene { tracks, n_timesteps, ego_idx, ..self.scene.clone() }
+    }
+
+    /// Whether nobody but the ego comes to touch another by this plan, if everybody else goes on straight.
+    fn is_free(&self, world: &World, plan: &Plan) -> bool {
+        plan.states.iter().all(|(agent_idx, own)| {
+            (0..world.n_tracks()).filter(|idx| idx != agent_idx && *idx != self.ego_idx).all(|other_idx| {
+                let touches = |step: usize| {
+                    let other = self.then(world, plan, other_idx, world.now() + step);
+                    let states = own.get(step).zip(other);
+                    states.is_some_and(|(own, other)| self.overlap([(*agent_idx, own), (other_idx, &other)]))
+                };
+                touches(0) || !(1..own.len()).any(touches)
+            })
+        })
+    }
+
+    /// Whether a vehicle can drive so, or drives no harder than planned before.
+    fn is_drivable(&self, before: &[State], again: &[State]) -> bool {
+        let n = (OVER_S / self.scene.dt_s).round().max(1.0) as usize;
+        let hardest = |states: &[State]| {
+            let mut hardest = [0.0_f64; 3];
+            for (a, b) in states.iter().zip(states.iter().skip(n)) {
+                let over_s = n as f64 * self.scene.dt_s;
+                let along = (b.speed_mps() - a.speed_mps()) / over_s;
+                let turned_rad = match a.speed_mps().min(b.speed_mps()) > 0.5 {
+                    true => angle_difference(a.velocity.angle(), b.velocity.angle()).abs(),
+                    false => 0.0,
+                };
+                let across = f64::midpoint(a.speed_mps(), b.speed_mps()) * turned_rad / over_s;
+                for (most, value) in hardest.iter_mut().zip([along, -along, across]) {
+                    *most = most.max(value);
+                }
+            }
+            hardest
+        };
+        let limits = hardest(before).into_iter().zip(MOST_MPS2).map(|(before, most)| before.max(most));
+        hardest(again).into_iter().zip(limits).all(|(value, most)| value <= most + 1e-6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::drivers::expected;
+    use super::super::testing::{record, situation};
+    use super::*;
+    use crate::geometry::Vec2;
+
+    /// The ego is some meters ahead of where the scenario has it, or behind: is the event planned anew where it would
+    /// be lost, and otherwise left as it is?
+    #[test]
+    fn the_event_is_planned_anew_where_an_ego_that_is_elsewhere_would_undo_it() {
+        let (record, mut n_lost, mut n_kept) = (record(), 0, 0);
+        let situation = situation(&record);
+        let other = situation.planned[0];
+        for ahead_m in (-12..=12).map(|i| f64::from(i) * 1.5) {
+            let mut moved = situation.clone();
+            let track = &mut moved.scene.tracks[situation.ego_idx];
+            let ahead = |state: &State| state.position + Vec2::from_angle(state.heading_rad) * ahead_m;
+            let states = track.trajectory.entries().iter();
+            let states = states.map(|state| state.map(|state| State { position: ahead(&state), ..state })).collect();
+            track.trajectory = Trajectory::new(states);
+            let mut world = moved.start(1);
+            let expected = expected(&situation, &world, 30);
+            let found = |world: &World| {
+                let states = vec![(other, situation.course(world, other, 30))];
+                situation.event_in(&situation.foreseen(world, &expected, &states)).is_some()
+            };
+            let (happened, planned) = (found(&world), situation.course(&world, other, 30));
+            situation.keep_in_aim(&mut world, &expected);
+            let again = situation.course(&world, other, 30);
+            assert!(found(&world) || !happened, "{ahead_m} m");
+            n_lost += usize::from(!happened);
+            if !happened && found(&world) {
+                n_kept += 1;
+                // Along the same way, no harder than vehicles can.
+                assert!(planned != again && situation.is_drivable(&planned, &again), "{ahead_m} m");
+                let is_on_way = |at: &State| {
+                    let mut pairs = planned.windows(2).map(|pair| (pair[0].position, pair[1].position));
+                    let last = planned[30].position;
+                    at.position.distance(last) < again[30].position.distance(last) + 0.1
+                        || pairs.any(|(a, b)| a.distance(at.position) + b.distance(at.position) < a.distance(b) + 0.1)
+                };
+                assert!(again.iter().all(is_on_way), "{ahead_m} m");
+            }
+        }
+        assert!(n_kept > 0 && n_kept < n_lost, "{n_kept} of {n_lost}");
+    }
+}
