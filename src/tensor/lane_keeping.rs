@@ -2,10 +2,11 @@
 //!
 //! A network leaves centimeters of drift where a recording has none at all. Where the observed second of an agent shows
 //! that its offset from its lane and its heading along it do not change but for rounding, small drift of a sample is an
-//! error, and is taken away: progress along the lane stays as it was generated. Human drivers never keep a lane like
-//! that, and whoever is generated to leave its offset, or is led into a bend, is left alone.
+//! error, and is taken away; so are small changes of progress where it shows a speed without any. Human drivers never
+//! keep a lane like that, and whoever is generated to leave its offset or its speed, or is led into a bend, is left
+//! alone.
 
-use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
+use crate::geometry::{Polyline, Projection, Vec2, angle_difference, wrap_angle};
 use crate::scene::{Lane, LaneGraph, Scene, State};
 use std::f64::consts::FRAC_PI_2;
 
@@ -13,11 +14,13 @@ use std::f64::consts::FRAC_PI_2;
 const MIN_STATES: usize = 6;
 /// Who moved by less in them stands, meters.
 const MOVED_M: f64 = 0.3;
-/// Offsets and headings that differ by less are the same but for rounding, meters and radians.
-const SAME_OFFSET_M: f64 = 2e-3;
+/// Places and headings that differ by less are the same but for rounding, meters and radians.
+const SAME_M: f64 = 2e-3;
 const SAME_HEADING_RAD: f64 = 2.5e-3;
 /// Who is generated to leave its offset by more means it, meters.
 const KEPT_M: f64 = 0.25;
+/// Who is generated to get farther, or less far, than at its speed by more means that, too, meters.
+const CRUISE_M: f64 = 0.3;
 /// Lanes that turn by more are bends, in which the middle of a vehicle does not keep its offset, radians.
 const STRAIGHT_RAD: f64 = 0.1;
 /// A lane is an agent's if it is at most this far away, meters, and turned by this much, radians.
@@ -37,6 +40,9 @@ pub(super) struct LaneKeeper {
     offset_m: f64,
     heading_rad: f64,
     direction_rad: f64,
+    /// Its progress along the line then, meters, and, if that was steady, in a timestep.
+    station_m: f64,
+    steady_step_m: Option<f64>,
     /// Whether it was seen to move.
     has_moved: bool,
 }
@@ -81,27 +87,42 @@ impl LaneKeeper {
             let since = angle_difference(state.heading_rad, now.heading_rad);
             angle_difference(since, angle_difference(at.heading_rad, direction_rad))
         });
-        let keeps = range(offsets) <= SAME_OFFSET_M && range(turns) <= SAME_HEADING_RAD;
-        keeps.then_some(Self { line, offset_m, heading_rad: now.heading_rad, direction_rad, has_moved })
+        let keeps = range(offsets) <= SAME_M && range(turns) <= SAME_HEADING_RAD;
+        let station_m = at[0].station_m;
+        let step_m = (station_m - at[at.len() - 1].station_m) / (at.len() - 1) as f64;
+        let is_steady = |(i, at): (usize, &Projection)| (station_m - i as f64 * step_m - at.station_m).abs() <= SAME_M;
+        let steady_step_m = Some(step_m).filter(|_| has_moved && at.iter().enumerate().all(is_steady));
+        let heading_rad = now.heading_rad;
+        keeps.then_some(Self { line, offset_m, heading_rad, direction_rad, station_m, steady_step_m, has_moved })
     }
 
     /// Takes the drift from states that were generated after all observed ones.
     pub(super) fn keep(&self, entries: &mut [Option<State>], latent: &[u8]) {
         let is_observed = |t: &usize| latent[*t] == 0 && entries[*t].is_some();
         let Some(first) = (0..entries.len()).rfind(is_observed).map(|last| last + 1) else { return };
-        let kept = |state: &Option<State>| {
-            let Some(state) = state else { return Some(None) };
-            let at = self.line.project(state.position)?;
-            let turn = angle_difference(at.heading_rad, self.direction_rad);
-            let is_kept = (at.offset_m - self.offset_m).abs() <= KEPT_M && turn.abs() <= STRAIGHT_RAD;
-            is_kept.then(|| {
-                let left = Vec2::from_angle(at.heading_rad + FRAC_PI_2);
-                let heading_rad = wrap_angle(self.heading_rad + turn);
-                Some(State { position: at.point + left * self.offset_m, heading_rad, ..*state })
-            })
+        let on_line = |(i, state): (usize, &Option<State>)| {
+            let state = state.as_ref()?;
+            Some((first + i, self.line.project(state.position)))
         };
-        if let Some(kept) = entries[first..].iter().map(kept).collect::<Option<Vec<_>>>() {
-            entries[first..].copy_from_slice(&kept);
+        let found: Vec<(usize, Option<Projection>)> = entries[first..].iter().enumerate().filter_map(on_line).collect();
+        let turn = |at: &Projection| angle_difference(at.heading_rad, self.direction_rad);
+        let is_kept = |at: &Projection| (at.offset_m - self.offset_m).abs() <= KEPT_M && turn(at).abs() <= STRAIGHT_RAD;
+        if !found.iter().all(|(_, at)| at.as_ref().is_some_and(is_kept)) {
+            return;
+        }
+        let steady_m = |t: usize| self.steady_step_m.map(|step_m| self.station_m + (t + 1 - first) as f64 * step_m);
+        let is_steady = |(t, at): &(usize, Option<Projection>)| {
+            at.zip(steady_m(*t)).is_some_and(|(at, steady_m)| (at.station_m - steady_m).abs() <= CRUISE_M)
+        };
+        let cruises = found.iter().all(is_steady);
+        for (t, at) in &found {
+            let at = match steady_m(*t).filter(|_| cruises) {
+                Some(station_m) => self.line.point_at(station_m).and_then(|point| self.line.project(point)),
+                None => *at,
+            };
+            let (Some(at), Some(state)) = (at, &mut entries[*t]) else { continue };
+            state.position = at.point + Vec2::from_angle(at.heading_rad + FRAC_PI_2) * self.offset_m;
+            state.heading_rad = wrap_angle(self.heading_rad + turn(&at));
         }
     }
 }
@@ -160,7 +181,7 @@ mod tests {
         lane
     }
 
-    /// Agents along a lane that turns by 10 mrad at x = 20, at the offsets that `offset_m` says by agent and timestep.
+    /// Agents along a lane that turns by 10 mrad at x = 20.5, at the offsets of `offset_m` by agent and timestep.
     fn traffic(speeds_mps: &[f64], offset_m: impl Fn(usize, usize) -> f64) -> Scene {
         let drives: Vec<Drive> = speeds_mps.iter().map(|speed| Drive::straight(0.0, 0.0, 0.0, *speed)).collect();
         let mut made = scene(&drives);
@@ -175,14 +196,14 @@ mod tests {
             made.tracks[agent].trajectory = Trajectory::new((0..41).map(state).collect());
         }
         let end = on_lane(80.0).0;
-        let lanes = vec![lane(1, &[[-20.0, 0.0], [20.0, 0.0]], &[2]), lane(2, &[[20.0, 0.0], [end.x, end.y]], &[])];
+        let lanes = vec![lane(1, &[[-20.0, 0.0], [20.5, 0.0]], &[2]), lane(2, &[[20.5, 0.0], [end.x, end.y]], &[])];
         Scene { lanes: Arc::new(LaneGraph::new(lanes)), ..made }
     }
 
     fn on_lane(station_m: f64) -> (Vec2, f64) {
         match station_m {
-            s if s < 20.0 => (Vec2::new(s, 0.0), 0.0),
-            s => (Vec2::new(20.0, 0.0) + Vec2::from_angle(0.01) * (s - 20.0), 0.01),
+            s if s < 20.5 => (Vec2::new(s, 0.0), 0.0),
+            s => (Vec2::new(20.5, 0.0) + Vec2::from_angle(0.01) * (s - 20.5), 0.01),
         }
     }
 
@@ -213,6 +234,27 @@ mod tests {
             }
             assert!((found.heading_rad - direction_rad).abs() < 1e-12, "{t}");
         }
+    }
+
+    #[test]
+    fn a_steady_speed_is_kept_and_braking_stays() {
+        let latent: Vec<u8> = (0..41).map(|t| u8::from(t >= N_OBSERVED)).collect();
+        let behind_m = |deceleration_mps2: f64| {
+            let mut scene = traffic(&[10.0], |_, _| 0.4);
+            let keeper = keepers(&scene)[0].clone().unwrap();
+            let later = |(t, state): (usize, &Option<State>)| {
+                let since_s = 0.1 * t.saturating_sub(N_OBSERVED - 1) as f64;
+                let back = Vec2::new(-0.5 * deceleration_mps2 * since_s * since_s, 0.0);
+                state.map(|state| State { position: state.position + back, ..state })
+            };
+            let track = &mut scene.tracks[0].trajectory;
+            let mut entries: Vec<Option<State>> = track.entries().iter().enumerate().map(later).collect();
+            keeper.keep(&mut entries, &latent);
+            40.0 - entries[40].unwrap().position.x
+        };
+        // The second half of the way is turned by 10 mrad.
+        assert!(behind_m(0.05).abs() < 2e-3 + 0.4 * 0.01 + 20.0 * 0.5e-4);
+        assert!((behind_m(0.2) - 0.9).abs() < 0.01);
     }
 
     #[test]

@@ -52,7 +52,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        17
+        18
     }
 
     fn check(&self) -> Result<()> {
