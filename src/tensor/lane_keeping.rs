@@ -170,6 +170,8 @@ mod tests {
     use super::*;
     use crate::scene::testing::{Drive, scene};
     use crate::scene::{LaneId, Trajectory};
+    use crate::tensor::testing::collator;
+    use crate::tensor::{FutureValidity, StateParametrization};
     use std::sync::Arc;
 
     const N_OBSERVED: usize = 11;
@@ -234,6 +236,19 @@ mod tests {
             }
             assert!((found.heading_rad - direction_rad).abs() < 1e-12, "{t}");
         }
+    }
+
+    #[test]
+    fn samples_keep_lanes() {
+        let scene = traffic(&[10.0], |_, _| 0.4);
+        let batch = collator([&scene], StateParametrization::Motion).predictive(&[&scene], FutureValidity::Everything);
+        let latent = batch.latent.unsqueeze(3).unwrap();
+        let drifting = (&batch.x0 + 0.05).unwrap().broadcast_mul(&latent).unwrap();
+        let sample = &batch.decode_scenes(&drifting, &[&scene]).unwrap()[0];
+        assert!((N_OBSERVED..20).all(|t| (sample.state(0, t).unwrap().position.y - 0.4).abs() < 1e-9));
+        let elsewhere = Scene { lanes: Arc::default(), ..scene };
+        let sample = &batch.decode_scenes(&drifting, &[&elsewhere]).unwrap()[0];
+        assert!((sample.state(0, 19).unwrap().position.y - 0.4).abs() > 1e-3);
     }
 
     #[test]
