@@ -6,6 +6,10 @@ use std::f64::consts::FRAC_PI_2;
 
 /// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz.
 const STILL_STEP_M: f64 = 0.004;
+/// Who was observed to stand for so many states, and is generated to get no farther than this, meters, stays. A start
+/// gets as far in half a second; networks let standing vehicles creep.
+const STANDING_STATES: usize = 6;
+const CREEP_M: f64 = 0.15;
 /// Positions this close are the same but for rounding, meters.
 const SAME_PLACE_M: f64 = 1e-6;
 
@@ -26,12 +30,24 @@ pub(super) fn stands_still<'a>(agents: impl IntoIterator<Item = &'a Vec<Option<S
     n_still >= n_moved
 }
 
-/// Leaves out the steps of a sample that are too short to be motion, after the last observed state: who stands is
-/// exactly still. What follows is shifted by the sum of the steps that were left out.
+/// Leaves out the steps of a sample that are too short to be motion, after the last observed state, and creeping of who
+/// stood there: who stands is exactly still. What follows is shifted by the sum of the steps that were left out.
 pub(super) fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
     let n_entries = entries.len();
     let mut left_out = Vec2::ZERO;
     let first = (0..n_entries).rfind(|t| latent[*t] == 0 && entries[*t].is_some()).map_or(n_entries, |last| last + 1);
+    let (observed, generated) = entries.split_at_mut(first);
+    let stood = observed.iter().rev().map_while(|state| *state).take(STANDING_STATES).collect::<Vec<_>>();
+    if let [last, .., _] = stood[..]
+        && stood.len() == STANDING_STATES
+        && stood.iter().all(|state| state.position.distance(last.position) < SAME_PLACE_M)
+        && generated.iter().flatten().all(|state| state.position.distance(last.position) <= CREEP_M)
+    {
+        for state in generated.iter_mut().flatten() {
+            *state = State { position: last.position, heading_rad: last.heading_rad, ..*state };
+        }
+        return;
+    }
     for timestep in first..n_entries {
         let (before, Some(state)) = (entries[timestep - 1], entries[timestep]) else { continue };
         let mut held = State { position: state.position - left_out, ..state };
@@ -160,6 +176,21 @@ mod tests {
         // Without anything observed, too.
         hold_still(&mut entries, &[1; 12]);
         assert_eq!(entries, (0..12).map(state).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn who_stood_and_creeps_stays_and_who_starts_does_not() {
+        let latent: Vec<u8> = (0..20).map(|t| u8::from(t >= 6)).collect();
+        let held = |moved_m: &dyn Fn(usize) -> f64| {
+            let state = |t: usize| State { position: Vec2::new(moved_m(t), 0.0), ..State::default() };
+            let mut entries: Vec<Option<State>> = (0..20).map(|t| Some(state(t))).collect();
+            hold_still(&mut entries, &latent);
+            entries[19].unwrap().position.x
+        };
+        let creeping = |t: usize| 0.01 * t.saturating_sub(5) as f64;
+        assert_eq!(held(&creeping), 0.0);
+        assert!((held(&|t| 2.0 * creeping(t)) - 0.28).abs() < 1e-9, "a start");
+        assert!((held(&|t| creeping(t) + 0.01 * t.min(5) as f64) - 0.19).abs() < 1e-9, "it rolled before");
     }
 
     #[test]
