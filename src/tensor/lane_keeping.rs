@@ -75,6 +75,7 @@ impl LaneKeeper {
             ends.1 - ends.0
         };
         let now = run.first()?;
+        // Who turns has left every straight lane: none needs to be looked for.
         let turns = &mut run.iter().map(|state| angle_difference(state.heading_rad, now.heading_rad));
         if range(turns) > SAME_HEADING_RAD + STRAIGHT_RAD {
             return None;
