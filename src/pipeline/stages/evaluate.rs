@@ -43,7 +43,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        14
+        15
     }
 
     fn check(&self) -> Result<()> {

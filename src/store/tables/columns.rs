@@ -26,11 +26,6 @@ impl<'a> Columns<'a> {
         Self { path, fields: batch.schema_ref().fields(), arrays: batch.columns() }
     }
 
-    /// Whether there is a column of this name.
-    pub(crate) fn has(&self, name: &str) -> bool {
-        self.fields.iter().any(|field| field.name() == name)
-    }
-
     /// The columns of the structs in a list column.
     pub(crate) fn of_list(&self, name: &str) -> Result<(&'a ListArray, Self)> {
         let list: &ListArray = self.get(name)?;

@@ -45,7 +45,7 @@ pub(crate) fn encode(rows: &[MetricRow]) -> Result<RecordBatch> {
         texts(rows.iter().map(|row| row.group.name())),
         texts(rows.iter().map(|row| row.sweep.as_str())),
         numbers::<Float64Type>(rows.iter().map(|row| row.level.strength)),
-        optional_numbers::<Float64Type>(rows.iter().map(|row| Some(row.level.weight))),
+        numbers::<Float64Type>(rows.iter().map(|row| row.level.weight)),
         texts(rows.iter().map(|row| row.place.as_str())),
         optional_texts(rows.iter().map(|row| row.scene_id.as_ref().map(|id| id.0.as_str()))),
         optional_texts(rows.iter().map(|row| row.scenario_id.as_deref())),
@@ -66,7 +66,7 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<MetricRow>>
             sweep: text("sweep", row)?,
             level: GuidanceLevel {
                 strength: columns.number::<Float64Type>("strength", row)?,
-                weight: columns.optional_number::<Float64Type>("weight", row)?.unwrap_or(0.0),
+                weight: columns.number::<Float64Type>("weight", row)?,
             },
             place: text("place", row)?,
             scene_id: columns.optional_text("scene_id", row)?.map(SceneId::from),

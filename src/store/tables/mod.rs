@@ -33,14 +33,7 @@ fn strength_column() -> Field {
     column("strength", DataType::Float64, "Strength α of guidance; 0 without.").unit("1")
 }
 
-/// The weight of a guidance level, in tables whose version 1 had one column for both.
+/// The weight of a guidance level.
 fn weight_column() -> Field {
-    column(
-        "weight",
-        DataType::Float64,
-        "Weight λ of classifier-free guidance; 0 without. Missing in files of version 1, whose strength holds the \
-         weight where that varied.",
-    )
-    .unit("1")
-    .optional()
+    column("weight", DataType::Float64, "Weight λ of classifier-free guidance; 0 without.").unit("1")
 }

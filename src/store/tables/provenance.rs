@@ -51,14 +51,7 @@ pub(crate) fn fields() -> Vec<Field> {
             "Strength α of the guidance by classifier and objectives; 0 without.",
         )
         .unit("1"),
-        column(
-            "guidance_weight",
-            DataType::Float64,
-            "Weight λ of classifier-free guidance; 0 without. Missing in files before version 5, whose \
-             guidance_strength holds the weight where guidance_kind ends in classifier_free.",
-        )
-        .unit("1")
-        .optional(),
+        column("guidance_weight", DataType::Float64, "Weight λ of classifier-free guidance; 0 without.").unit("1"),
         roles::field("guidance_roles", "The tracks that the guidance acted on; empty without guidance."),
         column("seed", DataType::UInt64, "Seed of the run."),
         column("sample_idx", DataType::UInt32, "Which sample of its scene and guidance it is."),
@@ -105,7 +98,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         optional_numbers::<Float64Type>(provenance().map(|p| p.edit_tau)),
         texts(provenance().map(|p| p.guidance.kind.as_str())),
         numbers::<Float64Type>(provenance().map(|p| p.guidance.level.strength)),
-        optional_numbers::<Float64Type>(provenance().map(|p| Some(p.guidance.level.weight))),
+        numbers::<Float64Type>(provenance().map(|p| p.guidance.level.weight)),
         roles::encode(&provenance().map(|p| &p.guidance.roles).collect::<Vec<_>>())?,
         numbers::<UInt64Type>(provenance().map(|p| p.seed)),
         numbers::<UInt32Type>(sample_idx?),

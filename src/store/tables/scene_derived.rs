@@ -32,7 +32,6 @@ pub(crate) fn field() -> Field {
         recorded("recorded_y_m", "m", "Recorded center, one entry a recorded time."),
     ];
     column(NAME, list_of_structs(fields), "The tracks whose headings, or whose whole states, are not as recorded.")
-        .optional()
 }
 
 /// The array of the derived values of these scenes.
@@ -68,9 +67,6 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<ArrayRef> {
 
 /// Adds the derived values in a row to the `tracks` of its scene.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize, tracks: &mut [Track]) -> Result<()> {
-    if !columns.has(NAME) {
-        return Ok(());
-    }
     let (list, members) = columns.of_list(NAME)?;
     for entry in entries(list, row) {
         let id = members.text("track_id", entry)?;
@@ -122,11 +118,6 @@ mod tests {
         };
         assert_eq!(derivations(&read(&batch, 0)), derivations(&scene));
         assert!(derivations(&read(&batch, 1)).iter().all(Option::is_none));
-
-        // Older files have no such column.
-        let columns: Vec<usize> = (0..batch.num_columns() - 1).collect();
-        let before = batch.project(&columns).unwrap();
-        assert!(derivations(&read(&before, 0)).iter().all(Option::is_none));
 
         scene.tracks[0].trajectory = Trajectory::default().derived(Derivation::default());
         assert!(scene::encode(&[scene]).is_err());

@@ -1,6 +1,6 @@
 //! The table of verdicts: one row a generated scenario.
 
-use super::columns::{Columns, entries, flags, lists, numbers, optional_numbers, texts};
+use super::columns::{Columns, entries, flags, lists, numbers, texts};
 use super::{strength_column, weight_column};
 use crate::scenario::VerdictRow;
 use crate::scene::GuidanceLevel;
@@ -50,7 +50,7 @@ pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
         texts(rows.iter().map(|row| row.scenario_id.as_str())),
         texts(rows.iter().map(|row| row.sweep.as_str())),
         numbers::<Float64Type>(rows.iter().map(|row| row.level.strength)),
-        optional_numbers::<Float64Type>(rows.iter().map(|row| Some(row.level.weight))),
+        numbers::<Float64Type>(rows.iter().map(|row| row.level.weight)),
         flags(rows.iter().map(|row| row.accepted)),
         flags(rows.iter().map(|row| row.kept)),
         lists(rows.iter().map(|row| row.reasons.len()), reasons),
@@ -74,7 +74,7 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>
             sweep: columns.text("sweep", row)?.to_owned(),
             level: GuidanceLevel {
                 strength: columns.number::<Float64Type>("strength", row)?,
-                weight: columns.optional_number::<Float64Type>("weight", row)?.unwrap_or(0.0),
+                weight: columns.number::<Float64Type>("weight", row)?,
             },
             accepted: columns.flag("accepted", row)?,
             kept: columns.flag("kept", row)?,
