@@ -2,12 +2,13 @@
 
 use super::device::ComputeChoice;
 use super::plan::{Action, plan};
-use super::run_folder::{RunFolder, TIMINGS_FILE, run_stages};
+use super::run_folder::{RUN_FILE, RunAbout, RunFolder, RunManifest, StageStatus, TIMINGS_FILE, run_stages};
 use super::shards::Makers;
 use super::testing::{KINDS, kind};
 use super::{Blame, Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::files::write_atomically;
 use crate::progress::Progress;
+use crate::store::read_json;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::Write;
@@ -141,7 +142,9 @@ impl Pipeline<'_> {
         let outcome = RunFolder::open(self.root, &KINDS).and_then(|folder| {
             let planned = plan(self.root, &KINDS, stages, &self.redo)?;
             actions.extend(planned.iter().map(|stage| stage.action.clone()));
-            run_stages(&folder, None, (ComputeChoice::default(), Makers::Alone), planned, &self.heard).map(drop)
+            let name = String::new;
+            let about = RunAbout { pipeline: name(), seed: 0, device: name(), config: name() };
+            run_stages(&folder, Some(&about), (ComputeChoice::default(), Makers::Alone), planned, &self.heard).map(drop)
         });
         (actions, ran.into_inner(), outcome)
     }
@@ -316,6 +319,9 @@ fn unfinished_work_is_taken_up_if_nothing_changed_and_dropped_otherwise() {
     in_folder(|pipeline| {
         let broken = Pipeline { fails: true, ..pipeline };
         assert_eq!(broken.run().2.unwrap_err().blame, Blame::Input);
+        let manifest: RunManifest = read_json(&broken.root.join(RUN_FILE)).unwrap();
+        let status = ["ingest", "mine"].map(|stage| manifest.stages[stage].status);
+        assert_eq!(status, [StageStatus::Done, StageStatus::Pending]);
         let whole = Pipeline { fails: false, ..broken };
         let (actions, ran, outcome) = whole.run();
         outcome.unwrap();

@@ -5,11 +5,14 @@ mod crafted;
 mod toy;
 
 use super::plan::Action;
+use super::record::StageRecord;
 use super::testing::kind;
+use super::work_folder::WorkFolder;
 use super::{Blame, StageInput};
 use crate::files::{enter_all, write_atomically};
 use fs_err as fs;
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::path::Path;
 use toy::{FOREIGN, Toy, put, run, snapshot, text, took, toy};
 
@@ -185,6 +188,28 @@ fn what_appears_while_a_stage_works_is_not_replaced_and_the_work_not_lost() {
     fs::rename(&thesis, root.join("thesis.doc")).unwrap();
     assert_eq!(run(root, &next, &[]).unwrap().action, Action::Reuse);
     assert_eq!(text(root, "corpus/deep/model.safetensors"), "next");
+}
+
+#[test]
+fn outputs_that_are_not_written_any_more_go_without_what_others_put_there() {
+    for (output, file, theirs, left) in [
+        ("metrics.json", "metrics.json", "corpus/thesis.doc", vec!["corpus/thesis.doc", "metrics.json"]),
+        ("corpus", "corpus/state.safetensors", "thesis.doc", vec!["corpus/state.safetensors", "thesis.doc"]),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        run(root, &Toy { is_cheap: true, ..toy("old") }, &[]).unwrap();
+        put(&root.join(theirs), FOREIGN);
+        let earlier = StageRecord::done(root, kind("evaluate")).unwrap().unwrap();
+        let expected = StageRecord { outputs: BTreeMap::new(), ..earlier };
+        let work = WorkFolder::begin(root, kind("evaluate"), &expected).unwrap();
+        fs::create_dir_all(work.path().join("corpus")).unwrap();
+        write_atomically::<std::io::Error>(&work.path().join(file), |_| Ok(())).unwrap();
+        work.finish(expected, &[output], Value::Null, &[]).unwrap();
+        let mut found = snapshot(root);
+        found.remove(Path::new("evaluate.done.json"));
+        assert!(found.keys().eq(left.iter().map(Path::new)), "{:?}", found.keys());
+    }
 }
 
 /// The steps by which outputs come to their places, each of which may be the last one before a kill.

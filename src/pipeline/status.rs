@@ -9,6 +9,7 @@ use crate::engine::{Failure, Result, done_path, work_path};
 use crate::store::read_json;
 use crate::train::FitStatistics;
 use serde::Serialize;
+use serde_json::Value;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -65,10 +66,7 @@ pub fn status(root: &Path) -> Result<Status> {
             () => continue,
         };
         let steps = begun.as_ref().and_then(|_| steps(root, stage));
-        let of_steps = begun.as_ref().and_then(|begun| {
-            let named = ["/resolved/common/fit/steps", "/steps"].iter().find_map(|key| begun.config.pointer(key));
-            named?.as_u64().filter(|_| stage.kind().trains)
-        });
+        let of_steps = begun.filter(|_| stage.kind().trains).and_then(|begun| steps_in_all(&begun.config));
         stages.push(StageProgress { stage, state, steps, of_steps });
     }
     if stages.is_empty() {
@@ -76,6 +74,11 @@ pub fn status(root: &Path) -> Result<Status> {
             .with_hint("`djinn run` and `djinn submit` print the folder of their results"));
     }
     Ok(Status { stages, shards })
+}
+
+/// The steps in all of a training with this section, which a preset may decide.
+pub(super) fn steps_in_all(section: &Value) -> Option<u64> {
+    ["/resolved/fit/steps", "/steps"].iter().find_map(|key| section.pointer(key)?.as_u64())
 }
 
 /// The last step in the statistics of a training at work.

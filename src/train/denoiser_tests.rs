@@ -1,6 +1,6 @@
 //! A denoiser learns, resumes to the same weights and starts from a checkpoint, and its loss is EDM's.
 
-use super::testing::{arcs, collator, draws_of_four, job, one_source};
+use super::testing::{Counted, arcs, collator, draws_of_four, job, one_source};
 use super::*;
 use crate::diffusion::{NoiseDistribution, NoiseSource};
 use crate::guidance::{AccelerationLimit, ObjectiveConfig};
@@ -40,13 +40,13 @@ fn training(steps: u64) -> DenoiserTraining {
 
 type Outcome = Result<TrainOutcome<DenoiserSpec>, Error>;
 
-fn train(dataset: &dyn SceneDataset, training: &DenoiserTraining, dir: &Path) -> Outcome {
+fn train(dataset: &dyn Counted, training: &DenoiserTraining, dir: &Path) -> Outcome {
     train_from(None, dataset, training, dir)
 }
 
 fn train_from(
     start: Option<&Checkpoint<DenoiserSpec>>,
-    dataset: &dyn SceneDataset,
+    dataset: &dyn Counted,
     training: &DenoiserTraining,
     dir: &Path,
 ) -> Outcome {
@@ -85,11 +85,13 @@ fn the_same_seed_gives_the_same_checkpoint_and_an_interruption_changes_nothing()
     let (whole, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let expected = train(&dataset, &training(25), whole.path()).unwrap();
     // Training fails at the first scene that cannot be loaded: ever later, until some steps have been saved.
-    struct Failing<'a>(&'a dyn SceneDataset, usize, AtomicUsize);
-    impl SceneDataset for Failing<'_> {
+    struct Failing<'a>(&'a dyn Counted, usize, AtomicUsize);
+    impl Counted for Failing<'_> {
         fn len(&self) -> usize {
             self.0.len()
         }
+    }
+    impl SceneDataset for Failing<'_> {
         fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
             match self.2.fetch_add(1, Ordering::Relaxed) {
                 n if n >= self.1 => Err("gone".into()),

@@ -13,14 +13,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Scenes by index, such as a store's.
 pub trait SceneDataset: Sync {
-    /// Number of scenes.
-    fn len(&self) -> usize;
-
-    /// Whether there are none.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
     /// The scene of this index.
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>>;
 }

@@ -14,11 +14,18 @@ static CPU: Compute = Compute::cpu();
 /// So many scenes, made by a function of their index.
 pub(super) struct MadeScenes<F>(pub(super) usize, pub(super) F);
 
-impl<F: Fn(usize) -> Scene + Sync> SceneDataset for MadeScenes<F> {
+/// Scenes of a known number.
+pub(super) trait Counted: SceneDataset {
+    fn len(&self) -> usize;
+}
+
+impl<F: Fn(usize) -> Scene + Sync> Counted for MadeScenes<F> {
     fn len(&self) -> usize {
         self.0
     }
+}
 
+impl<F: Fn(usize) -> Scene + Sync> SceneDataset for MadeScenes<F> {
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
         Ok((self.1)(idx))
     }
@@ -57,7 +64,7 @@ pub(super) fn fork(idx: usize, others: &[Drive]) -> Scene {
 }
 
 /// The scenes as one source, with the last eight held out.
-pub(super) fn one_source(dataset: &dyn SceneDataset) -> TrainingData<'_> {
+pub(super) fn one_source(dataset: &dyn Counted) -> TrainingData<'_> {
     let n_train = dataset.len() - 8;
     let source = TrainingSource {
         weight: 1.0,

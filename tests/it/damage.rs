@@ -149,6 +149,10 @@ fn recordings_that_were_moved_are_not_ingested_again_and_changed_ones_are() {
     }
     assert!(!ingest(&workspace.arg("there"), &[]).stderr.contains("runs again"));
     assert_eq!(files(&workspace.path("out/scenes")), written);
+    // What was made of them stays without them, wherever they were last.
+    fs_err::rename(workspace.path("there"), workspace.path("away")).unwrap();
+    assert!(ingest(&workspace.arg("there"), &["--dry-run"]).stdout.contains("#   ingest            cached"));
+    fs_err::rename(workspace.path("away"), workspace.path("there")).unwrap();
     fs_err::write(workspace.path("there/more.txt"), "new").unwrap();
     let told = ingest(&workspace.arg("there"), &["--dry-run"]).stdout;
     assert!(told.contains("input inputs.0"), "{told}");

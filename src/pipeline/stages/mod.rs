@@ -179,22 +179,37 @@ fn reported_stages(config: &PipelineConfig, layout: &Layout) -> Vec<StageId> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::StageKind;
     use crate::pipeline::config::parse;
+    use crate::pipeline::status::steps_in_all;
 
     #[test]
-    fn stages_that_compute_with_networks_depend_on_the_precision() {
-        let text = "[mine]\n[train.denoiser]\n[train.distill]\n[train.classifier]\n[train.baseline]\n[generate]\n";
+    fn what_other_sections_decide_counts_for_the_stages_that_it_changes() {
+        let text = "[mine]\n[train.denoiser]\n[train.distill]\n[train.classifier]\n[train.baseline]\n[evaluate]\n\
+                    [generate]\n";
+        let request = "[[generate.arms]]\nname = 'a'\n[[generate.requests]]\nname = 'r'\nbehavior = 'cut_in'\n\
+                       per_bucket = 1\narms = ['a']\nbuckets = { gap_m = [0, 5] }\nbudget = { n_samples = 9 }\n";
         let layout = Layout::below(std::path::Path::new("out"));
-        let sections = |precision: &str| -> Vec<(&StageKind, Value)> {
-            let config =
-                parse(None, text, &["run.device=cuda".to_owned(), format!("run.precision={precision}")]).unwrap();
+        let records = |request: &str, setting: &str| -> Vec<(&str, Value)> {
+            let settings = ["run.device=cuda", setting].map(str::to_owned);
+            let config = parse(None, &format!("{text}{request}"), &settings).unwrap();
             let stages = of_pipeline(&config, &layout).unwrap();
-            stages.iter().map(|stage| (stage.kind(), stage.config().unwrap())).collect()
+            stages.iter().map(|stage| (stage.kind().name, stage.config().unwrap())).collect()
         };
-        for ((id, exact), (_, rounded)) in sections("f32").into_iter().zip(sections("bf16")) {
-            assert!(exact.get("precision").is_none(), "{id}: records of earlier versions hold");
-            assert_eq!(exact != rounded, id != StageId::Mine.kind(), "{id}");
+        let trained = ["train_denoiser", "train_distill", "train_classifier", "train_baseline"];
+        for (request, setting, expected) in [
+            ("", "run.precision=bf16", [&trained[..], &["generate"]].concat()),
+            ("", "train.splits=[\"val\"]", trained.to_vec()),
+            ("", "evaluate.duplicate_distance_m=0.7", vec!["evaluate"]),
+            (request, "evaluate.duplicate_distance_m=0.7", vec!["generate", "evaluate"]),
+        ] {
+            let (plain, changed) = (records(request, "run.precision=f32"), records(request, setting));
+            let differ = plain.iter().zip(&changed).filter(|(plain, changed)| plain != changed);
+            assert_eq!(differ.map(|((name, _), _)| *name).collect::<Vec<_>>(), expected, "{setting}");
+        }
+        for (name, record) in records("", "run.precision=f32") {
+            assert!(record.get("precision").is_none(), "{name}: records of earlier versions hold");
+            // What a preset comes to may change with the program.
+            assert_eq!(steps_in_all(&record).is_some(), trained.contains(&name), "{name}");
         }
     }
 }

@@ -40,8 +40,7 @@ impl Recipe for ClassifierTrainingConfig {
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.compute)?;
         let events = read_events(&layout.events, |event| event.behavior == self.behavior)?;
         let roles = roles(&self.behavior, &events)?;
-        let places = if self.places.is_empty() { own.places } else { &self.places };
-        let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), OwnScenes { places, ..own });
+        let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), chosen(self, own));
         let pairs = |scenes: &[usize], max_pairs: usize, purpose: &str| {
             LabeledPair::of_events(&mined(&store, &events, scenes), max_pairs, job.seed.derive(purpose, &[]))
         };
@@ -61,6 +60,11 @@ impl Recipe for ClassifierTrainingConfig {
     }
 }
 
+/// Which of the run's scenes it is for: those of its own places, if it names some.
+fn chosen<'a>(config: &'a ClassifierTrainingConfig, own: OwnScenes<'a>) -> OwnScenes<'a> {
+    OwnScenes { places: if config.places.is_empty() { own.places } else { &config.places }, ..own }
+}
+
 fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
     let Some(event) = events.first() else {
         return Err(Failure::input_message(format_args!("no events of {behavior} to train on"))
@@ -75,4 +79,17 @@ fn mined<'e>(store: &SceneStore, events: &'e [BehaviorEvent], scenes: &[usize]) 
     let mined =
         |event: &'e BehaviorEvent| Some(MinedEvent { scene_idx: *scene_idx.get(event.scene_id.0.as_str())?, event });
     events.iter().filter_map(mined).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn its_own_places_come_before_those_of_all_models() {
+        let (all, own) = (["A".to_owned()], vec!["B".to_owned()]);
+        let of_all = OwnScenes { places: &all, ..OwnScenes::default() };
+        assert_eq!(chosen(&ClassifierTrainingConfig::default(), of_all).places, all);
+        assert_eq!(chosen(&ClassifierTrainingConfig { places: own.clone(), ..Default::default() }, of_all).places, own);
+    }
 }

@@ -14,10 +14,6 @@ use std::path::Path;
 const HOLD_OUT_EVERY: usize = 20;
 
 impl SceneDataset for SceneStore {
-    fn len(&self) -> usize {
-        Self::len(self)
-    }
-
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
         Ok(Self::scene(self, idx)?)
     }
@@ -78,10 +74,6 @@ struct OpenedSource<'a> {
 }
 
 impl SceneDataset for OpenedScenes<'_> {
-    fn len(&self) -> usize {
-        self.sources.iter().map(|source| source.store.len()).sum()
-    }
-
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
         let source = self.sources.iter().rfind(|source| source.first <= idx).ok_or("there are no scenes")?;
         Ok(source.store.scene(idx - source.first)?)
