@@ -1,6 +1,6 @@
 //! The agents of a row and their frame, and the conversion of its samples to scenes.
 
-use super::ending::{HeadingSource, derive_motion, hold_still, stands_still, turn_into_motion};
+use super::ending::{HeadingSource, derive_motion, hold_still, stands_still, stay, turn_into_motion};
 use super::lane_keeping::lane_keepers;
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
@@ -82,6 +82,7 @@ impl AgentFrame {
                 if let Some(keeper) = &keepers[agent_idx] {
                     keeper.keep(&mut entries, &latent[slot]);
                 }
+                stay(&mut entries, &latent[slot], source.dt_s);
                 if holds {
                     hold_still(&mut entries, &latent[slot]);
                 }

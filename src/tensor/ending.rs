@@ -9,6 +9,15 @@ const STILL_STEP_M: f64 = 0.004;
 /// Who was observed to stand for so many states, and is generated to get no farther than this, meters, stays. A start
 /// gets as far in half a second; networks let standing vehicles creep.
 const STANDING_STATES: usize = 6;
+/// Who got no farther than at this speed, m/s, in the last observed second stands, but for errors of the tracker.
+const STANDING_MPS: f64 = 0.2;
+/// The way that who stands is then generated to go counts in full if it is longer than this, meters, and for little if
+/// it is shorter. Half a meter is the precision of networks, which see all speeds of traffic.
+const START_M: f64 = 1.0;
+/// What is taken from its velocity is taken within this time, seconds.
+const ONSET_S: f64 = 0.3;
+/// The mean of so many states is where somebody gets.
+const END_STATES: usize = 3;
 const CREEP_M: f64 = 0.15;
 /// Positions this close are the same but for rounding, meters.
 const SAME_PLACE_M: f64 = 1e-6;
@@ -28,6 +37,35 @@ pub(super) fn stands_still<'a>(agents: impl IntoIterator<Item = &'a Vec<Option<S
         }
     }
     n_still >= n_moved
+}
+
+/// Keeps who was observed to stand, but not exactly still, where it is, without taking the tracker's errors from its
+/// states: the way w that it is generated to go, and the turn, become w · |w|³ / (|w|³ + START_M³).
+pub(super) fn stay(entries: &mut [Option<State>], latent: &[u8], dt_s: f64) {
+    let Some(last_idx) = (0..entries.len()).rfind(|t| latent[*t] == 0 && entries[*t].is_some()) else { return };
+    let (observed, generated) = entries.split_at_mut(last_idx + 1);
+    let n_second = (1.0 / dt_s).round() as usize + 1;
+    let seen: Vec<State> = observed.iter().rev().map_while(|state| *state).take(n_second).collect();
+    let ends: Vec<State> = generated.iter().rev().flatten().take(END_STATES).copied().collect();
+    let ([last, ..], [end, ..]) = (seen.as_slice(), ends.as_slice()) else { return };
+    let moved_m = seen.iter().map(|state| state.position.distance(last.position)).fold(0.0, f64::max);
+    let stands = (SAME_PLACE_M..STANDING_MPS * dt_s * (seen.len() - 1) as f64).contains(&moved_m);
+    if seen.len() < STANDING_STATES || !stands {
+        return;
+    }
+    let sum = ends.iter().fold(Vec2::ZERO, |sum, state| sum + (state.position - last.position));
+    let way = sum * (1.0 / ends.len() as f64);
+    let turn_rad = angle_difference(end.heading_rad, last.heading_rad);
+    let taken = START_M.powi(3) / (way.norm().powi(3) + START_M.powi(3));
+    // Along the way at a constant speed, but for its onset.
+    let ramp = |s: f64| s - ONSET_S * (1.0 - (-s / ONSET_S).exp());
+    let n_generated = generated.len();
+    for (i, state) in generated.iter_mut().enumerate() {
+        let Some(state) = state else { continue };
+        let share = taken * ramp((i + 1) as f64 * dt_s) / ramp(n_generated as f64 * dt_s);
+        state.position = state.position - way * share;
+        state.heading_rad = wrap_angle(state.heading_rad - turn_rad * share);
+    }
 }
 
 /// Leaves out the steps of a sample that are too short to be motion, after the last observed state, and creeping of who
@@ -148,6 +186,10 @@ fn slide_rad(entries: &[Option<State>], t: usize, dt_s: f64, length_m: f64) -> f
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
+    use crate::scene::testing::{Drive, scene};
+    use crate::tensor::testing::collator;
+    use crate::tensor::{FutureValidity, StateParametrization};
 
     #[test]
     fn who_stands_is_exactly_still_and_who_starts_loses_millimeters() {
@@ -191,6 +233,46 @@ mod tests {
         assert_eq!(held(&creeping), 0.0);
         assert!((held(&|t| 2.0 * creeping(t)) - 0.28).abs() < 1e-9, "a start");
         assert!((held(&|t| creeping(t) + 0.01 * t.min(5) as f64) - 0.19).abs() < 1e-9, "it rolled before");
+    }
+
+    #[test]
+    fn who_stood_but_for_the_tracker_stays_with_its_texture_and_who_starts_goes() {
+        let latent: Vec<u8> = (0..40).map(|t| u8::from(t >= 10)).collect();
+        let jitter = |t: usize| if t.is_multiple_of(2) { 0.01 } else { -0.01 };
+        let stayed = |past_mps: f64, mps: f64| -> Vec<State> {
+            let state = |t: usize| {
+                let after_s = 0.1 * (t as f64 - 9.0);
+                let x = after_s * if after_s > 0.0 { mps } else { past_mps };
+                State { position: Vec2::new(x, jitter(t)), heading_rad: 0.1 * x, ..State::default() }
+            };
+            let mut entries: Vec<Option<State>> = (0..40).map(|t| Some(state(t))).collect();
+            stay(&mut entries, &latent, 0.1);
+            assert!((0..10).all(|t| entries[t] == Some(state(t))), "observed states stay as they are");
+            entries.into_iter().flatten().collect()
+        };
+        // Half a meter becomes a few centimeters, without a jolt, and with all of the jitter.
+        let creeps = stayed(0.1, 0.17);
+        assert!((creeps[39].position.x - 0.07).abs() < 0.02 && creeps[39].heading_rad < 0.02, "{:?}", creeps[39]);
+        let step_m = |t: usize| creeps[t].position.x - creeps[t - 1].position.x;
+        assert!((11..40).all(|t| (step_m(t) - step_m(t - 1)).abs() < 0.005));
+        let swings = |states: &[State]| (11..40).map(|t| (states[t].position.y - states[t - 1].position.y).abs()).sum();
+        let [found, sampled]: [f64; 2] = [swings(&creeps), 29.0 * 0.02];
+        assert!((found - sampled).abs() < 0.01, "{found}");
+        // A start keeps nearly all, and who rolled at the present all of its way.
+        assert!(stayed(0.1, 2.0)[39].position.x > 5.8);
+        assert!((stayed(0.3, 0.17)[39].position.x - 0.51).abs() < 1e-9);
+    }
+
+    #[test]
+    fn samples_stay_where_they_were_seen_to_stand() {
+        let drives = [0.1, 5.0].map(|speed_mps| Drive::straight(0.0, 0.0, 0.0, speed_mps));
+        let scene = Scene { n_history: 11, n_timesteps: 41, ..scene(&drives) };
+        let batch = collator([&scene], StateParametrization::Motion).predictive(&[&scene], FutureValidity::Everything);
+        let sample = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
+        let way_m =
+            |agent: usize| sample.state(agent, 40).unwrap().position.x - scene.state(agent, 10).unwrap().position.x;
+        // 0.3 m and 15 m in the recording.
+        assert!(way_m(0).abs() < 0.05 && (way_m(1) - 15.0).abs() < 0.1, "{} m, {} m", way_m(0), way_m(1));
     }
 
     #[test]

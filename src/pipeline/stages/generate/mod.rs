@@ -52,7 +52,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        18
+        19
     }
 
     fn check(&self) -> Result<()> {
