@@ -71,17 +71,17 @@ impl Ends {
     }
 
     /// Where somebody in an entry was before: so many timesteps ago, at most `n_most`, but not before traffic is first
-    /// seen. Many brake for what is ahead: it is taken to have done so evenly from the speed at which others come.
+    /// seen. Many brake for what is ahead: it is taken to have come as fast as others, and to have braked evenly since
+    /// then, or later if there was no time for that.
     pub(super) fn before(&self, state: &State, n_most: usize, dt_s: f64) -> Option<(usize, State)> {
         let (entry_idx, [station_m, offset_m]) = at(&self.entries, state)?;
         let entry = self.entries.get(entry_idx).filter(|entry| entry.is_in_use())?;
         let (now_mps, driven_m) = (state.speed_mps(), (station_m - entry.starts_at_m).max(0.0));
-        let faster_mps = entry.enters_at_mps.map_or(0.0, |mps| (mps - now_mps).max(0.0));
-        let since_s = driven_m / (now_mps + faster_mps / 2.0);
+        let entered_mps = entry.enters_at_mps.unwrap_or_default().max(now_mps);
+        let since_s = 2.0 * driven_m / (now_mps + entered_mps);
         let n_back = n_most.min((since_s / dt_s).round() as usize);
-        let (back_s, part) = (n_back as f64 * dt_s, (n_back as f64 * dt_s / since_s).min(1.0));
-        let was_m = station_m - back_s * (now_mps + faster_mps * part / 2.0);
-        let state = entry.state(was_m.max(entry.starts_at_m), now_mps + faster_mps * part, offset_m)?;
+        let was_m = (station_m - n_back as f64 * dt_s * entered_mps).max(entry.starts_at_m);
+        let state = entry.state(was_m, entered_mps, offset_m)?;
         (n_back > 0).then_some((n_back, state))
     }
 
