@@ -111,8 +111,8 @@ fn recorded() -> (Scene, Recorded) {
                 ("own", 144, [90.0, 0.0, 10.0]),
                 ("overlapping", 144, [40.0, 0.0, 10.0]),
                 ("exact", 150, [10.0, 0.5, 8.0]),
-                // Both came at 15 m/s, as others, and braked evenly to 10: 19 m in 1.52 s; 69 m in 5.52 s, but there are
-                // only 2.9 since the present of the window before, in which it came 43.5 m.
+                // Both came at 15 m/s, as others, and braked evenly to 10: 19 m in 1.52 s; 69 m in 5.52 s, but only
+                // 2.9 s are left since the present of the window before, in which it came 43.5 m.
                 ("on_its_way", 144, [30.0, 0.5, 10.0]),
                 ("farther", 144, [80.0, 0.0, 10.0]),
                 ("walks", 144, [50.0, 0.0, 1.0]),
