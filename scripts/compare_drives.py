@@ -14,8 +14,6 @@ import math
 import pathlib
 import sys
 
-import pyarrow.parquet as pq
-
 # What is worse, and from which difference on.
 WORSE = {
     "fails": (lambda row: row["outcome"] not in ("survived", "not_sampled"), 0),
@@ -27,6 +25,8 @@ WORSE = {
 
 def rows(folder):
     """The row of each scenario, of the driver that was asked for: the first one."""
+    import pyarrow.parquet as pq
+
     found = {}
     for row in pq.read_table(folder / "drives.parquet").to_pylist():
         found.setdefault(row["scenario_id"], row)
@@ -39,19 +39,24 @@ def by_chance(more, less):
     return min(1.0, 2.0 * sum(math.comb(n, k) for k in range(max(more, less), n + 1)) / 2.0**n)
 
 
+def compare(first, second):
+    """What is worse, in how many scenarios of how many only in the second and only in the first, and how likely that is by chance."""
+    both = first.keys() & second.keys()
+    for name, (value, least) in WORSE.items():
+        pairs = [(value(first[key]), value(second[key])) for key in both]
+        more, less = (sum(1 for a, b in ordered if b > a + least) for ordered in (pairs, [pair[::-1] for pair in pairs]))
+        yield name, len(both), more, less, by_chance(more, less)
+
+
 def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("first", type=pathlib.Path, help="folder of a drive")
     arguments.add_argument("second", type=pathlib.Path, help="folder of a drive of the same corpus")
     arguments = arguments.parse_args()
-    first, second = rows(arguments.first), rows(arguments.second)
-    both = first.keys() & second.keys()
     table = csv.writer(sys.stdout, lineterminator="\n")
     table.writerow(["worse", "scenarios", "second only", "first only", "by chance"])
-    for name, (value, least) in WORSE.items():
-        pairs = [(value(first[key]), value(second[key])) for key in both]
-        more, less = (sum(1 for pair in ordered if pair[1] > pair[0] + least) for ordered in (pairs, [pair[::-1] for pair in pairs]))
-        table.writerow([name, len(both), more, less, f"{by_chance(more, less):.2g}"])
+    for *counts, chance in compare(rows(arguments.first), rows(arguments.second)):
+        table.writerow([*counts, f"{chance:.2g}"])
 
 
 if __name__ == "__main__":

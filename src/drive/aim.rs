@@ -183,6 +183,37 @@ mod tests {
     use super::*;
     use crate::geometry::Vec2;
 
+    /// Everybody does as in the scenario, but the ego may be elsewhere: when does the other give up its plan?
+    #[test]
+    fn the_plan_ends_once_the_event_has_happened_and_not_before_nor_without() {
+        let situation = situation(&record());
+        let (scene, [_, end]) = (&situation.scene, situation.event);
+        let let_go_at = |ego_ahead_m: f64| {
+            let mut world = situation.start(1);
+            let planned = world.plan_ends;
+            while world.plan_ends == planned && world.n_timesteps() < scene.n_timesteps {
+                let timestep = world.n_timesteps();
+                let state = |idx: usize| {
+                    let state = *scene.state(idx, timestep)?;
+                    let ahead_m = if idx == situation.ego_idx { ego_ahead_m } else { 0.0 };
+                    let position = state.position + Vec2::from_angle(state.heading_rad) * ahead_m;
+                    Some(State { position, ..state })
+                };
+                world.push((0..world.n_tracks()).map(state));
+                situation.let_go(&mut world);
+            }
+            (world.plan_ends != planned).then_some((world.now(), world.plan_ends))
+        };
+        // The end of the event leaves room for letting go too early and too late.
+        assert!((scene.n_history + 1..scene.n_timesteps - 1).contains(&end), "{end}");
+        let (now, ends) = let_go_at(0.0).unwrap();
+        assert!(now == ends && now >= end, "{now} {ends} {end}");
+        let cut = Scene { n_timesteps: now + 1, ..scene.clone() };
+        assert!(situation.event_in(&cut).is_some());
+        // Nobody is cut off who is far ahead, or far behind.
+        assert_eq!([150.0, -150.0].map(let_go_at), [None, None]);
+    }
+
     /// The ego is some meters ahead of where the scenario has it, or behind: is the event planned anew where it would
     /// be lost, and otherwise left as it is?
     #[test]

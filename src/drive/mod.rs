@@ -24,9 +24,10 @@
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
 //! world and the same motion of the ego give the same bytes, whoever else is driven beside it.
 //!
-//! *Who enters and leaves.* Who is more than 10 m from every lane of the map and was not so at present is gone. Others
-//! arrive where lanes of the map begin, as often and as fast as in the corpus' scenes of the place, where the gap
-//! allows.
+//! *Who enters and leaves.* Who is more than 10 m from every lane of the map and was not so at present is gone, and so
+//! is who goes, but for the ego, to where the scenes of the place have nobody any more. Others arrive as in the
+//! recording at times of which other scenes of the corpus tell, and at other times where those of the place come into
+//! sight, as often and as fast: where the gap allows.
 
 mod action;
 mod aim;
@@ -37,6 +38,7 @@ mod error;
 mod event;
 mod external;
 mod kept;
+mod maps;
 mod margin;
 mod outcome;
 mod page;

@@ -128,7 +128,7 @@ fn traffic(report: &DriveReport) -> PlainTable {
                     format!("{from_s} and more")
                 },
                 per(traffic.agent_s[band], traffic.agent_s_as_recorded[band]),
-                traffic.n_arrived[band].to_string(),
+                format!("{} ({} as recorded)", traffic.n_arrived[band], traffic.n_arrived_recorded[band]),
                 traffic.n_left[band].to_string(),
                 per(1000.0 * traffic.n_collided[band] as f64, traffic.agent_s[band]),
                 per(traffic.standing_s[band], traffic.agent_s[band]),

@@ -136,7 +136,7 @@ impl Failures {
 impl DriveReport {
     pub(super) fn new(ego: &EgoDriver, rollout: Option<RolloutConfig>, seed: u64, model: &str) -> Self {
         Self {
-            schema: "drive_report.v2",
+            schema: "drive_report.v3",
             ego: ego.name().to_owned(),
             seed,
             model: model.to_owned(),

@@ -12,6 +12,8 @@ use crate::generate::{Continued, Futures};
 use crate::scene::{Scene, State, UnfitScene};
 use serde::{Deserialize, Serialize};
 
+/// The longest drive, seconds.
+pub(super) const MOST_HORIZON_S: f64 = 600.0;
 /// How far off the road the center of the ego may be, meters: as in the check of validity.
 const OFF_ROAD_SLACK_M: f64 = 0.3;
 /// Who stands for so long, seconds, below this speed, m/s, with so much free road ahead, meters, has stopped dead.
@@ -52,8 +54,8 @@ impl RolloutConfig {
         let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
         let refuse = |why: String| Err(Error::Config(why));
         match (self.horizon_s, self.replan_s) {
-            (horizon_s, _) if !(horizon_s > 0.0 && horizon_s <= 600.0) => {
-                refuse(format!("horizon_s is {horizon_s}, expected more than 0 and at most 600 s"))
+            (horizon_s, _) if !(horizon_s > 0.0 && horizon_s <= MOST_HORIZON_S) => {
+                refuse(format!("horizon_s is {horizon_s}, expected more than 0 and at most {MOST_HORIZON_S} s"))
             }
             (_, replan_s) if !(replan_s > 0.0 && replan_s <= future_s + 1e-9) => {
                 refuse(format!("replan_s is {replan_s}, expected more than 0 and at most the model's {future_s} s"))
@@ -263,13 +265,16 @@ impl Drive<'_> {
     /// Looks at what was reached: who has left, and does the drive end here?
     fn look(&mut self) -> Option<End> {
         let (situation, ego_idx) = (self.situation, self.situation.ego_idx);
+        // Where the model drives everybody, traffic goes on without the ego.
+        let goes_on = self.driver.is_model();
         let left = |agent_idx: &usize| {
             let state = self.world.present(*agent_idx);
+            let is_traffic = goes_on || *agent_idx != ego_idx;
             state.is_some_and(|state| situation.has_left_map(*agent_idx, &state))
+                || (is_traffic && situation.goes_out_of_sight(&self.world, *agent_idx))
         };
         let gone: Vec<usize> = (0..self.world.n_tracks()).filter(left).collect();
-        // Where the model drives everybody, traffic goes on without the ego.
-        let (has_left, goes_on) = (gone.contains(&ego_idx), self.driver.is_model());
+        let has_left = gone.contains(&ego_idx);
         let is_removed = |agent_idx: &&usize| goes_on || **agent_idx != ego_idx;
         gone.iter().filter(is_removed).for_each(|agent_idx| self.world.remove(*agent_idx));
         let ttc_s = ttc_s(situation, &self.world);

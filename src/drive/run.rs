@@ -1,13 +1,13 @@
 //! Drives every chosen scenario of a corpus, with the careful driver beside, and writes what came of it.
 
-use super::arrivals::Entries;
 use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
 use super::external::External;
 use super::kept::Kept;
+use super::maps::Maps;
 use super::margin::{Margin, Margins};
 use super::page::Cards;
 use super::report::DriveReport;
-use super::rollout::{Others, roll_out};
+use super::rollout::{MOST_HORIZON_S, Others, roll_out};
 use super::situation::Situation;
 use super::told_apart::Tracks;
 use super::{Driven, Driver, EgoDriver, Error, Outcome, Result, RolloutConfig, World};
@@ -16,15 +16,14 @@ use crate::files::NewFolder;
 use crate::generate::Futures;
 use crate::progress::Progress;
 use crate::report::render_drives;
-use crate::scenario::{DriveRow, ScenarioRecord};
-use crate::scene::{LaneGraph, MapId};
-use crate::store::{CorpusReader, DrivenWriter, MapSource, write_atomically, write_drives, write_json_atomically};
+use crate::scenario::DriveRow;
+use crate::store::{CorpusReader, DrivenWriter, write_atomically, write_drives, write_json_atomically};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io::Write;
 use std::path::Path;
 use std::str::FromStr;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 
 /// The table of drives.
 pub const DRIVES_FILE: &str = "drives.parquet";
@@ -39,8 +38,6 @@ pub const STATES_DIR: &str = "states";
 
 /// Scenarios that are in memory at a time, for each worker.
 const CHUNK: usize = 8;
-/// Scenes of a place from which its arrivals are estimated.
-const MOST_SCENES: usize = 200;
 
 /// How a corpus is driven.
 #[derive(Debug, Clone, PartialEq)]
@@ -131,9 +128,16 @@ pub fn drive_corpus(
                 n_chosen += 1;
                 match maps.situation(&record, ego, &reader) {
                     Ok(mut situation) => {
-                        let n_tracks = if let Origin::State(world) = from { world.n_tracks() } else { 0 };
-                        let [n_steps, _] = config.rollout.n_steps(situation.scene.dt_s);
-                        situation.expect(&maps.entries(&reader)?, futures.seed(), n_steps, n_tracks);
+                        let (scene, seed) = (&situation.scene, futures.seed());
+                        let [n_steps, _] = config.rollout.n_steps(scene.dt_s);
+                        // A saved state may be from a longer drive.
+                        let (n_tracks, n_known) = match from {
+                            Origin::Scenarios(_) => (0, n_steps),
+                            Origin::State(world) => (world.n_tracks(), (MOST_HORIZON_S / scene.dt_s) as usize),
+                        };
+                        let ends = maps.ends(scene, &reader)?;
+                        let recorded = maps.recorded(scene, &reader, n_known)?;
+                        situation.expect(&ends, &recorded, seed, [n_steps, n_tracks]);
                         chunk.push(situation);
                     }
                     Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
@@ -206,47 +210,6 @@ fn identity(
     let config = DriveConfig { n_workers: 0, ..config.clone() };
     let manifest = reader.manifest();
     format!("{config:?} {ego:?} {from:?} {} {} {manifest:?}", futures.seed(), futures.fingerprint())
-}
-
-/// The last map: scenarios of a map mostly follow each other; and where traffic enters it, once that was asked for.
-#[derive(Default)]
-pub(super) struct Maps {
-    last: Option<(MapId, LaneGraph)>,
-    entries: Option<(MapId, Arc<Entries>)>,
-}
-
-impl Maps {
-    /// The start of a scenario of this corpus.
-    pub(super) fn situation(
-        &mut self,
-        record: &ScenarioRecord,
-        ego: &EgoChoice,
-        reader: &CorpusReader,
-    ) -> Result<Situation> {
-        let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
-        let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
-        let asked = record.scenario.scene.map_id.as_ref();
-        if let Some(id) = asked.filter(|id| self.last.as_ref().is_none_or(|(known, _)| known != *id)) {
-            self.last = Some((id.clone(), reader.map(id)?));
-        }
-        let map = self.last.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
-        Situation::new(record, ego_idx, map)
-    }
-
-    /// Where traffic enters the last map, by the scenes that the corpus has of it.
-    fn entries(&mut self, reader: &CorpusReader) -> Result<Arc<Entries>> {
-        let Some((id, map)) = &self.last else { return Ok(Arc::default()) };
-        if let Some((_, entries)) = self.entries.as_ref().filter(|(known, _)| known == id) {
-            return Ok(Arc::clone(entries));
-        }
-        let mut scenes = Vec::new();
-        for position in reader.scenes_of(id)?.into_iter().take(MOST_SCENES) {
-            scenes.push(reader.scenario(position)?.scenario.scene);
-        }
-        let entries = Arc::new(Entries::of(map, &scenes));
-        self.entries = Some((id.clone(), Arc::clone(&entries)));
-        Ok(entries)
-    }
 }
 
 /// The name in tables of the driver that was asked for.

@@ -1,9 +1,10 @@
 //! Scores planned trajectories in an open loop: everybody else does what the scenario has, whatever the ego does.
 
 use super::drivers::{Careful, Log, follow_log};
+use super::maps::Maps;
 use super::report::DriveReport;
 use super::rollout::{Others, roll_out};
-use super::run::{DRIVE_FILE, DRIVES_FILE, Maps, row};
+use super::run::{DRIVE_FILE, DRIVES_FILE, row};
 use super::{Driven, Driver, EgoDriver, Error, Failed, Outcome, Result, RolloutConfig, Situation, World};
 use crate::export::{EgoChoice, Selection};
 use crate::files::NewFolder;

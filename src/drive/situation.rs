@@ -1,6 +1,6 @@
 //! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
 
-use super::arrivals::{Arrivals, Entries};
+use super::arrivals::{Arrivals, Ends, Recorded};
 use super::event::is_decided_by_ego;
 use super::margin::later;
 use super::world::World;
@@ -118,9 +118,12 @@ impl Situation {
     }
 
     /// Expects arrivals for so many timesteps, and at least as many as a world with `n_tracks` does.
-    pub(super) fn expect(&mut self, entries: &Arc<Entries>, seed: u64, n_steps: usize, n_tracks: usize) {
-        let n_least = n_tracks.saturating_sub(self.scene.tracks.len());
-        let (arrivals, tracks) = Arrivals::draw(entries, &self.scene, &self.scenario_id, seed, [n_steps, n_least]);
+    pub(super) fn expect(&mut self, ends: &Arc<Ends>, recorded: &Recorded, seed: u64, [n_steps, n_tracks]: [usize; 2]) {
+        let sizes = [n_steps, n_tracks.saturating_sub(self.scene.tracks.len())];
+        let (scene, scene_from_world) = (&self.scene, self.scene.world_from_scene.inverse());
+        let has_map = |state: &State| self.is_on_map(&state.transformed(&scene_from_world));
+        let asked = (scene, self.scenario_id.as_str(), seed);
+        let (arrivals, tracks) = Arrivals::expect(ends, recorded, asked, has_map, sizes);
         self.arrivals = arrivals;
         self.starts_on_map.extend(tracks.iter().map(|_| true));
         self.starts_in_ego.extend(tracks.iter().map(|_| false));
@@ -202,6 +205,16 @@ impl Situation {
     /// Whether an agent was on the map at present and is not now.
     pub(super) fn has_left_map(&self, agent_idx: usize, state: &State) -> bool {
         self.starts_on_map[agent_idx] && !self.is_on_map(state)
+    }
+
+    /// Whether somebody has just gone where the place's traffic is not seen any more, and not to an event.
+    pub(super) fn goes_out_of_sight(&self, world: &World, agent_idx: usize) -> bool {
+        let is_out = |timestep: usize| {
+            let state = world.state(agent_idx, timestep);
+            state.is_some_and(|state| self.arrivals.is_out_of_sight(self, &state))
+        };
+        let now = world.now();
+        self.plan(world, agent_idx, now).is_none() && is_out(now) && !is_out(now - 1)
     }
 
     /// The scene of everything that was reached, whose past is the scenario's.

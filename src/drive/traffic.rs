@@ -40,6 +40,8 @@ pub struct Traffic {
     pub standing_s_as_recorded: [f64; 4],
     /// Agents that arrived.
     pub n_arrived: [u64; 4],
+    /// Those of them that did so in the recording.
+    pub n_arrived_recorded: [u64; 4],
     /// Agents that left.
     pub n_left: [u64; 4],
     /// Agents that were to arrive and found no gap.
@@ -98,16 +100,18 @@ impl Traffic {
         band: &dyn Fn(usize) -> Option<usize>,
     ) {
         let after = |timestep: &usize| *timestep >= scene.current_timestep();
+        let number = (agent_idx + situation.arrivals.n_expected()).checked_sub(scene.tracks.len());
         let mut there = track.trajectory.valid().map(|(timestep, _)| timestep).filter(after);
         let Some(first) = there.next() else {
-            let slot = (agent_idx + situation.arrivals.n_expected()).checked_sub(scene.tracks.len());
-            let is_due = slot.is_some_and(|slot| slot < situation.arrivals.n_until(scene.n_timesteps));
+            let is_due = number.is_some_and(|number| number < situation.arrivals.n_until(scene.n_timesteps));
             self.n_held_back += u64::from(is_due);
             return;
         };
         let last = there.next_back().unwrap_or(first);
         if let Some(band) = band(first).filter(|_| first > scene.current_timestep()) {
             self.n_arrived[band] += 1;
+            let is_recorded = number.is_some_and(|number| situation.arrivals.is_recorded(number));
+            self.n_arrived_recorded[band] += u64::from(is_recorded);
         }
         if let Some(band) = band(last + 1).filter(|_| last + 1 < scene.n_timesteps) {
             self.n_left[band] += 1;
@@ -136,6 +140,7 @@ impl Traffic {
         add(&mut self.standing_s, &other.standing_s);
         add(&mut self.standing_s_as_recorded, &other.standing_s_as_recorded);
         add(&mut self.n_arrived, &other.n_arrived);
+        add(&mut self.n_arrived_recorded, &other.n_arrived_recorded);
         add(&mut self.n_left, &other.n_left);
         self.n_held_back += other.n_held_back;
         self.n_stuck += other.n_stuck;

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// The version of the format of saved worlds.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// The states of everybody in a scenario, in its scene frame, up to now. Nothing else decides what comes next.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -167,8 +167,8 @@ mod tests {
         assert_eq!((world.now(), world.present(0), world.present(1)), (2, None, Some(state)));
         fs_err::write(&path, world.to_json().unwrap()).unwrap();
         assert_eq!(World::read(&path).unwrap(), world);
-        fs_err::write(&path, world.to_json().unwrap().replacen("\"version\":2", "\"version\":9", 1)).unwrap();
-        assert!(World::read(&path).unwrap_err().to_string().contains("has version 9, expected 2"));
+        fs_err::write(&path, world.to_json().unwrap().replacen("\"version\":3", "\"version\":9", 1)).unwrap();
+        assert!(World::read(&path).unwrap_err().to_string().contains("has version 9, expected 3"));
         fs_err::write(&path, "{}").unwrap();
         assert!(World::read(&path).unwrap_err().to_string().contains("--save-at"));
     }

@@ -26,6 +26,17 @@ string_id! {
     /// A recorded scene, unique over all datasets: `dataset/split/place/case`, for instance `argoverse1/train/PIT/21`.
     SceneId
 }
+impl SceneId {
+    /// The long recording of which the scene of this id is a window, and its first frame there: those of
+    /// `interaction/train/PLACE/007@41`. `None` for a recording that is one scene. Windows of the other split are of
+    /// another recording.
+    pub fn window_of(id: &str) -> Option<(&str, i64)> {
+        let (recording, first_frame) = id.rsplit_once('@')?;
+        // Frames beyond are no frames, and leave room for sums.
+        let first_frame = first_frame.parse::<i64>().ok().filter(|frame| frame.unsigned_abs() < 1 << 53)?;
+        Some((recording, first_frame))
+    }
+}
 string_id! {
     /// A track as the recording names it; unique within a scene.
     TrackId
@@ -38,3 +49,17 @@ string_id! {
 /// A lane as its map names it; unique within a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct LaneId(pub i64);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_name_their_recording_and_other_scenes_none() {
+        let window = |id: &'static str| SceneId::window_of(id);
+        assert_eq!(window("table/train/a@b/007@-41"), Some(("table/train/a@b/007", -41)));
+        let others =
+            ["argoverse1/train/PIT/21", "table/train/P/007@", "table/train/P/007@4.5", "P@9223372036854775807"];
+        assert_eq!(others.map(window), [None; 4]);
+    }
+}

@@ -1,0 +1,44 @@
+//! Arrivals as many and as fast as a place has: drawn from the traffic that the corpus' scenes of it have where it
+//! comes into sight.
+//!
+//! The flow through the first meters of an entry is the speeds of those that the scenes have there, over length and
+//! number of scenes (Edie 1963); an arrival has the size, speed and offset of one of them, drawn in proportion to its
+//! speed, since the fast pass more often.
+
+use super::Arrival;
+use super::ends::{Ends, Seen};
+use crate::scene::{Scene, Track, TrackId};
+use crate::seed::Seed;
+
+impl Ends {
+    /// How many arrive in a second.
+    pub(super) fn rate_per_s(&self) -> f64 {
+        self.seen().map(|(_, seen)| seen.rate_per_s).sum()
+    }
+
+    fn seen(&self) -> impl Iterator<Item = (usize, &Seen)> {
+        let entries = self.entries.iter().enumerate();
+        entries.flat_map(|(entry_idx, entry)| entry.seen.iter().map(move |seen| (entry_idx, seen)))
+    }
+
+    /// Who arrives by chance after the present of this scenario, in the order of time, without end.
+    pub(super) fn drawn(&self, scene: &Scene, name: &str, seed: u64) -> impl Iterator<Item = (Arrival, Track)> {
+        let (rate_per_s, mut rng) = (self.rate_per_s(), Seed(seed).derive_named("arrivals", name).rng());
+        let (present, dt_s, mut after_s, mut number) = (scene.current_timestep(), scene.dt_s, 0.0, 0);
+        std::iter::from_fn(move || {
+            after_s -= (1.0 - rng.uniform()).ln() / rate_per_s;
+            let mut left = rng.uniform() * rate_per_s;
+            let drawn = self.seen().find(|(_, seen)| {
+                left -= seen.rate_per_s;
+                left <= 0.0
+            });
+            let (entry_idx, Seen { track, speed_mps, offset_m, .. }) = drawn.or_else(|| self.seen().last())?;
+            let entry = self.entry(entry_idx)?;
+            let state = entry.state(entry.starts_at_m, *speed_mps, *offset_m)?;
+            number += 1;
+            let timestep = present.saturating_add((after_s / dt_s).ceil() as usize);
+            let arrival = Arrival { timestep, state, entry_idx: Some(entry_idx), is_recorded: false };
+            Some((arrival, Track { id: TrackId(format!("arrival_{number}")), ..track.clone() }))
+        })
+    }
+}

@@ -1,0 +1,185 @@
+//! What the scenarios of a place share: its map, where traffic enters and leaves it, and who was recorded to.
+//!
+//! Scenarios of a place, and of a recording there, mostly follow each other: the last of each is kept.
+
+use super::arrivals::{Ends, Recorded, Window};
+use super::{Error, Result, Situation};
+use crate::export::EgoChoice;
+use crate::scenario::ScenarioRecord;
+use crate::scene::{LaneGraph, MapId, Scene, SceneId};
+use crate::store::{CorpusReader, MapSource};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Scenes of a place from which its arrivals are estimated.
+const MOST_SCENES: usize = 200;
+
+/// The last map, its ends, and the last long recording, once they were asked for.
+#[derive(Default)]
+pub(super) struct Maps {
+    last: Option<(MapId, LaneGraph)>,
+    ends: Option<(MapId, Arc<Ends>)>,
+    recording: Option<Recording>,
+}
+
+/// A long recording.
+struct Recording {
+    name: String,
+    /// The windows of it that the corpus has: the first frame, and the position of a scenario that continues it.
+    positions: Vec<(i64, usize)>,
+    /// Those that were read.
+    windows: BTreeMap<i64, Window>,
+}
+
+impl Maps {
+    /// The start of a scenario of this corpus.
+    pub(super) fn situation(
+        &mut self,
+        record: &ScenarioRecord,
+        ego: &EgoChoice,
+        reader: &CorpusReader,
+    ) -> Result<Situation> {
+        let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
+        let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
+        let asked = record.scenario.scene.map_id.as_ref();
+        if let Some(id) = asked.filter(|id| self.last.as_ref().is_none_or(|(known, _)| known != *id)) {
+            self.last = Some((id.clone(), reader.map(id)?));
+        }
+        let map = self.last.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
+        Situation::new(record, ego_idx, map)
+    }
+
+    /// The ends of the map of a scene, by the scenes that the corpus has of it.
+    pub(super) fn ends(&mut self, scene: &Scene, reader: &CorpusReader) -> Result<Arc<Ends>> {
+        let last = self.last.as_ref().filter(|(id, _)| Some(id) == scene.map_id.as_ref());
+        let Some((id, map)) = last else { return Ok(Arc::default()) };
+        if let Some((_, ends)) = self.ends.as_ref().filter(|(known, _)| known == id) {
+            return Ok(Arc::clone(ends));
+        }
+        let mut scenes = Vec::new();
+        for position in reader.scenes_of(id)?.into_iter().take(MOST_SCENES) {
+            scenes.push(reader.scenario(position)?.scenario.scene);
+        }
+        let ends = Arc::new(Ends::of(map, &scenes));
+        self.ends = Some((id.clone(), Arc::clone(&ends)));
+        Ok(ends)
+    }
+
+    /// Who arrived in the recording of a scene within `n_steps` after its present, or a window later.
+    pub(super) fn recorded(&mut self, scene: &Scene, reader: &CorpusReader, n_steps: usize) -> Result<Recorded> {
+        let Some((name, first_frame)) = SceneId::window_of(&scene.id.0) else { return Ok(Recorded::default()) };
+        let ends = self.ends(scene, reader)?;
+        let known = self.recording.take().filter(|known| known.name == name);
+        let known = match known {
+            Some(known) => known,
+            None => Recording { name: name.to_owned(), positions: reader.windows_of(name)?, windows: BTreeMap::new() },
+        };
+        let Recording { positions, windows, .. } = self.recording.insert(known);
+        let later = &positions[positions.partition_point(|(frame, _)| *frame <= first_frame)..];
+        // Who came last is in the first window that begins after the end.
+        let n_until = later.partition_point(|(frame, _)| frame - first_frame < n_steps as i64);
+        let needed = &later[..later.len().min(n_until + 1)];
+        for (frame, position) in needed {
+            if !windows.contains_key(frame) {
+                windows.insert(*frame, Window::of(&reader.scenario(*position)?.scenario.scene, *frame));
+            }
+        }
+        let needed = needed.iter().filter_map(|(frame, _)| windows.get(frame));
+        Ok(Recorded::of((scene, first_frame), needed, &ends))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{corpus, model, record};
+    use super::super::{
+        DRIVEN_FILE, DriveConfig, EgoDriver, Origin, RolloutConfig, STATES_DIR, SaveAt, World, drive_corpus,
+    };
+    use super::*;
+    use crate::export::Selection;
+    use crate::generate::Futures;
+    use crate::progress::Silent;
+    use crate::scene::TrackId;
+    use crate::store::{CorpusNotes, CorpusWriter};
+    use std::path::Path;
+
+    /// A corpus of two windows of a recording, 2.5 s apart: by the second, everybody is somebody else.
+    fn write_windows(dir: &Path) -> CorpusReader {
+        let reader = CorpusReader::open(&corpus()).unwrap();
+        let window = |first_frame: &str| {
+            let mut record = record();
+            let id = format!("interaction/train/FIX_Merging/000@{first_frame}");
+            record.scenario.id = format!("from{first_frame}");
+            record.scenario.provenance.scene_id = id.as_str().into();
+            record.events.iter_mut().for_each(|event| event.scene_id = id.as_str().into());
+            record.scenario.scene.id = id.as_str().into();
+            record.scenario.scene.source.first_frame = first_frame.to_owned();
+            record
+        };
+        let (first, mut second) = (window("1"), window("26"));
+        (second.requested_behavior, second.verified, second.events) = (None, false, Vec::new());
+        for track in &mut second.scenario.scene.tracks {
+            track.id = TrackId(format!("later_{}", track.id));
+        }
+        let mut writer = CorpusWriter::create(dir, &reader).unwrap();
+        writer.write_scenarios(&[first, second]).unwrap();
+        writer.finish(&CorpusNotes::default()).unwrap();
+        CorpusReader::open(dir).unwrap()
+    }
+
+    #[test]
+    fn windows_of_a_recording_say_who_arrives_after_others() {
+        let dir = tempfile::tempdir().unwrap();
+        let reader = write_windows(dir.path());
+        assert_eq!(reader.windows_of("interaction/train/FIX_Merging/000").unwrap(), [(1, 0), (26, 1)]);
+        assert!(reader.windows_of("interaction/val/FIX_Merging/000").unwrap().is_empty());
+        let mut maps = Maps::default();
+        let mut arrive = |position: usize, n_steps: usize| -> usize {
+            let record = reader.scenario(position).unwrap();
+            let mut situation = maps.situation(&record, &EgoChoice::Scene, &reader).unwrap();
+            let recorded = maps.recorded(&situation.scene, &reader, n_steps).unwrap();
+            situation.expect(&Arc::default(), &recorded, 0, [100, 0]);
+            assert!((0..situation.arrivals.n_expected()).all(|number| situation.arrivals.is_recorded(number)));
+            situation.arrivals.n_expected()
+        };
+        // The window that begins after the end counts, too: who came in between was on its way.
+        let n_tracks = reader.scenario(1).unwrap().scenario.scene.tracks.len();
+        assert_eq!([arrive(0, 80), arrive(0, 20), arrive(1, 80), arrive(0, 80)], [n_tracks, n_tracks, 0, n_tracks]);
+    }
+
+    #[test]
+    fn recorded_arrivals_are_the_same_for_any_number_of_workers_and_from_saved_states() {
+        let dir = tempfile::tempdir().unwrap();
+        let corpus = dir.path().join("corpus");
+        write_windows(&corpus);
+        let model = model();
+        let futures = Futures::new(&model, 0, &candle_core::Device::Cpu).unwrap();
+        let drive = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>| {
+            let config = DriveConfig {
+                ego: EgoDriver::Careful,
+                rollout: RolloutConfig { horizon_s, replan_s: 0.5 },
+                time_limit_s: 1.0,
+                save_at: Some(SaveAt::Timestep(24)),
+                bisects: false,
+                n_workers,
+                program: String::new(),
+            };
+            let out = dir.path().join(name);
+            let report = drive_corpus((&corpus, &out), from, &EgoChoice::Scene, &config, &futures, &Silent).unwrap();
+            let traffic = report.traffic["careful"];
+            (traffic, fs_err::read(out.join(DRIVEN_FILE)).unwrap(), out.join(STATES_DIR).join("from1.json"))
+        };
+        let selection = Selection::default();
+        let (traffic, bytes, state) = drive("one", 1, 3.0, &Origin::Scenarios(&selection));
+        let n_recorded: u64 = traffic.n_arrived_recorded.iter().sum();
+        assert!(n_recorded > 0 && n_recorded <= traffic.n_arrived.iter().sum(), "{traffic:?}");
+        assert!(drive("two", 2, 3.0, &Origin::Scenarios(&selection)).1 == bytes);
+        // On from before they came; the state is one of a longer drive, which expects more of them.
+        let world = World::read(&state).unwrap();
+        let (fork, bytes, again) = drive("fork", 1, 3.0, &Origin::State(world.clone()));
+        assert!(fork.n_arrived_recorded.iter().sum::<u64>() > 0, "{fork:?}");
+        assert!(drive("again", 2, 3.0, &Origin::State(world.clone())).1 == bytes);
+        assert_eq!(fs_err::read(again).unwrap(), fs_err::read(&state).unwrap());
+        assert!(drive("shorter", 1, 1.6, &Origin::State(world)).0.driven_s[0] > 0.0);
+    }
+}
