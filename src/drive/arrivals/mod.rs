@@ -26,7 +26,7 @@ const HEADWAY_S: f64 = 1.0;
 const BRAKES_MPS2: f64 = 3.0;
 /// Who finds no gap for so long, seconds, does not come.
 pub(super) const WAITS_S: f64 = 5.0;
-/// No more arrivals a drive than this.
+/// No more arrivals a drive than this, with those outside the part of the map that is driven.
 const MOST_ARRIVALS: usize = 1000;
 
 /// Who arrives when, and how.
@@ -74,7 +74,7 @@ impl Arrivals {
         let is_open = |(arrival, _): &(Arrival, Track)| !recorded.covers(arrival.timestep);
         let mut drawn = ends.drawn(scene, name, seed).filter(is_open).peekable();
         let mut known = recorded.arrivals().peekable();
-        while tracks.len() < MOST_ARRIVALS {
+        for _ in 0..MOST_ARRIVALS {
             let is_known_first = match (known.peek(), drawn.peek()) {
                 (Some((known, _)), Some((drawn, _))) => known.timestep <= drawn.timestep,
                 (known, _) => known.is_some(),
