@@ -12,7 +12,7 @@ const STANDING_STATES: usize = 6;
 /// Who got no farther than at this speed, m/s, in the last observed second stands, but for errors of the tracker.
 const STANDING_MPS: f64 = 0.2;
 /// The way that who stands is then generated to go counts in full if it is longer than this, meters, and for little if
-/// it is shorter. Half a meter is the precision of networks, which see all speeds of traffic.
+/// it is shorter: of those who stand in Argoverse 1, samples got half a meter in 3 s in the median, recorded ones 0.12.
 const START_M: f64 = 1.0;
 /// What is taken from its velocity is taken within this time, seconds.
 const ONSET_S: f64 = 0.3;
