@@ -7,7 +7,7 @@ use super::{Error, Result, Situation};
 use crate::export::EgoChoice;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{LaneGraph, MapId, Scene, SceneId};
-use crate::store::{CorpusReader, MapSource};
+use crate::store::{CorpusReader, MapSource, SceneStore};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -17,6 +17,8 @@ const MOST_SCENES: usize = 200;
 /// The last map, its ends, and the last long recording, once they were asked for.
 #[derive(Default)]
 pub(super) struct Maps {
+    /// Scenes that know more windows of recordings than the corpus does.
+    scenes: Option<SceneStore>,
     last: Option<(MapId, LaneGraph)>,
     ends: Option<(MapId, Arc<Ends>)>,
     recording: Option<Recording>,
@@ -25,13 +27,18 @@ pub(super) struct Maps {
 /// A long recording.
 struct Recording {
     name: String,
-    /// The windows of it that the corpus has: the first frame, and the position of a scenario that continues it.
+    /// The windows of it: the first frame, and the position among the scenes, or that of a scenario that continues it.
     positions: Vec<(i64, usize)>,
     /// Those that were read.
     windows: BTreeMap<i64, Window>,
 }
 
 impl Maps {
+    /// Of recordings of which these scenes have windows, too.
+    pub(super) fn with_windows_of(scenes: Option<SceneStore>) -> Self {
+        Self { scenes, ..Self::default() }
+    }
+
     /// The start of a scenario of this corpus.
     pub(super) fn situation(
         &mut self,
@@ -72,7 +79,13 @@ impl Maps {
         let known = self.recording.take().filter(|known| known.name == name);
         let known = match known {
             Some(known) => known,
-            None => Recording { name: name.to_owned(), positions: reader.windows_of(name)?, windows: BTreeMap::new() },
+            None => {
+                let positions = match &self.scenes {
+                    Some(scenes) => scenes.windows_of(name),
+                    None => reader.windows_of(name)?,
+                };
+                Recording { name: name.to_owned(), positions, windows: BTreeMap::new() }
+            }
         };
         let Recording { positions, windows, .. } = self.recording.insert(known);
         let later = &positions[positions.partition_point(|(frame, _)| *frame <= first_frame)..];
@@ -81,7 +94,11 @@ impl Maps {
         let needed = &later[..later.len().min(n_until + 1)];
         for (frame, position) in needed {
             if !windows.contains_key(frame) {
-                windows.insert(*frame, Window::of(&reader.scenario(*position)?.scenario.scene, *frame));
+                let scene = match &self.scenes {
+                    Some(scenes) => scenes.scene(*position)?,
+                    None => reader.scenario(*position)?.scenario.scene,
+                };
+                windows.insert(*frame, Window::of(&scene, *frame));
             }
         }
         let needed = needed.iter().filter_map(|(frame, _)| windows.get(frame));
@@ -100,7 +117,7 @@ mod tests {
     use crate::generate::Futures;
     use crate::progress::Silent;
     use crate::scene::TrackId;
-    use crate::store::{CorpusNotes, CorpusWriter};
+    use crate::store::{CorpusNotes, CorpusWriter, SceneWriter};
     use std::path::Path;
 
     /// A corpus of two windows of a recording, 2.5 s apart: by the second, everybody is somebody else.
@@ -134,7 +151,7 @@ mod tests {
         assert_eq!(reader.windows_of("interaction/train/FIX_Merging/000").unwrap(), [(1, 0), (26, 1)]);
         assert!(reader.windows_of("interaction/val/FIX_Merging/000").unwrap().is_empty());
         let mut maps = Maps::default();
-        let mut arrive = |position: usize, n_steps: usize| -> usize {
+        let arrive = |maps: &mut Maps, position: usize, n_steps: usize| -> usize {
             let record = reader.scenario(position).unwrap();
             let mut situation = maps.situation(&record, &EgoChoice::Scene, &reader).unwrap();
             let recorded = maps.recorded(&situation.scene, &reader, n_steps).unwrap();
@@ -144,7 +161,22 @@ mod tests {
         };
         // The window that begins after the end counts, too: who came in between was on its way.
         let n_tracks = reader.scenario(1).unwrap().scenario.scene.tracks.len();
-        assert_eq!([arrive(0, 80), arrive(0, 20), arrive(1, 80), arrive(0, 80)], [n_tracks, n_tracks, 0, n_tracks]);
+        let found =
+            [(0, 80), (0, 20), (1, 80), (0, 80)].map(|(position, n_steps)| arrive(&mut maps, position, n_steps));
+        assert_eq!(found, [n_tracks, n_tracks, 0, n_tracks]);
+        // Scenes may know one more window.
+        let scene = |position: usize| reader.scenario(position).unwrap().scenario.scene;
+        let (first, second) = (scene(0), scene(1));
+        let mut third = Scene { id: "interaction/train/FIX_Merging/000@51".into(), ..second.clone() };
+        third.tracks.iter_mut().for_each(|track| track.id = TrackId(format!("last_{}", track.id)));
+        let dir = tempfile::tempdir().unwrap();
+        let (mut writer, _) = SceneWriter::resume(dir.path()).unwrap();
+        let scenes = [first, second, third].map(|scene| Scene { map_id: None, lanes: Arc::default(), ..scene });
+        let nothing = serde_json::Value::Null;
+        writer.write_batch(&scenes, &[], Some(0), &nothing).unwrap();
+        writer.finish(&nothing).unwrap();
+        let mut maps = Maps::with_windows_of(Some(SceneStore::open(dir.path()).unwrap()));
+        assert_eq!([arrive(&mut maps, 0, 80), arrive(&mut maps, 1, 80)], [2 * n_tracks, n_tracks]);
     }
 
     #[test]
@@ -163,6 +195,7 @@ mod tests {
                 bisects: false,
                 n_workers,
                 program: String::new(),
+                scenes: None,
             };
             let out = dir.path().join(name);
             let report = drive_corpus((&corpus, &out), from, &EgoChoice::Scene, &config, &futures, &Silent).unwrap();

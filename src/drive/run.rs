@@ -17,10 +17,10 @@ use crate::generate::Futures;
 use crate::progress::Progress;
 use crate::report::render_drives;
 use crate::scenario::DriveRow;
-use crate::store::{CorpusReader, DrivenWriter, write_atomically, write_drives, write_json_atomically};
+use crate::store::{CorpusReader, DrivenWriter, SceneStore, write_atomically, write_drives, write_json_atomically};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -56,6 +56,8 @@ pub struct DriveConfig {
     pub n_workers: usize,
     /// The program: what another one has driven is driven again.
     pub program: String,
+    /// The folder of ingested scenes that say who arrived in recordings; without, the corpus does.
+    pub scenes: Option<PathBuf>,
 }
 
 /// When to save the state of a drive: at the first replanning at or after this.
@@ -110,13 +112,16 @@ pub fn drive_corpus(
         Origin::Scenarios(selection) => (selection.positions(&reader)?, selection.limit.unwrap_or(usize::MAX)),
         Origin::State(world) => (vec![reader.position(&world.scenario_id)?], 1),
     };
-    let folder = NewFolder::begin(out, [("corpus", corpus)])?;
-    let kept = Kept::begin(out, &identity(&reader, from, ego, config, futures))?;
+    let inputs = [("corpus", corpus)].into_iter().chain(config.scenes.as_deref().map(|scenes| ("scenes", scenes)));
+    let folder = NewFolder::begin(out, inputs)?;
+    let scenes = config.scenes.as_deref().map(SceneStore::open).transpose()?;
+    let windows = scenes.as_ref().map_or("", SceneStore::fingerprint);
+    let kept = Kept::begin(out, &format!("{} {windows}", identity(&reader, from, ego, config, futures)))?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
     let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
     let mut output = Output { states, rows: Vec::new(), margins: Vec::new() };
     let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect::<Result<_>>()?;
-    let (mut maps, mut tracks, mut cards) = (Maps::default(), Tracks::default(), Cards::default());
+    let (mut maps, mut tracks, mut cards) = (Maps::with_windows_of(scenes), Tracks::default(), Cards::default());
     let mut positions = positions.into_iter();
     let mut n_chosen = 0;
     progress.start("drive", positions.len().min(limit) as u64, "scenarios");

@@ -20,6 +20,10 @@ pub(in crate::cli) struct DriveArgs {
     /// The model that moves all others: a checkpoint or its folder [default: distilled or denoiser beside the corpus]
     #[arg(long, value_name = "PATH", value_parser = on_disk())]
     pub(in crate::cli) model: Option<PathBuf>,
+    /// Ingested scenes, such as the folder `scenes` of the run, which say who arrived in the recording of a scenario
+    /// [default: the scenes of the corpus]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
+    pub(in crate::cli) scenes: Option<PathBuf>,
     #[command(flatten)]
     pub(in crate::cli) chosen: ChosenArgs,
     /// How long to drive, seconds after the present

@@ -34,6 +34,7 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
         bisects: args.bisect,
         n_workers: rayon::current_num_threads(),
         program: version()?,
+        scenes: args.scenes.clone(),
     };
     begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
