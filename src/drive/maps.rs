@@ -9,6 +9,7 @@ use crate::scenario::ScenarioRecord;
 use crate::scene::{LaneGraph, MapId, Scene, SceneId};
 use crate::store::{CorpusReader, MapSource, SceneStore};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Scenes of a place from which its arrivals are estimated.
@@ -34,9 +35,17 @@ struct Recording {
 }
 
 impl Maps {
-    /// Of recordings of which these scenes have windows, too.
-    pub(super) fn with_windows_of(scenes: Option<SceneStore>) -> Self {
-        Self { scenes, ..Self::default() }
+    /// Those of a corpus, and the windows of its recordings that the scenes in this folder are, if one is given.
+    ///
+    /// # Errors
+    /// When the folder has no finished scenes.
+    pub(super) fn with_windows_in(scenes: Option<&Path>) -> Result<Self> {
+        Ok(Self { scenes: scenes.map(SceneStore::open).transpose()?, ..Self::default() })
+    }
+
+    /// What the windows depend on beside the corpus.
+    pub(super) fn fingerprint(&self) -> &str {
+        self.scenes.as_ref().map_or("", SceneStore::fingerprint)
     }
 
     /// The start of a scenario of this corpus.
@@ -81,7 +90,7 @@ impl Maps {
             Some(known) => known,
             None => {
                 let positions = match &self.scenes {
-                    Some(scenes) => scenes.windows_of(name),
+                    Some(scenes) => SceneId::windows_of(name, scenes.index().iter().map(|entry| entry.id)),
                     None => reader.windows_of(name)?,
                 };
                 Recording { name: name.to_owned(), positions, windows: BTreeMap::new() }
@@ -118,7 +127,6 @@ mod tests {
     use crate::progress::Silent;
     use crate::scene::TrackId;
     use crate::store::{CorpusNotes, CorpusWriter, SceneWriter};
-    use std::path::Path;
 
     /// A corpus of two windows of a recording, 2.5 s apart: by the second, everybody is somebody else.
     fn write_windows(dir: &Path) -> CorpusReader {
@@ -175,7 +183,7 @@ mod tests {
         let nothing = serde_json::Value::Null;
         writer.write_batch(&scenes, &[], Some(0), &nothing).unwrap();
         writer.finish(&nothing).unwrap();
-        let mut maps = Maps::with_windows_of(Some(SceneStore::open(dir.path()).unwrap()));
+        let mut maps = Maps::with_windows_in(Some(dir.path())).unwrap();
         assert_eq!([arrive(&mut maps, 0, 80), arrive(&mut maps, 1, 80)], [2 * n_tracks, n_tracks]);
     }
 

@@ -36,6 +36,19 @@ impl SceneId {
         let first_frame = first_frame.parse::<i64>().ok().filter(|frame| frame.unsigned_abs() < 1 << 53)?;
         Some((recording, first_frame))
     }
+
+    /// The first frames of the windows of a recording among scenes with these ids, with the position of the first of
+    /// each; by time.
+    pub fn windows_of<'i>(recording: &str, ids: impl Iterator<Item = &'i str>) -> Vec<(i64, usize)> {
+        let of = |(position, id): (usize, &'i str)| {
+            let (name, first_frame) = Self::window_of(id)?;
+            (name == recording).then_some((first_frame, position))
+        };
+        let mut windows: Vec<(i64, usize)> = ids.enumerate().filter_map(of).collect();
+        windows.sort_unstable();
+        windows.dedup_by_key(|(first_frame, _)| *first_frame);
+        windows
+    }
 }
 string_id! {
     /// A track as the recording names it; unique within a scene.

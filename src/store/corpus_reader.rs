@@ -135,21 +135,13 @@ impl CorpusReader {
         Ok(maps.iter().enumerate().filter(is_on_map).map(|(i, _)| i).filter(is_first).collect())
     }
 
-    /// The first frames of the scenes that are windows of this recording, as of [`SceneId::window_of`], with the
-    /// position of the first scenario of each; in their order.
+    /// The windows of this recording ([`SceneId::windows_of`]), with the position of the first scenario of each.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when the table lacks a column.
     pub fn windows_of(&self, recording: &str) -> Result<Vec<(i64, usize)>> {
         let ids: &StringArray = self.columns().get("scene_id")?;
-        let windows = ids.iter().enumerate().filter_map(|(i, id)| {
-            let (of, first_frame) = SceneId::window_of(id?)?;
-            (of == recording).then_some((first_frame, i))
-        });
-        let mut windows: Vec<(i64, usize)> = windows.collect();
-        windows.sort_unstable();
-        windows.dedup_by_key(|(first_frame, _)| *first_frame);
-        Ok(windows)
+        Ok(SceneId::windows_of(recording, (0..self.len()).map(|i| ids.value(i))))
     }
 
     /// The tracks of a recorded scene, in the scene frame; `None` if the corpus lacks the recording. The rest of the

@@ -106,17 +106,6 @@ impl SceneStore {
         found.ok().map(|at| self.by_id[at] as usize)
     }
 
-    /// The windows of a long recording ([`SceneId::window_of`]): first frame and position, by time.
-    pub fn windows_of(&self, recording: &str) -> Vec<(i64, usize)> {
-        let of = |(position, entry): (usize, SceneIndexEntry<'_>)| {
-            let (name, first_frame) = SceneId::window_of(entry.id)?;
-            (name == recording).then_some((first_frame, position))
-        };
-        let mut windows: Vec<(i64, usize)> = self.index.iter().enumerate().filter_map(of).collect();
-        windows.sort_unstable();
-        windows
-    }
-
     /// Loads scene `i` with its lanes.
     ///
     /// # Errors

@@ -9,6 +9,7 @@ const STILL_STEP_M: f64 = 0.004;
 /// Who was observed to stand for so many states, and is generated to get no farther than this, meters, stays. A start
 /// gets as far in half a second; networks let standing vehicles creep.
 const STANDING_STATES: usize = 6;
+const CREEP_M: f64 = 0.15;
 /// Who got no farther than at this speed, m/s, in the last observed second stands, but for errors of the tracker.
 const STANDING_MPS: f64 = 0.2;
 /// The way that who stands is then generated to go counts in full if it is longer than this, meters, and for little if
@@ -18,7 +19,6 @@ const START_M: f64 = 1.0;
 const ONSET_S: f64 = 0.3;
 /// The mean of so many states is where somebody gets.
 const END_STATES: usize = 3;
-const CREEP_M: f64 = 0.15;
 /// Positions this close are the same but for rounding, meters.
 const SAME_PLACE_M: f64 = 1e-6;
 
