@@ -65,20 +65,31 @@ impl Maps {
         Situation::new(record, ego_idx, map)
     }
 
-    /// The ends of the map of a scene, by the scenes that the corpus has of it.
+    /// The ends of the map of a scene, by other scenes on it.
     pub(super) fn ends(&mut self, scene: &Scene, reader: &CorpusReader) -> Result<Arc<Ends>> {
         let last = self.last.as_ref().filter(|(id, _)| Some(id) == scene.map_id.as_ref());
         let Some((id, map)) = last else { return Ok(Arc::default()) };
         if let Some((_, ends)) = self.ends.as_ref().filter(|(known, _)| known == id) {
             return Ok(Arc::clone(ends));
         }
-        let mut scenes = Vec::new();
-        for position in reader.scenes_of(id)?.into_iter().take(MOST_SCENES) {
-            scenes.push(reader.scenario(position)?.scenario.scene);
-        }
+        let scenes = self.scenes_on(id, scene, reader)?;
         let ends = Arc::new(Ends::of(map, &scenes));
         self.ends = Some((id.clone(), Arc::clone(&ends)));
         Ok(ends)
+    }
+
+    /// Scenes on the map of this one: those of the folder that was given, from all over it, or else of the corpus.
+    fn scenes_on(&self, map: &MapId, scene: &Scene, reader: &CorpusReader) -> Result<Vec<Scene>> {
+        let Some(store) = &self.scenes else {
+            let read = |position: usize| Ok(reader.scenario(position)?.scenario.scene);
+            return reader.scenes_of(map)?.into_iter().take(MOST_SCENES).map(read).collect();
+        };
+        let entries = store.index().iter().enumerate();
+        let here: Vec<usize> = entries.filter(|(_, at)| at.place == scene.source.place).map(|(i, _)| i).collect();
+        let spread = here.iter().step_by(here.len().div_ceil(MOST_SCENES).max(1));
+        let mut scenes: Vec<Scene> = spread.map(|i| store.scene(*i)).collect::<Result<_, _>>()?;
+        scenes.retain(|scene| scene.map_id.as_ref() == Some(map));
+        Ok(scenes)
     }
 
     /// Who arrived in the recording of a scene within `n_steps` after its present, or a window later.
@@ -127,6 +138,7 @@ mod tests {
     use crate::progress::Silent;
     use crate::scene::TrackId;
     use crate::store::{CorpusNotes, CorpusWriter, SceneWriter};
+    use std::path::PathBuf;
 
     /// A corpus of two windows of a recording, 2.5 s apart: by the second, everybody is somebody else.
     fn write_windows(dir: &Path) -> CorpusReader {
@@ -150,6 +162,15 @@ mod tests {
         writer.write_scenarios(&[first, second]).unwrap();
         writer.finish(&CorpusNotes::default()).unwrap();
         CorpusReader::open(dir).unwrap()
+    }
+
+    fn write_scenes(dir: &Path, reader: &CorpusReader, scenes: &[Scene]) {
+        let (mut writer, _) = SceneWriter::resume(dir).unwrap();
+        let map_id = scenes[0].map_id.clone().unwrap();
+        let map = reader.map(&map_id).unwrap();
+        let nothing = serde_json::Value::Null;
+        writer.write_batch(scenes, &[(map_id, map)], Some(0), &nothing).unwrap();
+        writer.finish(&nothing).unwrap();
     }
 
     #[test]
@@ -178,13 +199,14 @@ mod tests {
         let mut third = Scene { id: "interaction/train/FIX_Merging/000@51".into(), ..second.clone() };
         third.tracks.iter_mut().for_each(|track| track.id = TrackId(format!("last_{}", track.id)));
         let dir = tempfile::tempdir().unwrap();
-        let (mut writer, _) = SceneWriter::resume(dir.path()).unwrap();
-        let scenes = [first, second, third].map(|scene| Scene { map_id: None, lanes: Arc::default(), ..scene });
-        let nothing = serde_json::Value::Null;
-        writer.write_batch(&scenes, &[], Some(0), &nothing).unwrap();
-        writer.finish(&nothing).unwrap();
-        let mut maps = Maps::with_windows_in(Some(dir.path())).unwrap();
-        assert_eq!([arrive(&mut maps, 0, 80), arrive(&mut maps, 1, 80)], [2 * n_tracks, n_tracks]);
+        write_scenes(dir.path(), &reader, &[first.clone(), second, third]);
+        let mut known = Maps::with_windows_in(Some(dir.path())).unwrap();
+        assert_eq!([arrive(&mut known, 0, 80), arrive(&mut known, 1, 80)], [2 * n_tracks, n_tracks]);
+        // They say how much traffic a place has, too.
+        let map_id = first.map_id.clone().unwrap();
+        let n_scenes = |maps: &Maps, map: &MapId| maps.scenes_on(map, &first, &reader).unwrap().len();
+        assert_eq!([&known, &maps].map(|maps| n_scenes(maps, &map_id)), [3, 2]);
+        assert_eq!(n_scenes(&known, &MapId("another".to_owned())), 0);
     }
 
     #[test]
@@ -194,7 +216,7 @@ mod tests {
         write_windows(&corpus);
         let model = model();
         let futures = Futures::new(&model, 0, &candle_core::Device::Cpu).unwrap();
-        let drive = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>| {
+        let drive_with = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>, scenes: Option<PathBuf>| {
             let config = DriveConfig {
                 ego: EgoDriver::Careful,
                 rollout: RolloutConfig { horizon_s, replan_s: 0.5 },
@@ -203,12 +225,15 @@ mod tests {
                 bisects: false,
                 n_workers,
                 program: String::new(),
-                scenes: None,
+                scenes,
             };
             let out = dir.path().join(name);
             let report = drive_corpus((&corpus, &out), from, &EgoChoice::Scene, &config, &futures, &Silent).unwrap();
             let traffic = report.traffic["careful"];
             (traffic, fs_err::read(out.join(DRIVEN_FILE)).unwrap(), out.join(STATES_DIR).join("from1.json"))
+        };
+        let drive = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>| {
+            drive_with(name, n_workers, horizon_s, from, None)
         };
         let selection = Selection::default();
         let (traffic, bytes, state) = drive("one", 1, 3.0, &Origin::Scenarios(&selection));
@@ -222,5 +247,11 @@ mod tests {
         assert!(drive("again", 2, 3.0, &Origin::State(world.clone())).1 == bytes);
         assert_eq!(fs_err::read(again).unwrap(), fs_err::read(&state).unwrap());
         assert!(drive("shorter", 1, 1.6, &Origin::State(world)).0.driven_s[0] > 0.0);
+        // Scenes that have the first window alone: nobody is known to have come after it.
+        let scenes = dir.path().join("scenes");
+        let reader = CorpusReader::open(&corpus).unwrap();
+        write_scenes(&scenes, &reader, &[reader.scenario(0).unwrap().scenario.scene]);
+        let alone = drive_with("alone", 1, 3.0, &Origin::Scenarios(&selection), Some(scenes)).0;
+        assert_eq!(alone.n_arrived_recorded.iter().sum::<u64>(), 0, "{alone:?}");
     }
 }

@@ -7,16 +7,19 @@ use crate::scene::{Scene, SceneId, Track, Trajectory};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// After so long both are compared, seconds; recordings of many datasets are shorter than the second.
-const HORIZONS_S: [f64; 2] = [3.0, 8.0];
+/// The parts of a drive that are compared, seconds after the present: how it begins, as long a part after five seconds,
+/// and all of it. The second tells drift from what a longer track tells anyway. Recordings of many datasets end before.
+const SPANS_S: [[f64; 2]; 3] = [[0.0, 3.0], [5.0, 8.0], [0.0, 8.0]];
 /// Most tracks that a classifier learns from.
 const MOST_TRACKS: usize = 2000;
 
 /// The performance of a classifier that tells driven tracks from recorded ones.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ToldApart {
-    /// How long they are, seconds after the present.
-    pub horizon_s: f64,
+    /// The part of the drive that is compared, seconds after the present.
+    pub from_s: f64,
+    /// Its end.
+    pub to_s: f64,
     /// Tracks of either kind.
     pub n_tracks: u64,
     /// Probability that of a recorded and a driven track it picks the driven one: .5 is indistinguishable.
@@ -29,7 +32,7 @@ pub struct ToldApart {
 #[derive(Debug, Default)]
 pub(super) struct Tracks {
     scenes: BTreeSet<SceneId>,
-    pairs: [Vec<TrackPair>; HORIZONS_S.len()],
+    pairs: [Vec<TrackPair>; SPANS_S.len()],
 }
 
 impl Tracks {
@@ -44,18 +47,19 @@ impl Tracks {
         let (scene, number) = (&situation.scene, self.scenes.len());
         self.scenes.insert(scene.id.clone());
         let driven = situation.driven(world);
-        for (horizon_s, pairs) in HORIZONS_S.iter().zip(&mut self.pairs) {
-            let n_timesteps = scene.n_history + (horizon_s / scene.dt_s).round() as usize;
-            let n_recorded = recorded.iter().map(|track| track.trajectory.n_timesteps()).min().unwrap_or_default();
-            if n_recorded < n_timesteps || driven.n_timesteps < n_timesteps || pairs.len() > MOST_TRACKS {
+        let n_recorded = recorded.iter().map(|track| track.trajectory.n_timesteps()).min().unwrap_or_default();
+        for (span_s, pairs) in SPANS_S.iter().zip(&mut self.pairs) {
+            let [from, to] = span_s.map(|s| (s / scene.dt_s).round() as usize);
+            let timesteps = from..scene.n_history + to;
+            if n_recorded.min(driven.n_timesteps) < timesteps.end || pairs.len() > MOST_TRACKS {
                 continue;
             }
             let cut = |tracks: &[Track]| {
                 let cut = |track: &Track| {
-                    let trajectory = Trajectory::new(track.trajectory.entries()[..n_timesteps].to_vec());
+                    let trajectory = Trajectory::new(track.trajectory.entries()[timesteps.clone()].to_vec());
                     Track { trajectory, ..track.clone() }
                 };
-                Scene { tracks: tracks.iter().map(cut).collect(), n_timesteps, ..scene.clone() }
+                Scene { tracks: tracks.iter().map(cut).collect(), n_timesteps: timesteps.len(), ..scene.clone() }
             };
             let [recorded, driven] = [recorded, driven.tracks.as_slice()].map(cut);
             let around = [&recorded, &driven].map(Surroundings::new);
@@ -71,14 +75,56 @@ impl Tracks {
         }
     }
 
-    /// What a classifier makes of them, for each time with enough tracks.
+    /// What a classifier makes of them, for each part with enough tracks.
     pub(super) fn tell_apart(&self) -> Vec<ToldApart> {
-        let told = HORIZONS_S.iter().zip(&self.pairs).filter_map(|(horizon_s, pairs)| {
+        let told = SPANS_S.iter().zip(&self.pairs).filter_map(|(&[from_s, to_s], pairs)| {
             let test = TwoSampleTest::new(pairs)?;
             let auc = test.by_set.iter().find(|by_set| by_set.set == FeatureSet::All)?.tracks;
             let n_tracks = pairs.len() as u64;
-            Some(ToldApart { horizon_s: *horizon_s, n_tracks, auc: auc.value, interval: auc.interval })
+            Some(ToldApart { from_s, to_s, n_tracks, auc: auc.value, interval: auc.interval })
         });
         told.collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{record, situation};
+    use super::*;
+    use crate::geometry::Vec2;
+    use crate::scene::State;
+
+    /// A track that drives along x, and wavers from `wavers_from_s` on.
+    fn states(situation: &Situation, agent_idx: usize, wavers_from_s: f64) -> Vec<Option<State>> {
+        let scene = &situation.scene;
+        let state = |timestep: usize| {
+            let after_s = (timestep as f64 - scene.current_timestep() as f64) * scene.dt_s;
+            let aside_m = if after_s >= wavers_from_s { 0.1 * (9.0 * after_s).sin() } else { 0.0 };
+            let position = Vec2::new(10.0 * after_s, 40.0 * agent_idx as f64 + aside_m);
+            Some(State { position, heading_rad: 0.0, velocity: Vec2::new(10.0, 0.0) })
+        };
+        (0..scene.n_history + 80).map(state).collect()
+    }
+
+    #[test]
+    fn drift_is_told_where_it_begins() {
+        let mut situation = situation(&record());
+        let mut tracks = Tracks::default();
+        for number in 0..60 {
+            situation.scene.id = format!("scene {number}").as_str().into();
+            let n_tracks = situation.scene.tracks.len();
+            let of_all = |from_s| -> Vec<_> { (0..n_tracks).map(|idx| states(&situation, idx, from_s)).collect() };
+            let world = World::new("drifts", 0, 0, of_all(5.5).iter().map(Vec::as_slice));
+            let recorded: Vec<Track> = of_all(f64::INFINITY)
+                .into_iter()
+                .zip(&situation.scene.tracks)
+                .map(|(states, track)| Track { trajectory: Trajectory::new(states), ..track.clone() })
+                .collect();
+            tracks.add(&situation, &world, &recorded, true);
+        }
+        let told = tracks.tell_apart();
+        assert_eq!(told.iter().map(|told| [told.from_s, told.to_s]).collect::<Vec<_>>(), SPANS_S);
+        let aucs: Vec<f64> = told.iter().map(|told| told.auc).collect();
+        assert!((aucs[0] - 0.5).abs() < 0.05 && aucs[1..].iter().all(|auc| *auc > 0.95), "{aucs:?}");
     }
 }

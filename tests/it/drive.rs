@@ -246,6 +246,7 @@ fn what_cannot_be_driven_is_refused() {
         (&["--time-limit-s", "0"], 1, "time_limit_s is 0"),
         (&["--model", "Cargo.toml"], 1, "Cargo.toml"),
         (&["--out", CORPUS], 1, CORPUS),
+        (&["--scenes", "tests/fixtures"], 1, "tests/fixtures"),
     ] {
         let args = ["drive", CORPUS, "--ego", "idm", "--horizon-s", "0.5"];
         let own = ["--model", MODEL, "--out", out.to_str().unwrap()];
