@@ -75,7 +75,6 @@ fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
     let record = |stage: StageId| records.iter().find(|record| record.stage == stage.name());
     if let Some(evaluated) = record(StageId::Evaluate) {
         let count = |key: &str| evaluated.summary[key].as_u64().unwrap_or_default();
-
         let scenes = match count("n_accepted_scenes") {
             0 => String::new(),
             n => format!(", from {n} recorded scenes"),
