@@ -1,6 +1,6 @@
 //! A denoiser learns, resumes to the same weights and starts from a checkpoint, and its loss is EDM's.
 
-use super::testing::{Counted, arcs, collator, draws_of_four, job, one_source};
+use super::testing::{Counted, MadeScenes, arcs, collator, draws_of_four, job, one_source};
 use super::*;
 use crate::diffusion::{NoiseDistribution, NoiseSource};
 use crate::guidance::{AccelerationLimit, ObjectiveConfig};
@@ -170,4 +170,30 @@ fn training_can_start_from_a_checkpoint() {
     other.network.layers = "TAT".to_owned();
     let error = train_from(Some(&start), &arcs(40), &other, second.path()).unwrap_err().to_string();
     assert!(error.contains("another network"), "{error}");
+}
+
+#[test]
+fn a_checkpoint_takes_the_scales_of_other_scenes_without_training() {
+    let [first, second, third] = std::array::from_fn(|_| tempfile::tempdir().unwrap());
+    train(&arcs(40), &training(10), first.path()).unwrap();
+    let read = |dir: &Path| read_checkpoint::<DenoiserSpec>(&dir.join("model.safetensors"), &Device::Cpu).unwrap();
+    let start = read(first.path());
+    let further = train_from(Some(&start), &arcs(48), &training(1), second.path()).unwrap();
+    let calibrated = |dataset: &dyn Counted, dir: &Path| calibrate_denoiser(&start, &one_source(dataset), job(3, dir));
+    let fingerprint = calibrated(&arcs(48), third.path()).unwrap();
+    let found = read(third.path());
+    assert_eq!(found.fingerprint, fingerprint);
+    assert_ne!(found.metadata, start.metadata);
+    assert_eq!(found.metadata, DenoiserSpec { normalizer: further.spec.normalizer, ..start.metadata.clone() });
+    for (name, tensor) in &start.tensors {
+        let values = |tensor: &candle_core::Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        assert_eq!(values(tensor), values(&found.tensors[name]), "{name}");
+    }
+    // From its own scenes it takes what it has.
+    calibrated(&arcs(40), third.path()).unwrap();
+    assert_eq!(read(third.path()).metadata, start.metadata);
+    let mut short = arcs(1).scene(0).unwrap();
+    short.n_timesteps -= 1;
+    let error = calibrated(&MadeScenes(40, |_| short.clone()), third.path()).unwrap_err().to_string();
+    assert!(error.contains("calibrate on scenes of the same length"), "{error}");
 }

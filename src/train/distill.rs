@@ -32,7 +32,7 @@ pub fn distill_denoiser(
         distillation: Some(training.method.distillation(&teacher.metadata.edm)),
         ..teacher.metadata.clone()
     };
-    check_shape(&spec, data)?;
+    data.check_shape(&spec, "distill")?;
     training.method.check(&teacher.metadata)?;
     let mut model = Trainable::new(&spec, Some(teacher), job)?;
     let balance = if spec.network.geometry.is_some() { Balance::Places } else { Balance::Scenes };
@@ -45,29 +45,4 @@ pub fn distill_denoiser(
     let task = StepDistillationTask { denoiser, frozen, teacher: &taught_by, steps, training, draws };
     let outcome = fit(&training.common.fit, &mut model.params, &task, job)?;
     model.finish(spec, outcome, job)
-}
-
-/// Fails if the scenes do not have the shape of the teacher's. Only the first is checked, because batches reject scenes
-/// of different shapes.
-fn check_shape(spec: &DenoiserSpec, data: &TrainingData<'_>) -> Result<(), Error> {
-    let Some(first) = data.sources.iter().find_map(|source| source.train.first()) else {
-        return Err(Error::NoScenes("choose other splits or places in train.distill".to_owned()));
-    };
-    let scene = data.dataset.scene(*first).map_err(Error::Scene)?;
-    let is_alike = (scene.n_history, scene.n_timesteps) == (spec.n_history, spec.n_timesteps)
-        && (scene.dt_s - spec.dt_s).abs() < 1e-6;
-    if is_alike {
-        return Ok(());
-    }
-    Err(Error::Config(format!(
-        "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: distill on scenes of the \
-         same length",
-        scene.id,
-        scene.n_history,
-        scene.n_timesteps.saturating_sub(scene.n_history),
-        scene.dt_s,
-        spec.n_history,
-        spec.n_timesteps.saturating_sub(spec.n_history),
-        spec.dt_s
-    )))
 }

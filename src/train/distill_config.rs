@@ -56,6 +56,7 @@ impl Default for DistillTrainingConfig {
             tasks: TaskWeights::default(),
             data: Vec::new(),
             own_weight: None,
+            calibrate: false,
             steps: 2_000,
             batch_size: 8,
             evaluate_every: 500,

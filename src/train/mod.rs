@@ -7,6 +7,7 @@ mod baseline;
 mod baseline_config;
 #[cfg(test)]
 mod baseline_tests;
+mod calibrate;
 mod changed_losses;
 mod classification;
 #[cfg(test)]
@@ -45,6 +46,7 @@ mod training_data;
 
 pub use baseline::train_baseline;
 pub use baseline_config::{BaselineTraining, BaselineTrainingConfig};
+pub use calibrate::calibrate_denoiser;
 pub use changed_losses::map_warnings;
 pub use classification::{ClassificationTask, REPORT_SIGMAS};
 pub use classifier::{

@@ -8,7 +8,7 @@ use crate::settings::Issue;
 use crate::tensor::TaskWeights;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The type of a setting with its own default; other settings are an `Option` that a preset fills.
 pub(super) type Own<T> = T;
@@ -74,6 +74,16 @@ pub struct SceneChoice<'a> {
 pub(super) fn check_weights(own_weight: Option<f64>, data: &[MoreScenes]) -> Result<(), Issue> {
     match own_weight == Some(0.0) && data.is_empty() {
         true => Err(Issue::new("own_weight", "is 0, expected a positive number, or scenes of other runs in `data`")),
+        false => Ok(()),
+    }
+}
+
+/// Fails if there is no checkpoint to calibrate.
+pub(super) fn check_calibrates(calibrate: bool, checkpoint: Option<&Path>) -> Result<(), Issue> {
+    match calibrate && checkpoint.is_none() {
+        true => {
+            Err(Issue::new("calibrate", "goes with `checkpoint`: a training takes the scales of its scenes anyway"))
+        }
         false => Ok(()),
     }
 }
@@ -159,6 +169,10 @@ macro_rules! scene_training_section {
                 #[serde(skip_serializing_if = "Option::is_none")]
                 #[schemars(range(min = 0.0, max = 1e6))]
                 pub own_weight: Option<f64>,
+                /// Take the scales of motion from the scenes instead of from `checkpoint`, so that samples move as
+                /// these recordings do. Nothing is trained: it takes a second.
+                #[serde(skip_serializing_if = "std::ops::Not::not")]
+                pub calibrate: bool,
             }
         }
 
@@ -175,9 +189,10 @@ macro_rules! scene_training_section {
 
             /// The settings of `base` with the section's settings over them.
             fn scene_training(&self, base: &SceneTraining) -> Result<SceneTraining, Error> {
-                use crate::train::section::{check_tasks, check_weights, or};
+                use crate::train::section::{check_calibrates, check_tasks, check_weights, or};
                 check_tasks(Self::SECTION, &self.tasks)?;
                 check_weights(self.own_weight, &self.data).map_err(Self::refusal)?;
+                check_calibrates(self.calibrate, self.checkpoint.as_deref()).map_err(Self::refusal)?;
                 Ok(SceneTraining {
                     tasks: self.tasks,
                     batch_size: or(self.batch_size, base.batch_size),

@@ -1,6 +1,7 @@
 //! The scenes of a training run, and the constants gathered from them.
 
 use super::{Balance, Error, SceneDataset, TrainJob, WeightedGroups};
+use crate::model::DenoiserSpec;
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, NormalizerFit, StateParametrization};
 use std::collections::BTreeMap;
@@ -72,6 +73,31 @@ impl TrainingData<'_> {
     /// The held-out scenes to evaluate on, at most `n`, from each source its share.
     pub(super) fn chosen_held_out(&self, n: usize, seed: Seed) -> Vec<usize> {
         self.sample(n, |source| &source.held_out, seed.derive("held-out", &[]))
+    }
+
+    /// Refuses scenes that are of another shape than those of a denoiser; `verb` is what was to be done on them. Only
+    /// the first is checked, because batches reject scenes of different shapes.
+    pub(super) fn check_shape(&self, spec: &DenoiserSpec, verb: &str) -> Result<(), Error> {
+        let Some(first) = self.sources.iter().find_map(|source| source.train.first()) else {
+            return Err(Error::NoScenes(format!("choose other splits or places to {verb} on")));
+        };
+        let scene = self.dataset.scene(*first).map_err(Error::Scene)?;
+        let is_alike = (scene.n_history, scene.n_timesteps) == (spec.n_history, spec.n_timesteps)
+            && (scene.dt_s - spec.dt_s).abs() < 1e-6;
+        if is_alike {
+            return Ok(());
+        }
+        Err(Error::Config(format!(
+            "scene {} has {} + {} timesteps of {} s, the denoiser was trained on {} + {} of {} s: {verb} on scenes of \
+             the same length",
+            scene.id,
+            scene.n_history,
+            scene.n_timesteps.saturating_sub(scene.n_history),
+            scene.dt_s,
+            spec.n_history,
+            spec.n_timesteps.saturating_sub(spec.n_history),
+            spec.dt_s
+        )))
     }
 
     /// At most about `n` random scenes of those that `of` returns, from each source in proportion to its weight.

@@ -21,10 +21,19 @@ use std::path::{Path, PathBuf};
 pub struct Source<'a> {
     /// The checkpoint to use instead of training.
     pub checkpoint: Option<&'a Path>,
+    /// Whether the checkpoint takes its scales of motion from the scenes.
+    pub calibrates: bool,
     /// The checkpoint to start from.
     pub start_from: Option<&'a Path>,
     /// The scenes to train on, where they may be those of several runs.
     pub scenes: Option<SceneChoice<'a>>,
+}
+
+impl Source<'_> {
+    /// Whether anything of the model comes from scenes.
+    const fn learns(&self) -> bool {
+        self.checkpoint.is_none() || self.calibrates
+    }
 }
 
 /// How a model comes to be: the section of a training stage, and what is done with it.
@@ -53,6 +62,21 @@ pub trait Recipe: Serialize {
     /// # Errors
     /// When there is nothing to learn from, or training fails.
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
+
+    /// Writes a checkpoint of these weights whose scales are those of `own` scenes, or others, and returns its
+    /// fingerprint; `None` for models that have none.
+    ///
+    /// # Errors
+    /// When there are no scenes, or scenes of another shape.
+    fn calibrate(
+        &self,
+        _checkpoint: &Checkpoint<Self::Spec>,
+        _own: OwnScenes<'_>,
+        _layout: &Layout,
+        _job: TrainJob<'_>,
+    ) -> Result<Option<String>> {
+        Ok(None)
+    }
 
     /// Whether a checkpoint of such a network is one of this stage.
     ///
@@ -100,17 +124,19 @@ impl<R: Recipe> Stage for Train<'_, R> {
 
     fn check(&self) -> Result<()> {
         self.recipe.resolved()?;
-        match self.recipe.source(self.own) {
-            Source { checkpoint: None, scenes: Some(choice), .. } => check_folders(choice, &self.layout.scenes),
-            // One that is not there is found among the inputs.
-            Source { checkpoint: Some(path), .. } if checkpoint_file(path).exists() => {
-                let file = checkpoint_file(path);
+        let source = self.recipe.source(self.own);
+        if let Some(choice) = source.scenes.filter(|_| source.learns()) {
+            check_folders(choice, &self.layout.scenes)?;
+        }
+        // One that is not there is found among the inputs.
+        match source.checkpoint.map(checkpoint_file).filter(|file| file.exists()) {
+            Some(file) => {
                 let checkpoint = read_checkpoint::<R::Spec>(&file, &Device::Cpu)?;
                 R::check_kind(&checkpoint.metadata).map_err(|what| {
                     Failure::input_message(format_args!("{}: {} {what}", R::STAGE.name(), file.display()))
                 })
             }
-            _ => Ok(()),
+            None => Ok(()),
         }
     }
 
@@ -120,20 +146,25 @@ impl<R: Recipe> Stage for Train<'_, R> {
         if let Some(resolved) = self.recipe.resolved()? {
             config["resolved"] = resolved;
         }
-        let is_trained = self.recipe.source(self.own).checkpoint.is_none();
-        if is_trained {
+        let source = self.recipe.source(self.own);
+        if source.learns() {
             config["own"] = json!(self.own);
         }
-        Ok(with_precision(config, is_trained.then_some(self.precision)))
+        Ok(with_precision(config, source.checkpoint.is_none().then_some(self.precision)))
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let Source { checkpoint, start_from, scenes: choice } = self.recipe.source(self.own);
-        if let Some(path) = checkpoint {
-            return vec![StageInput::external("checkpoint", &checkpoint_file(path))];
+        let source = self.recipe.source(self.own);
+        let Source { checkpoint, start_from, scenes: choice, .. } = source;
+        let checkpoint = checkpoint.map(|path| StageInput::external("checkpoint", &checkpoint_file(path)));
+        if !source.learns() {
+            return checkpoint.into_iter().collect();
         }
-        let is_read =
-            |stage: &&StageId| **stage != StageId::Ingest || choice.is_none_or(|choice| choice.own_weight > 0.0);
+        let is_read = |stage: &&StageId| match stage {
+            StageId::Ingest => choice.is_none_or(|choice| choice.own_weight > 0.0),
+            // Scales are those of scenes.
+            _ => checkpoint.is_none(),
+        };
         let made = R::LEARNS_FROM
             .iter()
             .filter(is_read)
@@ -141,7 +172,7 @@ impl<R: Recipe> Stage for Train<'_, R> {
         let more = choice.map_or(&[][..], |choice| choice.data).iter().enumerate();
         let more = more.map(|(i, more)| StageInput::made_by(StageId::Ingest, &format!("data.{i}"), &more.scenes));
         let start = start_from.map(|path| StageInput::external("start_from", &checkpoint_file(path)));
-        made.chain(more).chain(start).collect()
+        made.chain(more).chain(start).chain(checkpoint.clone()).collect()
     }
 
     fn work(&self) -> Work<'_> {
@@ -153,17 +184,24 @@ impl<R: Recipe> Whole for Train<'_, R> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let StageContext { compute, progress, .. } = *context;
         let dir = context.root.join(R::STAGE.kind().outputs[0]);
-        let Some(path) = self.recipe.source(self.own).checkpoint else {
-            let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
+        let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
+        let source = self.recipe.source(self.own);
+        let Some(path) = source.checkpoint.map(checkpoint_file) else {
             return self.recipe.train(self.own, self.layout, job);
         };
-        let trained = TrainedModel::<R::Spec>::read(&checkpoint_file(path), compute)?;
         fs_err::create_dir_all(&dir)?;
-        let bytes = fs_err::read(checkpoint_file(path))?;
-        write_atomically::<std::io::Error>(&dir.join(MODEL_FILE), |file| file.write_all(&bytes))?;
+        let trained = TrainedModel::<R::Spec>::read(&path, compute)?;
         let mut summary = R::about(&trained.spec);
-        summary["fingerprint"] = json!(trained.fingerprint);
         summary["trained"] = json!(false);
+        let calibrated = match source.calibrates {
+            true => self.recipe.calibrate(&read_checkpoint(&path, &compute.device)?, self.own, self.layout, job)?,
+            false => None,
+        };
+        if calibrated.is_none() {
+            let bytes = fs_err::read(&path)?;
+            write_atomically::<std::io::Error>(&dir.join(MODEL_FILE), |file| file.write_all(&bytes))?;
+        }
+        summary["fingerprint"] = json!(calibrated.unwrap_or(trained.fingerprint));
         Ok(summary)
     }
 }

@@ -4,9 +4,10 @@ use super::train::{Recipe, Source};
 use super::training_scenes::{OpenedScenes, training_summary};
 use crate::engine::Result;
 use crate::model::DenoiserSpec;
+use crate::nn::Checkpoint;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DenoiserTrainingConfig, OwnScenes, TrainJob, train_denoiser};
+use crate::train::{DenoiserTrainingConfig, OwnScenes, TrainJob, calibrate_denoiser, train_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DenoiserTrainingConfig {
@@ -18,6 +19,7 @@ impl Recipe for DenoiserTrainingConfig {
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
         Source {
             checkpoint: self.checkpoint.as_deref(),
+            calibrates: self.calibrate,
             start_from: self.start_from.as_deref(),
             scenes: Some(self.scene_choice(own)),
         }
@@ -36,6 +38,17 @@ impl Recipe for DenoiserTrainingConfig {
 
     fn about(spec: &DenoiserSpec) -> Value {
         json!({ "steps": spec.steps })
+    }
+
+    fn calibrate(
+        &self,
+        checkpoint: &Checkpoint<DenoiserSpec>,
+        own: OwnScenes<'_>,
+        layout: &Layout,
+        job: TrainJob<'_>,
+    ) -> Result<Option<String>> {
+        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
+        Ok(Some(calibrate_denoiser(checkpoint, &scenes.data_of(&checkpoint.metadata)?, job)?))
     }
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {

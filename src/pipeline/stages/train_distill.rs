@@ -4,10 +4,10 @@ use super::train::{Recipe, Source, checkpoint_file};
 use super::training_scenes::{OpenedScenes, training_summary};
 use crate::engine::Result;
 use crate::model::DenoiserSpec;
-use crate::nn::read_checkpoint;
+use crate::nn::{Checkpoint, read_checkpoint};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DistillTrainingConfig, OwnScenes, TrainJob, distill_denoiser};
+use crate::train::{DistillTrainingConfig, OwnScenes, TrainJob, calibrate_denoiser, distill_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DistillTrainingConfig {
@@ -17,8 +17,12 @@ impl Recipe for DistillTrainingConfig {
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
 
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
-        let checkpoint = self.checkpoint.as_deref();
-        Source { checkpoint, scenes: Some(self.scene_choice(own)), ..Source::default() }
+        Source {
+            checkpoint: self.checkpoint.as_deref(),
+            calibrates: self.calibrate,
+            scenes: Some(self.scene_choice(own)),
+            ..Source::default()
+        }
     }
 
     fn check_kind(spec: &DenoiserSpec) -> std::result::Result<(), &'static str> {
@@ -38,11 +42,21 @@ impl Recipe for DistillTrainingConfig {
         json!({ "steps": spec.steps })
     }
 
+    fn calibrate(
+        &self,
+        checkpoint: &Checkpoint<DenoiserSpec>,
+        own: OwnScenes<'_>,
+        layout: &Layout,
+        job: TrainJob<'_>,
+    ) -> Result<Option<String>> {
+        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
+        Ok(Some(calibrate_denoiser(checkpoint, &scenes.data_of(&checkpoint.metadata)?, job)?))
+    }
+
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), &job.compute.device)?;
         let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
-        let DenoiserSpec { normalizer, network, .. } = &teacher.metadata;
-        let data = scenes.training_data(Some(normalizer.state_dim), network.geometry.is_some())?;
+        let data = scenes.data_of(&teacher.metadata)?;
         let outcome = distill_denoiser(&self.resolve()?, &data, &teacher, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }

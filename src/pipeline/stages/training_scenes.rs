@@ -3,6 +3,7 @@
 use crate::engine::Failure;
 use crate::engine::Result as StageResult;
 use crate::engine::fingerprint_value;
+use crate::model::DenoiserSpec;
 use crate::pipeline::layout::SCENES;
 use crate::scene::{Scene, Split};
 use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore};
@@ -94,6 +95,11 @@ impl<'a> OpenedScenes<'a> {
             sources.push(OpenedSource { name, store: SceneStore::open(path)?, first, weight, chosen });
         }
         Ok(Self { section, sources })
+    }
+
+    /// The scenes for a denoiser that was trained already.
+    pub(super) fn data_of(&self, denoiser: &DenoiserSpec) -> StageResult<TrainingData<'_>> {
+        self.training_data(Some(denoiser.normalizer.state_dim), denoiser.network.geometry.is_some())
     }
 
     /// The scenes to train on and those held out. Left out, `state_dim` is that of the datasets. Only a network that
