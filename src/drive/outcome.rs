@@ -17,11 +17,11 @@ pub enum Outcome {
     Hit,
     /// Its center left the road.
     LeftRoad,
-    /// It stood for the last four seconds with nobody in the 10 m ahead of it.
+    /// It stood for the last four seconds with 10 m of free road ahead of it.
     StoppedDead,
     /// Its planner did not answer in time.
     TimedOut,
-    /// Its planner died, or what it answered is no motion of a vehicle.
+    /// Its planner died, or its answer is no motion of a vehicle.
     PlannerFailed,
     /// The model had no future for the others; no fault of the ego.
     NotSampled,
@@ -81,18 +81,18 @@ impl Side {
     }
 }
 
-/// Whom the ego touched first.
+/// The first contact of the ego with another agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
-    /// The other.
+    /// The other agent.
     pub track: TrackId,
-    /// On which side of the ego.
+    /// The side of the ego that is touched.
     pub side: Side,
-    /// The speed of one seen from the other, m/s.
+    /// The speed of one relative to the other, m/s.
     pub relative_mps: f64,
 }
 
-/// The agent that touches the ego now.
+/// The first contact of the ego at present.
 pub(super) fn contact(situation: &Situation, world: &World) -> Option<Contact> {
     let ego_idx = situation.ego_idx;
     let ego = world.present(ego_idx)?;
@@ -114,7 +114,7 @@ pub(super) fn contact(situation: &Situation, world: &World) -> Option<Contact> {
     Some(Contact { track: situation.scene.tracks[agent_idx].id.clone(), side, relative_mps })
 }
 
-/// The shortest time to collision of the ego with anybody now, if both keep their velocities, seconds.
+/// The shortest time to collision of the ego with any agent now, if both keep their velocities, seconds.
 pub(super) fn ttc_s(situation: &Situation, world: &World) -> Option<f64> {
     let ego_idx = situation.ego_idx;
     let ego = world.present(ego_idx)?;
