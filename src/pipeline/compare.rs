@@ -41,7 +41,7 @@ fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
     if page.symlink_metadata().is_err() {
         return Ok(());
     }
-    // A device has no end, and a file of somebody else's may be of any size.
+    // A device has no end, and a foreign file may be of any size.
     regular(page).map_err(Failure::input)?;
     let begins_as_ours = || -> std::io::Result<bool> {
         let mut head = Vec::new();
