@@ -1,5 +1,5 @@
-//! What is lost when stores fail, processes are killed, and others write, too? Nothing, in a store that can be looked
-//! at.
+//! What is lost when stores fail, processes are killed, and others write, too? Nothing, in a store that can be
+//! inspected.
 
 mod cut;
 mod flaky;
