@@ -281,7 +281,7 @@ impl Bucket {
     }
 }
 
-/// An object as a store describes it, but for its name.
+/// An object as a store describes it, without its name.
 fn seen(meta: &ObjectMeta) -> Object {
     let modified = SystemTime::from(meta.last_modified);
     // All three kinds of stores give a tag; others may not.

@@ -6,10 +6,10 @@
 //! Then, with a [`Journal`] around it:
 //!
 //! 1. manifests that will change are removed, so that no reader takes a folder for whole;
-//! 2. lists of what is ours are written, then everything else, and manifests after that;
+//! 2. lists of our files are written, then everything else, and manifests after that;
 //! 3. the journal is replaced by one that holds the new records of finished stages, and what describes the run: this is
 //!    the moment at which the new state begins to count; then these files are written, too;
-//! 4. what is not among the files any more is removed.
+//! 4. objects that are not among the files any more are removed.
 //!
 //! A stage at work pushes its commits now and then ([`View::push_work`]), without a journal: in the order of its
 //! commits, so that another machine can resume from there.

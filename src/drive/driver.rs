@@ -31,7 +31,7 @@ pub trait Driver: Send {
         Ok(())
     }
 
-    /// The state of the ego at the next timestep; `sampled` is what the model would have it do.
+    /// The state of the ego at the next timestep; `sampled` is the one that the model sampled.
     ///
     /// # Errors
     /// When the driver has no answer.
@@ -51,12 +51,12 @@ pub trait Driver: Send {
     fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) {}
 }
 
-/// Why a driver does not go on.
+/// The failure of a driver.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failed {
     /// Whether it was too slow.
     pub fault: Fault,
-    /// What happened, in words.
+    /// A description of the failure.
     pub why: String,
 }
 

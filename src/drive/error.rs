@@ -22,7 +22,7 @@ pub enum Error {
     State {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and what to do.
+        /// The fault, and the remedy.
         why: String,
     },
     /// No scenario passes the selection.

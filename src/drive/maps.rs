@@ -1,4 +1,4 @@
-//! What scenarios of a place share: its map, where traffic enters and leaves it, and the recorded arrivals.
+//! Data that scenarios of a place share: its map, where traffic enters and leaves it, and the recorded arrivals.
 //!
 //! Scenarios of a place, and of a recording there, mostly follow each other, so the last of each is kept.
 

@@ -82,7 +82,7 @@ impl Margin {
     /// them can be later.
     ///
     /// # Errors
-    /// Those of a drive.
+    /// Errors of a drive.
     pub(super) fn find(
         situation: &Situation,
         outcomes: [Outcome; 2],

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub enum Outcome {
     /// The ego came through to the horizon, or to the end of the map.
     Survived,
-    /// It touched somebody.
+    /// It touched another agent.
     Hit,
     /// Its center left the road.
     LeftRoad,
@@ -58,7 +58,7 @@ impl Outcome {
     }
 }
 
-/// The side of the ego on which somebody touches it.
+/// The side of the ego that is touched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {

@@ -1,4 +1,4 @@
-//! What may happen from here on? Sampled futures of everybody, without advancing.
+//! Samples possible futures of everybody, without advancing.
 
 use super::reaction::brake;
 use super::{Failed, Result, Situation, World};

@@ -61,7 +61,7 @@ pub struct Failures {
     pub n_failed: u64,
     /// Failures that the careful driver avoids.
     pub n_avoidable: u64,
-    /// Scenarios in which the ego touches somebody, and those of them that the careful driver survives.
+    /// Scenarios in which the ego touches another agent, and those of them that the careful driver survives.
     pub n_hit: u64,
     /// See `n_hit`.
     pub n_hit_avoidable: u64,

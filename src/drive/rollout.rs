@@ -66,7 +66,7 @@ impl RolloutConfig {
     }
 }
 
-/// What moves all agents but the ego.
+/// The source of the motion of all agents but the ego.
 pub enum Others<'a> {
     /// The model, which answers to the ego.
     Sampled(&'a Futures<'a>),

@@ -93,7 +93,7 @@ pub enum Origin<'a> {
 /// must be new or empty and appears when it is complete.
 ///
 /// # Errors
-/// Those of the corpus, the folder and the model. A failure of a planner is an outcome.
+/// Errors of the corpus, the folder and the model. A failure of a planner is an outcome.
 pub fn drive_corpus(
     (corpus, out): (&Path, &Path),
     from: &Origin<'_>,

@@ -28,7 +28,7 @@ const RECORDED: &str = "recorded";
 /// the others as they are, the ego of the scenario, and the recording.
 ///
 /// # Errors
-/// Those of the corpus, the file and the folder; [`Error::Config`] when the file has other scenarios than the corpus.
+/// [`Error::Config`] when the file has other scenarios than the corpus; errors of the corpus, the file and the folder.
 pub fn score(
     (corpus, planned, out): (&Path, &Path, &Path),
     selection: &Selection,

@@ -12,7 +12,7 @@ use std::path::Path;
 const PRECIOUS_S: f64 = 600.0;
 /// The file in which training keeps its state: a folder with it has a training that began.
 const STATE_FILE: &str = "state.safetensors";
-/// Separates the name of an output that is moved aside from a hash of what it was made from.
+/// Separates the name of an output that is moved aside from the fingerprint of its record.
 const EARLIER: &str = ".earlier-";
 /// The record of the stage of a model that was moved aside.
 const RECORD_FILE: &str = "record.json";

@@ -144,7 +144,7 @@ pub(super) fn check_writable(
 ) -> Result<Vec<Kept>> {
     match action {
         Action::Reuse => Ok(Vec::new()),
-        // Whoever began the training has requested it already.
+        // The user who began the training has requested it already.
         Action::Resume => {
             WorkFolder::check_ours(root, stage.kind())?;
             ownership::check_outputs(root, stage.kind(), stage.outputs())?;

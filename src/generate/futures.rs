@@ -1,4 +1,4 @@
-//! What will everybody do from here on? Samples one unguided future of a scene at a time, for closed loops.
+//! Samples one unguided future of a scene at a time, for closed loops.
 
 use super::batch::Batch;
 use super::conditioning::Conditioned;

@@ -80,7 +80,7 @@ mod tests {
             let y_m = sampled.decode(&estimate).unwrap().to_dtype(candle_core::DType::F32).unwrap();
             let y_m = y_m.flatten_all().unwrap().to_vec1::<f32>().unwrap()[(12 + 10) * 3 + 1];
             assert!((value(&estimate) - 0.25 * f64::from(y_m)).abs() < 1e-3, "{parametrization:?}");
-            // The potential is linear: finite differences are exact but for rounding.
+            // The potential is linear: finite differences are exact up to rounding.
             let x0 = Var::from_tensor(&estimate).unwrap();
             let gradients = potential.log_potential(x0.as_tensor()).unwrap().sum_all().unwrap().backward().unwrap();
             let gradient = gradients.get(x0.as_tensor()).unwrap();

@@ -1,4 +1,4 @@
-//! The same noisy scene under two observation masks: the change between their diffused states.
+//! The change between the diffused states of one noisy scene under two observation masks.
 
 use super::BranchChange;
 use crate::tensor::SceneBatch;

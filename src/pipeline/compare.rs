@@ -20,7 +20,7 @@ const HEAD_BYTES: u64 = 1 << 20;
 /// Writes a page that sets the runs in two folders side by side.
 ///
 /// # Errors
-/// When one of the folders is no run folder or holds files that cannot be read; those of the file system.
+/// When one of the folders is no run folder or holds files that cannot be read; errors of the file system.
 pub fn write_comparison(a: &Path, b: &Path, page: &Path) -> Result<()> {
     let comparison = Comparison { a: read_run(a)?, b: read_run(b)? };
     check_page(a, b, page)?;

@@ -44,7 +44,7 @@ pub enum Error {
         /// The schema that the file names; empty if it names none.
         found: String,
     },
-    /// A file whose content is not what was written.
+    /// A file whose content is not as it was written.
     #[error(
         "{} is damaged: {detail}; restore it from a copy, or move its folder away and run the command that writes it \
          again",
@@ -155,7 +155,7 @@ fn what_to_name(inside: Option<&Path>) -> String {
 }
 
 impl Error {
-    /// A file whose content is not what was written.
+    /// A file whose content is not as it was written.
     pub(crate) fn corrupt(path: &Path, detail: impl Into<String>) -> Self {
         Self::Corrupt { path: path.to_owned(), detail: detail.into() }
     }

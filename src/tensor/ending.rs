@@ -58,7 +58,7 @@ pub(super) fn stay(entries: &mut [Option<State>], latent: &[u8], dt_s: f64) {
     let way = sum * (1.0 / ends.len() as f64);
     let turn_rad = angle_difference(end.heading_rad, last.heading_rad);
     let taken = START_M.powi(3) / (way.norm().powi(3) + START_M.powi(3));
-    // Along the way at a constant speed, but for its onset.
+    // Along the way at a constant speed, except during its onset.
     let ramp = |s: f64| s - ONSET_S * (1.0 - (-s / ONSET_S).exp());
     let n_generated = generated.len();
     for (i, state) in generated.iter_mut().enumerate() {
@@ -211,7 +211,7 @@ mod tests {
             let shift_m = entry.unwrap().position.x - at(t);
             assert!(shift_m.abs() < 0.004, "{t}: {shift_m}");
         }
-        // Up to an observed state nothing moves, lest it be missed.
+        // Up to an observed state nothing is shifted, so that the state is met.
         let mut entries: Vec<Option<State>> = (0..12).map(state).collect();
         latent[11] = 0;
         hold_still(&mut entries, &latent);

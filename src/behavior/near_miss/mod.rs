@@ -127,7 +127,7 @@ impl NearMiss {
         let moves = |body: &Body<'_>, timestep: usize| {
             body.state(timestep).is_some_and(|state| state.speed_mps() >= config::MIN_SPEED_MPS)
         };
-        // Delays that are a whole number of timesteps but for rounding are excluded.
+        // Delays that are a whole number of timesteps up to rounding are excluded.
         let max_delay = (self.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
         let found = |t: usize, u: usize| {
             [(first, second), (second, first)]

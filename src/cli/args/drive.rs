@@ -81,7 +81,7 @@ pub(in crate::cli) struct ScoreArgs {
     pub(in crate::cli) gates: DriveGates,
 }
 
-/// The scenarios to drive, chosen among the accepted ones, and the vehicle in them.
+/// The scenarios that are driven, of those that were accepted, and the vehicle in them.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ChosenArgs {
     /// Only scenarios of this requested behavior, such as cut_in

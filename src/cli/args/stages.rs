@@ -157,7 +157,7 @@ pub(in crate::cli) struct DenoiserArg {
     pub(in crate::cli) denoiser: Option<PathBuf>,
 }
 
-/// The models to sample scenarios with.
+/// The models that scenarios are sampled with.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ModelArgs {
     #[command(flatten)]
@@ -174,7 +174,7 @@ pub(in crate::cli) struct ModelArgs {
 }
 
 impl ModelArgs {
-    /// Replaces the run's folders by those that are given.
+    /// Puts the folders that are given in the place of the run's.
     pub(in crate::cli) fn replace_in(&self, layout: &mut Layout) {
         for (place, path) in [
             (&mut layout.denoiser, &self.denoiser.denoiser),

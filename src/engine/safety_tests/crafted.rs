@@ -12,7 +12,7 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Somebody's files, beside the folder that holds the run folder.
+/// Foreign files, beside the folder that holds the run folder.
 const THEIRS: [&str; 4] =
     ["victim.txt", "theirs/victim.txt", "theirs/deep/model.safetensors", "theirs/state.safetensors"];
 /// Stands for the folder of these files.

@@ -58,7 +58,7 @@ impl ShardFolder {
     /// The plans of a stage in a run folder; incomplete plans do not count.
     ///
     /// # Errors
-    /// When the record of a plan is damaged; those of the file system.
+    /// When the record of a plan is damaged; errors of the file system.
     pub(in crate::engine) fn all(root: &Path, kind: &'static StageKind) -> Result<Vec<Self>> {
         let Some(names) = kind.shards else { return Ok(Vec::new()) };
         let mut found = Vec::new();

@@ -271,6 +271,6 @@ fn an_archive_of_something_else_does_not_hinder_the_folder() {
     result.unwrap();
     assert_eq!(seen, [("z.csv".to_owned(), Ok("2".to_owned()))]);
     assert_eq!(asked.into_inner(), ["broken.zip", "cut.tar.gz", "z.csv"], "they are files like any other");
-    // An archive that is named as an input is wanted.
+    // An archive that is an input itself is always wanted.
     assert!(visit_all(&[folder.path().join("broken.zip")], &|_| true).1.is_err());
 }

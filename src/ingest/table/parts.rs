@@ -76,7 +76,7 @@ struct Long {
     n_parts_done: usize,
 }
 
-/// What a table is read for next.
+/// The purpose of the next reading of a table.
 enum Next {
     Times,
     Parts(Plan),

@@ -137,7 +137,7 @@ fn parts_give_the_scenes_of_the_whole() {
     }
 }
 
-/// The same table in Parquet, in row groups of 100 rows.
+/// The table of `text` in Parquet, in row groups of 100 rows.
 fn parquet(text: &str) -> Vec<u8> {
     let mut reader = csv_reader(b',').from_reader(text.as_bytes());
     let names = reader.headers().unwrap().clone();

@@ -156,7 +156,7 @@ fn who_turns_about_the_rear_axle_does_not_slide() {
         ValidityConfig { skip: vec![Check::Offroad, Check::StartAcceleration, Check::StartPosition], ..defaults() };
     for side in [1.0, -1.0] {
         assert_eq!(checks(&turning(side), &config), [""; 0]);
-        // The same motion with headings along it turned the other way.
+        // The motion unchanged, with headings along it turned the other way.
         let wrong = changed(turning(side), |_, state| State { heading_rad: -state.heading_rad, ..state });
         assert!(checks(&wrong, &config).contains(&"heading"));
     }

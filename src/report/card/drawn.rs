@@ -73,7 +73,7 @@ impl DrawnLane {
 }
 
 impl DrawnSample {
-    /// The agents of `scene` that come into view. `observed` says which states were given.
+    /// The agents of `scene` that come into view. `observed` tells which states were observed.
     pub(super) fn of(name: &str, scene: &Scene, observed: &ObservationMask, roles: &Roles, view: &ViewRect) -> Self {
         let agent = |(agent_idx, track): (usize, &crate::scene::Track)| {
             let extent = track.extent_or_nominal();
