@@ -1,4 +1,4 @@
-//! How does a library's panic over a damaged file become an error, without a word on the terminal?
+//! Turns a library's panic over a damaged file into an error, without a message on the terminal.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -7,9 +7,10 @@ thread_local! {
     static IS_CONTAINED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// The result of `decode`; `None` where it panicked. Whatever `decode` was given must be of no use afterwards.
+/// The result of `decode`; `None` if it panicked. Values that `decode` has used must not be used afterwards.
 ///
-/// For decoders of others that assert what a damaged file breaks: one such file must not end the reading of all others.
+/// For decoders of other projects whose assertions a damaged file violates: one such file must not end the reading of
+/// all others.
 pub fn contained<T>(decode: impl FnOnce() -> T) -> Option<T> {
     let outer = IS_CONTAINED.replace(true);
     let outcome = catch_unwind(AssertUnwindSafe(decode));

@@ -1,7 +1,7 @@
-//! Reports how far a long piece of work has come, without knowing who listens, and says whether to stop it.
+//! Reports the progress of long work, without knowing who listens, and asks whether to stop it.
 
-/// Receives the progress of one piece of work; what an implementation leaves out, it ignores. Implementations must
-/// tolerate calls from several threads.
+/// Receives the progress of one piece of work; the default of each method ignores it. Implementations must tolerate
+/// calls from several threads.
 #[expect(unused_variables, reason = "by default, reports are ignored")]
 pub trait Progress: Sync {
     /// Begins a phase of `total` units (0 when unknown), for instance `("ingest", 1990, "scenes")`.

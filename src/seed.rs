@@ -1,4 +1,4 @@
-//! Randomness that depends on nothing but a seed: which numbers belong to which purpose and index?
+//! Randomness that depends on nothing but a seed: streams of numbers by purpose and index.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

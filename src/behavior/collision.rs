@@ -81,7 +81,7 @@ impl Behavior for Collision {
         class.is_road_user()
     }
 
-    /// Events name the two in the order of tracks, so requests must do the same.
+    /// Events name the two agents in the order of tracks, so requests must do the same.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         (pair[0] < pair[1]).then(|| pair.to_vec())
     }

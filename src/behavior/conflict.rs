@@ -1,4 +1,4 @@
-//! Where the ways of two agents conflict: one comes into the way of another from beside it. When is it out of the way
+//! Conflicts of the paths of two agents: one comes into the way of another from beside it. When is it out of the way
 //! again, and when does the other get there?
 
 use super::footprint::Footprint;
@@ -10,11 +10,11 @@ use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{Extent, Scene, State, Track};
 use std::f64::consts::FRAC_PI_6;
 
-/// How long before the first gets into its way the other may begin to brake, seconds.
+/// How long before the first agent gets into its way the other may begin to brake, seconds.
 const FORESIGHT_S: f64 = 1.0;
-/// An agent in the lane of another that heads along it within this follows it, radians.
+/// An agent in the lane of another whose heading is within this of the lane's direction follows it, radians.
 const FOLLOWING_RAD: f64 = FRAC_PI_6;
-/// Spacing of the places along a lane at which a box is tried, meters, and the farthest of them.
+/// Spacing of the places along a lane at which a box is tested, meters, and the farthest of them.
 const SPACING_M: f64 = 0.5;
 const FARTHEST_M: f64 = 100.0;
 /// Agents below this speed arrive at no time, m/s.
@@ -45,13 +45,13 @@ pub(super) struct Conflict {
     pub(super) leaves: usize,
     /// The first timestep at which the box of the other is in the conflict zone; `None` if that is not recorded.
     pub(super) arrives: Option<usize>,
-    /// Whether it goes on in the lane of the other.
+    /// Whether it continues in the lane of the other.
     pub(super) merges: bool,
     zone: Vec<Footprint>,
 }
 
 impl<'a> Course<'a> {
-    /// The agent with the lane that it turns out to keep. `None` if it is in no lane at present.
+    /// The agent with the lane that it keeps. `None` if it is in no lane at present.
     pub(super) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let lane = KeptLane::of(scene, lanes, agent_idx)?;
         let track = &scene.tracks[agent_idx];
@@ -76,8 +76,8 @@ impl<'a> Course<'a> {
         ((place.offset_m - self.offset_m).abs() < reach_m, body.forward.dot(along) > FOLLOWING_RAD.cos())
     }
 
-    /// The way from where the agent is at `timestep` to where its box first overlaps one of `zone`, meters. `None` if
-    /// it is not tracked then, or does not come there.
+    /// The distance along the lane from the place of the agent at `timestep` to where its box first overlaps one of
+    /// `zone`, meters. `None` if it is not tracked then, or does not get there.
     fn way_m(&self, timestep: usize, zone: &[Footprint]) -> Option<f64> {
         let start_m = self.lane.project(self.state(timestep)?.position)?.station_m;
         let Extent { length_m, width_m } = self.extent;
@@ -100,9 +100,9 @@ impl<'a> Course<'a> {
 }
 
 impl Conflict {
-    /// The conflict in which `first` gets into the way of `other` before that one gets there. `None` if there is none,
-    /// if it begins before or ends after the states of `first`, if the two touch, or if the other certainly does not
-    /// get there within `within_s` after its last state.
+    /// The conflict in which `first` gets into the way of `other` before `other` gets there. `None` if there is none,
+    /// if it begins before or ends after the states of `first`, if the two touch, or if `other` certainly does not get
+    /// there within `within_s` after its last state.
     pub(super) fn between(first: &Course<'_>, other: &Course<'_>, within_s: f64) -> Option<Self> {
         let is_near = first.sweep.may_come_within(&other.sweep, other.fastest_mps * within_s);
         if !is_near || first.fastest_mps < STANDING_MPS {
@@ -121,9 +121,10 @@ impl Conflict {
         (is_first && !touches()).then_some(Self { enters, leaves, arrives, merges, zone })
     }
 
-    /// The post-encroachment time, seconds: from when the first is out of the way to when the other enters the conflict
-    /// zone, negative if it does so earlier. If that is not recorded, the time that the other would take from where it
-    /// is when the first is out of the way, at its speed of then. `None` if it stands or does not come there.
+    /// The post-encroachment time, seconds: from when the first agent is out of the way to when the other enters the
+    /// conflict zone, negative if it does so earlier. If that is not recorded, the time that the other would take from
+    /// its place when the first is out of the way, at its speed at that time. `None` if it stands or does not get
+    /// there.
     pub(super) fn pet_s(&self, other: &Course<'_>, dt_s: f64) -> Option<f64> {
         match self.arrives {
             Some(arrives) => Some((arrives as f64 - self.leaves as f64) * dt_s),
@@ -131,15 +132,15 @@ impl Conflict {
         }
     }
 
-    /// The time that the other takes to the conflict zone from where it is at `timestep`, at its speed of then,
-    /// seconds. `None` if it stands or does not come there.
+    /// The time that the other takes to the conflict zone from its place at `timestep`, at its speed at that time,
+    /// seconds. `None` if it stands or does not get there.
     pub(super) fn arrival_s(&self, other: &Course<'_>, timestep: usize) -> Option<f64> {
         let speed_mps = other.state(timestep)?.speed_mps();
         (speed_mps >= STANDING_MPS).then(|| other.way_m(timestep, &self.zone)).flatten().map(|way_m| way_m / speed_mps)
     }
 
-    /// The post-encroachment time if the other kept the speed that it has a second before the first gets into its way,
-    /// when it may begin to brake for it, seconds. `None` as for [`Self::arrival_s`].
+    /// The post-encroachment time if the other kept the speed of a second before the first gets into its way, when it
+    /// may begin to brake for it, seconds. `None` as for [`Self::arrival_s`].
     pub(super) fn pet_at_kept_speed_s(&self, other: &Course<'_>, dt_s: f64) -> Option<f64> {
         let before = self.enters.saturating_sub((FORESIGHT_S / dt_s).round() as usize);
         let taken_s = (self.leaves - before) as f64 * dt_s;
@@ -197,7 +198,7 @@ mod tests {
         let (found, pet_s) = conflict(&scene, 0, 1);
         assert_eq!(found.map(|found| (found.arrives, found.last_timestep())), Some((None, 16)));
         assert!((pet_s.unwrap() - 27.0 / 5.0).abs() < 1e-9, "{pet_s:?}");
-        // Who stands all the time does not come.
+        // An agent that always stands does not get there.
         let scene = crossing(&[Drive::straight(0.0, -12.0, FRAC_PI_2, 10.0), Drive::straight(-38.0, 0.0, 0.0, 0.0)]);
         assert!(conflict(&scene, 0, 1).0.is_none());
     }

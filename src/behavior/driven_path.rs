@@ -1,12 +1,12 @@
-//! The path an agent drives from some timestep on: where do others stand relative to it?
+//! The path an agent drives from some timestep on, and places relative to it.
 
 use crate::geometry::{OrientedBox, Polyline, Projection, Vec2};
 use crate::scene::{State, Track};
 
 /// Positions closer together than this are noise of the tracker, not path.
 const MIN_SPACING_M: f64 = 0.1;
-/// How far the path runs straight on at both ends, so that boxes behind the first and beyond the last position
-/// have a place on it. Longer than any road user.
+/// How far the path runs straight on at both ends, so that boxes behind the first and beyond the last position have a
+/// place on it. Longer than any road user.
 const EXTENSION_M: f64 = 50.0;
 
 /// The centers of an agent from a timestep to the end of its track, carried straight on at both ends.
@@ -66,8 +66,8 @@ impl DrivenPath {
         self.polyline.project(point)
     }
 
-    /// Where the agent's center is, and where it points, after it has driven `driven_m` along the path. Past the end it
-    /// goes straight on.
+    /// The position and heading of the agent after it has driven `driven_m` along the path. Past the end it goes
+    /// straight on.
     pub(crate) fn pose_at(&self, driven_m: f64) -> (Vec2, f64) {
         let mut left_m = (driven_m + EXTENSION_M).max(0.0);
         let mut end = (Vec2::ZERO, 0.0);
@@ -82,8 +82,8 @@ impl DrivenPath {
         (end.0 + Vec2::from_angle(end.1) * left_m, end.1)
     }
 
-    /// Distance along the path from the agent's front bumper to the nearest part of `body`, meters; negative
-    /// where they are alongside each other.
+    /// Distance along the path from the agent's front bumper to the nearest part of `body`, meters; negative where they
+    /// are alongside each other.
     pub(crate) fn gap_m(&self, body: &OrientedBox) -> Option<f64> {
         let stations = body.corners().into_iter().filter_map(|corner| self.project(corner)).map(|p| p.station_m);
         stations.reduce(f64::min).map(|nearest_m| nearest_m - EXTENSION_M - self.half_length_m)
@@ -119,7 +119,7 @@ mod tests {
         let path = DrivenPath::from(&corner_track(), 2).expect("tracked");
         let heading_rad = std::f64::consts::FRAC_PI_2;
         let body = |x: f64, y: f64| OrientedBox { center: Vec2::new(x, y), heading_rad, length_m: 4.0, width_m: 2.0 };
-        // From (2, 0) to the corner are 8 m, to the rear bumper at y = 5 five more; half a length is 2 m.
+        // 8 m from (2, 0) to the corner, five more to the rear bumper at y = 5; half a length is 2 m.
         assert!((path.gap_m(&body(10.0, 7.0)).expect("on the path") - 11.0).abs() < 1e-9);
         // Beyond the last position the path runs straight on.
         assert!((path.gap_m(&body(10.0, 27.0)).expect("on the path") - 31.0).abs() < 1e-9);

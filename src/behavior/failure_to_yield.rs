@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "failure_to_yield";
-/// The one that enters without the right of way, and the one that has it.
+/// The vehicle that enters without the right of way, and the one that has it.
 pub(super) const ROLES: &[&str] = &["entering", "priority"];
 /// Names of the parameters of its events, defined at [`FailureToYield`].
 pub(super) const PARAMETERS: &[&str] =

@@ -29,7 +29,7 @@ pub(super) struct Ahead {
 }
 
 impl<'a> Follower<'a> {
-    /// The agent with the lane that it turns out to keep, among other vehicles. `None` if it is in no lane at present.
+    /// The agent with the lane that it keeps, among other vehicles. `None` if it is in no lane at present.
     pub(super) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
         let lane = KeptLane::of(scene, lanes, agent_idx)?;
         Some(Self { scene, agent_idx, lane })
@@ -41,7 +41,7 @@ impl<'a> Follower<'a> {
         Some(Self { scene, agent_idx, lane })
     }
 
-    /// Its speed, m/s; 0 where it is not tracked.
+    /// Its speed, m/s; 0 if it is not tracked.
     pub(super) fn speed_mps(&self, timestep: usize) -> f64 {
         self.state(self.agent_idx, timestep).map_or(0.0, State::speed_mps)
     }

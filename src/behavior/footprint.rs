@@ -23,8 +23,8 @@ impl Bounds {
         points.into_iter().map(|point| Self { min: point, max: point }).reduce(Self::union)
     }
 
-    /// Whether the gaps between the rectangles along x and along y are both at most `gap_m`. Whatever lies in
-    /// two rectangles for which this is false is farther apart than `gap_m`.
+    /// Whether the gaps between the rectangles along x and along y are both at most `gap_m`. If not, anything in one is
+    /// farther than `gap_m` from anything in the other.
     pub(crate) fn is_within(&self, other: &Self, gap_m: f64) -> bool {
         self.min.x - other.max.x <= gap_m
             && other.min.x - self.max.x <= gap_m

@@ -8,7 +8,7 @@ use crate::scene::Scene;
 /// Speeds below this count as standing, m/s: a quotient by them would have no meaning.
 const STANDING_MPS: f64 = 0.1;
 
-/// The relation of two agents when one intrudes on the path of the other. The fields are the parameters of the same
+/// The relation of two agents when one intrudes on the path of the other. The fields are the parameters with these
 /// names of [`super::CutIn`] and [`super::CutInPaper`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Intrusion {
@@ -67,7 +67,7 @@ impl Intrusion {
 }
 
 /// The largest distance that the agent moves in the future to one side (+1 left, -1 right) of the line along its
-/// heading at present, meters. `None` where it is not tracked at present or has no future.
+/// heading at present, meters. `None` if it is not tracked at present or has no future.
 fn shift_m(scene: &Scene, agent_idx: usize, toward: f64) -> Option<f64> {
     let start = scene.state(agent_idx, scene.current_timestep())?;
     let forward = Vec2::from_angle(start.heading_rad);

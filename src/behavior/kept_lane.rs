@@ -1,4 +1,4 @@
-//! The lane that an agent keeps: where it leads, how wide it is, and where others are relative to it.
+//! The lane that an agent keeps: its course, its width, and the places of others relative to it.
 
 use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, SceneLanes};
 use crate::geometry::{Polyline, Projection, Vec2, angle_difference};
@@ -18,8 +18,8 @@ const EXTENSION_M: f64 = 100.0;
 /// Points closer together than this are merged, meters: lanes that follow on repeat the last point.
 const MIN_SPACING_M: f64 = 0.05;
 
-/// The lane in which an agent is at present, with the lanes that lead to it and those that follow on. Where the road
-/// forks, it continues in the lanes that the agent drives, or else in the straightest.
+/// The lane in which an agent is at present, with the lanes that lead to it and those that continue it. Where the road
+/// forks, it continues in the lanes that the agent drives, or otherwise in the straightest.
 pub(super) struct KeptLane {
     center: Polyline,
     /// Left and right boundaries, if all of its lanes have them.
@@ -134,7 +134,7 @@ impl KeptLane {
     }
 }
 
-/// The points at which an agent goes on after the last timestep of its track, which lasts to the end of the scene:
+/// The points at which an agent continues after the last timestep of its track, which lasts to the end of the scene:
 /// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. It comes over
 /// to the middle of the lane within some 20 m. Empty if it is in no lane.
 pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2> {
@@ -161,9 +161,10 @@ fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<
     states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()
 }
 
-/// The lanes to `start`, itself, and those that follow on, in driving direction, each once.
+/// The lanes to `start`, itself, and those that continue it, in driving direction, without repetitions.
 ///
-/// In a small roundabout, the lanes ahead are those behind: what was driven lies behind, the rest ahead.
+/// In a small roundabout, the lanes ahead are the ones behind, too: those already driven are behind, the rest are
+/// ahead.
 fn route<'a>(lanes: &SceneLanes<'a>, start: &IndexedLane<'a>, future: &[Vec2], history: &[Vec2]) -> Vec<&'a Lane> {
     let mut route = vec![start.lane];
     let driven_m = history.windows(2).map(|pair| pair[0].distance(pair[1])).sum::<f64>().min(BEHIND_M);

@@ -19,8 +19,8 @@ pub(super) const PARAMETERS: &[&str] =
 
 /// How long the center must stay in the new lane, seconds.
 const MIN_STAY_S: f64 = 1.0;
-/// How far the center must be beyond the lane's side before it has left the lane, meters: more than a center wavers
-/// that is driven along a side.
+/// How far the center must be beyond the lane's side before it has left the lane, meters: more than the center of a
+/// vehicle along a side wavers.
 const HYSTERESIS_M: f64 = 0.3;
 /// How far the center must be from the old center line for the change to have begun, meters.
 const START_OFFSET_M: f64 = 0.5;

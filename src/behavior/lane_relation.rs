@@ -10,12 +10,12 @@ use std::f64::consts::PI;
 pub(crate) const HALF_NOMINAL_WIDTH_M: f64 = 1.9;
 /// Lanes that follow on may leave a gap of this size between them, meters.
 const END_TOLERANCE_M: f64 = 0.5;
-/// How many connections apart two lanes may be and still count as one following the other.
+/// The most connections between two lanes of which one still counts as following the other.
 const MAX_HOPS: usize = 3;
 /// Lanes whose directions differ by less than this run side by side, radians (20 degrees).
 const PARALLEL_RAD: f64 = 0.35;
 
-/// Where a point is on a lane.
+/// The place of a point on a lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct LanePlace {
     /// Signed distance from the center line, meters; positive to its left.
@@ -43,7 +43,7 @@ impl<'a> IndexedLane<'a> {
         Some(Self { lane, bounds, outline: lane.outline(), length_m: lane.centerline.length_m() })
     }
 
-    /// Where `point` is on the lane. `None` before its start and past its end.
+    /// The place of `point` on the lane. `None` before its start and past its end.
     pub(crate) fn place(&self, point: Vec2) -> Option<LanePlace> {
         let projection = self.lane.centerline.project(point)?;
         let is_at_end = projection.station_m <= 0.0 || projection.station_m >= self.length_m - 1e-9;
@@ -77,7 +77,7 @@ pub(crate) fn is_in_polygon(polygon: &[Vec2], point: Vec2) -> bool {
 /// The relation of another lane to a lane, at a point on its edge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LaneRelation {
-    /// One follows the other, or both fork from one lane, or both end in one.
+    /// One follows the other, both fork from one lane, or both end in one.
     Along,
     /// Beside it, in the same direction.
     Beside,
@@ -97,7 +97,7 @@ impl<'a> SceneLanes<'a> {
         Self { graph, lanes: graph.lanes().iter().filter_map(IndexedLane::new).collect() }
     }
 
-    /// The lane of this id. `None` for one without points.
+    /// The lane with this id. `None` for one without points.
     pub(crate) fn get(&self, id: LaneId) -> Option<&IndexedLane<'a>> {
         self.lanes.binary_search_by_key(&id, |lane| lane.lane.id).ok().map(|i| &self.lanes[i])
     }
@@ -123,7 +123,7 @@ impl<'a> SceneLanes<'a> {
         })
     }
 
-    /// The lanes beside `from` at `point`, a point on it, with the side on which they lie: +1 left, -1 right.
+    /// The lanes beside `from` at `point`, a point on it, with their side: +1 left, -1 right.
     pub(crate) fn beside(&self, from: &IndexedLane<'_>, point: Vec2) -> Vec<(&IndexedLane<'a>, f64)> {
         let near = self.lanes.iter().filter(|lane| lane.lane.id != from.lane.id);
         let near = near.filter(|lane| lane.bounds.contains(point, 2.0 * HALF_NOMINAL_WIDTH_M));
@@ -138,7 +138,7 @@ impl<'a> SceneLanes<'a> {
         .collect()
     }
 
-    /// The lanes beside a vehicle there that come toward it, with the side on which they lie: +1 left, -1 right.
+    /// The oncoming lanes beside a vehicle at `point`, with their side: +1 left, -1 right.
     pub(crate) fn oncoming(&self, point: Vec2, heading_rad: f64) -> Vec<(&IndexedLane<'a>, f64)> {
         let near = self.lanes.iter().filter(|lane| lane.bounds.contains(point, 3.0 * HALF_NOMINAL_WIDTH_M));
         let beside = near.filter_map(|lane| {
@@ -146,7 +146,7 @@ impl<'a> SceneLanes<'a> {
             let is_next = (HALF_NOMINAL_WIDTH_M..3.0 * HALF_NOMINAL_WIDTH_M).contains(&there.offset_m.abs());
             let is_passed = (point - there.point).dot(Vec2::from_angle(there.heading_rad)).abs() < END_TOLERANCE_M;
             let is_opposite = angle_difference(there.heading_rad, heading_rad).abs() > PI - PARALLEL_RAD;
-            // Who is to the left of an oncoming lane has it on its own left.
+            // A point to the left of an oncoming lane has that lane on its own left.
             (is_next && is_passed && is_opposite).then_some((lane, there.offset_m.signum()))
         });
         beside.collect()
@@ -184,7 +184,7 @@ impl<'a> SceneLanes<'a> {
         let (ahead, behind) = (self.reachable(from, |l| &l.successors), self.reachable(from, |l| &l.predecessors));
         let names = |lane: &Lane, id: LaneId| lane.left_neighbor == Some(id) || lane.right_neighbor == Some(id);
         let mut family = ahead.union(&behind).filter_map(|id| self.graph.get(*id));
-        // A declared neighbor counts as one even where both lanes come from the same one.
+        // A declared neighbor counts as one even if both lanes come from the same lane.
         if family.any(|lane| names(lane, to.id) || names(to, lane.id)) {
             return Some(LaneRelation::Beside);
         }
@@ -234,7 +234,7 @@ mod tests {
 
     #[test]
     fn lanes_follow_fork_merge_or_lie_side_by_side() {
-        // 1 forks into 2 and 3; 4 runs beside 2 and is named by nobody; 5 is named by 1; 6 crosses.
+        // 1 forks into 2 and 3; 4 runs beside 2 without being declared a neighbor; 5 is declared by 1; 6 crosses.
         let graph = graph(
             "lanes = [
                 { id = 1, centerline = [[0, 0], [20, 0]], successors = [2, 3], left_neighbor = 5 },

@@ -1,4 +1,4 @@
-//! Which lane is an agent in over time, and when does it cross to one beside it?
+//! The lane of an agent over time, and its crossings to lanes beside.
 
 use super::lane_relation::{IndexedLane, LanePlace, LaneRelation, SceneLanes};
 use crate::geometry::{Vec2, angle_difference};
@@ -96,7 +96,7 @@ impl<'a> LaneTrace<'a> {
         let mut found: Vec<_> = candidates(lanes, state)
             .map(|(lane, place)| (lanes.relation(from, lane, state.position), lane, place))
             .collect();
-        // Lanes that follow on come before lanes beside; among these, the one with the agent deepest inside comes
+        // Lanes that follow on precede lanes beside; among each kind, the one with the agent deepest inside comes
         // first.
         found.sort_by(|a, b| b.2.margin_m.total_cmp(&a.2.margin_m));
         let best_of = |wanted: LaneRelation| found.iter().find(|(relation, _, _)| *relation == wanted);
@@ -112,8 +112,8 @@ impl<'a> LaneTrace<'a> {
         Some((lane, place))
     }
 
-    /// The first timestep of those up to `crossing` at which the agent is more than `offset_m` off the center line
-    /// of its lane, toward the side to which it crosses.
+    /// The first timestep up to `crossing` at which the agent is more than `offset_m` off the center line of its lane,
+    /// toward the side to which it crosses.
     pub(crate) fn departure(&self, crossing: &LaneMove<'_>, offset_m: f64) -> usize {
         let before = self.steps.iter().rev().skip_while(|step| step.timestep >= crossing.timestep);
         before
@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn who_comes_to_the_end_of_a_lane_goes_on_in_the_next_even_where_one_beside_is_nearer() {
-        // At y = -1.3, an agent is 0.6 m inside of lane 2, which follows on, and 1 m inside of lane 4 beside that.
+        // At y = -1.3, an agent is 0.6 m inside lane 2, which follows on, and 1 m inside lane 4 beside that.
         let lanes = lane_graph(
             "lanes = [
                 { id = 1, centerline = [[0, 0], [20, 0]], successors = [2] },

@@ -7,7 +7,7 @@ pub(super) const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
 /// Their largest lateral acceleration, m/s².
 pub(super) const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
 
-/// The share of the limits that an acceleration takes.
+/// The share of the limits that an acceleration uses.
 pub(super) fn effort(acceleration_mps2: f64) -> f64 {
     let limit = if acceleration_mps2 < 0.0 { *ACCELERATIONS_MPS2.start() } else { *ACCELERATIONS_MPS2.end() };
     acceleration_mps2 / limit

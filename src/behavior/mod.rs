@@ -127,8 +127,8 @@ pub trait Behavior: Send + Sync {
     }
 }
 
-/// Lists the behaviors: each has a module with its `ID`, `ROLES` and `PARAMETERS`, and a type of its name, whose fields
-/// are its options.
+/// Lists the behaviors: each has a module with its `ID`, `ROLES` and `PARAMETERS`, and a type with its name, whose
+/// fields are its options.
 macro_rules! behaviors {
     ($($(#[$doc:meta])* $Behavior:ident in $module:ident {
         subject: $subject:expr, is_collision: $is_collision:literal, needs_lanes: $needs_lanes:literal
@@ -236,7 +236,7 @@ impl BehaviorConfig {
         settings::check_ranges(self)
     }
 
-    /// The behavior of this name with default options. `None` when there is no such behavior.
+    /// The behavior with this name and default options. `None` if there is no such behavior.
     pub fn from_id(id: &str) -> Option<Self> {
         BehaviorEntry::of(id).map(|entry| (entry.default_config)())
     }
@@ -264,7 +264,7 @@ pub struct BehaviorEntry {
 }
 
 impl BehaviorEntry {
-    /// The behavior of this name. `None` when there is no such behavior.
+    /// The behavior with this name. `None` if there is no such behavior.
     pub fn of(id: &str) -> Option<&'static Self> {
         ALL.iter().find(|entry| entry.id == id)
     }

@@ -75,7 +75,7 @@ struct Step {
 }
 
 impl PedestrianStepsOut {
-    /// Whether the agent is on foot, judged from its timesteps before `end`, and beside the road at present.
+    /// Whether the agent is on foot, judged by its timesteps before `end`, and beside the road at present.
     pub(super) fn is_beside_road(&self, scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, end: usize) -> bool {
         let track = &scene.tracks[agent_idx];
         let mut states = track.trajectory.valid().filter(|(t, state)| *t < end && state.is_finite());

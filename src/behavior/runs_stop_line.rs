@@ -10,16 +10,16 @@ use serde::{Deserialize, Serialize};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "runs_stop_line";
-/// The one that does not stop.
+/// The vehicle that does not stop.
 pub(super) const ROLES: &[&str] = &["agent"];
 /// Names of the parameters of its events, defined at [`RunsStopLine`].
 pub(super) const PARAMETERS: &[&str] = &["speed_mps", "min_speed_mps"];
 
-/// Who rolled, but was never slower than this, is a hard negative, m/s; who was has stopped.
+/// A vehicle that rolled, but was never slower than this, is a hard negative, m/s; a slower one has stopped.
 const STOPPED_MPS: f64 = 0.5;
 
-/// Over this way before the line the vehicle must have stopped, meters, and it must be tracked there: less hides stops
-/// behind a waiting vehicle, more loses vehicles at the edge of the recording.
+/// The vehicle must have stopped over this distance before the line, meters, and it must be tracked there: less hides
+/// stops behind a waiting vehicle, more loses vehicles at the edge of the recording.
 const APPROACH_M: f64 = 10.0;
 
 /// One vehicle (`agent`) passes a stop line without stopping.

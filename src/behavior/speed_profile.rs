@@ -1,4 +1,4 @@
-//! How does an agent's speed change over time, without the noise of single timesteps?
+//! The change of an agent's speed over time, without the noise of single timesteps.
 
 use crate::scene::Trajectory;
 
@@ -6,10 +6,9 @@ use crate::scene::Trajectory;
 const SETTLING_S: f64 = 1.0;
 
 /// The acceleration at every timestep, m/s² along the motion: the slope of the least-squares line through the speeds in
-/// a window of at least `window_s` (and at least three timesteps) centered there. `None` where the window reaches
-/// beyond the trajectory or over a timestep that is not tracked. For a smoothed trajectory also where the window holds
-/// states of the second after `present`: earlier states were smoothed without later ones, and that second corrects
-/// their error.
+/// a window of at least `window_s` (and at least three timesteps) centered there. `None` if the window reaches beyond
+/// the trajectory or over a timestep that is not tracked. For a smoothed trajectory also if the window holds states of
+/// the second after `present`: earlier states were smoothed without later ones, and that second corrects their error.
 pub(crate) fn smoothed_accelerations_mps2(
     trajectory: &Trajectory,
     present: usize,

@@ -1,8 +1,8 @@
 //! The subject of an event: the vehicle to which it happens.
 //!
-//! A driving function under test takes the place of the subject. It is therefore never the one that causes the danger,
-//! but the one that must cope with it: who is cut off, not who cuts in. Where the behavior is a task that the vehicle
-//! has to solve itself, such as a turn or a stop line, its driver is the subject.
+//! A driving function under test takes the place of the subject. It is therefore never the agent that causes the
+//! danger, but the one that must cope with it: the vehicle that is cut off, not the one that cuts in. If the behavior
+//! is a task that the vehicle has to solve itself, such as a turn or a stop line, that vehicle is the subject.
 
 use super::driven_path::DrivenPath;
 use super::footprint::Footprint;
@@ -13,24 +13,24 @@ use std::f64::consts::FRAC_PI_2;
 
 /// Agents farther than this from the place, at their speed, have nothing to do with the event, seconds.
 const REACH_S: f64 = 5.0;
-/// Agents slower than this come upon nobody, m/s.
+/// Agents slower than this do not come upon others, m/s.
 const STANDING_MPS: f64 = 0.5;
 
 /// Which vehicle is the subject of a behavior's events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Subject {
-    /// The one in this role.
+    /// The agent in this role.
     Role(&'static str),
-    /// The first motorized agent of the two that has the other in its way: the follower, or the one that comes second
-    /// to where their paths cross. If neither has, the first.
+    /// The first motorized agent of the two that has the other in its way: the follower, or the one that gets second to
+    /// where their paths cross. If neither has, the first.
     WhoComesUpon,
-    /// Somebody without a role: the vehicle that first gets to the agent along its own path, if it does within 5 s.
+    /// An agent without a role: the vehicle that first gets to the agent along its own path, if it does so within 5 s.
     WhoMeetsIt,
 }
 
 impl BehaviorEvent {
-    /// Whether its subject is parked, or anybody if it is a hard negative: what everybody does beside a parked vehicle
-    /// is no example of what nearly happened.
+    /// Whether its subject is parked or, for a hard negative, any of its agents: traffic beside a parked vehicle is not
+    /// an example of what nearly happened.
     pub fn is_of_parked(&self, scene: &Scene) -> bool {
         let is_parked = |agent_idx: usize| scene.tracks[agent_idx].is_parked();
         match self.label {
@@ -39,7 +39,7 @@ impl BehaviorEvent {
         }
     }
 
-    /// The index of the subject among the tracks of `scene`. `None` if nobody is.
+    /// The index of the subject among the tracks of `scene`. `None` if there is none.
     pub fn subject_idx(&self, scene: &Scene) -> Option<usize> {
         let agents: Vec<usize> = self.roles.tracks().filter_map(|id| scene.track_idx(id)).collect();
         let is_motorized = |agent_idx: &usize| {
@@ -73,8 +73,8 @@ impl BehaviorEvent {
     }
 }
 
-/// How long `own` takes to `other`, which is in its way at `timestep`, along the path that it drives, at its speed of
-/// then, seconds. `None` if the other is not ahead of it or not in the strip that it covers.
+/// The time that `own` takes to `other`, which is in its way at `timestep`, along the path that it drives, at its speed
+/// at that time, seconds. `None` if the other is not ahead of it or not in the strip that it covers.
 fn arrival_s(scene: &Scene, [own, other]: [usize; 2], timestep: usize) -> Option<f64> {
     let at = |agent_idx: usize| scene.state(agent_idx, timestep).filter(|state| state.is_finite());
     let (ours, theirs) = (at(own)?, at(other)?);

@@ -1,4 +1,4 @@
-//! Where an agent's box is over time, and a quick search for the timesteps at which two agents' boxes meet.
+//! The box of an agent over time, and a quick search for the timesteps at which two agents' boxes meet.
 //!
 //! Every search is exact. Rectangles around the boxes of a few consecutive timesteps only rule out what cannot be.
 
@@ -67,8 +67,8 @@ impl SweptBoxes {
     }
 
     /// The timesteps (`leader`'s, the own one) at which the own box covers ground that `leader` covered 1 to
-    /// `max_delay` timesteps earlier, both within `timesteps` and `accept`ed: the one with the earliest timestep of
-    /// `leader`, and of those the one with the earliest own timestep.
+    /// `max_delay` timesteps earlier, both within `timesteps` and `accept`ed: the pair with the earliest timestep of
+    /// `leader`, and among those with the earliest own timestep.
     pub(crate) fn first_overlap_after(
         &self,
         leader: &Self,
@@ -89,7 +89,7 @@ impl SweptBoxes {
         if !self.may_come_within(other, limit_m) {
             return false;
         }
-        // Pairs that are close at all are mostly close at the same time, which is faster to test.
+        // Pairs that are close at all are usually close at the same time, which is faster to test.
         self.comes_within_at_same_time(other, timesteps.clone(), limit_m)
             || self.near(timesteps.clone(), other.bounds, limit_m).any(|(_, own)| {
                 other
@@ -104,7 +104,7 @@ impl SweptBoxes {
             && self.both_at(other, timesteps).any(|(_, own, theirs)| own.is_closer_than(theirs, limit_m))
     }
 
-    /// The boxes of both agents at those of `timesteps` at which both are tracked.
+    /// The boxes of both agents at the `timesteps` at which both are tracked.
     pub(crate) fn both_at<'a>(
         &'a self,
         other: &'a Self,

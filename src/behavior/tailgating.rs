@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "tailgating";
-/// The one that drives too close, and the one ahead of it.
+/// The vehicle that drives too close, and the one ahead of it.
 pub(super) const ROLES: &[&str] = &["follower", "leader"];
 /// Names of the parameters of its events, defined at [`Tailgating`].
 pub(super) const PARAMETERS: &[&str] = &["time_headway_s", "mean_speed_mps", "duration_s"];

@@ -6,7 +6,7 @@ use crate::geometry::Vec2;
 /// Speeds below this do not close a gap within any time of interest, m/s.
 const NO_MOTION_MPS: f64 = 1e-9;
 
-/// Time until the boxes first touch, seconds: 0 where they overlap, `None` where they never do.
+/// Time until the boxes first touch, seconds: 0 if they overlap, `None` if they never do.
 ///
 /// The boxes overlap while their projections onto all four of their axes overlap (separating-axis theorem). Under
 /// constant velocities each of these is an interval of time, and the boxes overlap in the intersection of the four.

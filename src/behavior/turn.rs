@@ -1,4 +1,4 @@
-//! Turning by a large angle in a small space: what left and right turns have in common.
+//! Turning by a large angle in a small space: the common part of left and right turns.
 
 use super::lane_relation::SceneLanes;
 use super::{BehaviorEvent, EventLabel};
@@ -13,7 +13,7 @@ pub(crate) const ROLES: &[&str] = &["agent"];
 pub(super) const PARAMETERS: &[&str] =
     &["heading_change_rad", "radius_m", "path_m", "duration_s", "mean_speed_mps", "lateral_acceleration_mps2"];
 
-/// A turn begins and ends where these shares of its change of heading are reached.
+/// A turn begins and ends when these shares of its change of heading are reached.
 const START_SHARE: f64 = 0.1;
 const END_SHARE: f64 = 0.9;
 /// An agent is only in lanes whose direction differs from its heading by less than this, radians.
@@ -26,8 +26,8 @@ const NEGATIVE_HEADING_CHANGE_RAD: f64 = FRAC_PI_6;
 const MAX_RADIUS_M: f64 = 50.0;
 /// Smallest mean radius of a turn, meters; less is tighter than a vehicle can steer, so the heading is noise.
 const MIN_RADIUS_M: f64 = 3.0;
-/// Lanes that lead back to themselves within this length are a roundabout, meters; around a block of houses it is
-/// farther.
+/// Lanes that lead back to themselves within this length are a roundabout, meters; the way around a block of houses is
+/// longer.
 const MAX_ROUNDABOUT_M: f64 = 250.0;
 /// Shortest path between start and end, meters; less is noise of the heading at low speed.
 const MIN_PATH_M: f64 = 3.0;
@@ -63,7 +63,7 @@ pub(crate) fn turns(id: &str, side: TurnSide, scene: &Scene) -> Vec<BehaviorEven
 /// Whether an agent with this pose is in a lane of a roundabout, or in one that leads to such a lane or comes from it.
 pub(super) fn is_at_roundabout(lanes: &SceneLanes<'_>, position: Vec2, heading_rad: f64) -> bool {
     let is_along = |lane_rad: f64| angle_difference(lane_rad, heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
-    // The outer lane of a roundabout may lead to exits only; the lane beside it is the one that leads around.
+    // The outer lane of a roundabout may lead only to exits; the lane beside it leads around.
     let is_of_roundabout = |lane: &Lane| {
         let beside = [lane.left_neighbor, lane.right_neighbor].into_iter().flatten();
         let beside = beside.filter_map(|id| lanes.get(id)).map(|lane| lane.lane);

@@ -14,13 +14,13 @@ use std::f64::consts::{FRAC_PI_4, PI};
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "unprotected_left_turn";
-/// The one that turns, and the one that comes toward it.
+/// The vehicle that turns, and the one that comes toward it.
 pub(super) const ROLES: &[&str] = &["turner", "oncoming"];
 /// Names of the parameters of its events, defined at [`UnprotectedLeftTurn`].
 pub(super) const PARAMETERS: &[&str] =
     &["pet_s", "time_to_arrival_s", "turner_speed_mps", "oncoming_speed_mps", "max_deceleration_mps2"];
 
-/// How far before and after the conflict zone lanes are followed to find where they come from and lead, meters.
+/// How far lanes are followed before and after the conflict zone to find their directions, meters.
 const ARM_M: f64 = 25.0;
 /// Lanes from opposite arms differ from opposite directions by less than this, and the turner heads along its lane
 /// within this, radians.
@@ -33,7 +33,7 @@ const U_TURN_RAD: f64 = 2.618;
 /// A post-encroachment time that is too long by less than this is a hard negative, seconds.
 const NEGATIVE_MORE_S: f64 = 2.0;
 
-/// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s: who is slower leaves the gap.
+/// The oncoming vehicle drives at least this fast when the turner gets into its way, m/s: a slower one leaves the gap.
 const MIN_SPEED_MPS: f64 = 5.0;
 
 /// One vehicle (`turner`) turns left along its lane, across the lane of an oncoming one (`oncoming`) and shortly ahead

@@ -12,7 +12,7 @@ use std::ops::RangeInclusive;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "wrong_way";
-/// The one that drives the wrong way.
+/// The vehicle that drives the wrong way.
 pub(super) const ROLES: &[&str] = &["agent"];
 /// Names of the parameters of its events, defined at [`WrongWay`].
 pub(super) const PARAMETERS: &[&str] = &["duration_s", "mean_speed_mps", "path_m"];
@@ -20,7 +20,7 @@ pub(super) const PARAMETERS: &[&str] = &["duration_s", "mean_speed_mps", "path_m
 /// A vehicle drives against a lane if it points opposite to it within this, radians.
 const OPPOSITE_RAD: f64 = FRAC_PI_4;
 
-/// The vehicle drives forward at least this fast, m/s: who maneuvers is slower.
+/// The vehicle drives forward at least this fast, m/s: maneuvering ones are slower.
 const MIN_SPEED_MPS: f64 = 2.0;
 /// A time that is too short, but at least this part of the least one, is a hard negative (0.5 of 1.5 s).
 const NEGATIVE_PART: f64 = 3.0;

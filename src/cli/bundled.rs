@@ -1,6 +1,6 @@
-//! Which files travel in the program, and what are they called in a folder that `djinn init` makes?
+//! Which files are bundled with the program, and where does `djinn init` put them?
 //!
-//! Pipelines name files by their paths from `pipelines/`. In a new folder they lie below the pipeline.
+//! Pipelines name files by their paths from `pipelines/`. In a new folder, these files are below the pipeline.
 
 use std::borrow::Cow;
 
@@ -11,8 +11,8 @@ macro_rules! pipeline {
     };
 }
 
-/// The pipelines and their text; the first one is the default. All that they read and no user has to bring is in
-/// [`FILES`].
+/// The pipelines and their text; the first one is the default. Everything that they read, except a user's recordings,
+/// is in [`FILES`].
 pub(super) static PIPELINES: [(&str, &str); 9] = [
     pipeline!("quickstart"),
     pipeline!("cut_in_corpus"),
@@ -50,8 +50,8 @@ static FILES: [Bundled; 3] = [
     bundled!("pipelines/models/geometric_two_steps.safetensors" as "models/geometric_two_steps.safetensors"),
 ];
 
-/// The files of a folder in which the pipeline of this name runs, with their content; the pipeline itself comes first.
-/// Empty if there is no such pipeline.
+/// The files of a folder in which the pipeline with this name runs, with their content; the pipeline itself comes
+/// first. Empty if there is no such pipeline.
 pub(super) fn folder_of(pipeline: &str) -> Vec<(String, Cow<'static, [u8]>)> {
     let Some((name, text)) = PIPELINES.iter().find(|(name, _)| *name == pipeline) else { return Vec::new() };
     let mut text = text.replace("djinn run pipelines/", "djinn run ");
@@ -72,7 +72,7 @@ pub(super) fn folder_of(pipeline: &str) -> Vec<(String, Cow<'static, [u8]>)> {
 mod tests {
     use super::*;
 
-    /// Only recordings that a user has to bring may be missing.
+    /// Nothing but a user's recordings may be missing.
     #[test]
     fn folders_hold_what_their_pipelines_name() {
         for (pipeline, _) in PIPELINES {

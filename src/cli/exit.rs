@@ -19,9 +19,9 @@ pub(super) fn of_failure(failure: &Failure) -> ExitCode {
     })
 }
 
-/// Prints what clap has to say (help is no error) and gives the code for it.
+/// Prints clap's message (help is no error) and returns its exit code.
 pub(super) fn of_usage(error: &clap::Error) -> ExitCode {
-    // Nobody reads the message when the terminal is gone.
+    // Nobody reads the message if the terminal is gone.
     let _ = error.print();
     if error.use_stderr() { ExitCode::from(1) } else { DONE }
 }

@@ -1,4 +1,4 @@
-//! The command line: what did the user ask for, and what is printed where?
+//! The command line: which command was given, and what is printed where?
 //!
 //! Data goes to stdout, everything else to stderr. Only this module prints, and only it knows clap and indicatif.
 

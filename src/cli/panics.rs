@@ -5,12 +5,12 @@ use crate::engine::{Failure, Result};
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
 use std::sync::{Mutex, PoisonError};
 
-/// The first panic of the process that nothing contains: its place and message. Those that follow are its consequences.
+/// The place and message of the first panic in the process that nothing contains. Later ones are its consequences.
 static FIRST: Mutex<Option<String>> = Mutex::new(None);
 
-/// The result of `work`. A panic in it, on whatever thread, is a fault of ours: it becomes a failure with the place in
-/// the source, and says what to report. Panics over damaged files that are contained are reported as errors by those
-/// who contain them.
+/// The result of `work`. A panic in it, on any thread, is a bug of ours: it becomes a failure with the place in the
+/// source and advice to report it. Panics over damaged files are contained where the files are read, and reported as
+/// errors.
 pub(super) fn told(work: impl FnOnce() -> Result<()>) -> Result<()> {
     std::panic::set_hook(Box::new(|panic| {
         if !is_contained() {

@@ -7,7 +7,7 @@ use clap::ColorChoice;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
-/// Decides about everything that is printed.
+/// Decides what is printed, where and how.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Printer {
     quiet: bool,
@@ -44,8 +44,8 @@ impl Printer {
         }
     }
 
-    /// Reports a failure with all its causes and the advice, to stderr; for work that goes on later without advice of
-    /// its own, what is left of it.
+    /// Reports a failure with all its causes and the advice, to stderr; without advice of its own, `left` tells what an
+    /// interruption leaves behind.
     pub(super) fn failure(&self, failure: &Failure, left: Option<&str>) {
         let mut causes = failure.error.chain().map(ToString::to_string);
         let mut text = causes.next().unwrap_or_default();
@@ -75,13 +75,13 @@ impl Printer {
     }
 }
 
-/// The text with URLs in the place of what shows them on disk, and with its control characters escaped, but for tabs
-/// and ends of lines: terminals obey them, and names of files and of entries of archives come from others.
+/// The text with URLs in place of their local copies, and with control characters escaped except tabs and ends of
+/// lines: terminals obey them, and names of files and of archive entries come from others.
 fn plain(text: &str) -> String {
     shown(&in_their_names(text), |c| c.escape_debug().to_string())
 }
 
-/// The text with control characters in the form that `escape` gives them, but for tabs and ends of lines.
+/// The text with control characters other than tabs and ends of lines in the form that `escape` gives them.
 fn shown(text: &str, escape: fn(char) -> String) -> String {
     let mut shown = String::with_capacity(text.len());
     for c in text.chars() {
@@ -90,12 +90,12 @@ fn shown(text: &str, escape: fn(char) -> String) -> String {
     shown
 }
 
-/// Prints which program this is, in the words in which results name it.
+/// Prints the program's name and version, as results name it.
 pub(super) fn version_line() {
     let _ = writeln!(io::stdout().lock(), "djinn {}", version().as_deref().unwrap_or(env!("CARGO_PKG_VERSION")));
 }
 
-/// A line on stderr. Nobody reads the message when it cannot be written.
+/// Prints a line on stderr. Failure is ignored: nobody could read a message about it.
 pub(super) fn stderr_line(line: &dyn Display) {
     let _ = writeln!(io::stderr().lock(), "{line}");
 }

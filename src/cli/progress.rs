@@ -1,4 +1,4 @@
-//! How does a terminal show the progress of long work, and what is left of it in a pipe?
+//! How does a terminal show the progress of long work, and how does a pipe?
 
 use super::args::OutputArgs;
 use super::printer::{Printer, stderr_line};
@@ -10,7 +10,7 @@ use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Shows a bar with rate and time left on a terminal; elsewhere one line when a phase starts and one when it ends.
+/// Shows a bar with rate and time left on a terminal; otherwise a line when a phase starts and one when it ends.
 pub(super) struct TerminalProgress {
     printer: Printer,
     style: Style,
@@ -33,13 +33,14 @@ struct Phase {
     bar: Option<ProgressBar>,
     /// Units in all; 0 when unknown.
     total: u64,
-    /// When the first units were reported, and how many: what an interrupted run had done before took no time now.
+    /// When units were first reported, and how many: an interrupted run had done these before.
     counted_from: Option<(Instant, u64)>,
-    /// After how much time the time left is printed again, where there is no bar.
+    /// When the time left is printed again, where there is no bar.
     next_estimate: Duration,
 }
 
-/// How long a phase without a bar runs before it says how long it will take; then after three times that, and so on.
+/// How long a phase without a bar runs before its first estimate of the time left; each later one takes three times as
+/// long.
 const FIRST_ESTIMATE: Duration = Duration::from_secs(20);
 
 impl TerminalProgress {
@@ -155,7 +156,7 @@ impl Phase {
     }
 }
 
-/// A rate in the digits that matter.
+/// A rate in its significant digits.
 fn per_second(rate: f64) -> String {
     match rate {
         rate if rate >= 100.0 => format!("{rate:.0}/s"),
@@ -164,7 +165,7 @@ fn per_second(rate: f64) -> String {
     }
 }
 
-/// Rate and time left, once there is something to tell them by.
+/// Rate and time left, once both can be estimated.
 fn pace(state: &ProgressState, to: &mut dyn Write) {
     let rate = per_second(state.per_sec());
     // Writing to a string cannot fail.
@@ -175,7 +176,7 @@ fn pace(state: &ProgressState, to: &mut dyn Write) {
     };
 }
 
-/// One line, also in a terminal of 60 columns: the note is cut off where the terminal ends.
+/// A bar in one line, even in a terminal of 60 columns: the note is cut off where the terminal ends.
 fn bar(phase: &str, total: u64, unit: &str) -> ProgressBar {
     let (bar, template) = if total == 0 {
         (ProgressBar::new_spinner(), "{prefix:.bold} {spinner} {human_pos} {unit} {pace} {wide_msg}")
@@ -183,7 +184,7 @@ fn bar(phase: &str, total: u64, unit: &str) -> ProgressBar {
         (ProgressBar::new(total), "{prefix:.bold} [{bar:10}] {human_pos}/{human_len} {unit} {pace} {wide_msg}")
     };
     let template = template.replace("{unit}", &unit.replace(['{', '}'], ""));
-    // The template is ours and always well-formed; were it not, indicatif's own style serves as well.
+    // The template is always well-formed; were it not, indicatif's own style serves as well.
     if let Ok(style) = ProgressStyle::with_template(&template) {
         bar.set_style(style.with_key("pace", pace).progress_chars("=> "));
     }

@@ -12,32 +12,31 @@ use std::sync::mpsc::channel;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long the line may take.
+/// The time limit for printing the line.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// How long a phase that listens has to keep what it has done. Batch systems give some two minutes of notice.
+/// The time that a phase that listens has to save its work. Batch systems give some two minutes of notice.
 const GRACE: Duration = Duration::from_secs(100);
 
-/// Advice on what stays of the work at hand, and how to go on.
+/// Advice on what an interruption leaves behind, and how to go on.
 static LEFT: Mutex<Option<Left>> = Mutex::new(None);
 /// Whether the work is to stop.
 static MUST_STOP: AtomicBool = AtomicBool::new(false);
-/// Whether the present phase has called [`must_stop`], and so will notice.
+/// Whether the present phase has called [`must_stop`], and so will notice the request.
 static LISTENS: AtomicBool = AtomicBool::new(false);
 
 #[derive(Clone)]
 struct Left {
     advice: String,
-    /// Whether the same command goes on with the work.
+    /// Whether the same command resumes the work.
     resumes: bool,
 }
 
-/// Says from now on what a signal leaves behind of work that begins anew, in words that follow "ended by SIGTERM: ".
+/// Sets the advice for work that has to begin anew after a signal, in words that follow "ended by SIGTERM: ".
 pub(super) fn leaves(advice: String) {
     *left() = Some(Left { advice, resumes: false });
 }
 
-/// [`leaves`] for work with which the same command goes on: SIGTERM and SIGUSR1 then end it with the exit code that
-/// says so.
+/// [`leaves`] for work that the same command resumes: SIGTERM and SIGUSR1 then end it with the exit code for that.
 pub(super) fn leaves_resumable(advice: String) {
     *left() = Some(Left { advice, resumes: true });
 }
@@ -47,28 +46,28 @@ pub(super) fn advice() -> Option<String> {
     left().clone().map(|left| left.advice)
 }
 
-/// Whether the work is to stop. A phase that calls this is given the time to keep what it has done.
+/// Whether the work is to stop. A phase that calls this is given time to save its work.
 pub(super) fn must_stop() -> bool {
     LISTENS.store(true, Ordering::Relaxed);
     MUST_STOP.load(Ordering::Relaxed)
 }
 
-/// A phase of the work begins, which has not called [`must_stop`] yet.
+/// Marks the beginning of a phase, which has not called [`must_stop`] yet.
 pub(super) fn phase_begins() {
     LISTENS.store(false, Ordering::Relaxed);
 }
 
-/// Watches for the signals that end the program. SIGINT and SIGHUP end it at once, so that a shell sees 128 and the
-/// number of the signal. So do SIGTERM and SIGUSR1, by which batch systems announce that they will take the machine,
-/// where the work begins anew. Where the same command goes on with it, they let a phase that listens keep what it has
-/// done, and the exit code says that it goes on.
+/// Watches for the signals that end the program. SIGINT and SIGHUP end it at once, so that a shell sees 128 plus the
+/// number of the signal. So do SIGTERM and SIGUSR1, by which batch systems announce that they will take the machine, if
+/// the work has to begin anew. If the same command resumes it, they let a phase that listens save its work, and the
+/// exit code tells that it can be resumed.
 ///
-/// Nothing is tidied up: whatever is written is whole under its name or called partial at every moment, and the next
-/// command knows what to do with it. Signals that the parent ignores, as `nohup` does with SIGHUP, stay ignored.
+/// Nothing is cleaned up: at every moment, each file is whole under its name or marked as partial, and the next command
+/// handles the rest. Signals that the parent ignores, as `nohup` does with SIGHUP, stay ignored.
 pub(super) fn watch() {
     let ignored = ignored_signals();
     let wanted = [SIGTERM, SIGINT, SIGHUP, SIGUSR1].into_iter().filter(|signal| ignored & (1 << (signal - 1)) == 0);
-    // Where signals cannot be watched they end the program without a word.
+    // If signals cannot be watched, they end the program without a message.
     let Ok(mut signals) = Signals::new(wanted) else { return };
     std::thread::spawn(move || {
         for signal in signals.forever() {
@@ -81,7 +80,7 @@ pub(super) fn watch() {
             );
             if !resumes {
                 tell(ended);
-                // It returns only where the signal cannot be raised; the next one is watched for then.
+                // Returns only if the signal cannot be raised; then the next one is awaited.
                 let _ = emulate_default_handler(signal);
             } else if !MUST_STOP.swap(true, Ordering::Relaxed) {
                 if LISTENS.load(Ordering::Relaxed) {
@@ -93,7 +92,7 @@ pub(super) fn watch() {
     });
 }
 
-/// Ends the program, once the present phase does not listen or has had its time.
+/// Ends the program once the present phase does not listen or its time is up.
 fn end_unless_listening(ended: String) {
     let began = Instant::now();
     while LISTENS.load(Ordering::Relaxed) && began.elapsed() < GRACE {
@@ -103,7 +102,7 @@ fn end_unless_listening(ended: String) {
     low_level::exit(i32::from(exit::LATER));
 }
 
-/// Prints a line. Nobody may be reading: that must not keep the program alive.
+/// Prints a line on a thread of its own: a blocked terminal must not keep the program alive.
 fn tell(line: impl Display + Send + 'static) {
     // On a terminal, a progress bar may stand in the line.
     let begin = if std::io::stderr().is_terminal() { "\n" } else { "" };
@@ -119,8 +118,7 @@ fn left() -> MutexGuard<'static, Option<Left>> {
     LEFT.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The signals that the process ignores, a bit each, the lowest that of signal 1; none where the system does not report
-/// them.
+/// The signals that the process ignores, one bit each, signal 1 in the lowest; none if the system does not report them.
 fn ignored_signals() -> u64 {
     let status = fs_err::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -1,9 +1,8 @@
-//! A folder of objects: what is in it, and how does a file get in and out whole?
+//! A folder of objects: lists it, and transfers whole files to and from it.
 //!
 //! Every action is repeated a few times, each time a little later. All of them may be repeated: an upload replaces an
-//! object by the same bytes, whether or not an answer got lost; nothing is created on condition that it is missing. A
-//! download is compared with the length that the listing gave and, if djinn uploaded it, with the hash that it left
-//! beside the object.
+//! object by the same bytes, even if an answer got lost; nothing is created on condition that it is missing. A download
+//! is compared with the length in the listing and, if djinn uploaded it, with the hash that it left beside the object.
 
 use super::ObjectUrl;
 use super::connect::{connect, runtime};
@@ -21,11 +20,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
-/// The name of the hash beside an object. Azure takes letters only.
+/// The name of the hash beside an object. Azure allows only letters.
 const HASH: Attribute = Attribute::Metadata(std::borrow::Cow::Borrowed("djinnblake3"));
 /// Larger files are sent in parts of at least this size, bytes.
 const PART_BYTES: u64 = 16 << 20;
-/// S3 takes no more parts of a file.
+/// The most parts of a file in S3.
 const MAX_PARTS: u64 = 10_000;
 
 /// A folder of objects: everything below one URL.
@@ -36,10 +35,10 @@ pub(super) struct Bucket {
     patience: Patience,
 }
 
-/// How often something is tried.
+/// How often an action is tried.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patience {
-    /// How often at most.
+    /// The most attempts.
     pub(super) n_attempts: usize,
     /// The wait after the first attempt; it doubles with each.
     pub(super) first_wait: Duration,
@@ -75,15 +74,15 @@ impl Bucket {
         Self { store, url, patience }
     }
 
-    /// Where it is.
+    /// Its URL.
     pub(super) const fn url(&self) -> &ObjectUrl {
         &self.url
     }
 
-    /// Everything in the folder below it that is called `below` (empty: in all of it), sorted by name.
+    /// All objects in the folder `below` in it (empty: all objects), sorted by name.
     ///
     /// # Errors
-    /// When a name cannot be that of a file; those of the store.
+    /// When a name cannot be that of a file; errors of the store.
     pub(super) fn list(&self, below: &str) -> Result<Vec<Object>> {
         let prefix = self.url.join(below).key;
         let mut found = self.repeated("list", below, async || {
@@ -119,11 +118,11 @@ impl Bucket {
         Ok(found.map(|meta| Object { name: String::new(), ..seen(&meta) }))
     }
 
-    /// Brings an object to the file `to`, whose folder must exist; nothing is there unless it is whole. Returns what it
-    /// was: it may have been replaced since it was seen.
+    /// Downloads an object to the file `to`, whose folder must exist; nothing is there unless it is whole. Returns the
+    /// downloaded object, which may have been replaced since it was listed.
     ///
     /// # Errors
-    /// [`Error::Missing`]; those of the store and the disk.
+    /// [`Error::Missing`]; errors of the store and the disk.
     pub(super) fn download(&self, expected: &Object, to: &Path) -> Result<Object> {
         self.repeated("read", &expected.name, async || {
             let result = self.store.get(&self.key(&expected.name)?).await?;
@@ -160,7 +159,7 @@ impl Bucket {
         })
     }
 
-    /// Puts the content of a file in the place of an object.
+    /// Replaces an object by the content of a file.
     pub(super) fn upload(&self, name: &str, from: &Path) -> Result<Object> {
         let n_bytes = fs_err::metadata(from)?.len();
         if n_bytes <= PART_BYTES {
@@ -176,7 +175,7 @@ impl Bucket {
         Ok(Object { name: name.to_owned(), n_bytes, etag, modified: SystemTime::now() })
     }
 
-    /// Puts bytes in the place of an object.
+    /// Replaces an object by bytes.
     pub(super) fn write(&self, name: &str, bytes: &[u8]) -> Result<Object> {
         let FileStamp { n_bytes, checksum } = FileStamp::of(bytes);
         let payload = PutPayload::from(bytes.to_vec());
@@ -282,7 +281,7 @@ impl Bucket {
     }
 }
 
-/// An object as a store describes it, but for its name.
+/// An object as a store describes it, without its name.
 fn seen(meta: &ObjectMeta) -> Object {
     let modified = SystemTime::from(meta.last_modified);
     // All three kinds of stores give a tag; others may not.
@@ -293,12 +292,12 @@ fn seen(meta: &ObjectMeta) -> Object {
     Object { name: String::new(), n_bytes: meta.size, etag, modified }
 }
 
-/// A tag as all answers have it: some have it in quotes, and others of the same store do not.
+/// A tag in its common form: some answers of a store have it in quotes, and others do not.
 fn plain_tag(tag: Option<&str>) -> String {
     tag.unwrap_or_default().trim_start_matches("W/").trim_matches('"').to_owned()
 }
 
-/// The file `to`, not committed yet, with everything that comes.
+/// The file `to`, not committed yet, with all received bytes.
 async fn received(result: GetResult, to: &Path) -> object_store::Result<AtomicFile> {
     let mut file = AtomicFile::create(to).map_err(on_disk)?;
     let mut stream = result.into_stream();
@@ -331,7 +330,7 @@ fn on_disk(error: std::io::Error) -> StoreError {
     StoreError::Generic { store: "disk", source: error.into() }
 }
 
-/// The message with those causes that it does not repeat.
+/// The message, followed by the causes that it does not repeat.
 fn all_causes(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();

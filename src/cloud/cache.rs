@@ -1,8 +1,8 @@
-//! What was downloaded before, and where is it?
+//! The cache of downloaded objects.
 //!
 //! The folder of the cache holds `objects/`, each under a hash of its URL and its tag, so that an object that changes
-//! gets another name; `inputs/`, recordings under the names that they have in their bucket; `views/`, what commands
-//! show of run folders while they work; and `locks/`. All of it can be removed while no djinn runs.
+//! gets another name; `inputs/`, recordings under their names in the bucket; `views/`, the folders that commands work
+//! in; and `locks/`. All of it can be removed while no djinn runs.
 
 use super::ObjectUrl;
 use super::bucket::{Bucket, Object};
@@ -25,9 +25,9 @@ pub(super) struct Cache {
 /// Whether a file may share its content with the cache.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Content {
-    /// It is replaced as a whole or not at all.
+    /// It is only replaced as a whole.
     Shared,
-    /// Somebody may write into it.
+    /// A command may write into it.
     Own,
 }
 
@@ -37,7 +37,7 @@ impl Cache {
         Self { dir }
     }
 
-    /// The `chosen` folder, the one that the environment names, or else `djinn` in the user's folder for such things.
+    /// The `chosen` folder, the one named by the environment, or otherwise `djinn` in the user's cache folder.
     pub(super) fn of_process(chosen: Option<&Path>) -> Result<Self> {
         let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
         let by_user =
@@ -46,15 +46,15 @@ impl Cache {
         Ok(Self::in_dir(std::path::absolute(dir)?))
     }
 
-    /// A folder of the cache, which is made where it is missing.
+    /// A folder of the cache, which is created if it is missing.
     pub(super) fn folder(&self, name: &str) -> Result<PathBuf> {
         let dir = self.dir.join(name);
         fs::create_dir_all(&dir)?;
         Ok(dir)
     }
 
-    /// Brings an object to the file `to`, downloading it unless it is here. Returns what it was: it may have been
-    /// replaced since it was seen.
+    /// Puts an object into the file `to`, downloading it unless it is cached. Returns the object, which may have been
+    /// replaced since it was listed.
     pub(super) fn bring(&self, bucket: &Bucket, object: &Object, to: &Path, content: Content) -> Result<Object> {
         let mut object = object.clone();
         let mut here = self.place(bucket, &object);
@@ -68,7 +68,7 @@ impl Cache {
                 here = place;
             }
             object = found;
-            // One time on every machine that downloads it.
+            // The same time on every machine that downloads it.
             fs::File::open(&here)?.file().set_modified(object.modified)?;
         }
         fs::create_dir_all(to.parent().unwrap_or(&self.dir))?;
@@ -92,13 +92,13 @@ impl Cache {
     }
 }
 
-/// Whether somebody may write into files of this name after they got it: logs and lists grow.
+/// Whether files with this name may be written into after they were downloaded: logs and lists grow.
 pub(super) fn content_of(name: &str) -> Content {
     let grows = [".txt", ".jsonl", LIST_FILE].iter().any(|ending| name.ends_with(ending));
     if grows { Content::Own } else { Content::Shared }
 }
 
-/// 32 hexadecimal digits for a URL as it is now, distinct from the same URL of another store.
+/// 32 hexadecimal digits for the present content of a URL, distinct from the same URL of another store.
 pub(super) fn name_of(url: &ObjectUrl, tag: &str) -> String {
     let mut hasher = blake3::Hasher::new();
     for part in [endpoint(url), url.to_string(), tag.to_owned()] {
@@ -108,7 +108,7 @@ pub(super) fn name_of(url: &ObjectUrl, tag: &str) -> String {
     hasher.finalize().to_hex()[..32].to_owned()
 }
 
-/// Puts a file in the place of another, at once and without telling any mirror.
+/// Replaces a file by another, at once and without notifying any mirror.
 fn put(from: &Path, to: &Path, content: Content) -> io::Result<()> {
     let partial = unique_partial(to);
     if content == Content::Own || fs::hard_link(from, &partial).is_err() {
@@ -117,7 +117,7 @@ fn put(from: &Path, to: &Path, content: Content) -> io::Result<()> {
         fs::File::options().write(true).open(&partial)?.file().set_modified(modified)?;
     }
     let put = fs::rename(&partial, to);
-    // Two names of one file are not renamed over each other, nor is what failed.
+    // Two names of one file are not renamed over each other, nor is a failed copy.
     match fs::remove_file(&partial) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => put,

@@ -1,4 +1,4 @@
-//! How is a store reached? With what its own tools read from the environment, too.
+//! Connects to a store, with the variables that its own tools read from the environment.
 
 use super::error::{Error, Result};
 use super::redact::redacted;
@@ -11,8 +11,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
 
-/// Requests that a client repeats by itself, each a little later. [`Bucket`](super::bucket::Bucket) repeats what they
-/// are a part of.
+/// Requests that a client repeats by itself, each a little later. [`Bucket`](super::bucket::Bucket) repeats the actions
+/// of which they are a part.
 const N_RETRIES: usize = 3;
 const RETRIES_TAKE: Duration = Duration::from_secs(60);
 /// Time limit of one request, which carries 16 MiB at most, or fetches a whole file.
@@ -22,7 +22,7 @@ const CONNECT_TAKES: Duration = Duration::from_secs(10);
 
 /// The store that holds the bucket of a URL. Nothing is sent yet.
 pub(super) fn connect(url: &ObjectUrl) -> Result<Arc<dyn ObjectStore>> {
-    // It fails where there is one already, which serves as well.
+    // It fails if there is one already, which serves as well.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let retry = RetryConfig {
         backoff: BackoffConfig { max_backoff: Duration::from_secs(5), ..BackoffConfig::default() },
@@ -50,12 +50,12 @@ pub(super) fn connect(url: &ObjectUrl) -> Result<Arc<dyn ObjectStore>> {
     store.map_err(|error| Error::Denied { doing: "open", url: url.clone(), why: redacted(&error.to_string()) })
 }
 
-/// The options replace those that the environment gave, of which this one is needed.
+/// The options replace those from the environment, so this one has to be set again.
 fn allowing_http(options: ClientOptions, variable: &str) -> ClientOptions {
     options.with_allow_http(std::env::var(variable).is_ok_and(|value| matches!(value.as_str(), "true" | "1")))
 }
 
-/// A key that distinguishes the stores that could be behind one URL: the address that the environment gives.
+/// A key that distinguishes the stores that could be behind one URL: the address from the environment.
 pub(super) fn endpoint(url: &ObjectUrl) -> String {
     let variables: &[&str] = match url.scheme {
         Scheme::S3 => &["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"],

@@ -1,4 +1,4 @@
-//! Why can an object store not be used, and who can mend it?
+//! Why can an object store not be used, and who can fix it?
 
 use super::ObjectUrl;
 use crate::files;
@@ -8,7 +8,7 @@ use std::io;
 /// Errors of object stores. No message holds a credential.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A URL that is none.
+    /// An invalid URL.
     #[error(transparent)]
     Url(#[from] Unreadable),
     /// A build without the feature.
@@ -31,7 +31,7 @@ pub enum Error {
     Denied {
         /// The action.
         doing: &'static str,
-        /// With what.
+        /// The URL of the request.
         url: ObjectUrl,
         /// The store's message.
         why: String,
@@ -41,16 +41,16 @@ pub enum Error {
     Failed {
         /// The action.
         doing: &'static str,
-        /// With what.
+        /// The URL of the request.
         url: ObjectUrl,
-        /// How often it was tried.
+        /// The number of attempts.
         n_attempts: usize,
-        /// For how long.
+        /// Their duration, seconds.
         seconds: f64,
         /// The last failure.
         why: String,
     },
-    /// Objects that somebody else wrote since they were last seen.
+    /// Objects that another program has written since they were last seen.
     #[error(
         "cannot write {url}: something else has written it since this command looked; nothing of it was changed; \
          make sure that only one command at a time writes there, and run the same command again"
@@ -71,7 +71,7 @@ pub enum Error {
         /// The object.
         url: ObjectUrl,
     },
-    /// A place that another process of this machine writes to.
+    /// A place to which another process of this machine writes.
     #[error("{url} is in use by {holder} on this machine; wait for it, or choose another output")]
     Busy {
         /// The place.
@@ -79,7 +79,7 @@ pub enum Error {
         /// The process that holds it.
         holder: String,
     },
-    /// No folder for what is downloaded.
+    /// No folder for downloads.
     #[error("no folder for downloads is known: pass --cache-dir, or set DJINN_CACHE_DIR")]
     NoCache,
     /// The disk does not work.
@@ -104,7 +104,7 @@ impl From<io::Error> for Error {
     }
 }
 
-/// For those who only know of files.
+/// For code that only knows errors of files.
 impl From<Error> for io::Error {
     fn from(error: Error) -> Self {
         Self::other(error)

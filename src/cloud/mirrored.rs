@@ -1,4 +1,4 @@
-//! How does a view get into the hands of everything that reads and writes files?
+//! Makes a view available to all code that reads and writes files.
 
 use super::bucket::Bucket;
 use super::cache::{Cache, name_of};
@@ -9,16 +9,16 @@ use crate::files::{self, Lock, mirror, unmirror};
 use std::path::Path;
 use std::sync::Arc;
 
-/// A view that those who read and write files find by its path.
+/// A view that code for files finds by its path.
 #[derive(Debug)]
 pub(super) struct Mirrored {
     pub(super) view: Arc<View>,
-    /// Keeps out other processes of this machine that would write there.
+    /// Excludes other processes of this machine that would write there.
     _alone: Option<Lock>,
 }
 
 impl Mirrored {
-    /// Shows what is at a URL to everything that reads and writes files.
+    /// Shows the content of a URL to all code that reads and writes files.
     ///
     /// # Errors
     /// [`Error::Busy`] when another process of this machine writes there; as [`View::open`].
@@ -34,12 +34,12 @@ impl Mirrored {
         Ok(Self { view, _alone: alone })
     }
 
-    /// Where it is.
+    /// Its path.
     pub(super) fn path(&self) -> &Path {
         &self.view.root
     }
 
-    /// Pushes what is not pushed yet, unless the store has failed before.
+    /// Pushes all remaining changes, unless the store has failed before.
     pub(super) fn finish(&self) -> Result<()> {
         let state = &mut *self.view.state();
         if self.view.access == Access::Write && !state.is_broken { self.view.push(state) } else { Ok(()) }
@@ -52,7 +52,7 @@ impl Drop for Mirrored {
     }
 }
 
-/// Keeps other processes of this machine out of a folder of objects.
+/// Excludes other processes of this machine from a folder of objects.
 fn lock(cache: &Cache, url: &ObjectUrl) -> Result<Lock> {
     let place = cache.folder("locks")?.join(name_of(url, ""));
     Lock::beside(&place).map_err(|error| match error {

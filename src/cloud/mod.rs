@@ -1,14 +1,14 @@
 //! Recordings, run folders and corpora in object stores: `s3://`, `gs://`, `az://`.
 //!
-//! Everything else works on files. A [`Place`] is a folder on disk that is what the user named, or shows what a bucket
-//! holds: the objects are downloaded into a cache and opened as files, and what is written goes to the bucket when it
-//! is whole. Only the feature `cloud` can do so; without it, URLs are refused.
+//! Everything else works on files. A [`Place`] is a folder on disk that the user named, or one that shows the content
+//! of a bucket: the objects are downloaded into a cache and opened as files, and written files go to the bucket when
+//! they are whole. This needs the feature `cloud`; without it, URLs are refused.
 //!
 //! # Why a kill does no harm
 //!
 //! The only copy that counts is the one in the bucket. Every process begins with a new view of it (`view`) and nothing
-//! else, so the files of a killed process, on whatever machine, are forgotten. What must hold is that the bucket is a
-//! state that a run folder could have after a kill, because the pipeline goes on from each of these:
+//! else, so the files of a killed process, on any machine, are forgotten. The bucket must always be a state that a run
+//! folder could have after a kill, because the pipeline resumes from each of these:
 //!
 //! - **An object is whole.** A PUT, and the completion of an upload in parts, are atomic; a lost answer only leads to
 //!   the same PUT again. So a name in the bucket is as final as one on disk after `AtomicFile`.
@@ -24,9 +24,9 @@
 //! # Whose files are touched
 //!
 //! A push writes and removes what the pipeline wrote and removed in the view. There, the rules for folders on disk
-//! hold: whatever no list of ours names is not touched, and since a view of a writing command shows every object, the
-//! refusal comes before anything is written. What others put into the bucket later is noticed by its tag, and is not
-//! replaced.
+//! hold: files that no list of ours names are not touched, and since a view of a writing command shows every object,
+//! the refusal comes before anything is written. Objects that others put into the bucket later are noticed by their
+//! tags, and are not replaced.
 
 #[cfg(feature = "cloud")]
 mod bucket;

@@ -1,4 +1,4 @@
-//! Object stores in a build without them: there can be no such thing.
+//! Object stores in a build without them: no instance can exist.
 
 use super::error::{Error, Result};
 use super::{Access, ObjectUrl};
@@ -30,7 +30,7 @@ impl Recordings {
     /// The recordings at a URL; `None` for a path on disk.
     ///
     /// # Errors
-    /// Whenever it is a URL.
+    /// For every URL.
     pub fn at(path: &Path) -> Result<Option<Self>> {
         ObjectUrl::of(path)?.map_or(Ok(None), |url| Err(Error::NotBuilt { url }))
     }
@@ -40,7 +40,7 @@ impl Recordings {
         match *self {}
     }
 
-    /// Where they are on disk.
+    /// Their paths on disk.
     pub fn on_disk(&self) -> Result<PathBuf> {
         match *self {}
     }

@@ -1,4 +1,4 @@
-//! Where on disk is what the user named, be it a path or a URL?
+//! The place on disk for a path or URL that the user named.
 
 use super::ObjectUrl;
 use super::error::Result;
@@ -25,17 +25,17 @@ pub(super) fn cache_dir() -> Option<&'static Path> {
 /// The use that a command makes of a folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// It reads everything.
+    /// Reads everything.
     Read,
-    /// It reads how far the work is.
+    /// Reads the progress of the work.
     Look,
-    /// It makes shards, as one of several workers.
+    /// Makes shards, as one of several workers.
     Work,
-    /// It writes, alone.
+    /// Writes, alone.
     Write,
 }
 
-/// A file or folder on disk that is, or shows, what the user named.
+/// A file or folder on disk that the user named, or that shows a URL that the user named.
 #[derive(Debug)]
 pub struct Place {
     path: PathBuf,
@@ -43,22 +43,23 @@ pub struct Place {
 }
 
 impl Place {
-    /// A path on disk as it is; of a URL, what the command needs of it. A folder that does not exist is shown empty.
+    /// A path on disk as it is; for a URL, a folder with the objects that the command needs. A folder that does not
+    /// exist is shown empty.
     ///
     /// # Errors
-    /// When the URL cannot be read, or this build knows no URLs; those of the store.
+    /// When the URL cannot be read, or this build does not support URLs; errors of the store.
     pub fn open(path: &Path, access: Access) -> Result<Self> {
         let Some(url) = ObjectUrl::of(path)? else { return Ok(Self { path: path.to_owned(), shown: None }) };
         let shown = Mirrored::open(&url, access, CACHE_DIR.get().map(PathBuf::as_path))?;
         Ok(Self { path: shown.path().to_owned(), shown: Some(shown) })
     }
 
-    /// Where it is on disk.
+    /// The path on disk.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Brings what was written to the bucket, if it belongs there and is not there yet.
+    /// Uploads written files that belong into a bucket and are not there yet.
     ///
     /// # Errors
     /// On errors of the store, or if something else has written to the bucket meanwhile.

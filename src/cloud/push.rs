@@ -1,18 +1,18 @@
-//! How does a bucket become as the view is, so that it is whole for everybody whenever the process is killed?
+//! Makes a bucket equal to the view, so that it is whole for every reader even if the process is killed.
 //!
-//! [`View::push`] compares the files with the objects that they showed. What others wrote meanwhile is not replaced:
-//! the bucket is listed again first, and the push is refused if an object that it would write or remove is not the one
-//! that was shown. (Between that look and the write, others could still write; stores have no locks.) Then, with a
-//! [`Journal`] around it:
+//! [`View::push`] compares the files with the objects that they showed. Objects that others have written meanwhile are
+//! not replaced: the bucket is listed again first, and the push is refused if an object that it would write or remove
+//! is not the one that was shown. (Between that listing and the write, others could still write; stores have no locks.)
+//! Then, with a [`Journal`] around it:
 //!
 //! 1. manifests that will change are removed, so that no reader takes a folder for whole;
-//! 2. lists of what is ours are written, then everything else, and manifests after that;
+//! 2. lists of our files are written, then everything else, and manifests after that;
 //! 3. the journal is replaced by one that holds the new records of finished stages, and what describes the run: this is
 //!    the moment at which the new state begins to count; then these files are written, too;
-//! 4. what is not among the files any more is removed.
+//! 4. objects that are not among the files any more are removed.
 //!
-//! A stage at work pushes what it has committed now and then ([`View::push_work`]), without a journal: in the order of
-//! its commits, so that another machine can go on from there.
+//! A stage at work pushes its commits now and then ([`View::push_work`]), without a journal: in the order of its
+//! commits, so that another machine can resume from there.
 
 use super::ObjectUrl;
 use super::bucket::Object;
@@ -29,10 +29,10 @@ use std::time::Duration;
 const WORK_WAITS: Duration = Duration::from_secs(30);
 
 impl View {
-    /// Makes the bucket as the view is.
+    /// Makes the bucket equal to the view.
     ///
     /// # Errors
-    /// [`Error::Changed`]; those of the store and the file system.
+    /// [`Error::Changed`]; errors of the store and the file system.
     pub(super) fn push(&self, state: &mut State) -> Result<()> {
         let files = self.files()?;
         let changed: Vec<String> = files
@@ -71,7 +71,7 @@ impl View {
         if std::mem::take(&mut state.has_journal) { self.bucket.remove(JOURNAL) } else { Ok(()) }
     }
 
-    /// Pushes what a stage at work has committed, if it is time; `name` is its newest file.
+    /// Pushes the commits of a stage at work, if it is time; `name` is its newest file.
     ///
     /// # Errors
     /// See [`View::push`].
@@ -114,7 +114,7 @@ impl View {
         names.iter().filter_map(|name| read(name).transpose()).collect()
     }
 
-    /// Refuses to touch objects that are not those that were seen.
+    /// Refuses to touch objects that have changed since they were seen.
     fn check_unchanged<'a>(
         &self,
         names: impl Iterator<Item = &'a String>,
@@ -133,13 +133,13 @@ impl View {
         Ok(())
     }
 
-    /// Writes what changed; see the module.
+    /// Writes the changed files; see the module.
     fn write_in_order(&self, changed: Vec<String>, files: &BTreeMap<String, Stamp>, state: &mut State) -> Result<()> {
         let mut by_turn: BTreeMap<Turn, Vec<String>> = BTreeMap::new();
         changed.into_iter().for_each(|name| by_turn.entry(Turn::of(&name)).or_default().push(name));
         for (turn, mut names) in by_turn {
-            // As they came to be: whatever depends on a file was written after it. Among files of one moment, records
-            // come last, and the one that says that there is a plan.
+            // By time: a file was written after those on which it depends. Among files of one moment, records come
+            // last, and the one that announces a plan.
             let moment = |name: &String| files.get(name).map(|(_, modified)| *modified);
             names.sort_by_key(|name| (moment(name), name.ends_with(".json"), name.ends_with("/parts.json")));
             let in_turn: Vec<&[String]> = match turn {
@@ -167,7 +167,7 @@ impl View {
         Ok(())
     }
 
-    /// Removes what is gone, and first what others read before anything else.
+    /// Removes deleted objects, first those that others read before anything else.
     fn remove_in_order(&self, removed: &BTreeSet<String>, state: &mut State) -> Result<()> {
         let (first, rest): (Vec<&String>, Vec<&String>) = removed.iter().partition(|name| name.ends_with(".json"));
         for names in [first, rest] {
@@ -194,7 +194,7 @@ enum Turn {
 }
 
 impl Turn {
-    /// Whether such files say what was done.
+    /// Whether such files record what was done.
     fn is_last(self) -> bool {
         self >= Self::Records
     }
@@ -212,7 +212,7 @@ impl Turn {
     }
 }
 
-/// Whether a file declares the folder whole that it lies in.
+/// Whether a file declares its folder whole.
 fn is_manifest(name: &str) -> bool {
     !is_unfinished_work(name) && name.ends_with("/manifest.json")
 }

@@ -1,4 +1,4 @@
-//! Recordings in a bucket: which are there, and where are they once they are downloaded?
+//! The recordings in a bucket, and their places on disk once they are downloaded.
 
 use super::ObjectUrl;
 use super::bucket::{Bucket, Object};
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug)]
 pub struct Recordings {
     pub(super) bucket: Bucket,
-    /// One without a name is the URL itself.
+    /// The objects; one without a name is the URL itself.
     pub(super) objects: Vec<Object>,
 }
 
@@ -21,7 +21,7 @@ impl Recordings {
     /// The recordings at a URL; `None` for a path on disk. Nothing is downloaded.
     ///
     /// # Errors
-    /// [`Error::Missing`]; those of the store.
+    /// [`Error::Missing`]; errors of the store.
     pub fn at(path: &Path) -> Result<Option<Self>> {
         ObjectUrl::of(path)?.map(|url| Self::in_bucket(Bucket::open(&url)?)).transpose()
     }
@@ -37,7 +37,7 @@ impl Recordings {
         }
     }
 
-    /// A tag that changes whenever one of them does.
+    /// A tag that changes whenever one of the recordings does.
     pub fn tag(&self) -> String {
         let mut hasher = blake3::Hasher::new();
         for Object { name, n_bytes, etag, .. } in &self.objects {
@@ -49,8 +49,7 @@ impl Recordings {
         hasher.finalize().to_hex()[..32].to_owned()
     }
 
-    /// Where they are on disk, in folders named as in the bucket, which give their split. Downloads what is not there
-    /// yet.
+    /// Their paths on disk, in folders named as in the bucket, which give their split. Downloads missing ones.
     ///
     /// # Errors
     /// On errors of the store or the disk, or if one was replaced since it was listed.

@@ -1,7 +1,7 @@
-//! How do credentials stay out of messages?
+//! Keeps credentials out of messages.
 //!
-//! Clients put what a server answers, and the address of the request, into their errors. Azure's signatures are part of
-//! addresses, and servers repeat what they were sent.
+//! Clients include the answers of servers and the addresses of requests in their errors. Azure's signatures are part of
+//! addresses, and servers repeat the requests.
 
 /// Nothing shorter is a secret; replacing it would only garble the message.
 const LEAST_CHARS: usize = 6;

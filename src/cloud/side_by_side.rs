@@ -1,4 +1,4 @@
-//! How are many objects moved at once?
+//! Transfers many objects at once.
 
 use super::error::Result;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Requests wait for the network far longer than they compute.
 const N_AT_ONCE: usize = 16;
 
-/// Does the same with each of `items`, several at a time. Returns the results in the order of the items.
+/// Applies `act` to each of `items`, several at a time. Returns the results in the order of the items.
 ///
 /// # Errors
 /// The first error; no further item is begun after it.

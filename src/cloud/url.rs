@@ -1,4 +1,4 @@
-//! What does `s3://bucket/key` name, and is a path such a URL at all?
+//! Parses URLs such as `s3://bucket/key`, and tells them from paths.
 
 use crate::files::PathRelation;
 use crate::settings::Unreadable;
@@ -32,7 +32,7 @@ impl Scheme {
 /// An object, or a prefix that serves as a folder.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ObjectUrl {
-    /// Where the bucket is.
+    /// The kind of store.
     pub scheme: Scheme,
     /// The bucket; Azure calls it a container.
     pub bucket: String,
@@ -41,10 +41,10 @@ pub struct ObjectUrl {
 }
 
 impl ObjectUrl {
-    /// The URL that a path is; `None` for a path on disk.
+    /// The URL in a path; `None` for a path on disk.
     ///
     /// # Errors
-    /// When it begins as a URL and is none.
+    /// When it begins like a URL and is not a valid one.
     pub fn of(path: &Path) -> Result<Option<Self>, Unreadable> {
         if !Self::is_meant(path) {
             return Ok(None);
@@ -58,7 +58,8 @@ impl ObjectUrl {
         Scheme::ALL.iter().any(|scheme| text.starts_with(scheme.prefix()))
     }
 
-    /// How this lies to `other`, if they overlap. Prefixes are folders: `a/b` contains `a/b/c` and not `a/bc`.
+    /// The relation of this URL to `other`, if they overlap. Prefixes are folders: `a/b` contains `a/b/c` and not
+    /// `a/bc`.
     pub fn relation_to(&self, other: &Self) -> Option<PathRelation> {
         let contains = |outer: &str, inner: &str| {
             outer.is_empty() || inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('/'))

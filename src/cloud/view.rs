@@ -1,8 +1,8 @@
-//! A folder of objects, shown on disk while a command works: what is downloaded, and what do others see, and when?
+//! A folder of objects, shown on disk while a command works: what is downloaded, and when do others see changes?
 //!
 //! Each process has a view of its own, which begins as the folder is in the bucket and is removed when the process
-//! ends. So a view is never stale, and what a killed process did not push is done again. [`Access`](super::Access) says
-//! which objects a command needs, and what of its work is pushed at once.
+//! ends. So a view is never stale, and work that a killed process did not push is done again. [`Access`](super::Access)
+//! tells which objects a command needs, and which part of its work is pushed at once.
 
 use super::Access;
 use super::bucket::{Bucket, Object};
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
-/// The shortest time between two looks at what other workers have done.
+/// The shortest time between two looks at the work of other workers.
 const LEAST_WAIT: Duration = Duration::from_secs(1);
 /// At most one part in this many of the time goes into looking.
 const LOOKS_COST: u32 = 10;
@@ -30,7 +30,7 @@ const BEGINS: Duration = Duration::from_secs(60);
 pub(super) struct View {
     pub(super) bucket: Bucket,
     pub(super) cache: Cache,
-    /// Where the objects are shown.
+    /// The folder on disk.
     pub(super) root: PathBuf,
     pub(super) access: Access,
     pub(super) state: Mutex<State>,
@@ -56,13 +56,13 @@ pub(super) struct State {
     pub(super) waiting: Vec<String>,
     /// When unfinished work was last pushed.
     pub(super) pushed: Option<Instant>,
-    /// Whether the store failed: whatever comes next would fail, too.
+    /// Whether the store failed, so that further requests would fail, too.
     pub(super) is_broken: bool,
-    /// When others' work was last looked at, and how long that took.
+    /// The time and duration of the last look at others' work.
     looked: Option<(Instant, Duration)>,
 }
 
-/// Length and time of a file: while they stay, it is the same.
+/// Length and time of a file: while they stay, it is unchanged.
 pub(super) type Stamp = (u64, SystemTime);
 
 impl View {
@@ -85,7 +85,7 @@ impl View {
         Ok(view)
     }
 
-    /// Shows what is there.
+    /// Shows the objects.
     fn pull(&self, objects: Vec<Object>) -> Result<()> {
         let state = &mut *self.state();
         state.has_journal = objects.iter().any(|object| object.name == JOURNAL);
@@ -113,7 +113,7 @@ impl View {
     fn show(&self, wanted: &[Object], state: &mut State) -> Result<()> {
         let bring = |object: &Object| -> Result<(Object, Stamp)> {
             let to = self.root.join(&object.name);
-            // Whoever goes on with unfinished work may write into its files.
+            // A command that resumes unfinished work may write into its files.
             let content = if is_unfinished_work(&object.name) { Content::Own } else { content_of(&object.name) };
             let found = self.cache.bring(&self.bucket, object, &to, content)?;
             Ok((found, stamp(&to)?))
@@ -125,7 +125,7 @@ impl View {
         Ok(())
     }
 
-    /// Shows what other workers have done in the folder `dir` since the last look.
+    /// Shows the work of other workers in the folder `dir` since the last look.
     fn look(&self, dir: &str, state: &mut State) -> Result<()> {
         let began = Instant::now();
         if state.looked.is_some_and(|(at, took)| at.elapsed() < LEAST_WAIT.max(took * LOOKS_COST)) {
@@ -137,7 +137,7 @@ impl View {
         for name in gone {
             state.shown.remove(&name);
             state.same.remove(&name);
-            // Whoever removed it has removed it from the bucket, too.
+            // The one that removed it has removed it from the bucket, too.
             remove_file(&self.root.join(name))?;
         }
         let mut wanted = Vec::new();
@@ -186,7 +186,7 @@ impl View {
 
 #[cfg(test)]
 impl State {
-    /// The next look is not put off.
+    /// Makes the next look happen at once.
     pub(super) fn forget_look(&mut self) {
         self.looked = None;
     }
@@ -244,7 +244,7 @@ impl Access {
         let is_record = || name.ends_with(".json") || name.contains(".try-");
         match self {
             Self::Read | Self::Write => true,
-            // It is enough to know that the shards of other workers are there.
+            // It is enough to know that the shards of other workers exist.
             Self::Work if is_part(name) => is_record(),
             Self::Work => !is_work(name),
             Self::Look if is_part(name) => is_record(),
@@ -276,7 +276,7 @@ pub(super) fn is_ours_alone(name: &str) -> bool {
     [JOURNAL, LOCK_FILE].contains(&name) || whole.is_some_and(|(whole, _)| is_partial_of(file, whole))
 }
 
-/// Whether a file of this name lists those that are ours: it only grows, and comes first.
+/// Whether a file with this name lists files of ours: it only grows, and comes first.
 pub(super) fn is_list(name: &str) -> bool {
     name.rsplit('/').next() == Some(LIST_FILE)
 }
@@ -310,7 +310,7 @@ fn is_abandoned(home: &Path) -> bool {
         && fs::File::open(home.join(LOCK_FILE)).is_ok_and(|lock| lock.try_lock().is_ok())
 }
 
-/// Removes the folder of a view: everything in it was put there by the process that made it.
+/// Removes the folder of a view: everything in it was put there by the process that created it.
 fn remove_home(home: &Path) -> files::Result<()> {
     let all = files_below(home)?.into_iter().collect();
     remove_listed(home, &all).map(drop)

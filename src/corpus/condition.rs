@@ -43,7 +43,7 @@ enum Operator {
     GreaterEqual,
 }
 
-/// Operators by their signs; those that begin others come after them.
+/// Operators by their signs; those that are prefixes of others come after them.
 const OPERATORS: [(&str, Operator); 7] = [
     ("==", Operator::Equal),
     ("!=", Operator::NotEqual),
@@ -123,7 +123,7 @@ fn parse_test(rest: &str) -> Option<Test> {
     Some(Test::Compare(*operator, unquoted(rest[sign.len()..].trim())?))
 }
 
-/// A value without its quotes; `None` where there is none.
+/// A value without its quotes; `None` if there is none.
 fn unquoted(value: &str) -> Option<String> {
     for quote in ['\'', '"'] {
         if let Some(inner) = value.strip_prefix(quote).and_then(|rest| rest.strip_suffix(quote)) {
@@ -185,7 +185,7 @@ impl Condition {
         if self.column == BEHAVIOR { "requested_behavior" } else { &self.column }
     }
 
-    /// Whether rows of a partition can fulfil it; a partition that says nothing can hold anything.
+    /// Whether rows of a partition can satisfy it; true if the partition does not tell.
     pub(super) fn may_hold_in(&self, partition: &Partition) -> bool {
         let value = match self.column.as_str() {
             BEHAVIOR => &partition.behavior,
@@ -195,7 +195,7 @@ impl Condition {
         value.as_deref().is_none_or(|value| self.holds_for_text(Some(value)))
     }
 
-    /// For which rows it holds. The condition must have passed [`check`](Self::check).
+    /// Whether it holds for each row. The condition must have passed [`check`](Self::check).
     pub(super) fn holds(&self, batch: &RecordBatch, path: &Path) -> Result<Vec<bool>> {
         let column = super::rows::column(batch, self.column(), path)?;
         let present = |row: usize| !column.is_null(row);
@@ -239,7 +239,8 @@ impl Condition {
         self.holds_for(number, |number, value| value.parse().ok().and_then(|value| number.partial_cmp(&value)))
     }
 
-    /// Large whole numbers, such as seeds, which a float would round; `None` where a value is not one.
+    /// Whether it holds for large whole numbers, such as seeds, which a float would round; `None` if a value is not
+    /// one.
     fn holds_for_exact(&self, numbers: &UInt64Array) -> Option<Vec<bool>> {
         let values: &[String] = match &self.test {
             Test::Compare(_, value) => std::slice::from_ref(value),
@@ -321,7 +322,7 @@ mod tests {
             ("behavior not in (none, near_miss)", vec![0, 3]),
             ("place = \"São Paulo\"", vec![1]),
             ("place = 'a, b'", vec![3]),
-            // Both are the same number as floats.
+            // Both are equal as floats.
             ("seed = 18446744073709551615", vec![0]),
             ("seed in (3, 4)", vec![2, 3]),
             ("seed < 3.5", vec![2]),

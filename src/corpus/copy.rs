@@ -1,8 +1,8 @@
-//! Writing a new corpus from scenarios of others: what belongs to a scenario comes with it.
+//! Writes a new corpus from scenarios of others, with everything that belongs to them.
 //!
-//! With a scenario come its states, its metric values, its recorded scene and its map; recordings and maps that several
-//! share come once. Aggregated metric values are over what a run sampled and hold for no other choice: they are left
-//! out.
+//! A scenario is copied with its states, its metric values, its recorded scene and its map; recordings and maps that
+//! several scenarios share are copied once. Aggregated metric values are over the samples of a run and hold for no
+//! other choice: they are left out.
 
 use super::rows::{RowBytes, add_rows, texts};
 use super::{Error, Result};
@@ -20,14 +20,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
-/// Decides which scenarios come along.
+/// Decides which scenarios to copy.
 pub(super) trait CopySelection {
-    /// Whether a file can hold any of them; a corpus with one file a table has no partitions.
+    /// Whether a file can hold any of them; a corpus with one file per table has no partitions.
     fn wants_part(&self, _partition: &Partition) -> bool {
         true
     }
 
-    /// Which scenarios of a chunk of corpus `input` come along.
+    /// Which scenarios of a chunk of corpus `input` to copy.
     fn keep(&mut self, input: usize, chunk: &CorpusChunk) -> Result<Vec<bool>>;
 }
 
@@ -36,15 +36,16 @@ pub(super) trait CopySelection {
 pub struct CopyOutcome {
     /// The manifest of the new corpus.
     pub manifest: CorpusManifest,
-    /// Scenarios that several corpora held, and that came once.
+    /// Scenarios that are in several corpora, and were copied once.
     pub n_duplicates: u64,
-    /// Recorded scenes that differ between corpora; the first one came.
+    /// Recorded scenes that differ between corpora; the first one was copied.
     pub n_differing_recordings: u64,
     /// Aggregated metric values that were left out.
     pub n_aggregates_left_out: u64,
 }
 
-/// Copies what `selection` keeps of `inputs` into a new corpus at `out`, one corpus after the other, each in its order.
+/// Copies the scenarios of `inputs` that `selection` keeps into a new corpus at `out`, one corpus after the other, each
+/// in its order.
 pub(super) fn copy(
     inputs: &[CorpusScan],
     out: &Path,
@@ -71,7 +72,7 @@ pub(super) fn copy(
         let kept = copier.scenarios(i, scan, selection, &mut needed, progress)?;
         copier.metrics(scan, &kept)?;
     }
-    // Rows that a scenario needs may lie in another corpus than the scenario.
+    // Rows that a scenario needs may be in another corpus than the scenario.
     for scan in inputs {
         copier.maps(scan, &needed.maps)?;
         copier.recordings(scan, &needed.scenes)?;
@@ -100,14 +101,14 @@ struct Copier {
     /// The columns of scenarios in the new corpus.
     schema: SchemaRef,
     maps: BTreeMap<String, LaneGraph>,
-    /// The content of every recorded scene that came along, where several corpora may hold one.
+    /// The content of every copied recorded scene, if several corpora may hold one.
     recordings: BTreeMap<Fingerprint, Fingerprint>,
     compares_recordings: bool,
     n_differing_recordings: u64,
     n_aggregates_left_out: u64,
 }
 
-/// Keys of the rows that belong to the scenarios that came along.
+/// Keys of the rows that belong to the copied scenarios.
 #[derive(Default)]
 struct Needed {
     scenes: BTreeSet<Fingerprint>,
@@ -116,7 +117,7 @@ struct Needed {
 }
 
 impl Needed {
-    /// Remembers what the kept scenarios of a chunk need, and the scenarios themselves.
+    /// Remembers the rows that the kept scenarios of a chunk need, and the scenarios themselves.
     fn note(&mut self, chunk: &CorpusChunk, keep: &[bool], kept: &mut BTreeSet<Fingerprint>) -> Result<()> {
         let column = |name: &str| texts(&chunk.scenarios, name, &chunk.path);
         let (ids, scenes, maps, datasets) =
@@ -136,7 +137,7 @@ impl Needed {
 }
 
 impl Copier {
-    /// Copies the scenarios of one corpus with their states, and gives back which came along.
+    /// Copies the scenarios of one corpus with their states, and returns which were copied.
     fn scenarios(
         &mut self,
         input: usize,
@@ -183,7 +184,7 @@ impl Copier {
 
     fn maps(&mut self, scan: &CorpusScan, wanted: &BTreeSet<String>) -> Result<()> {
         let maps = scan.maps()?;
-        // A scenario may name a map of which it needs no lanes, and which the corpus then need not have.
+        // A scenario may name a map without needing its lanes, so the corpus need not have that map.
         for id in maps.ids().filter(|id| wanted.contains(*id)) {
             let id = MapId::from(id);
             let lanes = maps.map(&id)?;
@@ -259,13 +260,13 @@ impl Copier {
     }
 }
 
-/// Where the rows that equal row `start` end.
+/// The end of the run of rows that equal row `start`.
 fn run_end(column: &arrow::array::StringArray, start: usize) -> usize {
     let value = column.value(start);
     (start + 1..column.len()).find(|row| column.value(*row) != value).unwrap_or(column.len())
 }
 
-/// The notes of several corpora together: the terms of the datasets that are left, and notes whose values differ as a
+/// The combined notes of several corpora: the terms of the remaining datasets, and notes with different values as a
 /// list.
 fn notes(manifests: &[&CorpusManifest], datasets: &BTreeSet<String>) -> CorpusNotes {
     let together = |of: fn(&CorpusManifest) -> &BTreeMap<String, String>, separator: &'static str| {

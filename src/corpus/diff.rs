@@ -1,4 +1,4 @@
-//! `djinn corpus diff`: what do two corpora have in common, what changed, and did distributions shift?
+//! `djinn corpus diff`: the common and the changed parts of two corpora, and shifts of distributions.
 
 use super::Result;
 use super::rows::{Content, contents, texts};
@@ -19,23 +19,23 @@ const MAX_LISTED: usize = 20;
 pub struct DiffReport {
     /// Number of scenarios in A and in B.
     pub n_scenarios: [u64; 2],
-    /// Number of scenarios and of verified ones by behavior and place, in A and in B, where they differ.
+    /// Number of scenarios and of verified ones by behavior and place, in A and in B, if they differ.
     pub partitions: Vec<PartitionDiff>,
     /// Columns that only A or only B has.
     pub columns_only_in: [Vec<String>; 2],
-    /// Scenarios that are the same in both.
+    /// Scenarios that are equal in both.
     pub n_same: u64,
     /// Scenarios that only A or only B has.
     pub n_only_in: [u64; 2],
     /// The first of their ids.
     pub only_in: [Vec<String>; 2],
-    /// Scenarios of one id whose row or states differ.
+    /// Scenarios with one id whose row or states differ.
     pub n_changed: u64,
     /// The first of their ids.
     pub changed: Vec<String>,
-    /// How many scenarios differ in each column; `states` stands for their rows of `tracks`.
+    /// The number of scenarios that differ in each column; `states` stands for their rows of `tracks`.
     pub changed_by_column: BTreeMap<String, u64>,
-    /// How numbers are distributed in A and B, where these differ.
+    /// The distributions of numbers in A and B that differ.
     pub shifts: Vec<DistributionShift>,
 }
 
@@ -59,22 +59,22 @@ pub struct DistributionShift {
     pub name: String,
     /// Summaries of A and B.
     pub summaries: [Summary; 2],
-    /// Difference of the means, B less A, in standard deviations of A; `None` where there are none.
+    /// Difference of the means, B less A, in standard deviations of A; `None` if undefined.
     pub mean_shift_std: Option<f64>,
 }
 
 /// Some numbers summed up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Summary {
-    /// How many there are.
+    /// The number of values.
     pub n: u64,
     /// Their mean.
     pub mean: f64,
     /// Their standard deviation.
     pub std: f64,
-    /// The smallest; 0 where there are none.
+    /// The smallest value; 0 if there are none.
     pub min: f64,
-    /// The largest; 0 where there are none.
+    /// The largest value; 0 if there are none.
     pub max: f64,
     /// Sum of squared distances from the mean (Welford 1962).
     #[serde(skip)]
@@ -136,7 +136,7 @@ pub fn diff(a: &Path, b: &Path, progress: &dyn Progress) -> Result<DiffReport> {
     })
 }
 
-/// Which scenarios of two corpora are the same, by their ids and contents.
+/// Matches the scenarios of two corpora by their ids and contents.
 #[derive(Default)]
 struct Matched {
     n_same: u64,
@@ -226,7 +226,8 @@ fn each_id(scan: &CorpusScan, mut visit: impl FnMut(&str)) -> Result<()> {
     Ok(())
 }
 
-/// In which columns do these scenarios differ? The columns of those of A are kept, one hash each, until B's come.
+/// The number of these scenarios that differ in each column. The columns of those of A are kept as one hash each until
+/// those of B are read.
 fn columns_that_changed(
     scans: &[CorpusScan; 2],
     schema: &SchemaRef,

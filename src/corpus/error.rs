@@ -17,7 +17,7 @@ pub enum Error {
     Condition {
         /// The condition as it was given.
         text: String,
-        /// The fault, and what is possible.
+        /// The fault, and the alternatives.
         detail: String,
     },
     /// A column that the scenarios do not have.

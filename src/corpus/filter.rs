@@ -18,9 +18,9 @@ const MAX_LISTED: usize = 20;
 /// The scenarios to keep.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FilterOptions {
-    /// All of these hold.
+    /// Conditions that must all hold.
     pub conditions: Vec<Condition>,
-    /// Their ids are these, or begin so.
+    /// Ids, or beginnings of ids.
     pub ids: Option<Vec<String>>,
     /// They are the first in an order.
     pub top: Option<Top>,
@@ -41,7 +41,7 @@ pub struct Top {
 ///
 /// # Errors
 /// [`Error::UnknownColumn`] and [`Error::Condition`] when a condition or an order does not fit the scenarios and
-/// [`Error::Usage`] when an id is not there, before anything is written; those of reading and writing corpora.
+/// [`Error::Usage`] when an id does not exist, before anything is written; errors of reading and writing corpora.
 pub fn filter(dir: &Path, options: &FilterOptions, out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     let FilterOptions { conditions, ids, top } = options;
     let scan = CorpusScan::open(dir)?;
@@ -129,7 +129,7 @@ fn listed(scan: &CorpusScan, wanted: &[String]) -> Result<BTreeSet<String>> {
     found.collect()
 }
 
-/// The ids of the `kept` scenarios that come first in an order; those without a value have no place in it.
+/// The ids of the `kept` scenarios that come first in an order; scenarios without a value have no place in it.
 fn first(scan: &CorpusScan, kept: &Kept<'_>, top: &Top) -> Result<BTreeSet<String>> {
     let mut order: Vec<(f64, String)> = Vec::new();
     for chunk in scan.all_chunks(false) {
@@ -150,7 +150,7 @@ fn first(scan: &CorpusScan, kept: &Kept<'_>, top: &Top) -> Result<BTreeSet<Strin
     Ok(order.into_iter().map(|(_, id)| id).collect())
 }
 
-/// The values of the columns of text that conditions name, for whoever misspelt one.
+/// The values of the text columns that conditions name, to suggest corrections.
 fn texts_of(scan: &CorpusScan, conditions: &[Condition]) -> Result<Vec<(String, String)>> {
     let mut values: Vec<(&str, BTreeSet<String>)> =
         conditions.iter().map(|condition| (condition.column(), BTreeSet::new())).collect();

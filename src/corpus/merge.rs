@@ -8,11 +8,12 @@ use crate::store::{CorpusChunk, CorpusScan, CorpusTable, Fingerprint, fingerprin
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Writes the scenarios of all corpora in `dirs` into a new corpus at `out`. A scenario that several hold comes once.
+/// Writes the scenarios of all corpora in `dirs` into a new corpus at `out`. A scenario that several hold is copied
+/// once.
 ///
 /// # Errors
 /// [`Error::Conflict`] when two hold different scenarios under one id, [`Error::MapConflict`] when they hold different
-/// maps under one name; those of reading and writing corpora.
+/// maps under one name; errors of reading and writing corpora.
 pub fn merge(dirs: &[PathBuf], out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     if dirs.len() < 2 {
         return Err(Error::Usage("a merge needs at least two corpora".to_owned()));
@@ -42,10 +43,10 @@ fn shared(scans: &[CorpusScan]) -> Result<BTreeMap<Fingerprint, Option<(usize, C
     Ok(ids.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| (pair[0], None)).collect())
 }
 
-/// Every scenario the first time it comes.
+/// Keeps every scenario the first time that it occurs.
 struct Once<'d> {
     dirs: &'d [PathBuf],
-    /// The ids that come more than once; where they came first and what the scenario was, once it came.
+    /// The ids that occur more than once; the first corpus and content of each, once it has occurred.
     shared: BTreeMap<Fingerprint, Option<(usize, Content)>>,
     n_duplicates: u64,
 }

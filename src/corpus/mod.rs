@@ -1,8 +1,8 @@
 //! Tools for finished corpora: they check, merge, filter, sample and compare them.
 //!
 //! Every tool reads a corpus from its beginning to its end, a few scenarios at a time, so that memory does not grow
-//! with states; what grows are hashes of ids. Tools that write make a new folder beside the final one and rename it
-//! when it is whole ([`NewFolder`](crate::files::NewFolder)): what is under the final name is whole, always.
+//! with states, but only with hashes of ids. Tools that write make a new folder beside the final one and rename it when
+//! it is whole ([`NewFolder`](crate::files::NewFolder)): a folder under its final name is always whole.
 
 mod condition;
 mod copy;

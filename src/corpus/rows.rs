@@ -43,7 +43,7 @@ pub(super) fn of_rows(rows: &Rows, range: impl Iterator<Item = usize>) -> Finger
     shortened(hasher.finalize())
 }
 
-/// Adds rows to a hash, which is the same in however many portions they come.
+/// Adds rows to a hash, which does not depend on the portions in which they come.
 pub(super) fn add_rows(hasher: &mut blake3::Hasher, rows: &Rows, range: impl Iterator<Item = usize>) {
     for i in range {
         let row = rows.row(i);
@@ -53,7 +53,7 @@ pub(super) fn add_rows(hasher: &mut blake3::Hasher, rows: &Rows, range: impl Ite
     }
 }
 
-/// Fingerprints of a row and of its states, which show whether two scenarios of one id are the same.
+/// Fingerprints of a row and of its states, which show whether two scenarios with one id are equal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Content {
     pub(super) row: Fingerprint,

@@ -1,4 +1,4 @@
-//! `djinn corpus sample`: a smaller corpus of the same kind, drawn at random and the same for the same seed.
+//! `djinn corpus sample`: a smaller corpus of the same kind, drawn at random and reproducible by its seed.
 
 use super::condition::unknown_column;
 use super::copy::{CopyOutcome, CopySelection, copy};
@@ -17,20 +17,21 @@ use std::path::Path;
 pub struct SampleOptions {
     /// Number of scenarios.
     pub n: u64,
-    /// The column whose values share the number equally, such as `behavior`; `None` draws from all alike.
+    /// The column whose values share the number equally, such as `behavior`; `None` draws from all scenarios alike.
     pub by: Option<String>,
     /// Seed of the draw.
     pub seed: u64,
 }
 
 /// Draws scenarios of the corpus in `dir` without replacement into a new corpus at `out`. With a column to share by,
-/// each of its values gets the same number; what a value has too few scenarios for goes to the others in equal parts.
+/// each of its values gets the same number; the shortfall of values with too few scenarios goes to the others in equal
+/// parts.
 ///
-/// A scenario is drawn by its id and the seed: whether it comes does not depend on the order of the corpus, and a draw
-/// of more scenarios from the same ones holds all of a draw of fewer.
+/// A scenario is drawn by its id and the seed: the draw does not depend on the order of the corpus, and a draw of more
+/// scenarios from the same ones contains any draw of fewer.
 ///
 /// # Errors
-/// [`Error::UnknownColumn`] when there is no such column; those of reading and writing corpora.
+/// [`Error::UnknownColumn`] when there is no such column; errors of reading and writing corpora.
 pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Progress) -> Result<CopyOutcome> {
     let SampleOptions { n, by, seed } = options;
     if *n == 0 {
@@ -55,7 +56,7 @@ pub fn sample(dir: &Path, options: &SampleOptions, out: &Path, progress: &dyn Pr
     copy(&[scan], out, &history, &mut Chosen(chosen), progress)
 }
 
-/// The column of the table, for the name that partitions give to one of them.
+/// The column of the table, for a partition's name of it.
 fn column_name(name: &str) -> &str {
     if name == "behavior" { "requested_behavior" } else { name }
 }
@@ -73,7 +74,7 @@ fn check_column(scan: &CorpusScan, name: &str) -> Result<()> {
     }
 }
 
-/// For each value of the column, the scenarios that would be drawn first, at most as many as are drawn at all.
+/// For each value of the column, the scenarios that would be drawn first, at most as many as are drawn in total.
 fn strata(scan: &CorpusScan, options: &SampleOptions) -> Result<BTreeMap<String, BTreeSet<(u64, Fingerprint)>>> {
     let by = options.by.as_deref().map(column_name);
     let mut strata: BTreeMap<String, BTreeSet<(u64, Fingerprint)>> = BTreeMap::new();
@@ -104,8 +105,8 @@ fn strata(scan: &CorpusScan, options: &SampleOptions) -> Result<BTreeMap<String,
     Ok(strata)
 }
 
-/// How many of each stratum to draw: equal parts of `n`, the smallest stratum first, so that its shortfall is shared by
-/// the others.
+/// The number to draw from each stratum: equal parts of `n`, the smallest stratum first, so that its shortfall is
+/// shared by the others.
 fn quotas(sizes: &[usize], n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..sizes.len()).collect();
     order.sort_by_key(|i| sizes[*i]);

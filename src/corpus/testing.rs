@@ -1,4 +1,4 @@
-//! Corpora for the tests of the tools: arbitrary scenarios, the same for the same seeds.
+//! Corpora for the tests of the tools: arbitrary scenarios that only depend on their seeds.
 
 use crate::metrics::{Group, MetricRow};
 use crate::scenario::ScenarioRecord;
@@ -49,7 +49,7 @@ pub(super) fn write(dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     write_in_files_of(SCENES_PER_FILE, dir, records)
 }
 
-/// With at most this many scenarios or scenes a file.
+/// Writes files of at most this many scenarios or scenes.
 pub(super) fn write_in_files_of(scenes_per_file: usize, dir: &Path, records: &[ScenarioRecord]) -> CorpusManifest {
     let maps = AnyMap(5);
     let mut writer = CorpusWriter::create(dir, &maps).unwrap().in_files_of(scenes_per_file);

@@ -1,4 +1,4 @@
-//! Do merge, filter, sample and diff keep what they should, and refuse what they must?
+//! Do merge, filter, sample and diff keep the right scenarios, and reject invalid requests?
 
 use super::testing::{AnyMap, recorded, records, write, write_in_files_of};
 use super::*;
@@ -90,7 +90,7 @@ fn a_merge_with_nothing_new_is_what_it_was_but_for_history_and_aggregates() {
 #[test]
 fn recordings_are_the_same_wherever_batches_break() {
     let folder = Folder::new();
-    // More rows at one place than are read at a time, so that scenes lie across the break, in one corpus and not in the
+    // More rows at one place than are read at a time, so that scenes lie across the break in one corpus and not in the
     // other.
     let (a, b) = (folder.corpus("a", 0..330), folder.corpus("b", 100..330));
     let n_rows = |dir: &Path| CorpusManifest::read(dir).unwrap().tables["recordings"].files[1].n_rows;
@@ -203,7 +203,7 @@ fn a_filter_keeps_what_fulfils_all_conditions() {
     );
     filtered(&a, &["gap_m < 6"], &folder.path("none")).unwrap();
     assert!(CorpusReader::open(&folder.path("none")).unwrap().is_empty());
-    // A table of which no rows are left still has its columns.
+    // A table without rows still has its columns.
     let columns = |name: &str| CorpusScan::open(&folder.path(name)).unwrap().scenario_schema().unwrap();
     assert!(columns("none").field_with_name("gap_m").is_ok());
     assert_eq!(columns("none"), columns("gap"));
@@ -247,7 +247,7 @@ fn a_sample_is_balanced_and_the_same_for_the_same_seed() {
     assert!(folder_bytes(&folder.path("one")) == folder_bytes(&folder.path("two")));
     draw("three", 24, Some("behavior"), 2);
     assert_ne!(ids(&folder.path("one")), ids(&folder.path("three")));
-    // More from the same seed holds all of fewer.
+    // A larger draw with the same seed contains the smaller one.
     draw("few", 10, None, 1);
     draw("many", 30, None, 1);
     assert_eq!((ids(&folder.path("few")).len(), ids(&folder.path("many")).len()), (10, 30));
@@ -327,7 +327,7 @@ fn a_filter_takes_a_list_of_beginnings_and_the_ends_of_an_order() {
     };
     let first = all.last().unwrap();
     assert_eq!(take(listed(&[first]), "one").unwrap(), BTreeSet::from([first.clone()]));
-    // Where others begin alike, a beginning is not enough.
+    // If other ids begin alike, a beginning is not enough.
     let beginning = &first[..first.len() - 1];
     let reader = CorpusReader::open(&a).unwrap();
     assert!(

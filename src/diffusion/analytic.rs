@@ -1,4 +1,4 @@
-//! What would a perfect denoiser say? Gaussian mixtures, whose denoiser and score are known in closed form.
+//! Perfect denoisers: Gaussian mixtures, whose denoiser and score are known in closed form.
 //!
 //! Samplers and guidance are checked against it: a wrong sign or a wrong order shows within milliseconds.
 
@@ -66,7 +66,7 @@ pub(crate) struct MixtureDenoiser {
 /// The posterior of a mixture given a noisy point: again a mixture, one for each batch row.
 #[derive(Debug, Clone)]
 pub(crate) struct Posterior {
-    /// ln of the probability that the point came from each component, (B, K).
+    /// ln of the probability that the point is from each component, (B, K).
     pub(crate) log_responsibility: Tensor,
     /// Posterior mean within each component, (B, K, N).
     pub(crate) mean: Tensor,

@@ -1,4 +1,4 @@
-//! What does a sampler ask of a network? One call: the noisy tensor and its noise level in, the clean estimate out.
+//! The interface of a network for a sampler: the noisy tensor and its noise level in, the clean estimate out.
 
 use candle_core::{DType, Result, Tensor};
 
@@ -6,8 +6,8 @@ use candle_core::{DType, Result, Tensor};
 ///
 /// Everything that the estimate is conditioned on is bound inside the implementation.
 pub trait Denoiser {
-    /// The clean estimate `x0_hat`, of the shape of `x`. `x` is (B, …); `sigma` is (B), one positive noise level a row,
-    /// in the same dtype. A row of the result depends on its own row of `x` and `sigma` only.
+    /// The clean estimate `x0_hat`, with the shape of `x`. `x` is (B, …); `sigma` is (B), one positive noise level per
+    /// row, in the same dtype. A row of the result depends on its own row of `x` and `sigma` only.
     fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor>;
 }
 
@@ -16,7 +16,7 @@ pub fn sigma_rows(sigma: &Tensor) -> Result<Vec<f64>> {
     sigma.to_dtype(DType::F64)?.to_vec1()
 }
 
-/// One value a batch row as a (B, 1, …, 1) tensor that broadcasts against `like` (B, …), in its dtype and on its
+/// One value per batch row as a (B, 1, …, 1) tensor that broadcasts against `like` (B, …), in its dtype and on its
 /// device.
 pub fn rows_like(values: Vec<f64>, like: &Tensor) -> Result<Tensor> {
     let mut dims = vec![1; like.rank()];

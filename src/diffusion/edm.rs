@@ -1,4 +1,4 @@
-//! How is a network wrapped into a denoiser, and how much does each noise level count in its loss? (EDM, table 1.)
+//! Wraps a network into a denoiser, and weights each noise level in its loss (EDM, table 1).
 
 use super::karras_schedule;
 use serde::{Deserialize, Serialize};
@@ -46,7 +46,7 @@ impl Edm {
     }
 
     /// Weight λ(σ) of the squared error at this noise level: (σ² + σ_data²) / (σ σ_data)², which gives every noise
-    /// level the same weight at initialization. The DJINN paper prints its loss without one.
+    /// level equal weight at initialization. The DJINN paper prints its loss without a weight.
     pub fn loss_weight(&self, sigma: f64) -> f64 {
         total_variance(sigma) / (sigma * SIGMA_DATA).powi(2)
     }

@@ -1,4 +1,4 @@
-//! Where does a batch's noise come from, so that a sample never depends on the batch it sits in?
+//! The noise of a batch, drawn so that a sample never depends on the batch that contains it.
 
 use crate::seed::Seed;
 use candle_core::{DType, Device, Result, Tensor};
@@ -35,7 +35,7 @@ impl NoiseSource {
         });
         self.n_draws += 1;
         let dims: Vec<usize> = [self.seeds.len()].into_iter().chain(row_dims.iter().copied()).collect();
-        // The draws are f64 whatever the dtype, so that f32 and f64 runs see the same noise.
+        // The draws are f64 for any dtype, so that f32 and f64 runs see the same noise.
         Tensor::from_vec(values, dims, &Device::Cpu)?.to_dtype(dtype)?.to_device(device)
     }
 

@@ -1,4 +1,4 @@
-//! Turns the action of a planner into states of the ego, or says why it is none.
+//! Turns the action of a planner into states of the ego, or says why that is impossible.
 
 use super::protocol::Action;
 use crate::geometry::{Transform2, Vec2, wrap_angle};
@@ -14,7 +14,7 @@ const MOST_ACROSS_MPS2: f64 = 9.0;
 const NO_VEHICLE_MPS2: f64 = 30.0;
 const NO_VEHICLE_MPS: f64 = 100.0;
 
-/// The next `n_steps` states of an ego that is `now` somewhere, in the scene frame.
+/// The next `n_steps` states of an ego whose present state is `now`, in the scene frame.
 pub(super) fn states(
     action: &Action,
     now: &State,
@@ -37,7 +37,7 @@ pub(super) fn states(
     }
 }
 
-/// The states of a trajectory that a vehicle could drive; nothing is said about comfort or grip.
+/// The states of a trajectory if a vehicle could drive it, however uncomfortable or slippery.
 fn follow(
     points: &[[f64; 3]],
     now: &State,

@@ -1,8 +1,8 @@
 //! Keeps the event in aim: where it would not happen as planned, because the ego drives otherwise or keeps its
-//! distance, the plan of its other agents is solved again from the present.
+//! distance, the plan of the other agents is solved again from the present.
 //!
-//! They keep their ways, and one of them drives faster or slower, within the limits of vehicles: as little as suffices
-//! for the definition of the behavior to find the event in what was driven and what is expected of the ego.
+//! The agents keep their paths, and one of them drives faster or slower within the limits of vehicles: by as little as
+//! suffices for the definition of the behavior to find the event in the driven states and those expected of the ego.
 
 use super::drivers::reacting;
 use super::reaction::retimed;
@@ -11,11 +11,12 @@ use super::world::World;
 use crate::geometry::angle_difference;
 use crate::scene::{Scene, State, Track, Trajectory};
 
-/// By how much more the others accelerate, m/s²: the weakest first.
+/// Additional accelerations of the other agents, m/s²: the weakest first.
 const MORE_MPS2: [f64; 13] = [0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 3.0, -3.0, -4.5, -6.0];
-/// The largest accelerations forward, in braking and across, m/s²: as of templates. Plans that were beyond stay so.
+/// The largest accelerations forward, in braking and across, m/s², as for templates. A plan that exceeded them may stay
+/// as hard.
 const MOST_MPS2: [f64; 3] = [3.5, 8.0, 3.6];
-/// Velocities are compared over this time, seconds: shorter, they are noise.
+/// Time over which velocities are compared, seconds; over a shorter one they are noise.
 const OVER_S: f64 = 0.3;
 
 /// A plan that was solved again: the states of each agent from now on, and its last timestep.
@@ -25,7 +26,7 @@ struct Plan {
 }
 
 impl Situation {
-    /// Ends the plan once the event has happened: not before it does so in the scenario.
+    /// Ends the plan once the event has happened, but not before it happens in the scenario.
     pub(super) fn let_go(&self, world: &mut World) {
         let is_due = (self.event[1]..world.plan_ends).contains(&world.now());
         if is_due && self.event_in(&self.foreseen(world, &[], &[])).is_some() {
@@ -33,8 +34,8 @@ impl Situation {
         }
     }
 
-    /// Plans anew for the others of the event if it would not happen as planned. `expected` of the ego are its states
-    /// at the next timesteps.
+    /// Solves the plan of the other agents again if the event would not happen as planned. `expected` are the states
+    /// that the ego is expected to have at the next timesteps.
     pub(super) fn keep_in_aim(&self, world: &mut World, expected: &[State]) {
         let is_over = world.now() >= world.plan_ends || expected.is_empty();
         let Some(who) = self.planned.first().copied().filter(|_| self.aims && !is_over) else { return };
@@ -69,7 +70,7 @@ impl Situation {
         }
     }
 
-    /// Whether an ego with these states at the next timesteps and one with a plan touch.
+    /// Whether an ego with these states at the next timesteps touches an agent that follows the plan.
     fn is_hit(&self, ego: &[State], plan: &Plan) -> bool {
         plan.states.iter().filter(|(idx, _)| self.can_touch(*idx)).any(|(agent_idx, states)| {
             let mut pairs = ego.iter().zip(states.iter().skip(1));
@@ -77,7 +78,7 @@ impl Situation {
         })
     }
 
-    /// Where another than the ego is at a timestep by this plan, if everybody else goes on straight.
+    /// The state of an agent other than the ego at a timestep under this plan; agents without a plan go straight on.
     fn then(&self, world: &World, plan: &Plan, agent_idx: usize, timestep: usize) -> Option<State> {
         let step = timestep - world.now();
         match plan.states.iter().find(|(idx, _)| *idx == agent_idx) {
@@ -89,7 +90,7 @@ impl Situation {
         }
     }
 
-    /// The plans of the others, one of whom accelerates so much more. `None` if it cannot.
+    /// The plans of the other agents if one of them accelerates by this much more. `None` if it cannot.
     fn planned_again(&self, world: &World, (who, more_mps2): (usize, f64), n_steps: usize) -> Option<Plan> {
         let states = self.planned.iter().filter(|idx| world.present(**idx).is_some()).map(|agent_idx| {
             let planned = self.course(world, *agent_idx, n_steps);
@@ -102,7 +103,7 @@ impl Situation {
         Some(Plan { states: states.collect::<Option<_>>()?, ends: world.plan_ends })
     }
 
-    /// The states that an agent of the event is to have, from now on; straight on after the scenario.
+    /// The planned states of an agent of the event from now on; straight on after the end of the scenario.
     fn course(&self, world: &World, agent_idx: usize, n_steps: usize) -> Vec<State> {
         let mut states: Vec<State> = world.present(agent_idx).into_iter().collect();
         while let Some(last) = states.last().copied().filter(|_| states.len() <= n_steps) {
@@ -117,7 +118,7 @@ impl Situation {
         states
     }
 
-    /// What was driven by the agents of the event and the ego, and what is planned and expected.
+    /// The agents of the event and the ego with their driven states, then the planned and expected ones.
     fn foreseen(&self, world: &World, expected: &[State], planned: &[(usize, Vec<State>)]) -> Scene {
         let n_timesteps = world.n_timesteps() + expected.len();
         let mut tracks: Vec<Track> = Vec::new();
@@ -138,7 +139,7 @@ impl Situation {
         Scene { tracks, n_timesteps, ego_idx, ..self.scene.clone() }
     }
 
-    /// Whether nobody but the ego comes to touch another by this plan, if everybody else goes on straight.
+    /// Whether no agent but the ego touches another under this plan if agents without a plan go straight on.
     fn is_free(&self, world: &World, plan: &Plan) -> bool {
         plan.states.iter().all(|(agent_idx, own)| {
             (0..world.n_tracks()).filter(|idx| idx != agent_idx && *idx != self.ego_idx).all(|other_idx| {
@@ -152,7 +153,7 @@ impl Situation {
         })
     }
 
-    /// Whether a vehicle can drive so, or drives no harder than planned before.
+    /// Whether a vehicle can drive `again`, or `again` is no harder than `before`.
     fn is_drivable(&self, before: &[State], again: &[State]) -> bool {
         let n = (OVER_S / self.scene.dt_s).round().max(1.0) as usize;
         let hardest = |states: &[State]| {
@@ -183,7 +184,7 @@ mod tests {
     use super::*;
     use crate::geometry::Vec2;
 
-    /// Everybody does as in the scenario, but the ego may be elsewhere: when does the other give up its plan?
+    /// Everybody does as in the scenario, but the ego may be elsewhere: when do the others give up their plan?
     #[test]
     fn the_plan_ends_once_the_event_has_happened_and_not_before_nor_without() {
         let situation = situation(&record());
@@ -210,12 +211,12 @@ mod tests {
         assert!(now == ends && now >= end, "{now} {ends} {end}");
         let cut = Scene { n_timesteps: now + 1, ..scene.clone() };
         assert!(situation.event_in(&cut).is_some());
-        // Nobody is cut off who is far ahead, or far behind.
+        // An ego far ahead or far behind is not cut off.
         assert_eq!([150.0, -150.0].map(let_go_at), [None, None]);
     }
 
-    /// The ego is some meters ahead of where the scenario has it, or behind: is the event planned anew where it would
-    /// be lost, and otherwise left as it is?
+    /// The ego is some meters ahead of its place in the scenario, or behind: is the plan solved again where the event
+    /// would be lost, and otherwise left as it is?
     #[test]
     fn the_event_is_planned_anew_where_an_ego_that_is_elsewhere_would_undo_it() {
         let (record, mut n_lost, mut n_kept) = (record(), 0, 0);
@@ -241,7 +242,7 @@ mod tests {
             n_lost += usize::from(!happened);
             if !happened && found(&world) {
                 n_kept += 1;
-                // Along the same way, no harder than vehicles can.
+                // Along the same path, no harder than vehicles can.
                 assert!(planned != again && situation.is_drivable(&planned, &again), "{ahead_m} m");
                 let is_on_way = |at: &State| {
                     let mut pairs = planned.windows(2).map(|pair| (pair[0].position, pair[1].position));

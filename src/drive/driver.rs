@@ -6,12 +6,12 @@ use crate::scene::{Scene, State};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Samples so many futures of everybody, without advancing.
+/// Samples this many futures of everybody, without advancing.
 pub type Peeker<'a> = dyn Fn(usize) -> Result<Vec<Scene>, Failed> + 'a;
 
 /// A driver of the ego. One may drive many scenarios, one after the other.
 pub trait Driver: Send {
-    /// Begins, or goes on with, a drive.
+    /// Begins or continues a drive.
     ///
     /// # Errors
     /// When the driver cannot drive.
@@ -31,32 +31,32 @@ pub trait Driver: Send {
         Ok(())
     }
 
-    /// The state of the ego at the next timestep; `sampled` is what the model would have it do.
+    /// The state of the ego at the next timestep; `sampled` is the one that the model sampled.
     ///
     /// # Errors
     /// When the driver has no answer.
     fn next(&mut self, situation: &Situation, world: &World, sampled: Option<State>) -> Result<State, Failed>;
 
-    /// Whether it is the model, so that others are sampled together with the ego and not around what they expect of it.
+    /// Whether it is the model, so that others are sampled together with the ego instead of around its expected motion.
     fn is_model(&self) -> bool {
         false
     }
 
-    /// Whether it answers to others, so that they keep the event in aim: who is replayed cannot undo it.
+    /// Whether it answers to others, so that they keep the event in aim: a replayed ego cannot undo it.
     fn answers(&self) -> bool {
         true
     }
 
-    /// The drive is over, for this reason.
+    /// Ends the drive, with its outcome and the reason.
     fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) {}
 }
 
-/// Why a driver does not go on.
+/// The failure of a driver.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failed {
     /// Whether it was too slow.
     pub fault: Fault,
-    /// What happened, for people.
+    /// A description of the failure.
     pub why: String,
 }
 
@@ -70,25 +70,25 @@ pub enum Fault {
 }
 
 impl Failed {
-    /// A failure for this reason.
+    /// A failure with this reason.
     pub fn because(why: impl Into<String>) -> Self {
         Self { fault: Fault::Failed, why: why.into() }
     }
 }
 
-/// The drivers that are asked for by name, and the command of any other.
+/// The drivers that have a name, and the command of any other.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EgoDriver {
-    /// The model, as everybody else.
+    /// The model, as for everybody else.
     Model,
-    /// The states of the scenario; after them, straight on along the lane at the last speed.
+    /// The states of the scenario; after its end, straight on along the lane at the last speed.
     Log,
-    /// The way of the scenario at the present speed.
+    /// The path of the scenario at the present speed.
     ConstantVelocity,
-    /// The way of the scenario by the intelligent driver model.
+    /// The path of the scenario by the intelligent driver model.
     Idm,
-    /// The careful driver of UN Regulation No. 157 on the way of the scenario.
+    /// The careful driver of UN Regulation No. 157 on the path of the scenario.
     Careful,
     /// A planner: a command that speaks the protocol.
     External(String),
@@ -98,7 +98,7 @@ impl EgoDriver {
     /// The drivers with a name.
     pub const NAMED: [Self; 5] = [Self::Model, Self::Log, Self::ConstantVelocity, Self::Idm, Self::Careful];
 
-    /// The driver of this name; whatever is no name is a command.
+    /// The driver with this name; any other text is a command.
     pub fn from_name(name: &str) -> Self {
         let named = Self::NAMED.into_iter().find(|driver| driver.name() == name);
         named.unwrap_or_else(|| Self::External(name.to_owned()))

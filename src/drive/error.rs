@@ -1,4 +1,4 @@
-//! Errors that stop a drive. What goes wrong with a planner is no error but the outcome of a scenario.
+//! Errors that stop a drive. A planner that fails is not an error but the outcome of a scenario.
 
 use crate::{files, generate, store};
 use std::path::PathBuf;
@@ -14,15 +14,15 @@ pub enum Error {
     Unfit {
         /// The scenario.
         scenario_id: String,
-        /// Why, in words that follow its name.
+        /// Why, in words that follow the scenario's name.
         why: String,
     },
     /// A saved state that cannot be read, or does not fit the corpus.
     #[error("{path}: {why}")]
     State {
-        /// Its file.
+        /// The file.
         path: PathBuf,
-        /// What is wrong, and what to do.
+        /// The fault, and the remedy.
         why: String,
     },
     /// No scenario passes the selection.
@@ -30,7 +30,7 @@ pub enum Error {
     NothingSelected {
         /// The corpus.
         corpus: PathBuf,
-        /// How many it has.
+        /// The number of its scenarios.
         n_scenarios: usize,
         /// The selection in words.
         wanted: String,

@@ -1,19 +1,19 @@
-//! Does the event of a scenario happen in what was driven?
+//! Does the event of a scenario happen in the driven states?
 
 use super::situation::Situation;
 use crate::behavior::{BehaviorConfig, BehaviorEvent, EventLabel};
 use crate::scene::Scene;
 
-/// Behaviors that are defined by the ego not reacting in time, or nearly so: what it does decides them.
+/// Behaviors defined by the ego not reacting in time, or nearly so: its own motion decides them.
 const DECIDED_BY_EGO: [&str; 2] = ["collision", "near_miss"];
 
-/// Whether the ego decides whether this behavior happens, so that its plan stays as it is.
+/// Whether the ego decides if this behavior happens, so that the plan stays as it is.
 pub(super) fn is_decided_by_ego(behavior: Option<&str>) -> bool {
     behavior.is_some_and(|id| DECIDED_BY_EGO.contains(&id))
 }
 
 impl Situation {
-    /// The event of the scenario, with the same roles, as the definition with default options finds it in a `scene`
+    /// The event of the scenario, with the same roles, if the definition with default options finds it in a `scene`
     /// with its agents. `None` also for a scenario without an event.
     pub(super) fn event_in(&self, scene: &Scene) -> Option<BehaviorEvent> {
         let behavior = BehaviorConfig::from_id(self.behavior.as_deref().filter(|_| !self.roles.is_empty())?)?;

@@ -1,4 +1,4 @@
-//! A planner as a child process: it may be slow, die, flood or answer nonsense, and costs a scenario at most.
+//! A planner as a child process: it may be slow, die, flood or answer nonsense, which costs one scenario at most.
 
 use super::action;
 use super::peek::MOST_FUTURES;
@@ -15,16 +15,16 @@ use std::time::Duration;
 
 /// The longest line that a planner may send, bytes.
 const MOST_BYTES: u64 = 1 << 20;
-/// Lines that wait to be read; a planner that sends more is held up.
+/// Lines that wait to be read; a planner that sends more is blocked.
 const MOST_LINES: usize = 4;
 /// How often a planner may peek before an action.
 const MOST_PEEKS: usize = 8;
-/// What is kept of the planner's messages for people, bytes.
+/// How much of the end of the planner's standard error is kept, bytes.
 const KEPT_BYTES: usize = 2000;
-/// How much longer the first answer of a process may take: it has to start.
+/// Additional time for the first answer of a process, which has to start, seconds.
 const START_S: f64 = 30.0;
 
-/// The driver that asks a planner. Its process is started for the first scenario, serves many, and is started anew
+/// The driver that queries a planner. Its process is started for the first scenario, serves many, and is restarted
 /// after a failure.
 pub(super) struct External {
     command: String,
@@ -46,7 +46,7 @@ struct Process {
 }
 
 impl External {
-    /// A planner that is started with `sh -c`, and has so long for an answer, seconds.
+    /// A planner that is started with `sh -c` and has `limit_s` seconds for an answer.
     pub(super) fn new(command: &str, rollout: RolloutConfig, limit_s: f64) -> Self {
         Self { command: command.to_owned(), rollout, limit_s, process: None, unseen: 0, plan: VecDeque::new() }
     }
@@ -61,7 +61,7 @@ impl External {
         Ok(())
     }
 
-    /// The next line of the planner, which has not sent any unasked.
+    /// The answer of the planner, which must not have sent any line before.
     fn answer(&mut self, message: &ToPlanner) -> Result<String, Failed> {
         match self.process.as_ref().map(|process| process.from.try_recv()) {
             Some(Ok(Ok(_))) => return Err(self.give_up(Fault::Failed, "it sends more lines than it is asked for")),
@@ -83,7 +83,7 @@ impl External {
         }
     }
 
-    /// Ends the process, and says why with the last that it said itself.
+    /// Ends the process and returns the failure, with the last line of the planner's standard error.
     fn give_up(&mut self, fault: Fault, why: &str) -> Failed {
         let said = self.process.take().map(Process::end).unwrap_or_default();
         let why = if said.is_empty() { why.to_owned() } else { format!("{why}; its last words: {said}") };
@@ -137,13 +137,13 @@ impl Driver for External {
 
     fn end(&mut self, outcome: Outcome, why: Option<&str>) {
         let done = Done { outcome: outcome.name().to_owned(), why: why.map(str::to_owned) };
-        // Whoever failed is not there any more.
+        // A planner that failed is gone already.
         drop(self.send(&ToPlanner::Done(done)));
     }
 }
 
 impl Drop for External {
-    /// Closes its input and lets it end; one that does not is ended.
+    /// Closes the planner's input and lets it end; kills it if it does not.
     fn drop(&mut self) {
         self.process.take().map(Process::end);
     }
@@ -152,7 +152,7 @@ impl Drop for External {
 impl Process {
     fn start(command: &str) -> Result<Self, Failed> {
         let mut shell = Command::new("sh");
-        // In the place of the shell, so that ending it ends the planner.
+        // Replaces the shell, so that killing it kills the planner.
         shell.arg("-c").arg(format!("exec {command}"));
         let mut child = shell
             .stdin(Stdio::piped())
@@ -167,7 +167,7 @@ impl Process {
         let (to, lines) = channel();
         let (answers, from) = sync_channel(MOST_LINES);
         let said = Arc::default();
-        // Each ends with its stream, which ends with the process.
+        // Each thread ends with its stream, which ends with the process.
         thread::spawn(move || feed(input, &lines));
         thread::spawn(move || listen(output, &answers));
         thread::spawn({
@@ -177,7 +177,7 @@ impl Process {
         Ok(Self { child, to, from, said, has_answered: false })
     }
 
-    /// Ends it, and returns the last line of its messages.
+    /// Kills the process, and returns the last line of its standard error.
     fn end(self) -> String {
         let Self { mut child, to, from, said, .. } = self;
         drop((to, from));
@@ -205,7 +205,7 @@ fn feed(mut input: ChildStdin, lines: &Receiver<String>) {
     }
 }
 
-/// Passes on the lines of the planner, until one is too long or nobody wants them.
+/// Passes on the lines of the planner until one is too long or the receiver is gone.
 fn listen(output: ChildStdout, answers: &SyncSender<Result<String, String>>) {
     let mut output = BufReader::new(output);
     loop {

@@ -1,4 +1,4 @@
-//! What an interrupted attempt has driven: it lies beside the folder that it was to become, and is not driven again.
+//! Drives of an interrupted attempt, kept beside its output folder so that they are not driven again.
 
 use super::run::Drives;
 use super::{Error, Result};
@@ -10,13 +10,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Drives by scenario, each a file.
 pub(super) struct Kept {
     dir: PathBuf,
-    /// The format of the files, which tells apart drives of another program, corpus, model or other settings.
+    /// The format of the files, which distinguishes the program, corpus, model and settings of the drives.
     format: String,
     n_found: AtomicUsize,
 }
 
 impl Kept {
-    /// Drives that go into `out`, whose lock must be held, and that depend on what `identity` says and nothing else.
+    /// Drives for the folder `out`, whose lock must be held, that depend only on what `identity` describes.
     pub(super) fn begin(out: &Path, identity: &str) -> Result<Self> {
         let mut name = out.file_name().unwrap_or_default().to_owned();
         name.push(".drives");
@@ -31,7 +31,7 @@ impl Kept {
         Ok(Self { dir, format, n_found: AtomicUsize::new(0) })
     }
 
-    /// The drives of a scenario, if they were driven before.
+    /// The drives of a scenario, if it was driven before.
     pub(super) fn get(&self, scenario_id: &str) -> Result<Option<Drives>> {
         match read_binary(&self.path(scenario_id), &self.format) {
             Ok(drives) => {
@@ -49,12 +49,12 @@ impl Kept {
         Ok(write_binary_atomically(&self.path(scenario_id), &self.format, drives).map(drop)?)
     }
 
-    /// How many scenarios were driven before.
+    /// The number of scenarios that were driven before.
     pub(super) fn n_found(&self) -> usize {
         self.n_found.load(Ordering::Relaxed)
     }
 
-    /// Removes what was kept, once it is in its place.
+    /// Removes the kept drives, once the output is in its place.
     pub(super) fn remove(self) -> Result<()> {
         let ours = listed(&self.dir)?.unwrap_or_default();
         remove_listed(&self.dir, &ours).map(drop).map_err(Error::from)
@@ -89,7 +89,7 @@ mod tests {
         assert!(Kept::begin(&out, "b").unwrap().get("x/1").unwrap().is_none());
         kept.remove().unwrap();
         assert_eq!(fs_err::read_dir(dir.path()).unwrap().count(), 0);
-        // What lies there and is not ours stays.
+        // A foreign file there stays.
         fs_err::create_dir(dir.path().join("out.drives")).unwrap();
         assert!(Kept::begin(&out, "a").is_err());
     }

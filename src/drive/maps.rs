@@ -1,6 +1,6 @@
-//! What the scenarios of a place share: its map, where traffic enters and leaves it, and who was recorded to.
+//! Data that scenarios of a place share: its map, where traffic enters and leaves it, and the recorded arrivals.
 //!
-//! Scenarios of a place, and of a recording there, mostly follow each other: the last of each is kept.
+//! Scenarios of a place, and of a recording there, mostly follow each other, so the last of each is kept.
 
 use super::arrivals::{Ends, Recorded, Window};
 use super::{Error, Result, Situation};
@@ -15,10 +15,10 @@ use std::sync::Arc;
 /// Scenes of a place from which its arrivals are estimated.
 const MOST_SCENES: usize = 200;
 
-/// The last map, its ends, and the last long recording, once they were asked for.
+/// The last map, its ends, and the last long recording that were requested.
 #[derive(Default)]
 pub(super) struct Maps {
-    /// Scenes that know more windows of recordings than the corpus does.
+    /// Scenes with more windows of recordings than the corpus has.
     scenes: Option<SceneStore>,
     last: Option<(MapId, LaneGraph)>,
     ends: Option<(MapId, Arc<Ends>)>,
@@ -28,14 +28,14 @@ pub(super) struct Maps {
 /// A long recording.
 struct Recording {
     name: String,
-    /// The windows of it: the first frame, and the position among the scenes, or that of a scenario that continues it.
+    /// Its windows: the first frame, and the position of its scene, or of a scenario that continues it.
     positions: Vec<(i64, usize)>,
-    /// Those that were read.
+    /// The windows that were read.
     windows: BTreeMap<i64, Window>,
 }
 
 impl Maps {
-    /// Those of a corpus, and the windows of its recordings that the scenes in this folder are, if one is given.
+    /// The maps of a corpus; recordings have the windows of the scenes in this folder, if one is given.
     ///
     /// # Errors
     /// When the folder has no finished scenes.
@@ -43,7 +43,7 @@ impl Maps {
         Ok(Self { scenes: scenes.map(SceneStore::open).transpose()?, ..Self::default() })
     }
 
-    /// What the windows depend on beside the corpus.
+    /// The fingerprint of the scenes, on which the windows depend beside the corpus.
     pub(super) fn fingerprint(&self) -> &str {
         self.scenes.as_ref().map_or("", SceneStore::fingerprint)
     }
@@ -65,7 +65,7 @@ impl Maps {
         Situation::new(record, ego_idx, map)
     }
 
-    /// The ends of the map of a scene, by other scenes on it.
+    /// The ends of the map of a scene, estimated from scenes on it.
     pub(super) fn ends(&mut self, scene: &Scene, reader: &CorpusReader) -> Result<Arc<Ends>> {
         let last = self.last.as_ref().filter(|(id, _)| Some(id) == scene.map_id.as_ref());
         let Some((id, map)) = last else { return Ok(Arc::default()) };
@@ -78,7 +78,7 @@ impl Maps {
         Ok(ends)
     }
 
-    /// Scenes on the map of this one: those of the folder that was given, from all over it, or else of the corpus.
+    /// Scenes on the map of this one: those of the given folder, spread over all of it, or else of the corpus.
     fn scenes_on(&self, map: &MapId, scene: &Scene, reader: &CorpusReader) -> Result<Vec<Scene>> {
         let Some(store) = &self.scenes else {
             let read = |position: usize| Ok(reader.scenario(position)?.scenario.scene);
@@ -92,7 +92,7 @@ impl Maps {
         Ok(scenes)
     }
 
-    /// Who arrived in the recording of a scene within `n_steps` after its present, or a window later.
+    /// The recorded arrivals within `n_steps` after the present of a scene, or a window later.
     pub(super) fn recorded(&mut self, scene: &Scene, reader: &CorpusReader, n_steps: usize) -> Result<Recorded> {
         let Some((name, first_frame)) = SceneId::window_of(&scene.id.0) else { return Ok(Recorded::default()) };
         let ends = self.ends(scene, reader)?;
@@ -109,7 +109,7 @@ impl Maps {
         };
         let Recording { positions, windows, .. } = self.recording.insert(known);
         let later = &positions[positions.partition_point(|(frame, _)| *frame <= first_frame)..];
-        // Who came last is in the first window that begins after the end.
+        // The last arrivals are in the first window that begins after the end.
         let n_until = later.partition_point(|(frame, _)| frame - first_frame < n_steps as i64);
         let needed = &later[..later.len().min(n_until + 1)];
         for (frame, position) in needed {
@@ -140,7 +140,7 @@ mod tests {
     use crate::store::{CorpusNotes, CorpusWriter, SceneWriter};
     use std::path::PathBuf;
 
-    /// A corpus of two windows of a recording, 2.5 s apart: by the second, everybody is somebody else.
+    /// A corpus of two windows of a recording, 2.5 s apart: by the second, all agents have been replaced.
     fn write_windows(dir: &Path) -> CorpusReader {
         let reader = CorpusReader::open(&corpus()).unwrap();
         let window = |first_frame: &str| {
@@ -188,12 +188,12 @@ mod tests {
             assert!((0..situation.arrivals.n_expected()).all(|number| situation.arrivals.is_recorded(number)));
             situation.arrivals.n_expected()
         };
-        // The window that begins after the end counts, too: who came in between was on its way.
+        // The window that begins after the end counts, too: the agents that came in between were on their way.
         let n_tracks = reader.scenario(1).unwrap().scenario.scene.tracks.len();
         let found =
             [(0, 80), (0, 20), (1, 80), (0, 80)].map(|(position, n_steps)| arrive(&mut maps, position, n_steps));
         assert_eq!(found, [n_tracks, n_tracks, 0, n_tracks]);
-        // Scenes may know one more window.
+        // Scenes may have one more window.
         let scene = |position: usize| reader.scenario(position).unwrap().scenario.scene;
         let (first, second) = (scene(0), scene(1));
         let mut third = Scene { id: "interaction/train/FIX_Merging/000@51".into(), ..second.clone() };
@@ -202,7 +202,7 @@ mod tests {
         write_scenes(dir.path(), &reader, &[first.clone(), second, third]);
         let mut known = Maps::with_windows_in(Some(dir.path())).unwrap();
         assert_eq!([arrive(&mut known, 0, 80), arrive(&mut known, 1, 80)], [2 * n_tracks, n_tracks]);
-        // They say how much traffic a place has, too.
+        // They tell how much traffic a place has, too.
         let map_id = first.map_id.clone().unwrap();
         let n_scenes = |maps: &Maps, map: &MapId| maps.scenes_on(map, &first, &reader).unwrap().len();
         assert_eq!([&known, &maps].map(|maps| n_scenes(maps, &map_id)), [3, 2]);
@@ -247,7 +247,7 @@ mod tests {
         assert!(drive("again", 2, 3.0, &Origin::State(world.clone())).1 == bytes);
         assert_eq!(fs_err::read(again).unwrap(), fs_err::read(&state).unwrap());
         assert!(drive("shorter", 1, 1.6, &Origin::State(world)).0.driven_s[0] > 0.0);
-        // Scenes that have the first window alone: nobody is known to have come after it.
+        // Scenes that have the first window alone: no arrivals are known after it.
         let scenes = dir.path().join("scenes");
         let reader = CorpusReader::open(&corpus).unwrap();
         write_scenes(&scenes, &reader, &[reader.scenario(0).unwrap().scenario.scene]);

@@ -1,5 +1,5 @@
-//! How much harder could a scenario be? The others of the event do all that they do later, and so closer to the ego:
-//! up to which delay does a driver survive?
+//! How much harder could a scenario be? The other agents of the event do everything later, and so closer to the ego:
+//! which delay does a driver survive?
 
 use super::situation::Situation;
 use super::{Outcome, Result};
@@ -8,22 +8,22 @@ use crate::scene::{Scene, State, Trajectory};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The longest delay that is tried, seconds.
+/// The longest delay to be tried, seconds.
 const MOST_DELAY_S: f64 = 1.5;
-/// Delays are tried in steps of so many timesteps, and the first step that ends in a failure is bisected. With a long
-/// delay the ego may pass before the others come: surviving that says nothing of shorter ones.
+/// Delays are tried in steps of this many timesteps, and the first step that ends in a failure is bisected. With a long
+/// delay the ego may pass before the others come: surviving it says nothing of shorter ones.
 const STRIDE: usize = 3;
 
-/// The longest delays of the others that two drivers survive in a scenario.
+/// The longest delays of the other agents that two drivers survive in a scenario.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Margin {
     /// The scenario.
     pub scenario_id: String,
     /// The requested behavior.
     pub behavior: Option<String>,
-    /// The longest delay that there can be, seconds: at most 1.5, and nobody overlaps somebody in the past.
+    /// The longest possible delay, seconds: at most 1.5, and without new overlaps in the past.
     pub most_delay_s: f64,
-    /// For the driver that was asked for.
+    /// For the driver under test.
     pub own: DelaySurvived,
     /// For the careful driver.
     pub careful: DelaySurvived,
@@ -32,32 +32,34 @@ pub struct Margin {
 /// The longest delay that a driver survives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DelaySurvived {
-    /// Seconds: it fails a timestep later, or that is the longest delay. Missing if it fails without any.
+    /// The delay, seconds: the driver fails a timestep later, or this is the longest one. Missing if it fails without
+    /// any.
     pub delay_s: Option<f64>,
-    /// Parameters of the event then, as its definition with default options finds them if the ego does what it does in
-    /// the scenario; none if the event then ends after the scenario.
+    /// Parameters of the event then, as its definition with default options finds them if the ego moves as in the
+    /// scenario; none if the event then ends after the scenario.
     pub parameters: BTreeMap<String, f64>,
 }
 
-/// What the margins of a corpus come to.
+/// Summary of the margins of a corpus.
 #[derive(Debug, Clone, PartialEq, Serialize, Default)]
 pub struct Margins {
-    /// Scenarios that were made harder, first those in which the driver fails at a delay that the careful driver
-    /// survives: the largest difference first.
+    /// The delayed scenarios, sorted by how much longer a delay the careful driver survives: the largest difference
+    /// first.
     pub scenarios: Vec<Margin>,
-    /// How many there are.
+    /// Their number.
     pub n_scenarios: u64,
-    /// Those in which the driver fails earlier than the careful one, and those in which it is the other way around.
+    /// Scenarios in which the driver under test fails at a shorter delay than the careful one, and those with the
+    /// opposite.
     pub n_sooner: u64,
     /// See `n_sooner`.
     pub n_later: u64,
-    /// The median of the delays that the drivers survive, of the driver that was asked for and of the careful one,
-    /// seconds; without any, 0.
+    /// The median of the delays that the driver under test and the careful driver survive, seconds; 0 if there are
+    /// none.
     pub median_delay_s: [f64; 2],
 }
 
 impl Margins {
-    /// The figures of these margins.
+    /// The summary of these margins.
     pub(super) fn of(margins: Vec<Margin>) -> Self {
         let delays = |of: fn(&Margin) -> &DelaySurvived| {
             let mut delays: Vec<f64> = margins.iter().map(|margin| of(margin).or_least()).collect();
@@ -75,12 +77,12 @@ impl Margins {
 }
 
 impl Margin {
-    /// The margin of a situation in which the drivers (the one that was asked for, and the careful one) end as
-    /// `outcomes`, and driver 0 or 1 in a later one as `outcome` says. `None` if there is nobody else in its event, or
-    /// nobody can be later.
+    /// The margin of a situation. `outcomes` are those of the driver under test and of the careful driver, and
+    /// `outcome` gives that of driver 0 or 1 in a delayed situation. `None` if the event has no other agent, or none of
+    /// them can be later.
     ///
     /// # Errors
-    /// Those of a drive.
+    /// Errors of a drive.
     pub(super) fn find(
         situation: &Situation,
         outcomes: [Outcome; 2],
@@ -120,14 +122,14 @@ impl Margin {
 }
 
 impl DelaySurvived {
-    /// The delay, or a value below all for a driver that fails without any.
+    /// The delay, or a value below all delays for a driver that fails without any.
     fn or_least(&self) -> f64 {
         self.delay_s.unwrap_or(-1.0)
     }
 }
 
-/// A number up to `n_most` that is `survived`, as are all multiples of [`STRIDE`] before it, and after which comes one
-/// that is not; `n_most` if there is none. `None` if 0 is not.
+/// The largest number that is `survived` before one that is not; up to it only multiples of [`STRIDE`] are tried, then
+/// the last step is bisected. `n_most` if all are survived, `None` if 0 is not.
 fn latest(n_most: usize, mut survived: impl FnMut(usize) -> Result<bool>) -> Result<Option<usize>> {
     if !survived(0)? {
         return Ok(None);
@@ -152,7 +154,7 @@ fn latest(n_most: usize, mut survived: impl FnMut(usize) -> Result<bool>) -> Res
     Ok(Some(latest))
 }
 
-/// The states of an agent that does everything `n_steps` later, and before comes along at its first velocity.
+/// The trajectory of an agent `n_steps` later; before, it comes along at its first velocity.
 pub(super) fn later(scene: &Scene, agent_idx: usize, n_steps: usize) -> Trajectory {
     let entries = scene.tracks[agent_idx].trajectory.entries();
     let first = entries.iter().enumerate().find_map(|(t, state)| state.map(|state| (t, state)));

@@ -1,33 +1,33 @@
 //! Driving functions in the loop: what happens in a scenario if everybody answers to what the ego does?
 //!
-//! A [`Situation`] is a scenario of a corpus as a start: its past, its map, and the event that it holds. A [`World`] is
-//! what was reached from there: the states of everybody, timestep by timestep; it can be saved, and forked.
-//! [`roll_out`] drives on: at each replanning the futures of everybody are sampled anew from the last second that was
-//! really driven, and a part of them comes true; meanwhile a [`Driver`] moves the ego. [`drive_corpus`] does so for
-//! every scenario of a corpus, with the careful driver of UN Regulation No. 157 beside the driver that is asked for.
-//! [`score`] takes trajectories instead, and others that do not answer.
+//! A [`Situation`] is a scenario of a corpus as a start: its past, its map, and its event. A [`World`] is what was
+//! reached from there: the states of everybody, timestep by timestep; it can be saved, and forked. [`roll_out`] drives
+//! on: at each replanning the futures of everybody are sampled anew from the last second that was driven, and a part of
+//! them comes true; meanwhile a [`Driver`] moves the ego. [`drive_corpus`] does so for every scenario of a corpus, and
+//! drives each with the careful driver of UN Regulation No. 157, too. [`score`] takes trajectories instead, among
+//! others that do not answer.
 //!
 //! *The event.* Until it has happened, its other agents follow the scenario's states as a plan, which the model
-//! observes; then the model drives them, too. Where it would not happen as planned, because the ego drives otherwise or
-//! keeps its distance, one of them drives its way faster or slower from then on; nobody dodges an ego that does not
-//! react. One that would, within two seconds, drive its front into an ego that is elsewhere gives its plan up for the
-//! model, unless the event is a collision. Collisions and near misses stay as they are planned, and until their end:
-//! whether they happen is up to the ego.
+//! observes; then the model drives them, too. Where the event would not happen as planned, because the ego drives
+//! otherwise or keeps its distance, one of these agents drives its path faster or slower from then on; none of them
+//! dodges an ego that does not react. An agent that would, within two seconds, drive its front into an ego that is not
+//! where the scenario has it gives up its plan for the model, unless the event is a collision. Collisions and near
+//! misses stay as they are planned until their end: whether they happen is up to the ego.
 //!
-//! *What others know of the ego.* Where the model does not drive it, the others are sampled around what they expect of
-//! it: that it goes on along its way at its speed, or brakes on as in the last 0.3 s. They learn otherwise at the next
-//! replanning.
+//! *What others know of the ego.* Where the model does not drive the ego, the others are sampled around its expected
+//! motion: it goes on along its route at its speed, or keeps braking as in the last 0.3 s. They learn otherwise at the
+//! next replanning.
 //!
-//! *Braking.* Who would drive its front into another in the sampled future, or into the ego as it is expected, brakes
-//! on its way instead: the model knows little of those who stand in the road.
+//! *Braking.* An agent that would drive its front into another in the sampled future, or into the ego as expected,
+//! brakes on its path instead: the model knows little of agents that stand in the road.
 //!
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
-//! world and the same motion of the ego give the same bytes, whoever else is driven beside it.
+//! world and the same motion of the ego give the same bytes, whatever other drivers are run beside it.
 //!
-//! *Who enters and leaves.* Who is more than 10 m from every lane of the map and was not so at present is gone, and so
-//! is who goes, but for the ego, to where the scenes of the place have nobody any more. Others arrive as in the
-//! recording at times of which other scenes of the corpus tell, and at other times where those of the place come into
-//! sight, as often and as fast: where the gap allows.
+//! *Entering and leaving.* Agents leave when they are more than 10 m from every lane of the map and were not so at
+//! present, or, except the ego, when they go where scenes of the place see no traffic any more. Others arrive as in the
+//! recording at times that other scenes of it cover, and at other times where traffic of the place comes into sight, as
+//! often and as fast: where the gap allows.
 
 mod action;
 mod aim;

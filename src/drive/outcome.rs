@@ -13,15 +13,15 @@ use serde::{Deserialize, Serialize};
 pub enum Outcome {
     /// The ego came through to the horizon, or to the end of the map.
     Survived,
-    /// It touched somebody.
+    /// It touched another agent.
     Hit,
     /// Its center left the road.
     LeftRoad,
-    /// It stood for the last four seconds with nobody in the 10 m ahead of it.
+    /// It stood for the last four seconds with 10 m of free road ahead of it.
     StoppedDead,
     /// Its planner did not answer in time.
     TimedOut,
-    /// Its planner died, or what it answered is no motion of a vehicle.
+    /// Its planner died, or its answer is no motion of a vehicle.
     PlannerFailed,
     /// The model had no future for the others; no fault of the ego.
     NotSampled,
@@ -58,7 +58,7 @@ impl Outcome {
     }
 }
 
-/// The side of the ego on which somebody touches it.
+/// The side of the ego that is touched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
@@ -81,18 +81,18 @@ impl Side {
     }
 }
 
-/// Whom the ego touched first.
+/// The first contact of the ego with another agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
-    /// The other.
+    /// The other agent.
     pub track: TrackId,
-    /// On which side of the ego.
+    /// The side of the ego that is touched.
     pub side: Side,
-    /// The speed of one seen from the other, m/s.
+    /// The speed of one relative to the other, m/s.
     pub relative_mps: f64,
 }
 
-/// The agent that touches the ego now.
+/// The first contact of the ego at present.
 pub(super) fn contact(situation: &Situation, world: &World) -> Option<Contact> {
     let ego_idx = situation.ego_idx;
     let ego = world.present(ego_idx)?;
@@ -114,7 +114,7 @@ pub(super) fn contact(situation: &Situation, world: &World) -> Option<Contact> {
     Some(Contact { track: situation.scene.tracks[agent_idx].id.clone(), side, relative_mps })
 }
 
-/// The shortest time to collision of the ego with anybody now, if both keep their velocities, seconds.
+/// The shortest time to collision of the ego with any agent now, if both keep their velocities, seconds.
 pub(super) fn ttc_s(situation: &Situation, world: &World) -> Option<f64> {
     let ego_idx = situation.ego_idx;
     let ego = world.present(ego_idx)?;

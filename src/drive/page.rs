@@ -1,4 +1,4 @@
-//! The page of a drive, for people: which failures matter, and both drives to play side by side.
+//! The page of a drive, for people: the failures that matter, and both drives to play side by side.
 
 use super::report::DriveReport;
 use super::situation::Situation;
@@ -9,12 +9,12 @@ use crate::scenario::DriveRow;
 use crate::scene::Roles;
 use std::collections::BTreeMap;
 
-/// Scenarios that are drawn.
+/// The most scenarios drawn.
 const MOST_DRAWN: usize = 50;
-/// Parts of a parameter in a heat map, with equally many scenarios, and how many scenarios it takes at least.
+/// Intervals of a parameter in a heat map, with equally many scenarios, and the fewest scenarios for one.
 const N_PARTS: usize = 4;
 const LEAST_SCENARIOS: usize = 12;
-/// The parameters that say most of how hard an event is, in this order; others follow by name.
+/// The parameters that tell most about how hard an event is, in this order; others follow by name.
 const TELLING: [&str; 5] = ["gap_m", "relative_speed_mps", "time_to_arrival_s", "max_deceleration_mps2", "min_ttc_s"];
 
 /// Cards of the failures that the careful driver avoids, hardest first.
@@ -22,7 +22,7 @@ const TELLING: [&str; 5] = ["gap_m", "relative_speed_mps", "time_to_arrival_s", 
 pub(super) struct Cards(Vec<(f64, SceneCard)>);
 
 impl Cards {
-    /// Adds the drives of the asked driver and of the careful one, if they matter.
+    /// Adds the drives of the driver under test (`asked`) and of the careful one, if they matter.
     pub(super) fn offer(&mut self, situation: &Situation, asked: (&str, &Driven), careful: (&str, &Driven)) {
         if !asked.1.outcome.is_failure() || careful.1.outcome != Outcome::Survived {
             return;
@@ -138,7 +138,7 @@ fn traffic(report: &DriveReport) -> PlainTable {
     table
 }
 
-/// The failures by the two most telling parameters; `None` if there are not two, or too few scenarios.
+/// The failures by the two most telling parameters; `None` if there are fewer than two, or too few scenarios.
 fn grid(behavior: &str, rows: &[&DriveRow]) -> Option<DriveGrid> {
     let values = |name: &str| {
         let mut values: Vec<f64> = rows.iter().filter_map(|row| row.parameters.get(name).copied()).collect();

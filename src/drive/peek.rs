@@ -1,15 +1,15 @@
-//! What may happen from here on? Sampled futures of everybody, without advancing.
+//! Samples possible futures of everybody, without advancing.
 
 use super::reaction::brake;
 use super::{Failed, Result, Situation, World};
 use crate::generate::{Continued, Futures};
 use crate::scene::Scene;
 
-/// The most futures of one question.
+/// The most futures of one request.
 pub(super) const MOST_FUTURES: usize = 64;
 
-/// `n` futures from the last second, which know nothing of the plans of the event, and whose noise is none that comes
-/// true.
+/// `n` futures from the last second, without knowledge of the plans of the event, and with noise that no real
+/// replanning uses.
 pub(super) fn peek(
     situation: &Situation,
     world: &World,

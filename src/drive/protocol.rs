@@ -1,9 +1,9 @@
-//! What djinn and a planner tell each other: one JSON object a line over the planner's standard streams.
+//! The messages of djinn and a planner: one JSON object a line over the planner's standard streams.
 //!
-//! For each scenario djinn sends `hello`, then an `observation` whenever it wants an `action`, and at last `done`. A
+//! For each scenario djinn sends `hello`, then an `observation` whenever it needs an `action`, and at last `done`. A
 //! planner answers observations and nothing else, and ends when its input does. Before its action it may `peek`, which
-//! djinn answers with `futures`. Positions are in the frame of the
-//! recording, meters; headings are in radians, 0 along x; lists of states are [x, y, heading, vx, vy].
+//! djinn answers with `futures`. Positions are in the frame of the recording, meters; headings are in radians, 0 along
+//! x; lists of states are [x, y, heading, vx, vy].
 
 use super::situation::Situation;
 use super::world::World;
@@ -213,7 +213,7 @@ impl Hello {
 }
 
 impl Observation {
-    /// What happened from `first` on.
+    /// The events from timestep `first` on.
     pub(super) fn of(situation: &Situation, world: &World, first: usize) -> Self {
         let (scene, now) = (&situation.scene, world.now());
         let agent = |agent_idx: usize| {

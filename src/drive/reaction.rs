@@ -1,14 +1,14 @@
-//! Who would drive its front into another brakes, and who has waited for long goes on.
+//! Makes agents brake that would drive into another, and agents go on that have waited for long.
 //!
 //! The model was trained on ordinary traffic. Behind an ego that stops, most of its futures swerve or drive on through
 //! it, and hardly any of them stops. So an agent that drives its front into another in a sampled future, or passes it
-//! much faster without room beside, does not do so: it keeps the way of that future and brakes on it, as weakly as
-//! suffices and at most fully. What it answers to was sampled or expected at the last replanning: it reacts within the
-//! time between two of them, about as a human does.
+//! much faster without room beside it, is corrected: it keeps the path of that future and brakes on it, as weakly as
+//! suffices and at most fully. It answers to motion that was sampled or expected at the last replanning, so it reacts
+//! within the time between two of them, about as a human does.
 //!
-//! Who stands, or creeps, mostly does so a moment later: with no more than a second in memory, some would wait at a
-//! free road forever. So one that has hardly moved for some time goes on along its lane as soon as that touches nobody,
-//! unless a light stands there, whose state nobody knows.
+//! Agents that stand or creep mostly still do so a moment later: with no more than a second of memory, some would wait
+//! at a free road forever. So an agent that has hardly moved for some time goes on along its lane as soon as that
+//! touches nobody, unless its lane has a light, whose state is unknown.
 
 use super::situation::Situation;
 use super::world::World;
@@ -16,26 +16,26 @@ use crate::behavior::kept_lane::way_on;
 use crate::geometry::{OrientedBox, Polyline, Vec2, wrap_angle};
 use crate::scene::{Lane, Scene, State, Trajectory};
 
-/// The decelerations that are tried, m/s²; the last is full braking.
+/// The decelerations to be tried, m/s²; the last is full braking.
 const BRAKES_MPS2: [f64; 4] = [2.0, 4.0, 6.0, 8.0];
-/// What is to be left between the two, meters, and beside one that is passed faster than this, m/s: who would pass
-/// closer cannot know whether there will be room.
+/// The gap to be left between two agents, meters, also beside one that is passed faster than this, m/s: at a closer
+/// distance, nobody can know whether there will be room.
 const MARGIN_M: f64 = 1.0;
 const BESIDE_M: f64 = 0.5;
 const MUCH_FASTER_MPS: f64 = 5.0;
-/// Who has come less than this far in so long, meters and seconds, has waited long enough, and gains speed with this,
-/// m/s², up to this, m/s.
+/// An agent that has moved less than this far in this time, meters and seconds, has waited long enough; it accelerates
+/// with this, m/s², up to this, m/s.
 const WAITED_M: f64 = 2.0;
 const WAITED_S: f64 = 8.0;
 const STARTS_MPS2: f64 = 1.5;
 const STARTS_UP_TO_MPS: f64 = 5.0;
-/// One brakes, then those behind it, and so on.
+/// One agent brakes, then those behind it, and so on.
 const N_ROUNDS: usize = 4;
 /// How long it takes to press a pedal, seconds.
 const PEDAL_S: f64 = 0.3;
 
-/// Lets those of `agents` brake who would drive their front into another in the future of this scene, whose tracks are
-/// those of the situation.
+/// Makes those of `agents` brake that would drive their front into another in the future of this scene, whose tracks
+/// are those of the situation.
 pub(super) fn brake(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
     for _ in 0..N_ROUNDS {
         let mut has_changed = false;
@@ -56,7 +56,7 @@ pub(super) fn brake(situation: &Situation, scene: &mut Scene, agents: &[usize]) 
     }
 }
 
-/// Lets those of `agents` go on who have waited for long, in the future of this scene.
+/// Makes those of `agents` go on that have waited for long, in the future of this scene.
 pub(super) fn go_on(situation: &Situation, world: &World, scene: &mut Scene, agents: &[usize]) {
     let n_waited = (WAITED_S / scene.dt_s).round() as usize;
     let Some(then) = world.now().checked_sub(n_waited) else { return };
@@ -76,7 +76,7 @@ pub(super) fn go_on(situation: &Situation, world: &World, scene: &mut Scene, age
     }
 }
 
-/// The states of an agent that starts along its lane. None if it is in no lane, or lights control that.
+/// The states of an agent that starts along its lane. Empty if it is in no lane, or lights control the lane.
 fn started(scene: &Scene, agent_idx: usize, now: &State, n_states: usize) -> Vec<State> {
     let past = Scene { n_timesteps: scene.n_history, ..scene.clone() };
     let ahead = way_on(&past, agent_idx, STARTS_UP_TO_MPS * n_states as f64 * scene.dt_s);
@@ -99,12 +99,12 @@ fn started(scene: &Scene, agent_idx: usize, now: &State, n_states: usize) -> Vec
     states
 }
 
-/// Whether lights control a lane, or maybe so: something does, and no rule says that its drivers yield or stop.
+/// Whether lights control a lane, or may do so: something does, and no rule makes its drivers yield or stop.
 fn has_light(lane: &Lane) -> bool {
     lane.attributes.has_traffic_control && lane.attributes.duties().next().is_none()
 }
 
-/// Whether an agent with these states from the present on comes closer than the margin to another at any time.
+/// Whether an agent with these states from the present on ever comes closer to another than the margin.
 fn touches_another(situation: &Situation, scene: &Scene, (agent_idx, states): (usize, &[State])) -> bool {
     let grown = |own: &State| {
         let body = situation.body(agent_idx, own);
@@ -119,7 +119,7 @@ fn touches_another(situation: &Situation, scene: &Scene, (agent_idx, states): (u
     })
 }
 
-/// Puts these states into the future of an agent, from the present on.
+/// Sets these states as the future of an agent, from the present on.
 fn replace(scene: &mut Scene, agent_idx: usize, states: &[State]) {
     let n_before = scene.n_history - 1;
     let past = scene.tracks[agent_idx].trajectory.entries().iter().take(n_before).copied();
@@ -133,8 +133,8 @@ fn future(scene: &Scene, agent_idx: usize) -> Vec<State> {
     (scene.current_timestep()..scene.n_timesteps).map_while(|t| scene.state(agent_idx, t).copied()).collect()
 }
 
-/// Whether an agent, with these states from the present on, comes to touch another that it does not touch at present,
-/// rather ahead than beside, if it is longer by `margin_m` at its front, and wider where it is much faster.
+/// Whether an agent with these states from the present on comes to touch another that it does not touch at present,
+/// rather ahead than beside, if its front is longer by `margin_m`, and its sides wider where it is much faster.
 fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[State]), margin_m: f64) -> bool {
     let (agent_idx, states) = own;
     let present = scene.current_timestep();
@@ -157,7 +157,7 @@ fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[Stat
     })
 }
 
-/// The way of these states, driven with this deceleration from the first on, but nowhere ahead of them.
+/// The path of these states, driven with this deceleration from the first on, but never ahead of them.
 fn braked(states: &[State], deceleration_mps2: f64, dt_s: f64) -> Vec<State> {
     let stations = stations(states);
     let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
@@ -171,8 +171,8 @@ fn braked(states: &[State], deceleration_mps2: f64, dt_s: f64) -> Vec<State> {
     at_stations(states, &stations, then, dt_s)
 }
 
-/// The way of these states, driven with so much more acceleration, m/s², which is taken up as a pedal is pressed; on
-/// straight after their end.
+/// The path of these states, driven with this much more acceleration, m/s², which builds up as a pedal is pressed;
+/// straight on after their end.
 pub(super) fn retimed(states: &[State], more_mps2: f64, dt_s: f64) -> Vec<State> {
     let stations = stations(states);
     let (mut more_mps, mut station_m, mut elapsed_s) = (0.0, 0.0, 0.0);
@@ -180,7 +180,7 @@ pub(super) fn retimed(states: &[State], more_mps2: f64, dt_s: f64) -> Vec<State>
         elapsed_s += dt_s;
         more_mps += more_mps2 * (elapsed_s / PEDAL_S).min(1.0) * dt_s;
         let moved_m = (pair[1] - pair[0] + more_mps * dt_s).max(0.0);
-        // Who stands by the extra braking has nothing left to lose.
+        // An agent that the extra braking has stopped has nothing left to lose.
         more_mps = (moved_m - (pair[1] - pair[0])) / dt_s;
         station_m += moved_m;
         station_m
@@ -188,7 +188,7 @@ pub(super) fn retimed(states: &[State], more_mps2: f64, dt_s: f64) -> Vec<State>
     at_stations(states, &stations, then, dt_s)
 }
 
-/// How far each of these states is along their way, meters.
+/// The distance of each of these states along their path, meters.
 fn stations(states: &[State]) -> Vec<f64> {
     let mut driven_m = 0.0;
     let steps = states.windows(2).map(|pair| {
@@ -198,11 +198,11 @@ fn stations(states: &[State]) -> Vec<f64> {
     states.iter().take(1).map(|_| 0.0).chain(steps).collect()
 }
 
-/// The first of these states, and the states at other stations of their way at the next timesteps.
+/// The first of these states, and the states at other stations of their path at the next timesteps.
 fn at_stations(states: &[State], stations: &[f64], then: impl Iterator<Item = f64>, dt_s: f64) -> Vec<State> {
     let mut driven: Vec<State> = states.iter().take(1).copied().collect();
     for station_m in then {
-        // The first of the states that is as far, and the one before.
+        // The first state that is as far, and the one before it.
         let after = stations.partition_point(|driven_m| *driven_m < station_m).min(stations.len() - 1);
         let [from, to] = [after.saturating_sub(1), after];
         let length_m = stations[to] - stations[from];
@@ -242,7 +242,7 @@ mod tests {
         let x = |i: usize| found[i].position.x;
         assert!((x(10) - 8.0).abs() < 1e-9 && (x(25) - 12.5).abs() < 1e-9 && (x(30) - 12.5).abs() < 1e-9);
         assert!((found[10].velocity.x - 6.2).abs() < 1e-9 && found[30].velocity.x.abs() < 1e-9);
-        // Who would brake harder by itself does so.
+        // An agent that brakes harder by itself does so.
         let own = braked(&steady(0.0, 10.0), 8.0, DT_S);
         assert_eq!(braked(&own, 2.0, DT_S).last().map(|state| state.position), own.last().map(|state| state.position));
         assert!(braked(&steady(3.0, 0.0), 8.0, DT_S).iter().all(|state| state.position == Vec2::new(3.0, 0.0)));
@@ -262,7 +262,7 @@ mod tests {
         assert!(same.iter().zip(steady(0.0, 10.0)).all(|(a, b)| a.position.distance(b.position) < 1e-9));
     }
 
-    /// Four agents one behind the other on a straight road, of whom the first stands: what becomes of the others?
+    /// Four agents one behind the other on a straight road, the first of which stands: what becomes of the others?
     #[test]
     fn those_behind_brake_as_weakly_as_suffices_and_one_beside_drives_on() {
         let mut situation = situation(&record());
@@ -287,7 +287,7 @@ mod tests {
         assert_eq!([last(0), last(3)], [50.0, 55.0]);
     }
 
-    /// Somebody stands in a lane, and somebody else 30 m or 6 m ahead, or the lane has a light: who goes on?
+    /// An agent stands in a lane, and another 30 m or 6 m ahead, or the lane has a light: when does it go on?
     #[test]
     fn who_has_waited_goes_on_where_nobody_is_ahead_and_no_light_stands() {
         let mut situation = situation(&record());

@@ -1,4 +1,4 @@
-//! The result of driving a corpus in figures: how many failed at what, and which failures matter.
+//! The result of driving a corpus in figures: how many drives failed and how, and which failures matter.
 
 use super::event::is_decided_by_ego;
 use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
@@ -7,7 +7,7 @@ use crate::scenario::DriveRow;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Values of a parameter are divided into this many parts with equally many scenarios.
+/// Values of a parameter are divided into this many intervals with equally many scenarios.
 const N_PARTS: usize = 3;
 
 /// The figures of a drive of a corpus; the file `drive.json`.
@@ -15,40 +15,40 @@ const N_PARTS: usize = 3;
 pub struct DriveReport {
     /// Version of this report.
     pub schema: &'static str,
-    /// The driver that was asked for.
+    /// The driver under test.
     pub ego: String,
     /// The seed.
     pub seed: u64,
     /// Hash of the model's file.
     pub model: String,
-    /// How it was driven; missing in an open loop.
+    /// The settings of the drives; missing in an open loop.
     pub rollout: Option<RolloutConfig>,
-    /// Scenarios that were driven.
+    /// Driven scenarios.
     pub n_scenarios: u64,
-    /// Scenarios that were not, by reason.
+    /// Scenarios that were left out, by reason.
     pub left_out: BTreeMap<String, u64>,
-    /// States that were saved.
+    /// Saved states.
     pub n_saved: u64,
     /// By driver: scenarios by outcome.
     pub outcomes: BTreeMap<String, BTreeMap<&'static str, u64>>,
-    /// Failures of the driver that was asked for.
+    /// Failures of the driver under test.
     pub failures: Failures,
-    /// The same by behavior.
+    /// Failures by behavior.
     pub by_behavior: BTreeMap<String, Failures>,
-    /// The same by behavior and parameter, in parts with equally many scenarios.
+    /// Failures by behavior and parameter, in intervals with equally many scenarios.
     pub by_parameter: Vec<Part>,
-    /// The scenarios that the careful driver survives and the driver that was asked for does not, hardest first: those
-    /// for which the careful driver has to brake hardest.
+    /// The scenarios that the careful driver survives and the driver under test does not, those first in which the
+    /// careful driver has to brake hardest.
     pub that_matter: Vec<Matters>,
-    /// How much later the others of the event could be; missing if that was not asked for.
+    /// How much later the others of the event could be; missing if that was not requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margins: Option<Margins>,
     /// By driver: traffic over the stretches of `bands_s`.
     pub traffic: BTreeMap<String, Traffic>,
-    /// How well a classifier tells what the model drove beside the driver that was asked for from what was recorded;
-    /// none for recordings that are too short, or too few.
+    /// How well a classifier tells tracks that the model drove beside the driver under test from recorded ones; empty
+    /// if recordings are too short, or too few.
     pub told_apart: Vec<ToldApart>,
-    /// The stretches, seconds after the present.
+    /// The stretches of `traffic`, seconds after the present.
     pub bands_s: [[f64; 2]; 4],
 }
 
@@ -57,32 +57,32 @@ pub struct DriveReport {
 pub struct Failures {
     /// Scenarios.
     pub n_scenarios: u64,
-    /// Those in which the driver fails.
+    /// Scenarios in which the driver fails.
     pub n_failed: u64,
-    /// Those of them that the careful driver survives.
+    /// Failures that the careful driver avoids.
     pub n_avoidable: u64,
-    /// Those in which it hits somebody or is hit, and of them those that the careful driver survives.
+    /// Scenarios in which the ego touches another agent, and those of them that the careful driver survives.
     pub n_hit: u64,
     /// See `n_hit`.
     pub n_hit_avoidable: u64,
     /// Hits in which the other drives into its rear.
     pub n_hit_in_rear: u64,
-    /// Those that the careful driver does not survive.
+    /// Scenarios that the careful driver does not survive.
     pub n_careful_failed: u64,
-    /// Those in which the event happens as its behavior is defined.
+    /// Scenarios in which the event happens as its behavior is defined.
     pub n_event_happens: u64,
     /// Collisions and near misses that do not happen because the driver avoids them in time.
     pub n_event_avoided: u64,
 }
 
-/// A part of the values of a parameter.
+/// An interval of a parameter.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Part {
     /// The behavior.
     pub behavior: String,
     /// The parameter.
     pub parameter: String,
-    /// Its least and its greatest value.
+    /// Its least and greatest value.
     pub range: [f64; 2],
     /// The failures there.
     #[serde(flatten)]
@@ -100,7 +100,7 @@ pub struct Matters {
     pub outcome: String,
     /// More about it.
     pub why: Option<String>,
-    /// On which side of the ego somebody touches it.
+    /// The side of the ego that is touched.
     pub contact_side: Option<String>,
     /// How hard the careful driver brakes, m/s².
     pub careful_braking_mps2: f64,
@@ -163,7 +163,7 @@ impl DriveReport {
         *traffic = traffic.with(&driven.traffic);
     }
 
-    /// Counts the rows of all drives, of which `asked` is the driver that was asked for.
+    /// Counts the rows of all drives; `asked` is the driver under test.
     pub(super) fn finish(&mut self, rows: &[DriveRow], asked: &str) {
         let own: Vec<&DriveRow> = rows.iter().filter(|row| row.driver == asked).collect();
         self.n_scenarios = own.len() as u64;
@@ -200,7 +200,7 @@ impl DriveReport {
     }
 }
 
-/// The failures in the parts of each parameter.
+/// The failures in the intervals of each parameter.
 fn parts(behavior: &str, rows: &[&DriveRow]) -> Vec<Part> {
     let mut names: Vec<&str> = rows.iter().flat_map(|row| row.parameters.keys()).map(String::as_str).collect();
     names.sort_unstable();

@@ -16,21 +16,22 @@ use serde::{Deserialize, Serialize};
 pub(super) const MOST_HORIZON_S: f64 = 600.0;
 /// How far off the road the center of the ego may be, meters: as in the check of validity.
 const OFF_ROAD_SLACK_M: f64 = 0.3;
-/// Who stands for so long, seconds, below this speed, m/s, with so much free road ahead, meters, has stopped dead.
+/// An ego that stands for this long, seconds, below this speed, m/s, with this much free road ahead, meters, has
+/// stopped dead.
 const STOPPED_S: f64 = 4.0;
 const STANDING_MPS: f64 = 0.3;
 const FREE_M: f64 = 10.0;
-/// So far ahead, seconds, an agent of the event looks whether its plan leads into an ego that has left its own by this,
-/// meters.
+/// How far ahead, seconds, an agent of the event checks whether its plan leads into an ego that is off its own path by
+/// this, meters.
 const LOOKS_AHEAD_S: f64 = 2.0;
 const LEFT_LOG_M: f64 = 1.0;
 
-/// How a drive is done.
+/// The settings of a drive.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RolloutConfig {
-    /// How long it lasts, seconds after the present.
+    /// Its length, seconds after the present.
     pub horizon_s: f64,
-    /// How long a plan is driven, seconds.
+    /// How long each plan is driven, seconds.
     pub replan_s: f64,
 }
 
@@ -46,7 +47,7 @@ impl RolloutConfig {
         [self.horizon_s, self.replan_s].map(|s| ((s / dt_s).round() as usize).max(1))
     }
 
-    /// Refuses what cannot be driven with this model.
+    /// Rejects settings with which this model cannot drive.
     ///
     /// # Errors
     /// [`Error::Config`].
@@ -65,7 +66,7 @@ impl RolloutConfig {
     }
 }
 
-/// What moves everybody else.
+/// The source of the motion of all agents but the ego.
 pub enum Others<'a> {
     /// The model, which answers to the ego.
     Sampled(&'a Futures<'a>),
@@ -76,34 +77,34 @@ pub enum Others<'a> {
 /// A finished drive.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Driven {
-    /// What was reached.
+    /// The reached states.
     pub world: World,
     /// How it ended.
     pub outcome: Outcome,
     /// More about it, for people.
     pub why: Option<String>,
-    /// Whom the ego touched.
+    /// The first contact of the ego.
     pub contact: Option<Contact>,
-    /// The shortest time to collision of the ego on the way, seconds.
+    /// The shortest time to collision of the ego during the drive, seconds.
     pub min_ttc_s: Option<f64>,
     /// The hardest braking of the ego within a timestep, m/s².
     pub max_braking_mps2: f64,
     /// How far the ego came, meters.
     pub progress_m: f64,
-    /// Whether the agents of the event gave their plan up for the ego.
+    /// Whether the other agents of the event gave up their plan because of the ego.
     pub gave_up_plan: bool,
-    /// Whether the event happens in what was driven; missing for a scenario without an event.
+    /// Whether the event happens in the driven states; missing for a scenario without an event.
     pub event_happens: Option<bool>,
     /// The traffic around it.
     pub traffic: Traffic,
-    /// The world at the first replanning at or after the timestep that was asked for.
+    /// The world at the first replanning at or after the requested timestep.
     pub saved: Option<World>,
 }
 
 /// The end of a drive, and more about it.
 type End = (Outcome, Option<String>);
 
-/// Drives on from `world` with this driver of the ego. `save_at` is a timestep at which to keep the world.
+/// Drives on from `world` with this driver of the ego. The world is saved at timestep `save_at`.
 ///
 /// # Errors
 /// When the model does not fit the scenario or the device fails; failures of the driver are an outcome.
@@ -177,7 +178,7 @@ fn failed(Failed { fault, why }: Failed) -> End {
     (outcome, Some(why))
 }
 
-/// A drive under way.
+/// An ongoing drive.
 struct Drive<'a> {
     situation: &'a Situation,
     world: World,
@@ -188,7 +189,7 @@ struct Drive<'a> {
 }
 
 impl Drive<'_> {
-    /// Plans anew and drives the plan; says how the drive ends if it does.
+    /// Replans and drives the plan; returns the end of the drive if it is reached.
     fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
         let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
         situation.arrivals.enter(situation, &mut self.world);
@@ -262,7 +263,7 @@ impl Drive<'_> {
         Ok(sampled)
     }
 
-    /// Looks at what was reached: who has left, and does the drive end here?
+    /// Removes agents that have left, and returns the end of the drive if it is reached.
     fn look(&mut self) -> Option<End> {
         let (situation, ego_idx) = (self.situation, self.situation.ego_idx);
         // Where the model drives everybody, traffic goes on without the ego.
@@ -309,8 +310,8 @@ impl Drive<'_> {
         }
     }
 
-    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it, if
-    /// that one goes on as is `expected`.
+    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it and
+    /// goes on as `expected`.
     fn plan_leads_into(&self, expected: &[State]) -> bool {
         let (situation, world, now) = (self.situation, &self.world, self.world.now());
         let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };

@@ -24,7 +24,7 @@ fn the_same_world_and_actions_give_the_same_bytes_also_from_a_saved_state() {
         driven(&situation, situation.start(1), &mut Model, &SHORT).world.to_json().unwrap()
     );
     assert_ne!(whole.world, driven(&situation, situation.start(2), &mut Model, &SHORT).world);
-    // From the state at timestep 24, the first replanning after 20, on to the same end; and to another, braked.
+    // From the state at timestep 24, the first replanning after 20, to the same end; and with braking, to another.
     let saved = whole.saved.unwrap();
     assert_eq!((saved.now(), whole.world.now()), (24, 29));
     let dir = tempfile::tempdir().unwrap();
@@ -32,7 +32,7 @@ fn the_same_world_and_actions_give_the_same_bytes_also_from_a_saved_state() {
     fs_err::write(&path, saved.to_json().unwrap()).unwrap();
     let again = driven(&situation, World::read(&path).unwrap(), &mut Model, &SHORT);
     assert_eq!(again.world, whole.world);
-    // With two other drivers, of which one brakes, the others answer at the next replanning only.
+    // With two other drivers, one of which brakes, the others answer only at the next replanning.
     let steady = driven(&situation, saved.clone(), &mut AtConstantVelocity, &SHORT).world;
     let braked = driven(&situation, saved, &mut Stops, &SHORT).world;
     let mut others = (0..steady.n_tracks()).filter(|idx| *idx != situation.ego_idx);
@@ -99,7 +99,7 @@ fn a_plan_that_would_ram_an_ego_that_is_elsewhere_is_given_up() {
     let situation = situation(&record);
     let driven = driven(&situation, situation.start(1), &mut Stops, &SHORT);
     assert!(driven.gave_up_plan && driven.world.plan_ends < situation.scene.n_timesteps - 1);
-    // If the event is a collision, it is kept.
+    // A collision is kept as planned.
     let mut situation = situation;
     situation.is_collision = true;
     let driven = self::driven(&situation, situation.start(1), &mut Stops, &SHORT);
@@ -146,7 +146,7 @@ fn who_comes_up_from_behind_brakes_for_an_ego_that_stops() {
     let (ego, planned) = (record.subject_idx().unwrap(), situation(&record).planned[0]);
     let scene: &mut Scene = &mut record.scenario.scene;
     let follower = (0..scene.tracks.len()).find(|idx| ![ego, planned].contains(idx)).unwrap();
-    // It follows in the trace of the ego, 25 m behind and 6 m/s faster, and everybody else is away.
+    // It follows the ego's track 25 m behind and 6 m/s faster, and all other agents are away.
     let at = *scene.state(ego, scene.current_timestep()).unwrap();
     let along = crate::geometry::Vec2::from_angle(at.heading_rad);
     let (present, dt_s) = (scene.current_timestep() as f64, scene.dt_s);

@@ -1,4 +1,4 @@
-//! Drives every chosen scenario of a corpus, with the careful driver beside, and writes what came of it.
+//! Drives every selected scenario of a corpus, with the careful driver beside, and writes the results.
 
 use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
 use super::external::External;
@@ -36,27 +36,27 @@ pub const DRIVE_PAGE: &str = "drive.html";
 /// The folder of saved states.
 pub const STATES_DIR: &str = "states";
 
-/// Scenarios that are in memory at a time, for each worker.
+/// Scenarios in memory at a time, for each worker.
 const CHUNK: usize = 8;
 
 /// How a corpus is driven.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveConfig {
-    /// Who drives the ego.
+    /// The driver of the ego.
     pub ego: EgoDriver,
-    /// For how long.
+    /// The settings of each drive.
     pub rollout: RolloutConfig,
-    /// How long a planner may take for an answer, seconds.
+    /// The time limit for an answer of a planner, seconds.
     pub time_limit_s: f64,
     /// When to save the state of each drive.
     pub save_at: Option<SaveAt>,
     /// Whether to find how much later the others of each event could be.
     pub bisects: bool,
-    /// Scenarios that are driven at the same time, each with a planner of its own.
+    /// Scenarios driven at the same time, each with a planner of its own.
     pub n_workers: usize,
-    /// The program: what another one has driven is driven again.
+    /// The version of the program: drives of another one are not reused.
     pub program: String,
-    /// The folder of ingested scenes that say who arrived in recordings; without, the corpus does.
+    /// The folder of ingested scenes that tell the arrivals in recordings; without it, the corpus does.
     pub scenes: Option<PathBuf>,
 }
 
@@ -93,7 +93,7 @@ pub enum Origin<'a> {
 /// must be new or empty and appears when it is complete.
 ///
 /// # Errors
-/// Those of the corpus, the folder and the model. Whatever a planner does is an outcome.
+/// Errors of the corpus, the folder and the model. A failure of a planner is an outcome.
 pub fn drive_corpus(
     (corpus, out): (&Path, &Path),
     from: &Origin<'_>,
@@ -201,7 +201,7 @@ pub fn drive_corpus(
     Ok(report)
 }
 
-/// All that drives depend on, but for what a planner does.
+/// Everything that drives depend on, except a planner's behavior.
 fn identity(
     reader: &CorpusReader,
     from: &Origin<'_>,
@@ -210,13 +210,13 @@ fn identity(
     futures: &Futures<'_>,
 ) -> String {
     let from = if let Origin::State(world) = from { Some(world) } else { None };
-    // How many are driven at the same time changes nothing.
+    // The number of simultaneous drives changes nothing.
     let config = DriveConfig { n_workers: 0, ..config.clone() };
     let manifest = reader.manifest();
     format!("{config:?} {ego:?} {from:?} {} {} {manifest:?}", futures.seed(), futures.fingerprint())
 }
 
-/// The name in tables of the driver that was asked for.
+/// The name of the driver under test in tables.
 fn own_name(ego: &EgoDriver) -> &str {
     match ego {
         EgoDriver::External(_) => "planner",
@@ -224,10 +224,10 @@ fn own_name(ego: &EgoDriver) -> &str {
     }
 }
 
-/// The drives from a situation, of each driver, and their margin.
+/// The drives from a situation, by driver, and its margin.
 pub(super) type Drives = (Vec<Driven>, Option<Margin>);
 
-/// The drivers of one thread: the one that was asked for, and the careful one if it is another.
+/// The drivers of one thread: the one under test, and the careful one if it is another.
 struct Worker {
     asked: Box<dyn Driver>,
     careful: Option<Careful>,
@@ -245,13 +245,13 @@ impl Worker {
             EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s)),
         };
         let careful = (config.ego != EgoDriver::Careful).then(Careful::default);
-        // What a network does in parallel is too little to be handed around between threads.
+        // The network does too little in parallel to hand work around between threads.
         let pool = ThreadPoolBuilder::new().num_threads(1).build();
         let pool = pool.map_err(|error| Error::Config(format!("no thread can be started: {error}")))?;
         Ok(Self { asked, careful, pool })
     }
 
-    /// The drives from one situation, of the driver that was asked for and of the careful one, and the margin of both.
+    /// The drives from one situation, of the driver under test and of the careful one, and their margin.
     fn drive(
         &mut self,
         situation: &Situation,
@@ -292,7 +292,7 @@ impl Worker {
     }
 }
 
-/// The drives of some situations, in their order, whoever drives which.
+/// The drives of some situations in their order, whichever worker drives them.
 fn drive_chunk(
     chunk: &[Situation],
     workers: &mut [Worker],
@@ -330,7 +330,7 @@ fn drive_chunk(
     found.map(|driven| driven.unwrap_or_else(|| Err(Error::Config("a drive was not finished".to_owned())))).collect()
 }
 
-/// What is written, but for the report.
+/// All outputs except the report.
 struct Output {
     states: DrivenWriter,
     rows: Vec<DriveRow>,

@@ -1,4 +1,4 @@
-//! Scores planned trajectories in an open loop: everybody else does what the scenario has, whatever the ego does.
+//! Scores planned trajectories in an open loop: all other agents move as in the scenario, whatever the ego does.
 
 use super::drivers::{Careful, Log, follow_log};
 use super::maps::Maps;
@@ -16,7 +16,7 @@ use crate::store::{CorpusReader, Planned, read_planned, write_drives, write_json
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Scenarios that are in memory at a time.
+/// Scenarios in memory at a time.
 const CHUNK: usize = 64;
 /// The names in tables of the planned trajectories, of the scenario's ego and of the recording.
 const PLANNED: &str = "planner";
@@ -24,11 +24,11 @@ const SCENARIO: &str = "scenario";
 const RECORDED: &str = "recorded";
 
 /// Scores the trajectories in `planned` for scenarios of the corpus in `corpus`, and writes the table of drives and the
-/// report into the folder `out`, which must be new or empty. Beside each are the careful driver, who answers to the
-/// others as they are, the ego as it is in the scenario, and what was recorded.
+/// report into the folder `out`, which must be new or empty. Beside each it scores the careful driver, who answers to
+/// the others as they are, the ego of the scenario, and the recording.
 ///
 /// # Errors
-/// Those of the corpus, the file and the folder; [`Error::Config`] when the file has other scenarios than the corpus.
+/// [`Error::Config`] when the file has other scenarios than the corpus; errors of the corpus, the file and the folder.
 pub fn score(
     (corpus, planned, out): (&Path, &Path, &Path),
     selection: &Selection,
@@ -105,7 +105,7 @@ fn finish(folder: &NewFolder, report: &mut DriveReport, rows: &[DriveRow]) -> Re
     Ok(())
 }
 
-/// The drive of a driver to the end of the scenario, with all others as they are there.
+/// The drive of a driver to the end of the scenario, with all others moving as in it.
 fn replayed(situation: &Situation, driver: &mut dyn Driver) -> Result<Driven> {
     let scene = &situation.scene;
     let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
@@ -113,7 +113,7 @@ fn replayed(situation: &Situation, driver: &mut dyn Driver) -> Result<Driven> {
     roll_out(situation, situation.start(0), driver, &Others::Replayed, &config, None)
 }
 
-/// The recorded scene in the place of the scenario that continues it. `None` without a recorded future of the ego.
+/// The recorded scene in place of the scenario that continues it. `None` without a recorded future of the ego.
 fn recorded(
     record: &ScenarioRecord,
     ego: &EgoChoice,

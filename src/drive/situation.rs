@@ -1,4 +1,4 @@
-//! A scenario of a corpus as the start of a drive: its past, its map, its event, and the way that its ego takes.
+//! A scenario of a corpus as the start of a drive: its past, its map, its event, and the route of its ego.
 
 use super::arrivals::{Arrivals, Ends, Recorded};
 use super::event::is_decided_by_ego;
@@ -15,16 +15,17 @@ use crate::scene::{Lane, LaneGraph, LaneId, ObservationMask, Scene, State, Track
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Who is farther than this from the middle of every lane, meters, has left the map.
+/// Agents farther than this from the middle of every lane, meters, have left the map.
 const OFF_MAP_M: f64 = 10.0;
-/// Lanes this close to somebody, meters, are shown to the model, as in scenes.
+/// The model sees lanes this close to an agent, meters, as in scenes.
 const LANES_WITHIN_M: f64 = 100.0;
-/// So far around the ego at present, meters, the map is known: farther than a drive leads. Maps of cities are large.
+/// The map is known this far around the ego at present, meters: farther than a drive leads, since maps of cities are
+/// large.
 const MAP_WITHIN_M: f64 = 400.0;
-/// How far the way of the ego leads on after the scenario, meters.
+/// How far the route of the ego goes on after the scenario, meters.
 const WAY_ON_M: f64 = 300.0;
 
-/// A scenario from which to drive on.
+/// A scenario as the start of a drive.
 #[derive(Clone)]
 pub struct Situation {
     /// The scenario.
@@ -35,23 +36,23 @@ pub struct Situation {
     pub parameters: BTreeMap<String, f64>,
     /// The scenario, with the lanes of its map around the ego.
     pub scene: Scene,
-    /// The agent that is driven.
+    /// The driven agent.
     pub ego_idx: usize,
     /// The agents of the event, in the order of its roles.
     pub roles: Vec<usize>,
-    /// Those of them that are not the ego.
+    /// The agents of the event other than the ego.
     pub planned: Vec<usize>,
-    /// The first and the last timestep of the event; the present without one.
+    /// The first and the last timestep of the event; the present if there is none.
     pub event: [usize; 2],
     /// Whether the event is a collision.
     pub is_collision: bool,
     /// Whether the event is kept in aim where the ego drives otherwise.
     pub(super) aims: bool,
-    /// The ego's largest speed in the scenario, m/s: what it wants to drive.
+    /// The ego's largest speed in the scenario, m/s, at which it would like to drive.
     pub target_speed_mps: f64,
-    /// The way of the ego: the one of the scenario, and on along its lane.
+    /// The route of the ego: its path in the scenario, and on along its lane.
     pub(crate) route: DrivenPath,
-    /// Who arrives: the last tracks of the scene, which are nowhere at present.
+    /// The arrivals: the last tracks of the scene, absent at present.
     pub(super) arrivals: Arrivals,
     road: Arc<Road>,
     /// The rectangle around the middle of each lane.
@@ -63,10 +64,10 @@ pub struct Situation {
 }
 
 impl Situation {
-    /// The start of a scenario for its agent `ego_idx`; `map` is its whole map in the frame of the recording.
+    /// The start of a scenario for its agent `ego_idx`; `map` is the whole map in the frame of the recording.
     ///
     /// # Errors
-    /// [`Error::Unfit`] when the ego is not there at present, or does not know where to go.
+    /// [`Error::Unfit`] when the ego is absent at present, or has no route.
     pub fn new(record: &ScenarioRecord, ego_idx: usize, map: Option<&LaneGraph>) -> Result<Self> {
         let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
         let mut scene = record.scenario.scene.clone();
@@ -117,7 +118,7 @@ impl Situation {
         Ok(situation)
     }
 
-    /// Expects arrivals for so many timesteps, and at least as many as a world with `n_tracks` does.
+    /// Expects arrivals for `n_steps` timesteps, and at least as many as a world with `n_tracks` does.
     pub(super) fn expect(&mut self, ends: &Arc<Ends>, recorded: &Recorded, seed: u64, [n_steps, n_tracks]: [usize; 2]) {
         let sizes = [n_steps, n_tracks.saturating_sub(self.scene.tracks.len())];
         let (scene, scene_from_world) = (&self.scene, self.scene.world_from_scene.inverse());
@@ -130,7 +131,7 @@ impl Situation {
         self.scene.tracks.extend(tracks);
     }
 
-    /// Finds who is on the map and in the ego, which is at `ego` at present.
+    /// Finds which agents are on the map at present and which overlap the ego, whose state is `ego`.
     fn look_at_present(&mut self, ego: &State) {
         let at = |idx: usize| self.scene.state(idx, self.scene.current_timestep());
         let idxs = 0..self.scene.tracks.len();
@@ -139,15 +140,15 @@ impl Situation {
         (self.starts_in_ego, self.starts_on_map) = (in_ego.collect(), on_map);
     }
 
-    /// The same, with the other agents of the event so many timesteps later in all that they do. `None` if there are
-    /// none, or one of them would overlap somebody in the past who was apart from it.
+    /// The situation with the other agents of the event `n_steps` timesteps later in everything they do. `None` if
+    /// there are none, or one of them would overlap an agent in the past that was apart from it.
     pub(super) fn delayed(&self, n_steps: usize) -> Option<Self> {
         let mut delayed = self.clone();
         for agent_idx in &self.planned {
             delayed.scene.tracks[*agent_idx].trajectory = later(&self.scene, *agent_idx, n_steps);
         }
         delayed.event = self.event.map(|timestep| timestep + n_steps);
-        // Who is later is to be so.
+        // The delay is intended, so the event is not aimed for.
         delayed.aims = false;
         delayed.look_at_present(&self.scene.state(self.ego_idx, self.scene.current_timestep()).copied()?);
         let meets = |situation: &Self, one: usize, other: usize, timestep: usize| {
@@ -166,12 +167,12 @@ impl Situation {
     /// The world at present, with this seed.
     pub fn start(&self, seed: u64) -> World {
         let tracks = self.scene.tracks.iter().map(|track| &track.trajectory.entries()[..self.scene.n_history]);
-        // Many an event is complete before its maneuver is: who cuts in is not in the lane yet. See `let_go`.
+        // Many an event is complete before its maneuver is: a vehicle cutting in is not in the lane yet. See `let_go`.
         let ends = if is_decided_by_ego(self.behavior.as_deref()) { self.event[1] } else { self.scene.n_timesteps };
         World::new(&self.scenario_id, seed, ends.min(self.scene.n_timesteps - 1), tracks)
     }
 
-    /// The box of an agent in this state; of unknown size, the least of its class.
+    /// The box of an agent in this state; the least of its class if its size is unknown.
     pub(super) fn body(&self, agent_idx: usize, state: &State) -> OrientedBox {
         let extent = self.scene.tracks[agent_idx].extent_or_least();
         let State { position: center, heading_rad, .. } = *state;
@@ -188,7 +189,7 @@ impl Situation {
         agent_idx != self.ego_idx && !self.starts_in_ego[agent_idx]
     }
 
-    /// How far an ego that starts on the road is off it, meters. `None` where the map does not say where the road is.
+    /// How far off the road an ego that starts on it is, meters. `None` where the map does not show the road.
     pub(super) fn ego_off_road_m(&self, state: &State) -> Option<f64> {
         self.starts_on_road.then(|| self.off_road_m(state))?
     }
@@ -202,12 +203,12 @@ impl Situation {
         self.scene.lanes.is_empty() || lanes.any(|(lane, bounds)| is_near(lane, *bounds, state.position, OFF_MAP_M))
     }
 
-    /// Whether an agent was on the map at present and is not now.
+    /// Whether an agent was on the map at present and is off it now.
     pub(super) fn has_left_map(&self, agent_idx: usize, state: &State) -> bool {
         self.starts_on_map[agent_idx] && !self.is_on_map(state)
     }
 
-    /// Whether somebody has just gone where the place's traffic is not seen any more, and not to an event.
+    /// Whether an agent has just gone where no traffic of the place is seen, and not to an event.
     pub(super) fn goes_out_of_sight(&self, world: &World, agent_idx: usize) -> bool {
         let is_out = |timestep: usize| {
             let state = world.state(agent_idx, timestep);
@@ -217,7 +218,7 @@ impl Situation {
         self.plan(world, agent_idx, now).is_none() && is_out(now) && !is_out(now - 1)
     }
 
-    /// The scene of everything that was reached, whose past is the scenario's.
+    /// The scene of all reached states; its past is the scenario's.
     pub fn driven(&self, world: &World) -> Scene {
         let mut scene = self.cut(world, 0, world.n_timesteps(), self.scene.n_history);
         for track in &mut scene.tracks {
@@ -227,7 +228,8 @@ impl Situation {
     }
 
     /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the
-    /// agents of the event, if it `knows_plans`, and what is `expected` of the ego; and the mask that shows just these.
+    /// agents of the event if it `knows_plans`, and the `expected` states of the ego; and the mask that shows just
+    /// these.
     pub(super) fn window(
         &self,
         world: &World,
@@ -267,7 +269,7 @@ impl Situation {
         (scene, mask)
     }
 
-    /// Leaves out those at the end who have not arrived yet, and lets the others have come along as they arrived.
+    /// Leaves out the last tracks that have not arrived yet, and lets the others have come along as they arrived.
     fn bring_in_arrivals(&self, world: &World, scene: &mut Scene) {
         let n_before = scene.tracks.len() - self.arrivals.n_expected();
         let is_there = |idx: &usize| world.present(*idx).is_some();
@@ -278,7 +280,7 @@ impl Situation {
         }
     }
 
-    /// Where an agent of the event is to be at a timestep by the scenario, while it follows it.
+    /// The planned state of an agent of the event at a timestep, while it follows the scenario.
     pub(super) fn plan(&self, world: &World, agent_idx: usize, timestep: usize) -> Option<State> {
         let is_planned = timestep <= world.plan_ends && self.planned.contains(&agent_idx);
         is_planned.then(|| match world.is_planned_anew(agent_idx) {
@@ -287,7 +289,7 @@ impl Situation {
         })?
     }
 
-    /// `n_timesteps` of the world from `first` on, without a state where it has none yet.
+    /// `n_timesteps` of the world from `first` on; states not reached yet are missing.
     fn cut(&self, world: &World, first: usize, n_timesteps: usize, n_history: usize) -> Scene {
         let track = |(agent_idx, track): (usize, &Track)| {
             let states = (first..first + n_timesteps).map(|timestep| world.state(agent_idx, timestep)).collect();
@@ -298,7 +300,7 @@ impl Situation {
     }
 }
 
-/// A trajectory that begins before its first state, at the velocity of that one.
+/// The trajectory, extended to before its first state at the velocity of that one.
 fn came_along(trajectory: &Trajectory, dt_s: f64) -> Trajectory {
     let Some((first, state)) = trajectory.valid().next().map(|(timestep, state)| (timestep, *state)) else {
         return trajectory.clone();

@@ -1,4 +1,4 @@
-//! Situations and a model for the tests of driving: those of the fixture corpus, on the simulated merge.
+//! Situations and a model for the tests of driving: from the fixture corpus, on the simulated merge.
 
 use super::Situation;
 use crate::model::TrainedDenoiser;

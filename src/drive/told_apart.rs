@@ -1,4 +1,4 @@
-//! Can what the model drives be told from what was recorded of the same agents?
+//! Can tracks that the model drives be told from recorded ones of the same agents?
 
 use super::situation::Situation;
 use super::world::World;
@@ -7,24 +7,25 @@ use crate::scene::{Scene, SceneId, Track, Trajectory};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// The parts of a drive that are compared, seconds after the present: how it begins, as long a part after five seconds,
-/// and all of it. The second tells drift from what a longer track tells anyway. Recordings of many datasets end before.
+/// The compared parts of a drive, seconds after the present: its beginning, a part of the same length after five
+/// seconds, and all of it. The second distinguishes drift from what a longer track gives away anyway. Recordings of
+/// many datasets end before.
 const SPANS_S: [[f64; 2]; 3] = [[0.0, 3.0], [5.0, 8.0], [0.0, 8.0]];
-/// Most tracks that a classifier learns from.
+/// The most tracks that a classifier learns from.
 const MOST_TRACKS: usize = 2000;
 
 /// The performance of a classifier that tells driven tracks from recorded ones.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ToldApart {
-    /// The part of the drive that is compared, seconds after the present.
+    /// The beginning of the compared part, seconds after the present.
     pub from_s: f64,
     /// Its end.
     pub to_s: f64,
     /// Tracks of either kind.
     pub n_tracks: u64,
-    /// Probability that of a recorded and a driven track it picks the driven one: .5 is indistinguishable.
+    /// Probability that it picks the driven one of a recorded and a driven track: 0.5 is indistinguishable.
     pub auc: f64,
-    /// Its interval of 95 % over scenes.
+    /// The 95 % interval of `auc` over scenes.
     pub interval: [f64; 2],
 }
 
@@ -36,13 +37,13 @@ pub(super) struct Tracks {
 }
 
 impl Tracks {
-    /// Whether tracks of this scene are wanted still: those of one drive are.
+    /// Whether more tracks of this scene are needed: one drive suffices.
     pub(super) fn want(&self, scene_id: &SceneId) -> bool {
         !self.scenes.contains(scene_id)
     }
 
-    /// Adds the tracks of a drive that the model moved all along: nobody of the event, and the ego only if it
-    /// `drives_ego`.
+    /// Adds the tracks of a drive that the model moved all along: none of the agents of the event, and the ego only if
+    /// it `drives_ego`.
     pub(super) fn add(&mut self, situation: &Situation, world: &World, recorded: &[Track], drives_ego: bool) {
         let (scene, number) = (&situation.scene, self.scenes.len());
         self.scenes.insert(scene.id.clone());
@@ -75,7 +76,7 @@ impl Tracks {
         }
     }
 
-    /// What a classifier makes of them, for each part with enough tracks.
+    /// The performance of a classifier on each part with enough tracks.
     pub(super) fn tell_apart(&self) -> Vec<ToldApart> {
         let told = SPANS_S.iter().zip(&self.pairs).filter_map(|(&[from_s, to_s], pairs)| {
             let test = TwoSampleTest::new(pairs)?;

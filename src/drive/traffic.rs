@@ -1,4 +1,4 @@
-//! What becomes of traffic over a drive: how many are there, who comes and goes, and what goes wrong with them?
+//! How does traffic develop over a drive: how many agents are there, who comes and goes, and what goes wrong?
 
 use super::situation::Situation;
 use super::world::World;
@@ -10,41 +10,41 @@ use std::ops::AddAssign;
 /// The stretches of a drive over which traffic is counted, seconds after the present; a drive ends before the last.
 pub const BANDS_S: [[f64; 2]; 4] = [[0.0, 2.0], [2.0, 5.0], [5.0, 8.0], [8.0, 600.0]];
 
-/// Slower ones stand, m/s.
+/// Slower vehicles, m/s, are standing.
 const STANDING_MPS: f64 = 0.3;
-/// Who stands for so long at the end of a drive, seconds, is stuck.
+/// A vehicle that stands for this long at the end of a drive, seconds, is stuck.
 const STUCK_S: f64 = 15.0;
-/// Who is farther off the road than this, meters, is off it: as in the check of validity. Every so many timesteps
-/// count.
+/// A vehicle farther off the road than this, meters, is off it, as in the check of validity. Every few timesteps are
+/// checked.
 const OFF_ROAD_M: f64 = 0.3;
 const STRIDE: usize = 5;
 
 /// Counts over drives, by stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Traffic {
-    /// Seconds that agents were there, all together.
+    /// Seconds of presence, summed over agents.
     pub agent_s: [f64; 4],
-    /// The same if as many had been there as were recorded at present.
+    /// Seconds of presence if as many agents had been there as were recorded at present.
     pub agent_s_as_recorded: [f64; 4],
     /// Seconds that were driven.
     pub driven_s: [f64; 4],
-    /// Agents that drive into another for the first time, of pairs that do not touch at present and of which one moves.
+    /// Agents that drive into another for the first time: of pairs that are apart at present and of which one moves.
     pub n_collided: [u64; 4],
-    /// Seconds that vehicles were off the road, of those that begin on it and are not the ego; and all their seconds.
+    /// Seconds that vehicles other than the ego that begin on the road were off it, and all their seconds.
     pub off_road_s: [f64; 4],
     /// See `off_road_s`.
     pub on_map_s: [f64; 4],
-    /// Seconds that vehicles stood, and the same if as many had stood as did at present.
+    /// Seconds that vehicles stood, and those if as many had stood as at present.
     pub standing_s: [f64; 4],
     /// See `standing_s`.
     pub standing_s_as_recorded: [f64; 4],
     /// Agents that arrived.
     pub n_arrived: [u64; 4],
-    /// Those of them that did so in the recording.
+    /// Arrivals that are those of the recording.
     pub n_arrived_recorded: [u64; 4],
     /// Agents that left.
     pub n_left: [u64; 4],
-    /// Agents that were to arrive and found no gap.
+    /// Arrivals that found no gap.
     pub n_held_back: u64,
     /// Vehicles that stood for the last 15 s of their drive.
     pub n_stuck: u64,
@@ -91,7 +91,7 @@ impl Traffic {
         traffic
     }
 
-    /// When a track comes and goes, and how long it is off the road.
+    /// Adds when a track comes and goes, and how long it is off the road.
     fn add_track(
         &mut self,
         situation: &Situation,
@@ -128,7 +128,7 @@ impl Traffic {
         }
     }
 
-    /// Both together.
+    /// The sum of both.
     #[must_use]
     pub fn with(mut self, other: &Self) -> Self {
         add(&mut self.agent_s, &other.agent_s);

@@ -1,4 +1,4 @@
-//! What was reached: the states of everybody from the start of the past to now. It can be saved, and forked.
+//! The states of everybody from the start of the past to now. They can be saved, and forked.
 
 use super::{Error, Result};
 use crate::geometry::Vec2;
@@ -9,12 +9,12 @@ use std::path::Path;
 /// The version of the format of saved worlds.
 const VERSION: u32 = 3;
 
-/// The states of everybody in a scenario, in its scene frame, up to now. Nothing else decides what comes next.
+/// The states of all agents of a scenario up to now, in its scene frame. Nothing else decides what comes next.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct World {
     version: u32,
-    /// The scenario that it began with.
+    /// The scenario from which it started.
     pub scenario_id: String,
     /// The seed of everything random.
     pub seed: u64,
@@ -35,7 +35,7 @@ fn unpacked([x, y, heading_rad, vx, vy]: [f64; 5]) -> State {
 }
 
 impl World {
-    /// A world in which these states were reached, by track, all with the same number of timesteps.
+    /// A world with these states, by track, all with the same number of timesteps.
     pub(super) fn new<'s, T>(scenario_id: &str, seed: u64, plan_ends: usize, tracks: T) -> Self
     where
         T: IntoIterator<Item = &'s [Option<State>]>,
@@ -61,7 +61,7 @@ impl World {
         self.states.first().map_or(0, Vec::len)
     }
 
-    /// Now.
+    /// The present timestep.
     pub fn now(&self) -> usize {
         self.n_timesteps().saturating_sub(1)
     }
@@ -76,7 +76,7 @@ impl World {
         self.state(agent_idx, self.now())
     }
 
-    /// One timestep later: the state of each track.
+    /// Advances one timestep, to these states of each track.
     pub(super) fn push(&mut self, next: impl IntoIterator<Item = Option<State>>) {
         for (states, next) in self.states.iter_mut().zip(next) {
             states.push(next.as_ref().map(packed));
@@ -90,8 +90,7 @@ impl World {
         }
     }
 
-    /// From the next timestep on, agents of the event follow these states, of which the first are those of now, and so
-    /// up to this timestep.
+    /// Makes agents of the event follow these states up to the timestep `ends`. The first states are the present ones.
     pub(super) fn plan_anew(&mut self, ends: usize, plans: &[(usize, Vec<State>)]) {
         let first = self.now();
         self.plan_ends = ends;
@@ -100,8 +99,8 @@ impl World {
         self.plans = plans.iter().map(packed).collect();
     }
 
-    /// The state of an agent at a timestep by the plan that was solved again last. `None` if there is none, or it ends
-    /// before.
+    /// The state of an agent at a timestep by the last plan that was solved again. `None` if there is none, or it ends
+    /// earlier.
     pub(super) fn planned(&self, agent_idx: usize, timestep: usize) -> Option<State> {
         let (_, first, states) = self.plans.iter().find(|(idx, ..)| *idx == agent_idx)?;
         states.get(timestep.checked_sub(*first)?).copied().map(unpacked)
@@ -112,7 +111,7 @@ impl World {
         self.plans.iter().any(|(idx, ..)| *idx == agent_idx)
     }
 
-    /// Has as many tracks more as are missing to `n_tracks`, which were never there.
+    /// Adds absent tracks up to `n_tracks`.
     pub(super) fn with_tracks(mut self, n_tracks: usize) -> Self {
         let nowhere = vec![None; self.n_timesteps()];
         self.states.resize(n_tracks.max(self.states.len()), nowhere);
@@ -137,7 +136,7 @@ impl World {
     /// Reads a saved world.
     ///
     /// # Errors
-    /// [`Error::State`] when the file is none, or of another version.
+    /// [`Error::State`] when the file is not a saved world, or of another version.
     pub fn read(path: &Path) -> Result<Self> {
         let text = fs_err::read_to_string(path)?;
         let refuse = |why: String| Error::State { path: path.to_owned(), why };

@@ -37,10 +37,9 @@ impl DeviceChoice {
         match self {
             Self::Cpu => Ok(Device::Cpu),
             Self::Cuda(ordinal) if candle_core::utils::cuda_is_available() => {
-                // One stream for all threads: candle's default has one per thread, and nothing would keep them in
-                // order.
+                // One stream for all threads: candle's default is one per thread, which nothing would keep in order.
                 Device::new_cuda_with_stream(ordinal).map_err(|error| {
-                    // A backtrace follows the first line.
+                    // The message also has a backtrace after its first line.
                     let text = error.to_string();
                     let error = text.lines().next().unwrap_or_default();
                     Failure::input_message(format_args!("run.device is \"{self}\", which does not answer: {error}"))
@@ -98,7 +97,7 @@ impl From<DeviceChoice> for String {
 pub struct ComputeChoice {
     /// The device that networks compute on.
     pub device: DeviceChoice,
-    /// How exactly.
+    /// The precision of products.
     pub precision: Precision,
 }
 
@@ -157,7 +156,7 @@ fn processor_class() -> String {
     format!("cpu {}", std::env::consts::ARCH)
 }
 
-/// The models of the GPUs that have a folder in `list`, as NVIDIA's driver makes one for each.
+/// The models of the GPUs with a folder in `list`; NVIDIA's driver makes one folder for each.
 fn gpu_class(list: &Path) -> String {
     let mut models = BTreeSet::new();
     for gpu in std::fs::read_dir(list).into_iter().flatten().flatten() {

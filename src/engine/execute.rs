@@ -12,7 +12,7 @@ use super::work_folder::WorkFolder;
 use crate::progress::Progress;
 use std::path::Path;
 
-/// Runs what must be run. Returns the records of all stages, and calls `after` with each as soon as it is done.
+/// Runs the stages that must run. Returns the records of all stages, and calls `after` with each as soon as it is done.
 /// `compute` is what the context has opened.
 pub(super) fn execute(
     planned: Vec<PlannedStage<'_>>,
@@ -49,11 +49,11 @@ pub(super) fn execute(
     Ok(records)
 }
 
-/// Takes into account what the stages before wrote, which was not known when `planned` was made: reuses nothing, and
-/// resumes nothing, that was made from other bytes.
+/// Takes into account what earlier stages wrote, which was unknown when `planned` was made: nothing made from other
+/// bytes is reused or resumed.
 ///
 /// # Errors
-/// When it must run again and would overwrite what is not its own.
+/// When the stage must run again and would overwrite files that are not its own.
 fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
     let kind = planned.stage.kind();
     let earlier = match planned.action {
@@ -79,7 +79,7 @@ fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<
     Ok(())
 }
 
-/// When a stage's time is taken.
+/// When a time is taken, relative to a stage's work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Moment {
     /// Before its work.
@@ -152,8 +152,8 @@ fn run_stage(
     }
 }
 
-/// Refuses damaged results of earlier stages, and what those left beside them, such as summaries. Shards have a
-/// checksum each, which is compared when it is read.
+/// Rejects damaged results of earlier stages, and of files beside them, such as summaries. Shards have a checksum each,
+/// which is compared when they are read.
 pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
     for input in stage.inputs() {
         let Some(producer) = input.producer.filter(|producer| !producer.is_checked_by_readers) else {

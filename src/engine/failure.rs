@@ -4,12 +4,12 @@ use super::kind::StageKind;
 use crate::cloud;
 use std::{fmt, io};
 
-/// The party that can do something about a failure. The command line turns this into the exit code.
+/// Who can do something about a failure. The command line turns this into the exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Blame {
-    /// The user's input: arguments, configuration, recordings, files given.
+    /// The user's input: arguments, configuration, recordings, given files.
     Input,
-    /// The program or the machine: a bug, a full disk, a file of ours that is damaged.
+    /// The program or the machine: a bug, a full disk, a damaged file of ours.
     Fault,
     /// Everything ran, but a quality gate that the user set was not met.
     Gate,
@@ -19,7 +19,7 @@ pub enum Blame {
 
 /// An error with the blame for it and, where it is known, what to do about it.
 pub struct Failure {
-    /// The party that can act.
+    /// Who can act.
     pub blame: Blame,
     /// The error, with its causes.
     pub error: anyhow::Error,
@@ -99,7 +99,7 @@ impl From<io::Error> for Failure {
     }
 }
 
-/// Whether an object store would not do what was done to a file that it mirrors.
+/// Whether an error means that an object store does not support an operation on a file that it mirrors.
 fn is_refusal_of_store(error: &io::Error) -> bool {
     let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<cloud::Error>());
     cause.is_some_and(cloud::Error::is_refusal)
@@ -107,9 +107,9 @@ fn is_refusal_of_store(error: &io::Error) -> bool {
 
 /// Assigns the blame for an error of another layer.
 pub trait Classify<T> {
-    /// The user's.
+    /// Blames the user.
     fn blame_input(self) -> Result<T>;
-    /// Ours or the machine's.
+    /// Blames the program or the machine.
     fn blame_fault(self) -> Result<T>;
 }
 

@@ -11,26 +11,26 @@ use std::time::UNIX_EPOCH;
 /// For files up to twice this size, `hash` covers everything; for larger ones, the size and this much from each end.
 const SAMPLED_BYTES: u64 = 1 << 20;
 
-/// The content of a file or folder. Equal contents give equal fingerprints on every machine; places play no part.
+/// The content of a file or folder. Equal contents give equal fingerprints on every machine, wherever they are.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PathFingerprint {
     /// Total size, bytes.
     pub n_bytes: u64,
     /// Number of files: 1 for a file.
     pub n_files: u64,
-    /// Hash, 32 hexadecimal digits; of large files, of their ends alone.
+    /// Hash, 32 hexadecimal digits; for large files, of their ends only.
     pub hash: String,
     /// Hash of the whole content where `hash` is not.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub whole: Option<String>,
-    /// Hash of the sizes and times of the files that `whole` was taken of, or of the tags of objects: while they stay,
-    /// it is not taken again.
+    /// Hash of the sizes and times of the files when `whole` was taken, or of the tags of objects: `whole` holds until
+    /// these change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub times: Option<String>,
 }
 
 impl PathFingerprint {
-    /// Whether both are of one content, as far as both are known.
+    /// Whether both are fingerprints of the same content, as far as both are known.
     pub(super) fn agrees_with(&self, other: &Self) -> bool {
         let of_ends = |one: &Self| (one.n_bytes, one.n_files, one.hash.clone());
         let wholes = self.whole.as_ref().zip(other.whole.as_ref());
@@ -43,15 +43,15 @@ impl PathFingerprint {
     }
 }
 
-/// The fingerprint of a file, or of all files below a folder with their names, with the whole content of large ones.
-/// What cannot be opened in a folder counts by its name: whoever reads it says why.
+/// The fingerprint of a file, or of all files below a folder with their names, with the whole content of large ones. An
+/// entry of a folder that cannot be opened counts by its name: its reader will report why.
 pub fn fingerprint_path(path: &Path) -> Result<PathFingerprint> {
     fingerprint_to(path, None, None)
 }
 
-/// The fingerprint of a file, or of those files in a folder that are named relative to it (`None`: of all). Named files
-/// have the same as the whole folder where that holds nothing else. Where large files are as old and as large as when
-/// `known` was taken, it still holds, and their middles are not read.
+/// The fingerprint of a file, or of the files in a folder that are named relative to it (`None`: all). Named files have
+/// the fingerprint of the whole folder if it holds nothing else. While large files have the age and size that they had
+/// when `known` was taken, `known` still holds, and their middles are not read.
 pub(super) fn fingerprint_to(
     path: &Path,
     names: Option<&[PathBuf]>,
@@ -93,8 +93,7 @@ fn is_large(file: &Path) -> bool {
     fs_err::metadata(file).is_ok_and(|metadata| metadata.len() > 2 * SAMPLED_BYTES)
 }
 
-/// The hash of one file, or of the files below `root` with their names. Files that are our own must be readable if they
-/// are there.
+/// The hash of one file, or of the files below `root` with their names. Files of our own that exist must be readable.
 fn combined(root: Option<&Path>, files: &[PathBuf], reading: Reading, are_own: bool) -> Result<PathFingerprint> {
     let of = |file: &PathBuf| match (fs_err::File::open(file), root) {
         (Ok(file), _) => hash_file(file, reading),

@@ -8,11 +8,11 @@ use super::timings::seconds_spent;
 use crate::store::write_json_atomically;
 use std::path::Path;
 
-/// Training that took longer is repeated only on request, seconds.
+/// Training that took longer than this is repeated only on request, seconds.
 const PRECIOUS_S: f64 = 600.0;
-/// The file in which training keeps its state: whoever has it has begun.
+/// The file in which training keeps its state: a folder with it has a training that began.
 const STATE_FILE: &str = "state.safetensors";
-/// Between the name of an output that is moved aside and what its record was made from.
+/// Separates the name of an output that is moved aside from the fingerprint of its record.
 const EARLIER: &str = ".earlier-";
 /// The record of the stage of a model that was moved aside.
 const RECORD_FILE: &str = "record.json";
@@ -20,17 +20,17 @@ const RECORD_FILE: &str = "record.json";
 /// An output that is moved aside.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Kept {
-    /// Its name in the output folder.
+    /// Its former name in the output folder.
     pub name: String,
-    /// The name under which it stays.
+    /// Its new name.
     pub as_name: String,
 }
 
-/// Decides about the trained models that running a stage would replace.
+/// Decides what happens to trained models that running a stage would replace.
 ///
 /// # Errors
-/// When a long training would be repeated without a request: neither by `is_requested` nor by a setting of the stage's
-/// own section.
+/// When a long training would be repeated although it was requested neither by `is_requested` nor by a setting of the
+/// stage's own section.
 pub(super) fn kept(
     root: &Path,
     stage: &StageKind,
@@ -78,7 +78,7 @@ pub(super) fn leave_record(earlier: &StageRecord, dir: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Moves the trainings that were begun in the folder `dir` into `root`, under names that say so.
+/// Moves unfinished trainings from the folder `dir` into `root`, under names that tell so.
 pub(super) fn keep_unfinished(started: &StageRecord, dir: &Path, root: &Path) -> Result<()> {
     for entry in fs_err::read_dir(dir)? {
         let entry = entry?;
@@ -93,13 +93,13 @@ pub(super) fn keep_unfinished(started: &StageRecord, dir: &Path, root: &Path) ->
     Ok(())
 }
 
-/// Whether an output of this name may stay under the other.
+/// Whether an output named `name` may be kept under the name `as_name`.
 pub(super) fn is_kept(name: &str, as_name: &str) -> bool {
     let number = as_name.strip_prefix(name).and_then(|rest| rest.strip_prefix(EARLIER));
     number.is_some_and(|number| number.bytes().all(|byte| byte.is_ascii_hexdigit() || byte == b'-'))
 }
 
-/// The name, or the name with the first number that makes it free.
+/// The name, with the first number appended that makes it free, if it is taken.
 fn free_name(root: &Path, name: &str) -> String {
     let is_free = |name: &str| root.join(name).symlink_metadata().is_err();
     let numbered = (2..).map(|n: u32| format!("{name}-{n}"));

@@ -7,21 +7,22 @@ use std::fmt;
 pub struct StageKind {
     /// The name in file names and messages.
     pub name: &'static str,
-    /// The words of the command that runs it alone.
+    /// The words of the command that runs the stage alone.
     pub command: &'static str,
     /// The section of a pipeline file that configures it.
     pub section: &'static str,
-    /// The keys of the section that hold paths of what it reads; `list.key` is in every item of a list.
+    /// The keys of the section that hold paths of inputs; `list.key` is in every item of a list.
     pub places: &'static [&'static str],
-    /// Whether it trains a model, which may have cost hours: earlier ones are moved aside and not removed.
+    /// Whether it trains a model, which may have cost hours: earlier ones are moved aside instead of removed.
     pub trains: bool,
     /// Whether it computes with networks, and so needs the device.
     pub computes: bool,
     /// The files and folders that it may write, by name within the output folder.
     pub outputs: &'static [&'static str],
-    /// Whether whoever reads its outputs compares them with checksums, file by file.
+    /// Whether readers of its outputs compare them with checksums, file by file.
     pub is_checked_by_readers: bool,
-    /// The shards that several processes can make at once; `None` if one process does all the work.
+    /// The file names of its shards if several processes can make them at once; `None` if one process does all the
+    /// work.
     pub shards: Option<ShardNames>,
 }
 
@@ -32,7 +33,7 @@ pub struct ShardNames {
     pub shard: &'static str,
     /// Ending of the names of shards.
     pub ending: &'static str,
-    /// Whether workers write a file of this name beside the shards.
+    /// Whether workers write a file with this name beside the shards.
     pub is_other: fn(&str) -> bool,
 }
 

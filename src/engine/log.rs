@@ -7,7 +7,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Mutex;
 
-/// Passes progress on to another receiver and writes down the events: phases, warnings and messages, not every advance.
+/// Passes progress on to another receiver and logs the events: phases, warnings and messages, but not every advance.
 pub(super) struct Logged<'a> {
     inner: &'a dyn Progress,
     state: Mutex<LogState>,
@@ -35,14 +35,15 @@ impl<'a> Logged<'a> {
     }
 
     fn with(&self, act: impl FnOnce(&mut LogState)) {
-        // A thread that panicked while writing a line leaves at worst half a line.
+        // A thread that panicked while writing a line leaves half a line at worst.
         act(&mut self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
     }
 }
 
 impl LogState {
     fn line(&mut self, message: &str) {
-        // A log that cannot be written (a full disk) must not end the work: the outputs will say so if they fail too.
+        // A log that cannot be written (a full disk) must not end the work: the outputs will report the problem if they
+        // fail, too.
         let _ = writeln!(self.file, "{} {message}", utc_now());
     }
 }

@@ -1,13 +1,13 @@
-//! Runs stages in a folder: which must run, which can be reused, which resume, and whose files are whose?
+//! Runs stages in a folder: which must run, which are reused or resumed, and whose files are whose?
 //!
 //! The engine knows nothing of what stages do. A [`Stage`] names its configuration, inputs and outputs, and does its
-//! work as a whole or in shards ([`Work`]). [`plan`] decides what is to be done about each of them, [`run_folder`] runs
-//! them and keeps the folder's records, [`shards`] lets several processes make the shards of one stage.
+//! work as a whole or in shards ([`Work`]). [`plan`] decides on the action for each of them, [`run_folder`] runs them
+//! and keeps the folder's records, [`shards`] lets several processes make the shards of one stage.
 //!
-//! - A stage works in `<stage>.partial`; outputs come to their places only once they are whole, and a process that is
+//! - A stage works in `<stage>.partial`; outputs are put in place only once they are whole, and a process that is
 //!   killed at any moment leaves a folder in which the same command goes on.
-//! - A record of every finished stage says from what it was made and which files it wrote. Nothing else is ever
-//!   replaced or removed.
+//! - The record of a finished stage tells what it was made from and which files it wrote. Nothing else is ever replaced
+//!   or removed.
 //! - Decisions are made while the folder is locked, so that they hold until they are carried out.
 
 mod clock;

@@ -1,4 +1,4 @@
-//! May a command write into this folder, and which of the files there are its own?
+//! May a command write into this folder, and which files in it are its own?
 
 use super::failure::{Failure, Result};
 use super::kind::StageKind;
@@ -19,12 +19,12 @@ pub const CONFIG_FILE: &str = "config.toml";
 /// Name of the run's manifest in a run folder.
 pub const RUN_FILE: &str = "run.json";
 
-/// Refuses stages that would write over what one of them reads: an output that is an input, lies inside one, or
+/// Rejects stages that would write over an input of one of them: an output that is an input, lies inside one, or
 /// contains one.
 pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Result<()> {
     for writer in stages {
         for reader in stages {
-            // Outputs of a stage are there to be read by later ones.
+            // Outputs of a stage exist to be read by later ones.
             let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.kind()));
             for input in inputs {
                 for name in writer.outputs() {
@@ -58,7 +58,7 @@ fn check_urls(output: &Path, input: &StageInput) -> Result<()> {
         .with_hint("use separate folders for recordings and results"))
 }
 
-/// Refuses a folder with a file of somebody else's under a name that every command writes.
+/// Rejects a folder with a foreign file under a name that every command writes.
 pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
     if let Some(file) = root.ancestors().find(|path| path.exists()).filter(|path| !path.is_dir()) {
         let message = format!("{} is not a folder; output is written into a folder", file.display());
@@ -88,8 +88,8 @@ pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()>
     if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
 }
 
-/// Whether lines may be added to the log in `root`: it is empty, a command of ours began it, or it lies beside other
-/// files of ours.
+/// Whether lines may be added to the log in `root`: it is empty, was begun by a command of djinn, or lies beside other
+/// files of djinn.
 fn is_log(root: &Path) -> bool {
     const HEAD_BYTES: u64 = 4096;
     let mut head = Vec::new();
@@ -109,7 +109,7 @@ fn is_record(path: &Path) -> Result<bool, StoreError> {
         Ok(record) => return Ok(record.is_some()),
         Err(damage) => damage,
     };
-    // No flipped bit hits both. What has neither is of somebody else.
+    // No flipped bit hits both marks. A file with neither is foreign.
     let has = |mark: &str, bytes: &[u8]| bytes.windows(mark.len()).any(|window| window == mark.as_bytes());
     let is_like_ours = |bytes: Vec<u8>| has("\"stage", &bytes) || has("\"checksum\"", &bytes);
     match damage {
@@ -118,7 +118,7 @@ fn is_record(path: &Path) -> Result<bool, StoreError> {
     }
 }
 
-/// Removes half-written files of those that every command writes. The folder must be locked.
+/// Removes half-written files that every command writes. The folder must be locked.
 pub(super) fn remove_leftovers(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
     let records: Vec<String> = kinds.iter().map(|stage| format!("{stage}.done.json")).collect();
     for entry in fs_err::read_dir(root)? {
@@ -132,12 +132,12 @@ pub(super) fn remove_leftovers(root: &Path, kinds: &'static [StageKind]) -> Resu
     Ok(())
 }
 
-/// The files in `root` that the finished stage wrote, relative to it.
+/// The files in `root` that the finished stage wrote, relative to `root`.
 pub(super) fn owned(root: &Path, stage: &StageKind) -> Result<BTreeSet<PathBuf>> {
     Ok(StageRecord::done(root, stage)?.map(|record| record.files).unwrap_or_default())
 }
 
-/// Refuses the outputs of a stage whose places hold anything that the stage did not write.
+/// Rejects the outputs of a stage if their places hold anything that the stage did not write.
 pub(super) fn check_outputs(root: &Path, stage: &StageKind, outputs: &[&str]) -> Result<()> {
     let owned = owned(root, stage)?;
     for name in outputs {

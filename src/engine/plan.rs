@@ -1,4 +1,4 @@
-//! Decides which stages must run, which can be reused and which resume.
+//! Decides which stages must run, and which are reused or resumed.
 
 use super::failure::{Blame, Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to};
@@ -27,11 +27,11 @@ pub struct PlannedStage<'a> {
     pub action: Action,
     /// Whether it was done before, with other settings or inputs.
     pub is_redone: bool,
-    /// Trained models that are moved aside for the new ones.
+    /// Trained models that are moved aside for new ones.
     pub kept: Vec<Kept>,
     /// Whether it may run: the user selected it, or selected nothing.
     pub is_selected: bool,
-    /// Whether it is done again whatever is there.
+    /// Whether it is to be done again even if it is up to date.
     pub is_requested: bool,
 }
 
@@ -66,12 +66,12 @@ impl fmt::Display for Action {
     }
 }
 
-/// Decides about every stage, in order; those in `redo` are done again whatever is there. `root` is the folder in which
-/// they write. Reads recordings to fingerprint them, and writes nothing.
+/// Decides on every stage, in order; those in `redo` are done again even if they are up to date. `root` is the folder
+/// in which they write. Reads recordings to fingerprint them, and writes nothing.
 ///
 /// # Errors
-/// When a section cannot work, an input is missing, an output overlaps an input or holds files that the stage did not
-/// write, or a trained model would be replaced unasked.
+/// When a section is invalid, an input is missing, an output overlaps an input or holds files that the stage did not
+/// write, or a trained model would be replaced without a request.
 pub fn plan<'a>(
     root: &Path,
     kinds: &'static [StageKind],
@@ -90,7 +90,7 @@ pub fn plan<'a>(
         let earlier = StageRecord::done(root, stage.kind())?;
         let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
         let mut expected = StageRecord::expected(stage.as_ref(), inputs)?;
-        // Work on the same contents keeps its fingerprint when files were moved, and so do the stages after it.
+        // Work on the same contents keeps its fingerprint when files are moved, and so do later stages.
         let begun = begun(root, stage.kind())?;
         if let Some(same) = earlier.iter().chain(&begun).find(|earlier| expected.is_same_work(earlier)) {
             expected.fingerprint.clone_from(&same.fingerprint);
@@ -107,7 +107,7 @@ pub fn plan<'a>(
     Ok(planned)
 }
 
-/// The inputs of a stage, by name. If recordings were removed, their record of an earlier run replaces them, and the
+/// The inputs of a stage, by name. If recordings were removed, their record from an earlier run replaces them, and the
 /// second value is the failure to find them.
 fn identify_inputs(
     root: &Path,
@@ -134,7 +134,7 @@ fn identify_inputs(
     Ok((inputs, missing))
 }
 
-/// Checks that a stage with this action overwrites no files of others. Returns the trained models that are kept.
+/// Checks that a stage with this action overwrites no foreign files. Returns the trained models to keep.
 pub(super) fn check_writable(
     root: &Path,
     stage: &dyn Stage,
@@ -144,7 +144,7 @@ pub(super) fn check_writable(
 ) -> Result<Vec<Kept>> {
     match action {
         Action::Reuse => Ok(Vec::new()),
-        // Whoever began it has requested it already.
+        // The user who began the training has requested it already.
         Action::Resume => {
             WorkFolder::check_ours(root, stage.kind())?;
             ownership::check_outputs(root, stage.kind(), stage.outputs())?;
@@ -158,10 +158,10 @@ pub(super) fn check_writable(
     }
 }
 
-/// The planned stages that are `selected`, and the done ones before them.
+/// The planned stages that are `selected`, and the finished ones before them.
 ///
 /// # Errors
-/// When one is selected that the pipeline does not have, or that reads from one which is neither done nor selected
+/// When a selected stage is not in the pipeline, or reads from one that is neither done nor selected
 /// ([`Blame::Later`](super::Blame::Later)).
 pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[&'static StageKind]) -> Result<Vec<PlannedStage<'a>>> {
     if let Some(stage) = selected.iter().find(|kind| !planned.iter().any(|planned| planned.stage.kind() == **kind)) {
@@ -191,7 +191,7 @@ pub(super) fn expected(root: &Path, stage: &dyn Stage) -> Result<StageRecord> {
     StageRecord::expected(stage, inputs.collect::<Result<_>>()?)
 }
 
-/// The record of the work on a stage that was begun in `root` and not finished, if there is one.
+/// The record of unfinished work on a stage in `root`, if there is any.
 pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
     let started = WorkFolder::started(root, stage)?;
     started.map_or_else(|| shards::begun(root, stage), |started| Ok(Some(started)))
@@ -199,7 +199,7 @@ pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecor
 
 /// The identity of a stage's input: a fingerprint of the stage that makes it, or of its content.
 ///
-/// `earlier` is the record of the stage's last run, which knows what the same files held.
+/// `earlier` is the record of the stage's last run, which knows the former content of the same files.
 fn identify(
     root: &Path,
     planned: &[PlannedStage<'_>],
@@ -232,8 +232,7 @@ fn identify(
     Ok(InputRecord::Path { path: input.path.clone(), content })
 }
 
-/// The fingerprint of an input from outside. Of objects that are as they were when it was `known`, nothing is
-/// downloaded.
+/// The fingerprint of an input from outside. Objects that have not changed since `known` are not downloaded.
 fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<PathFingerprint> {
     let Some(recordings) = Recordings::at(path)? else {
         return fingerprint_to(path, None, known).map_err(Failure::input);
@@ -246,7 +245,7 @@ fn fingerprint_input(path: &Path, known: Option<&PathFingerprint>) -> Result<Pat
     Ok(PathFingerprint { times: tag, ..content })
 }
 
-/// The action for a stage. If it is reused, `expected` learns when its outputs were last verified.
+/// The action for a stage. If it is reused, `expected` gets the times at which its outputs were last verified.
 fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
     let (done, begun) = (StageRecord::done(root, stage)?, begun(root, stage)?);
     let why = match &done {

@@ -15,7 +15,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::Mutex;
 
-/// A stage that writes its text and what it reads into a file.
+/// A stage that writes its text and its inputs into a file.
 struct Toy<'a> {
     kind: &'static StageKind,
     text: &'a str,
@@ -83,7 +83,7 @@ fn write(path: &Path, content: &str) -> std::io::Result<()> {
     write_atomically(path, |file| file.write_all(content.as_bytes())).map(drop)
 }
 
-/// Two stages, the second of which reads what the first wrote; `recording` is read by the first.
+/// Two stages, the second of which reads the output of the first; the first reads `recording`.
 struct Pipeline<'a> {
     root: &'a Path,
     first: &'a str,
@@ -114,7 +114,7 @@ impl Progress for Heard {
 }
 
 impl Pipeline<'_> {
-    /// Runs it; says what was planned and what ran.
+    /// Runs it; returns what was planned and what ran.
     fn run(&self) -> (Vec<Action>, Vec<&'static StageKind>, Result<()>) {
         let ran = RefCell::new(Vec::new());
         let recording = self.root.parent().unwrap().join("recording.csv");
@@ -184,7 +184,7 @@ fn what_comes_out_differently_is_read_again() {
         let (_, ran, outcome) = pipeline.run();
         outcome.unwrap();
         assert_eq!(ran, [kind("ingest"), kind("mine")]);
-        // Somebody who stops it in between finds out the next time.
+        // A user who stops it in between finds out the next time.
         pipeline.fails = true;
         let (_, ran, outcome) = pipeline.run();
         assert!(outcome.is_err() && ran.len() == 2);

@@ -1,8 +1,8 @@
 //! The record of a stage, by which the next run decides whether to redo it.
 //!
-//! `<stage>.done.json` is written after its outputs are whole; [`work_folder`](super::work_folder) keeps the same of a
-//! stage at work. Both hold what the fingerprint was made from, so that a later run can say what changed, and the
-//! former every file that the stage wrote: these, and no others, may be removed when it is redone.
+//! `<stage>.done.json` is written after the outputs are whole; [`work_folder`](super::work_folder) keeps a record of a
+//! stage at work, too. Both hold what the fingerprint was made from, so that a later run can tell what changed. The
+//! former lists every file that the stage wrote: these, and no others, may be removed when it is redone.
 
 use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
@@ -28,7 +28,7 @@ pub struct StageRecord {
     pub inputs: BTreeMap<String, InputRecord>,
     /// Hash of all of the above.
     pub fingerprint: String,
-    /// Hash of the version, and of the section without the paths of what it reads: inputs count by their content.
+    /// Hash of the version, and of the section without paths of inputs, which count by their content.
     pub settings: String,
     /// Its outputs, by name within the output folder; empty until it is done.
     pub outputs: BTreeMap<String, PathFingerprint>,
@@ -36,13 +36,13 @@ pub struct StageRecord {
     pub files: BTreeSet<PathBuf>,
     /// Its summary; null until it is done.
     pub summary: Value,
-    /// When the large files of its outputs, which are whole, were written, by output. Two runs of one pipeline write
-    /// the same at other times: `timings.json` keeps this.
+    /// By output, a hash of the times at which its large files, which are whole, were written. Two runs of one pipeline
+    /// write the same bytes at different times, so `timings.json` keeps this.
     #[serde(skip)]
     pub(super) times: BTreeMap<String, String>,
 }
 
-/// Something a stage read.
+/// An input of a stage.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputRecord {
@@ -52,14 +52,14 @@ pub enum InputRecord {
         producer: String,
         /// Its fingerprint.
         fingerprint: String,
-        /// Hash of what it wrote; `None` while that is not known. No part of the fingerprint: a changed program may
-        /// write other bytes from the same settings.
+        /// Hash of its outputs; `None` while unknown. Not a part of the fingerprint: a changed program may write other
+        /// bytes from the same settings.
         #[serde(skip_serializing_if = "Option::is_none")]
         content: Option<String>,
     },
     /// A file or folder from outside.
     Path {
-        /// Where it was, as given.
+        /// Its path, as given.
         #[serde(serialize_with = "path_as_text")]
         path: PathBuf,
         /// Its content.
@@ -76,7 +76,7 @@ impl InputRecord {
         }
     }
 
-    /// Whether both are of one content, as far as both know it.
+    /// Whether both have the same content, as far as both know it.
     fn agrees_with(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Path { content, .. }, Self::Path { content: other, .. }) => content.agrees_with(other),
@@ -108,7 +108,7 @@ impl StageRecord {
         })
     }
 
-    /// Whether `earlier` is of the same work: the same version, settings and contents, wherever files were then.
+    /// Whether `earlier` records the same work: the same version, settings and contents, wherever the files were.
     /// Contents are compared as far as both know them.
     pub(super) fn is_same_work(&self, earlier: &Self) -> bool {
         let agree = |(name, input): (&String, &InputRecord)| {
@@ -117,14 +117,14 @@ impl StageRecord {
         self.settings == earlier.settings && self.inputs.len() == earlier.inputs.len() && self.inputs.iter().all(agree)
     }
 
-    /// An input from outside that it read and that is not there any more.
+    /// An input from outside that this record has but that no longer exists.
     pub(super) fn missing_input(&self, input: &StageInput) -> Option<InputRecord> {
         let record = self.inputs.get(&input.name)?;
         let is_same = matches!(record, InputRecord::Path { path, .. } if *path == input.path);
         (input.producer.is_none() && is_same && !input.path.exists()).then(|| record.clone())
     }
 
-    /// The known content of an input, where it was the same path.
+    /// The known content of an input, if its path was the same.
     pub(super) fn known_content(&self, name: &str, path: &Path) -> Option<&PathFingerprint> {
         match self.inputs.get(name)? {
             InputRecord::Path { path: then, content } if then == path => Some(content),
@@ -132,14 +132,14 @@ impl StageRecord {
         }
     }
 
-    /// Hash of what it wrote; `None` until it is done.
+    /// Hash of its outputs; `None` until it is done.
     pub(super) fn content(&self) -> Option<String> {
         let identities: BTreeMap<&str, &str> =
             self.outputs.iter().map(|(name, written)| (name.as_str(), written.identity())).collect();
         (!identities.is_empty()).then(|| fingerprint_value(&identities).ok()).flatten()
     }
 
-    /// A stage that `earlier` read, if it wrote other bytes than it has written now, as far as both are known.
+    /// A stage that `earlier` read, if it has since written other bytes, as far as both are known.
     pub(super) fn rewritten_since(&self, earlier: &Self) -> Option<&str> {
         self.inputs.iter().find_map(|(name, input)| match (input, earlier.inputs.get(name)?) {
             (
@@ -150,7 +150,7 @@ impl StageRecord {
         })
     }
 
-    /// Fills in what the stages in `done` wrote, where it was not known when this record was made.
+    /// Fills in the contents written by the stages in `done` that were unknown when this record was made.
     pub(super) fn learn_contents(&mut self, done: &[Self]) {
         for input in self.inputs.values_mut() {
             if let InputRecord::Stage { producer, content: content @ None, .. } = input {
@@ -159,8 +159,8 @@ impl StageRecord {
         }
     }
 
-    /// This record of a finished stage, with where its inputs are now and what is known of them. What earlier stages
-    /// had written when it read them stays.
+    /// This record of a finished stage, with the present places of its inputs and what is known of them. The contents
+    /// of earlier stages stay as they were when it read them.
     pub(super) fn with_inputs_of(mut self, root: &Path, stage: &StageKind, expected: &Self) -> Result<Self> {
         let mut inputs = expected.inputs.clone();
         for (name, input) in &mut inputs {
@@ -190,7 +190,7 @@ impl StageRecord {
     /// The record of the stage at `path`, if there is one.
     ///
     /// # Errors
-    /// When it is damaged, or names what the stage does not write; those of the file system.
+    /// When it is damaged, or names something that the stage does not write; errors of the file system.
     pub(super) fn read(path: &Path, stage: &StageKind) -> Result<Option<Self>, Error> {
         let record: Option<Self> = read_record(path)?;
         match record.as_ref().and_then(|record| record.impossible(stage)) {
@@ -199,7 +199,7 @@ impl StageRecord {
         }
     }
 
-    /// The part of the record that the stage cannot have written: whatever it names is replaced and removed.
+    /// The part of the record that the stage cannot have written: everything it names is replaced and removed.
     fn impossible(&self, stage: &StageKind) -> Option<String> {
         let known = stage.outputs;
         let is_output = |name: &str| known.contains(&name);
@@ -219,8 +219,7 @@ impl StageRecord {
         output.or_else(file).map(|name| format!("{name:?} is nothing that stage {stage} writes"))
     }
 
-    /// The record of the same stage once its outputs are whole in the folder `dir`; `written` are the files there that
-    /// are its own.
+    /// The record of the stage once its outputs are whole in the folder `dir`; `written` are its own files there.
     pub(super) fn finished(
         mut self,
         dir: &Path,
@@ -240,9 +239,9 @@ impl StageRecord {
         Ok(self)
     }
 
-    /// When the large files of the outputs were written, by output, if all outputs are as the stage wrote them;
-    /// otherwise, as the inner error, the first that is not. Files that somebody put beside ours do not count. Outputs
-    /// that were `seen` whole are not read again while sizes and times of their files stay.
+    /// By output, a hash of the times at which its large files were written, if all outputs are as the stage wrote
+    /// them; otherwise, as the inner error, the first output that is not. Foreign files beside them do not count.
+    /// Outputs that were `seen` whole are not read again while sizes and times of their files stay.
     pub(super) fn check_outputs(
         &self,
         root: &Path,
@@ -263,15 +262,15 @@ impl StageRecord {
         Self { times, ..self }
     }
 
-    /// Whether the output of this name is as it was written, to its last byte. True for names that are not outputs of
+    /// Whether the output with this name is as it was written, to its last byte. True for names that are not outputs of
     /// the stage.
     pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
         let Some(written) = self.outputs.get(name) else { return Ok(true) };
         Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
     }
 
-    /// The present content of the files of an output; `None` if it is not there, or is neither file nor folder. What
-    /// cannot be read now may well be whole.
+    /// The present content of the files of an output; `None` if it does not exist, or is neither file nor folder. An
+    /// output that cannot be read now may well be whole.
     fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Result<Option<PathFingerprint>> {
         let path = root.join(name);
         if !path.is_file() && !path.is_dir() {
@@ -280,12 +279,12 @@ impl StageRecord {
         Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
     }
 
-    /// Whether a setting of the stage's own section differs from `earlier`. What presets come to is not the user's
-    /// doing.
+    /// Whether a setting of the stage's own section differs from `earlier`. Values that come from presets are not the
+    /// user's doing.
     pub(super) fn section_differs(&self, earlier: &Self) -> bool {
         let own = |record: &Self| {
             let mut config = record.config.clone();
-            // Neither is what concerns all stages.
+            // Neither are settings of all stages.
             for key in ["resolved", "precision"] {
                 config.as_object_mut().map(|section| section.remove(key));
             }
@@ -320,7 +319,7 @@ impl StageRecord {
     }
 }
 
-/// A section without the keys `places`, of which `list.key` is one in every item of a list.
+/// A section without the keys `places`, where `list.key` is a key in every item of a list.
 fn without_places(config: &Value, places: &[&str]) -> Value {
     let mut config = config.clone();
     for place in places {
@@ -339,14 +338,14 @@ fn below(files: &BTreeSet<PathBuf>, name: &str) -> Vec<PathBuf> {
     files.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect()
 }
 
-/// The failure to read a record, with advice where it is damaged.
+/// The failure to read a record, with advice if it is damaged.
 pub(super) fn unreadable(error: Error, advice: impl FnOnce() -> String) -> Failure {
     let is_damaged = matches!(error, Error::Record { .. });
     let failure = Failure::fault(error);
     if is_damaged { failure.with_hint(format!("nothing was changed; {}", advice())) } else { failure }
 }
 
-/// Where the record of a finished stage lies.
+/// The path of the record of a finished stage.
 pub fn done_path(root: &Path, stage: &StageKind) -> PathBuf {
     root.join(format!("{stage}.done.json"))
 }

@@ -1,4 +1,4 @@
-//! Which program is this?
+//! The version and revision of the program.
 
 use super::Result;
 use std::sync::OnceLock;
@@ -8,7 +8,7 @@ pub fn version() -> Result<String> {
     Ok(format!("{} ({})", env!("CARGO_PKG_VERSION"), revision()?))
 }
 
-/// The revision of the source, or a hash of the program if the build did not know the revision.
+/// The revision of the source, or a hash of the program if it was unknown to the build.
 pub(super) fn revision() -> Result<String> {
     static KNOWN: OnceLock<String> = OnceLock::new();
     if let Some(revision) = option_env!("DJINN_REVISION").or(KNOWN.get().map(String::as_str)) {

@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 pub struct RunManifest {
     /// Version of the program.
     pub djinn_version: String,
-    /// Revision of its source, where the build knew it.
+    /// Revision of its source, if known to the build.
     pub revision: Option<String>,
     /// Name of the pipeline.
     pub pipeline: String,
@@ -59,11 +59,11 @@ pub struct StageState {
     pub outputs: BTreeMap<String, super::PathFingerprint>,
 }
 
-/// How far a stage is.
+/// The progress of a stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StageStatus {
-    /// Not yet, or not wholly, run.
+    /// Not run yet, or not to the end.
     Pending,
     /// Its outputs are whole.
     Done,
@@ -82,8 +82,8 @@ pub struct RunAbout {
     pub config: String,
 }
 
-/// Runs planned stages in a folder, keeping its log and timings; with `about`, also its configuration and manifest.
-/// The stages must have been planned while the folder was open, so that no other process changed it since.
+/// Runs planned stages in a folder, keeping its log and timings; with `about`, also its configuration and manifest. The
+/// stages must have been planned while the folder was open, so that no other process has changed it since.
 pub fn run_stages(
     folder: &RunFolder,
     about: Option<&RunAbout>,
@@ -91,7 +91,7 @@ pub fn run_stages(
     planned: Vec<PlannedStage<'_>>,
     progress: &dyn Progress,
 ) -> Result<Vec<StageRecord>> {
-    // A machine without the device may run what does without it.
+    // A machine without the device may run stages that do not need it.
     let computes = planned.iter().any(|planned| planned.action != Action::Reuse && planned.stage.kind().computes);
     let compute = if computes { choice.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
@@ -116,7 +116,7 @@ pub fn run_stages(
         Ok(())
     };
     save(None)?;
-    // After the manifest, beside which nobody takes it for somebody else's.
+    // Written after the manifest, beside which it is not mistaken for a foreign file.
     if let Some(RunAbout { config, .. }) = about {
         write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(config.as_bytes()))?;
     }
@@ -142,7 +142,7 @@ pub fn run_stages(
     outcome
 }
 
-/// Lets others see the outputs of a stage that just ended, where the folder has a mirror.
+/// Publishes the outputs of a stage that just ended, if the folder has a mirror.
 fn publish(root: &Path) -> anyhow::Result<()> {
     mirror_above(root).map_or(Ok(()), |mirror| Ok(mirror.publish()?))
 }
@@ -154,15 +154,15 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Where it is.
+    /// Its path.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Makes the folder, takes its lock, and finishes what a killed process was about to finish.
+    /// Creates the folder, takes its lock, and finishes what a killed process was about to finish.
     ///
     /// # Errors
-    /// When another process has the lock, or files of the folder that would be written are somebody else's.
+    /// When another process has the lock, or files of the folder that would be written are foreign.
     pub fn open(root: &Path, kinds: &'static [StageKind]) -> Result<Self> {
         ownership::check_root(root, kinds)?;
         fs_err::create_dir_all(root)?;

@@ -1,5 +1,5 @@
-//! Does running stages again lose anything: files of others, earlier outputs, trained models? On stages that write a
-//! few lines.
+//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On stages that write a few
+//! lines.
 
 mod crafted;
 mod toy;
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use toy::{FOREIGN, Toy, put, run, snapshot, text, took, toy};
 
-/// A state in which a folder may be found: its name, and what brings a new folder into it.
+/// A state in which a folder may be found: its name, and a function that brings a new folder into it.
 type State = (&'static str, fn(&Path));
 
 fn states() -> Vec<State> {
@@ -42,8 +42,8 @@ fn states() -> Vec<State> {
     ]
 }
 
-/// Whatever the state of the folder and whatever is run in it, a file of somebody else stays where it is, byte for
-/// byte; and what is refused leaves everything as it was.
+/// Whatever the state of the folder and whatever is run in it, a foreign file stays where it is, byte for byte; and a
+/// run that is rejected leaves everything as it was.
 #[test]
 fn files_of_others_survive_everywhere() {
     let places = [
@@ -76,7 +76,7 @@ fn files_of_others_survive_everywhere() {
                 prepare(&root);
                 let path = root.join(place);
                 let is_taken = path.symlink_metadata().is_ok() || path.parent().is_some_and(Path::is_file);
-                // A file that stands there is ours; the lock file is, whatever is in it.
+                // A file with the taken name is ours; so is the lock file, whatever its content.
                 if is_taken && place != ".lock" {
                     continue;
                 }
@@ -112,7 +112,7 @@ fn a_configuration_of_somebody_stays_beside_any_log() {
         let failure = run(dir.path(), &toy("next"), &[]).err().unwrap();
         assert!(failure.blame == Blame::Input && format!("{failure:?}").contains("config.toml"), "{failure:?}");
         assert_eq!(text(dir.path(), "config.toml"), FOREIGN);
-        // To an empty one nothing is lost, and a kill leaves ours empty.
+        // An empty file has nothing to lose, and a kill leaves ours empty.
         fs::remove_file(dir.path().join("config.toml")).unwrap();
         let is_nobodys = log.is_empty() || log.ends_with(b"begins in out\n");
         assert_eq!(run(dir.path(), &toy("next"), &[]).is_ok(), is_nobodys, "{}", String::from_utf8_lossy(log));
@@ -128,7 +128,7 @@ fn what_cannot_be_read_now_is_not_taken_for_changed() {
     let model = root.join("denoiser/deep/model.safetensors");
     let bytes = fs::read(&model).unwrap();
     fs::remove_file(&model).unwrap();
-    // A link that leads to itself cannot be opened, as what a broken mount shows.
+    // A link that leads to itself cannot be opened, like a file on a broken mount.
     std::os::unix::fs::symlink(&model, &model).unwrap();
     let failure = run(root, &toy("old"), &[]).err().unwrap();
     let said = format!("{failure:?}");
@@ -169,7 +169,7 @@ fn earlier_outputs_stay_until_the_new_ones_are_whole() {
     assert_eq!(planned.action, Action::Resume);
     assert_eq!(text(root, "denoiser/deep/model.safetensors"), "next");
     assert!(!root.join("train_denoiser.partial").exists());
-    // The old setting again, and what is there is old again.
+    // With the old setting again, the existing output is outdated again.
     assert!(matches!(run(root, &toy("old"), &[]).unwrap().action, Action::Run(_)));
     assert_eq!(run(root, &toy("old"), &[]).unwrap().action, Action::Reuse);
 }
@@ -311,11 +311,11 @@ fn a_model_that_took_hours_is_kept_unless_it_is_asked_for() {
     let second = redone.split("moved to ").nth(1).unwrap().to_owned();
     assert!(redone.contains("train.denoiser.text \"old\" -> \"next\"") && second != first, "{redone}");
     assert_eq!((model("denoiser"), model(&second), model(first)), ("next".into(), "old".into(), "old".into()));
-    // Minutes are not worth a question.
+    // Minutes of training are not worth a question.
     took(&root, Some(60.0));
     fs::write(&data, "3").unwrap();
     assert!(run(&root, &toy("next"), &[]).unwrap().redone.unwrap().contains("moved to"));
-    // A training that was begun is not thrown away either.
+    // An unfinished training is not thrown away either.
     run(&root, &Toy { fails: true, ..toy("third") }, &[]).err().unwrap();
     run(&root, &toy("fourth"), &[]).unwrap();
     let names = fs::read_dir(&root).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());

@@ -7,24 +7,24 @@ use crate::nn::Compute;
 use crate::progress::Progress;
 use std::path::{Path, PathBuf};
 
-/// Something a stage reads.
+/// An input of a stage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StageInput {
     /// Its name within the stage, such as `scenes`; unique there.
     pub name: String,
-    /// Where it is.
+    /// Its path.
     pub path: PathBuf,
-    /// The stage that makes such things; `None` for recordings and other files from outside.
+    /// The kind of stage that makes it; `None` for recordings and other files from outside.
     pub producer: Option<&'static StageKind>,
 }
 
 impl StageInput {
-    /// Something that another stage made.
+    /// An output of another stage.
     pub fn made_by(producer: impl Into<&'static StageKind>, name: &str, path: &Path) -> Self {
         Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer.into()) }
     }
 
-    /// Something from outside.
+    /// An input from outside.
     pub fn external(name: impl Into<String>, path: &Path) -> Self {
         Self { name: name.into(), path: path.to_owned(), producer: None }
     }
@@ -35,17 +35,17 @@ impl StageInput {
 /// A stage must write the same bytes whenever its configuration, its inputs and its version are the same; when it finds
 /// unfinished work of its own, it may resume it, because that work has the same fingerprint.
 pub trait Stage {
-    /// Which stage this is.
+    /// The kind of the stage.
     fn kind(&self) -> &'static StageKind;
-    /// Raised whenever the code changes what the stage writes, so that old outputs are redone.
+    /// Raised whenever a change of the code changes the outputs, so that old ones are redone.
     fn version(&self) -> u32;
-    /// Refuses a section that cannot work, before anything runs.
+    /// Rejects an invalid section, before anything runs.
     fn check(&self) -> Result<()>;
-    /// Its section, as JSON, without the paths of what it reads: inputs count by their content.
+    /// Its section as JSON, without the paths of inputs, which count by their content.
     fn config(&self) -> anyhow::Result<serde_json::Value>;
     /// The inputs that it reads.
     fn inputs(&self) -> Vec<StageInput>;
-    /// The outputs that it writes: names of files and folders within the output folder, of those that its kind names.
+    /// The outputs that it writes, among those that its kind names: files and folders within the output folder.
     fn outputs(&self) -> &'static [&'static str] {
         self.kind().outputs
     }
@@ -69,7 +69,7 @@ pub trait Whole {
 
 /// The context of a running stage.
 pub struct StageContext<'a> {
-    /// The folder in which it writes its outputs: not the run folder, to which they come once they are whole.
+    /// The folder in which it writes its outputs: not the run folder, into which they are moved once they are whole.
     pub root: &'a Path,
     /// The device and precision that networks compute on.
     pub compute: &'a Compute,

@@ -16,7 +16,7 @@ const fn plain(name: &'static str, section: &'static str, outputs: &'static [&'s
     }
 }
 
-/// All of them.
+/// All kinds.
 pub(super) static KINDS: [StageKind; 5] = [
     StageKind { is_checked_by_readers: true, ..plain("ingest", "ingest", &["scenes"]) },
     plain("mine", "mine", &["events.parquet", "mining.json"]),
@@ -32,7 +32,7 @@ pub(super) static KINDS: [StageKind; 5] = [
     plain("evaluate", "evaluate", &["corpus", "metrics.json"]),
 ];
 
-/// The one of this name.
+/// The kind with this name.
 pub(super) fn kind(name: &str) -> &'static StageKind {
     KINDS.iter().find(|kind| kind.name == name).unwrap()
 }

@@ -17,36 +17,36 @@ pub const TIMINGS_FILE: &str = "timings.json";
 pub struct Timings {
     /// One entry for each time that a stage was at work, oldest first; a stage that was interrupted has several.
     pub stages: BTreeMap<String, Vec<StageTiming>>,
-    /// When the large files of outputs were written that were seen whole, by stage and output, as hashes of sizes and
-    /// times. While these stay, planning does not read them again.
+    /// By stage and output, hashes of sizes and times of large files that were seen whole. While these stay, planning
+    /// does not read the files again.
     #[serde(default)]
     pub outputs: BTreeMap<String, BTreeMap<String, String>>,
 }
 
-/// One time that a stage was at work.
+/// A period in which a stage was at work.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageTiming {
     /// When it began, UTC.
     pub started: String,
     /// When it was done, UTC; `None` if it was interrupted.
     pub finished: Option<String>,
-    /// How long it took, seconds.
+    /// Its duration, seconds.
     pub seconds: Option<f64>,
     /// Number of worker threads.
     pub n_threads: usize,
-    /// The most memory that the process had held by then, bytes.
+    /// The peak memory of the process by then, bytes.
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// How long the stage was at work in all in the folder `root`, seconds; `None` where that is not known, as when it was
-/// interrupted.
+/// The total time that the stage was at work in the folder `root`, seconds; `None` if unknown, such as after an
+/// interruption.
 pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
     timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
 }
 
-/// When the large files of a finished stage's outputs in the folder `root` were written that were seen whole, by
-/// output.
+/// By output of a finished stage in the folder `root`, a hash of the times at which its large files were written that
+/// were seen whole.
 pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
     timings.outputs.get(stage.name).cloned().unwrap_or_default()
@@ -61,7 +61,7 @@ pub(super) struct StageClock<'a> {
 
 impl<'a> StageClock<'a> {
     pub(super) fn open(root: &'a Path) -> Self {
-        // Timings inform people and spare reading, and no result depends on them: unreadable ones are begun anew.
+        // Timings inform people and save reading, and no result depends on them: unreadable ones are started anew.
         let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
         Self { root, timings, began: Instant::now() }
     }
@@ -78,7 +78,7 @@ impl<'a> StageClock<'a> {
         self.save()
     }
 
-    /// The stage that began last has ended.
+    /// Marks the end of the stage that began last.
     pub(super) fn end(&mut self, stage: &StageKind) -> anyhow::Result<()> {
         let Some(entry) = self.timings.stages.entry(stage.to_string()).or_default().last_mut() else {
             return self.begin(stage);

@@ -1,10 +1,10 @@
 //! The folder in which a stage works, and the exchange of its outputs with earlier ones.
 //!
-//! A stage works in `<stage>.partial` in the output folder, which keeps a list of every file that is begun in it.
-//! Earlier outputs stay in their places meanwhile. Once the new ones are complete, `done.json` is written in the work
-//! folder. From then on they are put in place, at the latest when the folder is opened the next time
-//! ([`WorkFolder::complete_all`]). Folders are exchanged by one system call where there is one, so that each output,
-//! old or new, is always in place, whenever the process is killed.
+//! A stage works in `<stage>.partial` in the output folder, which lists every file that is begun in it. Earlier outputs
+//! stay in their places meanwhile. Once the new ones are complete, `done.json` is written in the work folder. From then
+//! on they are put in place, at the latest when the folder is opened the next time ([`WorkFolder::complete_all`]).
+//! Folders are exchanged by one system call if the system has one, so that each output, old or new, is always in place,
+//! whenever the process is killed.
 
 use super::failure::{Failure, Result};
 use super::kept_models::{self, Kept};
@@ -22,15 +22,15 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The record of the stage that works.
+/// The record of the stage at work.
 const STARTED_FILE: &str = "started.json";
 /// The record of the stage whose outputs are whole, but not all in place.
 const DONE_FILE: &str = "done.json";
-/// The names of earlier outputs that are kept.
+/// The names of earlier outputs to keep.
 const KEEP_FILE: &str = "keep.json";
 /// Marks a new folder during the exchange, to distinguish it from the one that it replaces.
 const NEW_FILE: &str = ".djinn-new";
-/// Earlier outputs that made place and are about to be removed.
+/// The folder of earlier outputs that were replaced and are about to be removed.
 const REPLACED: &str = "replaced";
 
 /// The folder in which a stage works.
@@ -40,13 +40,13 @@ pub(super) struct WorkFolder {
     stage: &'static StageKind,
 }
 
-/// Names under which earlier outputs stay in the output folder, by the names that they had.
+/// Names under which earlier outputs stay in the output folder, by their former names.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct KeptNames {
     names: BTreeMap<String, String>,
 }
 
-/// Where a stage works.
+/// The folder in which a stage works.
 pub fn work_path(root: &Path, stage: &StageKind) -> PathBuf {
     root.join(format!("{stage}.partial"))
 }
@@ -56,7 +56,7 @@ impl WorkFolder {
         Self { root: root.to_owned(), dir: work_path(root, stage), stage }
     }
 
-    /// The record of the stage that was at work in `root` and was interrupted, if there is one.
+    /// The record of a stage that was interrupted while at work in `root`, if there is one.
     pub(super) fn started(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
         let work = Self::of(root, stage);
         match work.record(STARTED_FILE)? {
@@ -69,7 +69,7 @@ impl WorkFolder {
         StageRecord::read(&self.dir.join(name), self.stage).map_err(|error| self.unreadable(error))
     }
 
-    /// The names that earlier outputs are kept under.
+    /// The names under which earlier outputs are kept.
     fn kept_names(&self) -> Result<BTreeMap<String, String>> {
         let path = self.dir.join(KEEP_FILE);
         let kept: Option<KeptNames> = read_record(&path).map_err(|error| self.unreadable(error))?;
@@ -92,7 +92,7 @@ impl WorkFolder {
         unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
     }
 
-    /// Takes up the work that an interrupted run left.
+    /// Resumes the work that an interrupted run left.
     pub(super) fn resume(root: &Path, stage: &'static StageKind, expected: &StageRecord) -> Result<Self> {
         let work = Self::of(root, stage);
         if Self::started(root, stage)?.is_none() {
@@ -103,7 +103,7 @@ impl WorkFolder {
         Ok(work)
     }
 
-    /// Begins anew, in place of what an interrupted run left.
+    /// Begins anew, replacing the work that an interrupted run left.
     pub(super) fn begin(root: &Path, stage: &'static StageKind, expected: &StageRecord) -> Result<Self> {
         let work = Self::of(root, stage);
         work.discard()?;
@@ -111,7 +111,7 @@ impl WorkFolder {
         Ok(work)
     }
 
-    /// Refuses a work folder that holds what is not ours.
+    /// Rejects a work folder that holds foreign files.
     pub(super) fn check_ours(root: &Path, stage: &'static StageKind) -> Result<()> {
         let path = Self::of(root, stage).dir;
         if files::is_link(&path) {
@@ -124,13 +124,13 @@ impl WorkFolder {
         if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path, found }.into()) }
     }
 
-    /// Where the stage writes.
+    /// The folder into which the stage writes.
     pub(super) fn path(&self) -> &Path {
         &self.dir
     }
 
-    /// Declares the outputs whole and brings them to their places. Of a trained model that stands there, `kept` says
-    /// whether, and under which name, it stays.
+    /// Declares the outputs whole and puts them in place. `kept` tells whether, and under which name, an existing
+    /// trained model stays.
     pub(super) fn finish(
         &self,
         expected: StageRecord,
@@ -140,7 +140,7 @@ impl WorkFolder {
     ) -> Result<StageRecord> {
         remove_leftovers(&self.dir)?;
         let mut written = listed(&self.dir)?.unwrap_or_default();
-        // Some were begun and given up, or served for a while.
+        // Some files were begun and given up, or were temporary.
         written.retain(|name| self.dir.join(name).is_file());
         let record = expected.finished(&self.dir, outputs, &written, summary)?;
         let names = kept.iter().map(|kept| (kept.name.clone(), kept.as_name.clone())).collect();
@@ -150,8 +150,8 @@ impl WorkFolder {
         Ok(record)
     }
 
-    /// Finishes what earlier processes left unfinished: brings whole outputs to their places, and removes what was
-    /// about to be removed.
+    /// Finishes what earlier processes left unfinished: puts whole outputs in place, and removes what was about to be
+    /// removed.
     pub(super) fn complete_all(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
         for stage in kinds {
             let work = Self::of(root, stage);
@@ -164,9 +164,9 @@ impl WorkFolder {
         Ok(())
     }
 
-    /// Brings the outputs to their places. A kill at any moment leaves a state from which the same steps go on.
+    /// Puts the outputs in place. A kill at any moment leaves a state from which the same steps go on.
     fn publish(&self, record: &StageRecord) -> Result<()> {
-        // An output that is in its place already is not looked at: the record of the earlier run does not know it.
+        // An output that is in place already is not examined: the record of the earlier run does not know it.
         let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
         ownership::check_outputs(&self.root, self.stage, &names)?;
@@ -196,9 +196,9 @@ impl WorkFolder {
         self.clean_up()
     }
 
-    /// Brings the output `name` to its place. Files are renamed over earlier ones, folders change places with them, so
-    /// that there is always one or the other. The earlier one then goes to the name under which it stays, or to where
-    /// it will be removed.
+    /// Puts the output `name` in place. Files are renamed over earlier ones, folders are exchanged with them, so that
+    /// there is always one or the other. The earlier one then gets the name under which it stays, or is put where it
+    /// will be removed.
     fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
         let (new, place) = (self.dir.join(name), self.root.join(name));
         let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));
@@ -206,7 +206,7 @@ impl WorkFolder {
         if new.exists() && !mark.exists() {
             if new.is_dir() && place.is_dir() {
                 self.list_replaced(name)?;
-                // A kill while the mark was written left a part of it, which would come along.
+                // A kill while the mark was written left a part of it, which would be moved, too.
                 remove_leftovers(&self.dir)?;
                 write_atomically::<std::io::Error>(&new.join(NEW_FILE), |_| Ok(()))?;
                 fs::create_dir_all(self.dir.join(REPLACED))?;
@@ -228,7 +228,7 @@ impl WorkFolder {
     }
 
     /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are
-    /// known for ours whenever the process is killed.
+    /// known as ours whenever the process is killed.
     fn list_replaced(&self, name: &str) -> Result<()> {
         let owned = ownership::owned(&self.root, self.stage)?;
         let files = owned.iter().filter(|file| file.starts_with(name));
@@ -258,7 +258,7 @@ impl WorkFolder {
         Ok(())
     }
 
-    /// Makes place for new work. An unfinished training is moved aside: it may have cost hours.
+    /// Makes room for new work. An unfinished training is moved aside: it may have cost hours.
     fn discard(&self) -> Result<()> {
         Self::check_ours(&self.root, self.stage)?;
         if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.trains) {

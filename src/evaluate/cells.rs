@@ -74,7 +74,7 @@ const fn level(record: &ScenarioRecord) -> GuidanceLevel {
 }
 
 impl CellSamples<'_> {
-    /// The series of its samples, which are of `sweep`.
+    /// The series of its samples, which belong to `sweep`.
     pub(super) fn series(&self, sweep: &str) -> SeriesKey {
         SeriesKey::of(sweep, &self.records[0].scenario.provenance)
     }
@@ -120,7 +120,7 @@ impl CellSamples<'_> {
             asked_to_collide,
         };
         let baseline = constant_velocity(&recorded);
-        // Samples that something steers are no forecasts, and say nothing of how likely the recording is.
+        // Guided samples are not forecasts, and tell nothing of how likely the recording is.
         let n_forecasts = if first.scenario.provenance.is_unguided() { samples.len() } else { 0 };
         let one = std::slice::from_ref;
         let has_road = judge.sees_road(&recorded);

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Most tracks of a series from which trees learn. More would take longer and narrow intervals little.
+/// The most tracks of a series from which trees learn. More would take longer and narrow intervals little.
 const MAX_TRACKS: usize = 2000;
 
 /// The performance of a classifier that tells the tracks of a series from recorded ones.
@@ -23,7 +23,7 @@ pub struct DistinguishabilityRow {
     pub group: Group,
     /// The sweep.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The place of the scenes; empty for all.
@@ -35,11 +35,11 @@ pub struct DistinguishabilityRow {
     pub features: String,
     /// Tracks of either kind in the series.
     pub n_tracks: u64,
-    /// Probability that of a recorded and a generated track (or scene) it picks the generated one.
+    /// Probability that it picks the generated one of a recorded and a generated track (or scene).
     pub auc: f64,
-    /// Lower end of its interval of 95 % over scenes.
+    /// Lower end of the 95 % interval of `auc` over scenes.
     pub low: f64,
-    /// Upper end.
+    /// Upper end of that interval.
     pub high: f64,
 }
 
@@ -52,7 +52,7 @@ impl DistinguishabilityRow {
         SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }
 
-    /// Whether it is of all places, classes and features.
+    /// Whether it covers all places, classes and features.
     pub fn is_overall(&self) -> bool {
         self.place.is_empty() && self.class.is_empty() && self.features == Self::ALL_FEATURES
     }
@@ -65,7 +65,7 @@ pub struct TellingFeatureRow {
     pub group: Group,
     /// The sweep.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The feature, such as `jerk_q90`.
@@ -85,7 +85,7 @@ pub struct TellingFeatureRow {
 /// The features of the tracks of a cell.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct CellTracks {
-    /// The tracks that are judged in the recording.
+    /// The judged tracks of the recording.
     recorded: Vec<(AgentClass, TrackFeatures)>,
     /// These tracks in each sample; `None` where one is not tracked to the end.
     samples: Vec<Vec<Option<TrackFeatures>>>,
@@ -106,7 +106,7 @@ impl CellTracks {
         }
     }
 
-    /// The tracks of the sample of this number.
+    /// The tracks of the sample with this number.
     fn sample(&self, idx: usize) -> impl Iterator<Item = &TrackFeatures> {
         self.samples.get(idx).into_iter().flatten().flatten()
     }
@@ -117,7 +117,7 @@ impl CellTracks {
 pub(super) struct CellKey {
     pub(super) series: SeriesKey,
     pub(super) place: String,
-    /// Where the store has the scene.
+    /// The index of the scene in the store.
     pub(super) scene_idx: usize,
 }
 
@@ -128,11 +128,11 @@ struct PooledScene {
     pairs: Vec<TrackPair>,
 }
 
-/// The tracks of a series: of each scene those of its first sample, of as many scenes as [`MAX_TRACKS`] allows.
+/// The tracks of a series: those of the first sample of each scene, for as many scenes as [`MAX_TRACKS`] allows.
 #[derive(Default)]
 struct SeriesPool {
     seen: SceneSet,
-    /// By a draw for each scene, so that those that stay do not depend on order.
+    /// Keyed by a draw for each scene, so that the kept ones do not depend on order.
     scenes: BTreeMap<(u64, usize), PooledScene>,
     n_tracks: usize,
 }
@@ -212,12 +212,12 @@ impl Distinguished {
         self.series.iter().flat_map(|series| series.rows.clone()).collect()
     }
 
-    /// The features that give most away.
+    /// The features that give tracks away most.
     pub(super) fn telling(&self) -> Vec<TellingFeatureRow> {
         self.series.iter().flat_map(|series| series.telling.clone()).collect()
     }
 
-    /// How recorded the sample of this number looks.
+    /// How recorded the sample with this number looks.
     pub(super) fn likeness(&self, cell: &CellKey, tracks: &CellTracks, sample: usize) -> Option<f64> {
         let series = self.series.iter().find(|series| series.key == cell.series)?;
         series.test.likeness(cell.scene_idx, tracks.sample(sample))

@@ -28,7 +28,7 @@ pub struct Evaluated {
     pub summary: EvaluationSummary,
     /// Scenes with predictions for benchmarks.
     pub n_predicted_scenes: usize,
-    /// Tracks that a benchmark requires and that could not be predicted.
+    /// Tracks that a benchmark requires but that could not be predicted.
     pub n_tracks_left_out: usize,
     /// The number of recorded scenes that accepted scenarios continue.
     pub n_accepted_scenes: u64,
@@ -96,7 +96,7 @@ pub struct Evaluation<'a> {
 }
 
 impl<'a> Evaluation<'a> {
-    /// Begins an evaluation in which these metrics are measured, of shards whose tracks were told apart.
+    /// Begins an evaluation with these metrics, of shards whose tracks have been classified.
     pub fn new(
         config: &'a EvaluateConfig,
         docs: Vec<MetricDoc>,
@@ -118,8 +118,8 @@ impl<'a> Evaluation<'a> {
         })
     }
 
-    /// Counts what generation left out: samples without a scenario, and by sweep and reason those that its selection
-    /// rejected.
+    /// Counts the losses of generation: samples without a scenario, and samples that the selection of a sweep rejected,
+    /// by reason.
     pub fn count_left_out<'r>(
         &mut self,
         rejected: impl Iterator<Item = &'r RejectedSample>,

@@ -1,4 +1,4 @@
-//! Does a shard come to the same figures whenever it is measured, and does nothing of the rows stay behind?
+//! Does a shard get the same figures in any order of measuring, and do no files of rows stay behind?
 
 use super::config::{EvaluateConfig, Keep};
 use super::distinguishability::TrackPool;
@@ -27,7 +27,7 @@ fn store(dir: &Path) -> (SceneStore, Vec<Scene>) {
     (SceneStore::open(dir).unwrap(), scenes)
 }
 
-/// Two samples of each scene in every shard: those of later shards repeat those of the first.
+/// Two samples of each scene in every shard; later shards repeat the first.
 fn records(scenes: &[Scene], shard: usize) -> Vec<ScenarioRecord> {
     let samples =
         scenes.iter().flat_map(|scene| [2 * shard, 2 * shard + 1].map(|sample_idx| record(scene, sample_idx)));

@@ -1,4 +1,4 @@
-//! The settings of gates, and whether what is measured and generated can decide them.
+//! The settings of gates, and whether they can be decided by what is measured and generated.
 
 use super::error::{Error, Result};
 use crate::generate::{ResolvedGeneration, ResolvedSweep};

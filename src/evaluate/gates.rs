@@ -8,7 +8,7 @@ use crate::metrics::{MetricRow, SeriesKey};
 use crate::scene::LevelAxis;
 use std::fmt;
 
-/// Checks every gate that is set against what was found.
+/// Checks every gate that is set against the results.
 pub(super) fn check(gates: &GatesConfig, found: &EvaluationSummary) -> Vec<GateResult> {
     let counts = [("min_new", gates.min_new, found.n_new), ("min_accepted", gates.min_accepted, found.n_accepted)];
     let counts = counts.into_iter().filter_map(|(gate, required, found)| {

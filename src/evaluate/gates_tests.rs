@@ -54,7 +54,7 @@ fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> Evaluatio
         n_collision: 0,
         ..SamplingRow::example(0.0, 4)
     };
-    // A place by itself, where all is well, decides nothing.
+    // A place that meets every gate by itself decides nothing.
     let of_place = means.iter().map(|row| mean(&(row.0.clone(), row.1, 0.5), "X"));
     EvaluationSummary {
         n_scenarios: 10,
@@ -83,7 +83,7 @@ fn results(toml: &str, found: &EvaluationSummary) -> Vec<GateResult> {
     results
 }
 
-/// Whether the only result is met, and what it says.
+/// Whether the only result is met, with its detail.
 fn only(toml: &str, found: &EvaluationSummary) -> (bool, String) {
     let results = results(toml, found);
     assert_eq!(results.len(), 1, "{results:?}");
@@ -121,7 +121,7 @@ fn a_rate_without_data_is_not_met() {
     let baseline = (series(Group::ConstantVelocity, 0.0), metric, 0.0);
     let (met, text) = only(gate, &found(&[guided()], &[baseline]));
     assert!(!met && text.ends_with("cannot be judged: validity_rate is undefined for all its scenes"), "{text}");
-    // One series alone is not all of them.
+    // One series alone does not stand for all.
     let partial = results(gate, &found(&[unguided(), guided()], &[(unguided(), metric, 0.5)]));
     assert_eq!(partial.iter().map(|result| result.met).collect::<Vec<_>>(), [true, false]);
     let (met, _) = only(gate, &found(&[guided()], &[(guided(), metric, f64::NAN)]));
@@ -131,7 +131,7 @@ fn a_rate_without_data_is_not_met() {
 #[test]
 fn the_strongest_guidance_must_find_more_than_strength_0() {
     let gate = "guidance_raises_rate = true";
-    // Edited scenarios at strength 0 are no unguided traffic, and yet what guidance of edited ones is compared with.
+    // Edited scenarios at strength 0 are not unguided traffic, but still the reference for guidance of edited ones.
     for zero in [unguided(), series(Group::Sweep(SWEEP.to_owned()), 0.0)] {
         let strongest = series(Group::Sweep(SWEEP.to_owned()), 10.0);
         for (rate, met) in [(0.3, true), (0.2, false), (0.1, false)] {

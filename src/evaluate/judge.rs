@@ -1,4 +1,5 @@
-//! Judges single scenarios, apart from their requested behavior: could it have happened, how critical is it, is it new?
+//! Judges single scenarios, apart from their requested behavior: are they possible, how critical are they, are they
+//! new?
 
 use super::config::EvaluateConfig;
 use super::error::Result;
@@ -73,7 +74,7 @@ impl<'a> Judge<'a> {
         Self { config, ranges: RecordedRanges::of(&MotionHistograms::default()), events: None, spaces: BTreeMap::new() }
     }
 
-    /// The judgment of a scenario, except for its neighbors in the corpus.
+    /// The judgment of a scenario, except for near-duplicates.
     pub(super) fn assess(&self, record: &ScenarioRecord) -> Assessment {
         let (scene, observed) = (&record.scenario.scene, &record.scenario.observed);
         let roles = &record.scenario.provenance.guidance.roles;

@@ -61,7 +61,7 @@ pub fn map_fits(store: &SceneStore, config: &ValidityConfig) -> Result<Vec<MapFi
     Ok(rows)
 }
 
-/// The limits, with the places at which the map does not allow the check of departures.
+/// The limits, with the places whose maps do not allow the check of departures.
 pub fn for_maps(config: &ValidityConfig, maps: &[MapFitRow]) -> ValidityConfig {
     let without = maps.iter().filter(|map| !map.allows_offroad).map(|map| map.place.clone());
     let places_without_road = config.places_without_road.iter().cloned().chain(without).collect();

@@ -61,13 +61,13 @@ pub struct MeasuredShard {
 
 /// A cell with its figures.
 pub(super) struct MeasuredCell {
-    /// Which cell it is.
+    /// The key of the cell.
     pub(super) key: CellKey,
     /// The scene that it continues.
     pub(super) recorded: Scene,
     /// The scenarios, in order.
     pub(super) scenario_ids: Vec<String>,
-    /// Counts of them.
+    /// Their counts.
     pub(super) sampled: SampledCell,
     pub(super) figures: CellFigures,
     /// The checks of validity that were not made.

@@ -34,7 +34,7 @@ impl From<MetricSpec> for MetricDoc {
     }
 }
 
-/// Everything that is measured, in the order of tables.
+/// All measures, in the order of tables.
 pub(super) struct Measures<'a> {
     metrics: Vec<Box<dyn Metric>>,
     modes: Option<usize>,
@@ -71,8 +71,8 @@ impl<'a> Measures<'a> {
         of_samples.chain(Likelihoods::specs().map(MetricDoc::from)).collect()
     }
 
-    /// The likelihoods of the recorded future by each of `groups`, which are repeated to `n_samples` of them. Without
-    /// samples, or for less than two of them, nothing is defined.
+    /// The likelihoods of the recorded future under each of `groups`, which are repeated to `n_samples` of them.
+    /// Without samples, or for less than two of them, nothing is defined.
     pub(super) fn likelihoods<const N: usize>(
         &self,
         recorded: &Scene,
@@ -235,7 +235,7 @@ mod tests {
         // A third of the samples is in that mode: 1 + (2/3)².
         near("modes2_brier_min_fde_m", 1.0 + 4.0 / 9.0);
         near("brier_min_fde_m", 0.9 + 25.0 / 36.0);
-        // The other agent goes as recorded in all samples, so half of the ego's.
+        // The other agent goes as recorded in all samples, so the figure is half of the ego's.
         near("modes2_min_scene_fde_m", 0.5);
         assert!(!found.iter().any(|(metric, _)| metric.ends_with("2_mfd_m")), "variety is not for modes");
         let are_undefined = |values: &[Option<f64>]| {

@@ -19,7 +19,7 @@ pub struct MiningSummary {
 pub struct BehaviorDoc {
     /// Its name, such as `cut_in`.
     pub behavior: String,
-    /// When it starts, when it is complete and what does not count.
+    /// When an event starts, when it is complete and what does not count.
     pub definition: String,
 }
 

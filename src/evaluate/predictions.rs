@@ -9,7 +9,7 @@ use crate::scene::{Benchmark, Dataset, Scene};
 use crate::store::{ArgoversePredictions, InteractionPredictions, SceneSet};
 use std::path::Path;
 
-/// Modes that the benchmarks take.
+/// The number of modes that benchmarks take.
 const BENCHMARK_MODES: usize = 6;
 
 /// The predictions for each requested dataset. A benchmark takes one answer per scene: the first unguided samples, in
@@ -21,8 +21,8 @@ pub(super) struct Predictions {
     n_tracks_left_out: usize,
 }
 
-/// The modes that a cell offers as its scene's prediction: of the ego if the benchmark predicts one agent, otherwise of
-/// all agents jointly. With no more samples than modes, these are the samples themselves. `None` for cells that are not
+/// The modes of a cell as predictions for its scene: of the ego if the benchmark predicts one agent, otherwise of all
+/// agents jointly. With no more samples than modes, these are the samples themselves. `None` for cells that are not
 /// forecasts and for datasets that were not requested.
 pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option<Modes> {
     let first = &cell.records[0].scenario;
@@ -67,7 +67,7 @@ impl Predictions {
         Ok(predictions)
     }
 
-    /// Adds the modes of a scene, which has this position in its store, if it has none yet.
+    /// Adds the modes of a scene with this position in its store, if it has none yet.
     pub(super) fn add(&mut self, recorded: &Scene, scene_idx: usize, modes: &Modes) -> Result<()> {
         if !self.scenes.insert(scene_idx) {
             return Ok(());
@@ -83,8 +83,8 @@ impl Predictions {
         Ok(())
     }
 
-    /// Renames the files to their final names. Returns the number of scenes, and of tracks to predict that had to be
-    /// left out.
+    /// Renames the files to their final names. Returns the number of scenes, and of required tracks that had to be left
+    /// out.
     pub(super) fn finish(self) -> Result<(usize, usize)> {
         if let Some(interaction) = self.interaction {
             interaction.finish()?;

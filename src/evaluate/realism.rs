@@ -13,7 +13,7 @@ pub struct RealismRow {
     pub group: Group,
     /// The sweep that continues these recordings.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The quantity, such as `yaw rate`.
@@ -35,7 +35,7 @@ pub struct RealismRow {
 }
 
 impl RealismRow {
-    /// The series that is compared.
+    /// The compared series.
     pub fn series(&self) -> SeriesKey {
         SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }

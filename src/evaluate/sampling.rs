@@ -17,7 +17,7 @@ pub struct SamplingRow {
     pub behavior: Option<String>,
     /// The place of the source scenes; empty for all.
     pub place: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The sampler and its steps, such as `heun-20`.
@@ -73,7 +73,7 @@ struct SampledScenario {
     conduct: Conduct,
 }
 
-/// How everybody drives in a scenario.
+/// Violations by agents of a scenario.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Conduct {
     /// Whether agents collide.
@@ -83,7 +83,7 @@ pub(super) struct Conduct {
 }
 
 impl Conduct {
-    /// The share for each sample of a cell that continues `recorded`.
+    /// The conduct in each sample of a cell that continues `recorded`.
     pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene, offroad: &OffroadRate) -> Vec<Self> {
         let of_sample = |record: &&ScenarioRecord| {
             let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
@@ -97,7 +97,7 @@ impl Conduct {
 }
 
 impl SampledCell {
-    /// The share of a cell with these samples, in order.
+    /// The counts of a cell with these samples, in order.
     pub(super) fn new(cell: &CellSamples<'_>, conduct: Vec<Conduct>) -> Self {
         let scenario = |(record, conduct): (&&ScenarioRecord, Conduct)| SampledScenario {
             verified: record.verified,
@@ -127,7 +127,7 @@ struct CountedRow {
 }
 
 impl SamplingTally {
-    /// Counts a cell of `series`, of a scene with this place and position in its store, each of whose samples took
+    /// Counts a cell of `series`, whose scene has this place and position in its store; each sample took
     /// `n_evaluations` evaluations of the denoiser.
     pub(super) fn add(
         &mut self,
@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn the_offroad_rate_is_over_scenarios_that_have_roads() {
         let mut tally = SamplingTally::default();
-        // Both cars leave the lane to its left, the one that is on it at present counts.
+        // Both cars leave the lane to its left; only the car that is on it at present counts.
         let leaving = || {
             let mut scene = recorded();
             let away = testing::scene(&[Drive::straight(0.0, 0.0, 1.0, 20.0)]).tracks.remove(0).trajectory;

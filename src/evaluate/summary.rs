@@ -1,4 +1,4 @@
-//! The figures that people look at first.
+//! The main figures of an evaluation.
 
 use super::distinguishability::{DistinguishabilityRow, TellingFeatureRow};
 use super::map_fits::MapFitRow;
@@ -10,20 +10,20 @@ use super::verdicts::{AcceptanceRow, LeftOutRow};
 use crate::metrics::MetricRow;
 use serde::{Deserialize, Serialize};
 
-/// The figures that people look at first: the content of `metrics.json`.
+/// The main figures of an evaluation: the content of `metrics.json`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationSummary {
     /// Number of generated scenarios.
     pub n_scenarios: u64,
-    /// How many of them show the requested behavior.
+    /// The number that show the requested behavior.
     pub n_verified: u64,
-    /// How many of the verified ones the recording does not already show.
+    /// The number of verified ones whose recording does not already show the behavior.
     pub n_new: u64,
-    /// How many pass every check of validity.
+    /// The number that pass every check of validity.
     pub n_valid: u64,
-    /// How many are accepted: verified, valid and no near-duplicates.
+    /// The number of accepted ones: verified, valid and no near-duplicates.
     pub n_accepted: u64,
-    /// How many scenarios the corpus has.
+    /// The number of scenarios in the corpus.
     pub n_kept: u64,
     /// The gates.
     pub gates: Vec<GateResult>,
@@ -43,7 +43,7 @@ pub struct EvaluationSummary {
     pub validity: Vec<ValidityRow>,
     /// The performance of a classifier that tells the tracks of each series from recorded ones.
     pub distinguishability: Vec<DistinguishabilityRow>,
-    /// The features that give them away.
+    /// The features that give generated tracks away.
     pub telling_features: Vec<TellingFeatureRow>,
     /// The places where the map is good enough to judge departures from the road.
     pub maps: Vec<MapFitRow>,
@@ -52,7 +52,7 @@ pub struct EvaluationSummary {
 /// A gate and whether it was met.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GateResult {
-    /// Which gate, and where: `min_validity_rate (cut_ins, α = 2)`.
+    /// The name of the gate, with the series: `min_validity_rate (cut_ins, α = 2)`.
     pub gate: String,
     /// Whether it was met.
     pub met: bool,

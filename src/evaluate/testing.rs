@@ -1,4 +1,4 @@
-//! A scenario for tests of what is said and drawn of scenarios.
+//! A scenario for tests of texts and drawings of scenarios.
 
 use super::cells::{CellFigures, CellSamples};
 use super::config::EvaluateConfig;
@@ -10,7 +10,7 @@ use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, Scene};
 use std::collections::BTreeMap;
 
-/// A cell of one sample beside its recording, with its figures and what the metrics are.
+/// A cell of one sample beside its recording, with its figures and the descriptions of the metrics.
 pub(super) fn evaluated_cell<'r>(
     record: &'r ScenarioRecord,
     recorded: &Scene,

@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 pub struct ValidityRow {
     /// The group that the scenes belong to.
     pub group: Group,
-    /// The sweep that is judged, or that continues these recordings.
+    /// The judged sweep, or the one that continues these recordings.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The place; empty for all.
@@ -24,16 +24,16 @@ pub struct ValidityRow {
     pub n: u64,
     /// Scenes that pass every check.
     pub n_valid: u64,
-    /// Check → how many fail it; checks without failures are missing.
+    /// Check → the number of failures; checks without failures are missing.
     pub violations: BTreeMap<String, u64>,
-    /// Check → how many it was not made for; checks that were made for all are missing.
+    /// Check → the number of scenes for which it was not made; checks that were always made are missing.
     pub not_checked: BTreeMap<String, u64>,
     /// Mean share of motion within the recorded ranges.
     pub plausibility: Option<f64>,
 }
 
 impl ValidityRow {
-    /// The series that it counts.
+    /// The counted series.
     pub fn series(&self) -> SeriesKey {
         SeriesKey { group: self.group.clone(), sweep: self.sweep.clone(), level: self.level }
     }
@@ -58,7 +58,7 @@ impl ValidityTable {
     ) {
         let reference = |group| SeriesKey::reference(group, &series.sweep);
         let reference_keys = [Group::Recorded, Group::ConstantVelocity].map(reference);
-        // All places together first, and each by itself.
+        // All places together first, then each by itself.
         for place in ["", place] {
             for (key, judgment) in reference_keys.iter().zip(references.into_iter().flatten()) {
                 self.count(key, place, (&judgment.violations, not_checked), judgment.plausibility);

@@ -1,5 +1,5 @@
-//! Which scenarios are accepted, which become the corpus, and why are the others left out? Decides on one after the
-//! other, in the order of the samples.
+//! Decides which scenarios are accepted, which become the corpus, and why the others are left out: one after the other,
+//! in the order of the samples.
 
 use super::config::{EvaluateConfig, Keep};
 use crate::generate::RejectedSample;
@@ -23,7 +23,7 @@ const NOT_FINITE: &str = "not_finite";
 pub struct AcceptanceRow {
     /// The sweep.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// Scenarios sampled.
@@ -32,29 +32,29 @@ pub struct AcceptanceRow {
     pub n_verified: u64,
     /// Scenarios that pass every check of validity.
     pub n_valid: u64,
-    /// Scenarios that are both.
+    /// Verified and valid scenarios.
     pub n_verified_valid: u64,
-    /// Scenarios that are both, and no near-duplicates of accepted ones before.
+    /// Verified and valid scenarios that are not near-duplicates of accepted ones before.
     pub n_accepted: u64,
     /// Scenarios in the corpus.
     pub n_kept: u64,
 }
 
-/// How many samples of a sweep have one reason not to be accepted.
+/// The number of samples of a sweep with one reason not to be accepted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LeftOutRow {
-    /// The stage that found it.
+    /// The stage that found the reason.
     pub stage: String,
     /// The sweep.
     pub sweep: String,
-    /// How strongly they were guided; `None` where samples of all levels are counted together.
+    /// The level of guidance; `None` where samples of all levels are counted together.
     #[serde(flatten)]
     pub level: Option<GuidanceLevel>,
     /// The reason: `not_verified`, `near_duplicate`, the name of a check of validity, …
     pub reason: String,
-    /// How many are not in the corpus for this reason before any other.
+    /// The number left out of the corpus for this reason before any other.
     pub n_left_out: u64,
-    /// How many have it, alone or with others.
+    /// The number with this reason, alone or with others.
     pub n_found: u64,
 }
 
@@ -81,7 +81,7 @@ impl<'a> Verdicts<'a> {
         Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new() }
     }
 
-    /// Counts a sample without a scenario.
+    /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
         self.count(("generate", &rejected.sweep, Some(rejected.level)), NOT_FINITE, 1, true);
     }
@@ -190,7 +190,7 @@ fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'st
     if !record.verified {
         reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
     }
-    // A scenario that a request did not take is named by its outcome, unless nothing was found: that is a reason
+    // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason
     // already.
     reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
     reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
@@ -198,7 +198,7 @@ fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'st
     reasons
 }
 
-/// The outcome of a scenario that its request did not take. `None` if the request took it, or there is none.
+/// The outcome of a scenario that its request did not take. `None` if the request took it, or there is no request.
 fn unwanted_outcome(record: &ScenarioRecord) -> Option<RequestOutcome> {
     record.request.as_ref().map(|tag| tag.outcome).filter(|outcome| *outcome != RequestOutcome::Accepted)
 }

@@ -1,4 +1,4 @@
-//! Tests of who is accepted and who is kept, and that everybody is counted.
+//! Tests of which scenarios are accepted and kept, and that all of them are counted.
 
 use super::config::{EvaluateConfig, Keep};
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
@@ -42,7 +42,7 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
     }
 }
 
-/// The second car is 0.4 m off throughout, the first one is not: 0.2 m in the mean.
+/// The second car is 0.4 m off throughout, the first one is not: a mean of 0.2 m.
 #[test]
 fn duplicates_are_nearer_than_the_limit() {
     let repeats = |limit_m: f64| {

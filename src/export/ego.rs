@@ -1,10 +1,10 @@
-//! The ego of an export: which track it is, and who moves it.
+//! The ego of an export: its track, and who moves it.
 
 use crate::scenario::ScenarioRecord;
 use crate::scene::TrackId;
 use serde::{Deserialize, Serialize};
 
-/// Which track of a scenario is its ego: the vehicle that formats mark, and that a driving function may take over.
+/// The choice of a scenario's ego: the vehicle that formats mark, and that a driving function may take over.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EgoChoice {
@@ -38,7 +38,7 @@ impl EgoChoice {
         }
     }
 
-    /// The ego of a scenario, and whether it is the center for want of a subject. `None` if it has no such track.
+    /// The ego of a scenario, and whether it is the center because there is no subject. `None` if it has no such track.
     pub(crate) fn of(&self, record: &ScenarioRecord) -> Option<(usize, bool)> {
         let scene = &record.scenario.scene;
         match self {
@@ -94,7 +94,7 @@ mod tests {
         record
     }
 
-    /// The track that a file of this format says is the ego.
+    /// The track that a file of this format marks as the ego.
     fn marked(format: ExportFormat, dir: &Path, file: &str) -> String {
         let rows = |path: &str| -> Vec<Vec<String>> {
             read(dir, path).lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()

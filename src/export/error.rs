@@ -20,7 +20,7 @@ pub enum Error {
     NothingSelected {
         /// The corpus.
         corpus: PathBuf,
-        /// How many scenarios it has.
+        /// The number of its scenarios.
         n_scenarios: usize,
         /// The selection.
         wanted: String,
@@ -31,12 +31,12 @@ pub enum Error {
         /// The format.
         format: &'static str,
     },
-    /// The format can represent none of the scenarios.
+    /// The format cannot represent any of the scenarios.
     #[error("none of the {n_scenarios} scenarios can be represented as {format}: {reasons}")]
     NothingWritten {
         /// The format.
         format: &'static str,
-        /// How many were tried.
+        /// The number of scenarios that were tried.
         n_scenarios: u64,
         /// The reasons with their counts.
         reasons: String,

@@ -73,7 +73,7 @@ impl Index {
     }
 }
 
-/// A cell that spreadsheets take for text: with an apostrophe before what they would take for a formula and run.
+/// A cell that spreadsheets take for text: with an apostrophe before anything that they would run as a formula.
 fn no_formula(cell: &str) -> Cow<'_, str> {
     match cell.starts_with(['=', '+', '-', '@', '\t', '\r']) && cell.parse::<f64>().is_err() {
         true => Cow::Owned(format!("'{cell}")),

@@ -38,11 +38,11 @@ const N_FRAMES: usize = 40;
 /// INTERACTION is recorded at 10 Hz.
 const DT_S: f64 = 0.1;
 
-/// Writes one table a split and place. Scenarios of other datasets use the same frames: the present is frame 10, and
+/// Writes one table per split and place. Scenarios of other datasets use the same frames: the present is frame 10, and
 /// timesteps beyond frames 1 to 40 are left out.
 pub(super) struct Interaction {
     dir: PathBuf,
-    /// By the table's name: the table and the number of its cases.
+    /// The table and the number of its cases, by the table's name.
     tables: BTreeMap<String, (Table, usize)>,
 }
 
@@ -138,7 +138,7 @@ fn names(scene: &Scene) -> Vec<String> {
     scene.tracks.iter().enumerate().map(name).collect()
 }
 
-/// `marks` says whether the track is to be predicted, and whether it is the interesting one.
+/// `marks` tells whether the track is to be predicted, and whether it is the interesting one.
 fn row(case_id: &str, name: &str, frame: usize, track: &Track, state: &State, marks: [bool; 2]) -> [String; 14] {
     let [to_predict, interesting] = marks.map(|is_marked| u8::from(is_marked).to_string());
     let [heading, length, width] = if is_vehicle(track) {
@@ -208,7 +208,7 @@ mod tests {
         scene.tracks[1].class = AgentClass::Static;
         let mut slow = testing::scene();
         slow.dt_s = 0.2;
-        // Twelve observed timesteps, of which a case has room for ten.
+        // Twelve observed timesteps, ten of which fit into a case.
         let mut late = testing::scene();
         late.n_history = 12;
         let (dir, outcomes) = written(&[scene, slow, late]);

@@ -11,12 +11,12 @@ const NOMINAL_HALF_WIDTH_M: f64 = 1.9;
 pub(super) struct LaneBounds {
     pub(super) left: Polyline,
     pub(super) right: Polyline,
-    /// Whether the map has none and the nominal width was used.
+    /// Whether the map has no boundaries, so that the nominal width was used.
     pub(super) is_nominal: bool,
 }
 
 impl LaneBounds {
-    /// The boundaries of `lane`, in its frame. `None` if there is not even a centerline with some length.
+    /// The boundaries of `lane`, in its frame. `None` if it does not even have a centerline with some length.
     pub(super) fn of(lane: &Lane) -> Option<Self> {
         let has_length = |line: &Polyline| line.length_m() > 0.0;
         if has_length(&lane.left) && has_length(&lane.right) {
@@ -36,8 +36,8 @@ impl LaneBounds {
     }
 }
 
-/// Both lines with equally many points, the points of one beside those of the other: each line keeps its own points and
-/// gets those that lie at the other's shares of length.
+/// Both lines with equally many points, which correspond: each line keeps its own points and gets points at the other's
+/// shares of length.
 pub(super) fn paired(left: &Polyline, right: &Polyline) -> (Vec<Vec2>, Vec<Vec2>) {
     /// Shares of length that differ by less are equal.
     const SAME_SHARE: f64 = 1e-6;
@@ -55,7 +55,7 @@ pub(super) fn paired(left: &Polyline, right: &Polyline) -> (Vec<Vec2>, Vec<Vec2>
     (points(left), points(right))
 }
 
-/// How far along the line its points are, from 0 to 1.
+/// The shares of the line's length at its points, from 0 to 1.
 fn shares(line: &Polyline) -> Vec<f64> {
     let length_m = line.length_m();
     let mut so_far_m = 0.0;

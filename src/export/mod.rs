@@ -126,7 +126,7 @@ trait Exporter {
     /// [`ExportOutcome::LeftOut`].
     fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome>;
 
-    /// Finishes what spans scenarios.
+    /// Finishes files that span scenarios.
     fn finish(self: Box<Self>) -> Result<()> {
         Ok(())
     }

@@ -6,7 +6,7 @@ use super::{EgoMotion, ExportReport};
 /// Width of the text.
 const WIDTH: usize = 100;
 
-/// The text of `NOTICE.txt`: content, terms, notes for readers, and what is left out.
+/// The text of `NOTICE.txt`: content, terms, notes for readers, and a list of omissions.
 pub(super) fn text(report: &ExportReport) -> String {
     let mut text = String::from("GENERATED TRAFFIC SCENARIOS\n===========================\n\n");
     let what = format!(

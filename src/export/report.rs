@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 /// Things that were left out for one reason.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct LeftOut {
-    /// How many.
+    /// The number.
     pub count: u64,
-    /// The first of them.
+    /// The first one.
     pub first: String,
 }
 

@@ -21,13 +21,13 @@ pub const NOTICE_FILE: &str = "NOTICE.txt";
 pub const EXPORT_FILE: &str = "export.json";
 
 /// Exports the scenarios of the corpus in `corpus` that pass `selection`, in the corpus's order, into the folder `out`,
-/// which must be new or empty and appears when it is complete. `ego` says which track is the ego, `motion` who moves
-/// it; `None` is the format's default. Scenarios are read and written one by one. The same corpus gives the same bytes.
+/// which must be new or empty and appears when it is complete. `ego` chooses the ego's track, `motion` who moves it;
+/// `None` is the format's default. Scenarios are read and written one by one. The same corpus gives the same bytes.
 ///
 /// # Errors
 /// [`Error::Files`] when `out` is not empty or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or
 /// lacks a scenario that is selected by its id; [`Error::NothingSelected`] and [`Error::NothingWritten`] when the
-/// export would be empty; [`Error::EgoIsReplayed`]; those of the file system.
+/// export would be empty; [`Error::EgoIsReplayed`]; errors of the file system.
 pub fn export_corpus(
     corpus: &Path,
     format: ExportFormat,
@@ -102,7 +102,7 @@ impl Writer {
         Ok(Self { exporter: format.begin(out, motion), index })
     }
 
-    /// Adds a scenario; `is_for_want` says that its ego is the center for want of a subject.
+    /// Adds a scenario; `is_for_want` is whether its ego is the center because there is no subject.
     fn add(&mut self, item: &Item<'_>, is_for_want: bool, report: &mut ExportReport) -> Result<()> {
         let scenario_id = item.record.scenario.id.as_str();
         match self.exporter.add(item)? {

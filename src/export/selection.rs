@@ -11,21 +11,21 @@ pub struct Selection {
     pub only_verified: bool,
     /// Only accepted scenarios: verified, valid and not a near-duplicate.
     pub only_accepted: bool,
-    /// Only those for which this behavior was requested.
+    /// Only scenarios for which this behavior was requested.
     pub behavior: Option<String>,
-    /// Only those of this sweep.
+    /// Only scenarios of this sweep.
     pub sweep: Option<String>,
-    /// Only those with these ids; empty: all.
+    /// Only scenarios with these ids; empty: all.
     pub scenario_ids: Vec<String>,
     /// At most this many, the first ones.
     pub limit: Option<usize>,
 }
 
 impl Selection {
-    /// The positions of the candidates, ascending: of all scenarios, or of those that are named.
+    /// The positions of the candidates, ascending: of all scenarios, or of the named ones.
     ///
     /// # Errors
-    /// When the corpus lacks one that is named.
+    /// When the corpus lacks a named one.
     pub(crate) fn positions(&self, reader: &CorpusReader) -> crate::store::Result<Vec<usize>> {
         if self.scenario_ids.is_empty() {
             return Ok((0..reader.len()).collect());

@@ -15,7 +15,7 @@ use std::f64::consts::FRAC_PI_2;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Twelve timesteps of which four are observed, at 10 Hz. The x axis of the scene points north in the recording, its
+/// Twelve timesteps, four of which are observed, at 10 Hz. The x axis of the scene points north in the recording, its
 /// origin is at (1000, 2000).
 ///
 /// Track `1` is the ego and drives 10 m/s: after t steps it is at (1000, 2000 + t). Track `2` drives beside it, 3 m to
@@ -169,19 +169,19 @@ impl Node {
         self.attr(name).parse().unwrap()
     }
 
-    /// The first child of this name.
+    /// The first child with this name.
     #[track_caller]
     pub(super) fn at(&self, name: &str) -> &Self {
         let found = self.children.iter().find(|child| child.name == name);
         found.unwrap_or_else(|| panic!("{} has no {name}", self.name))
     }
 
-    /// All children of this name.
+    /// All children with this name.
     pub(super) fn all(&self, name: &str) -> Vec<&Self> {
         self.children.iter().filter(|child| child.name == name).collect()
     }
 
-    /// All descendants of this name, in document order.
+    /// All descendants with this name, in document order.
     pub(super) fn below(&self, name: &str) -> Vec<&Self> {
         let own = |child: &'_ Self| child.name == name;
         self.children.iter().flat_map(|c| own(c).then_some(c).into_iter().chain(c.below(name))).collect()

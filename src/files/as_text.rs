@@ -1,7 +1,7 @@
-//! How is a path written where only text can stand, as in JSON and TOML?
+//! Paths as text, for JSON, TOML and the like.
 //!
-//! A path need not be UTF-8. What is not is replaced, so that a record of it can be written; nothing is looked up by
-//! such a text.
+//! A path need not be UTF-8. Invalid parts are replaced, so that a record of the path can be written; nothing is looked
+//! up by such a text.
 
 use serde::{Serialize, Serializer};
 use std::path::{Path, PathBuf};

@@ -9,7 +9,7 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// The ending of what is being written; such things are leftovers once their writer is gone.
+/// The ending of unfinished files and folders, which are leftovers once their writer is gone.
 pub const PARTIAL_SUFFIX: &str = ".partial";
 
 /// Hexadecimal digits between the name and the ending.
@@ -33,7 +33,8 @@ impl FileStamp {
 }
 
 /// A file written beside its place, under a name that no other writer has, and renamed when whole. Dropping it without
-/// [`commit`](Self::commit) removes it. A folder above it that keeps a list of what is written there learns of it.
+/// [`commit`](Self::commit) removes it. It is entered in the list of written files of a folder above it, if one keeps a
+/// list.
 #[derive(Debug)]
 pub struct AtomicFile {
     /// `None` once committed.
@@ -59,7 +60,7 @@ impl AtomicFile {
         &self.path
     }
 
-    /// Size and hash of what was written so far.
+    /// Size and hash of the bytes written so far.
     pub fn stamp(&self) -> FileStamp {
         FileStamp { n_bytes: self.n_bytes, checksum: self.hasher.finalize().to_hex().to_string() }
     }
@@ -126,8 +127,8 @@ pub fn write_atomically<E: From<io::Error>>(
     Ok(file.commit()?)
 }
 
-/// Gives the file at `from` a second name, or copies it where the file system knows no such thing. Nothing but the
-/// whole file is ever under `to`.
+/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file ever
+/// appears under `to`.
 ///
 /// # Errors
 /// On I/O errors; nothing new is then under `to`.
@@ -153,10 +154,10 @@ pub fn remove_if_present(path: &Path) -> io::Result<()> {
     tell_removed(path)
 }
 
-/// A name beside `path` for what is to become it: `<name>.<16 hexadecimal digits>.partial`. The digits are drawn anew
-/// each time, so that no two writers share a name, on whatever machines they run.
+/// A name beside `path` for an unfinished file or folder: `<name>.<16 hexadecimal digits>.partial`. The digits are
+/// drawn anew each time, so that no two writers share a name, on any machines.
 pub fn unique_partial(path: &Path) -> PathBuf {
-    // The keys of a hasher are what the standard library draws from the system's randomness.
+    // The standard library draws the keys of a hasher from the system's randomness.
     let digits = RandomState::new().build_hasher().finish();
     let mut name = path.file_name().map_or_else(OsString::new, OsString::from);
     name.push(format!(".{digits:0N_DIGITS$x}{PARTIAL_SUFFIX}"));
@@ -169,7 +170,7 @@ pub fn is_partial_of(name: &str, whole: &str) -> bool {
     digits.is_some_and(|digits| digits.len() == N_DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// Removes a file that is of no use to anybody. A failure only leaves a leftover.
+/// Removes a useless file. A failure only leaves a leftover.
 fn discard(partial: &Path) {
     drop(fs::remove_file(partial));
 }

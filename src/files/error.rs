@@ -1,4 +1,4 @@
-//! Why may a command not write to a place, and what can the user do about it?
+//! Errors of commands that may not write to a place, and what the user can do about them.
 
 use std::fmt;
 use std::io;
@@ -20,14 +20,14 @@ pub enum Error {
     Overlap {
         /// The output.
         output: PathBuf,
-        /// How it lies to the input.
+        /// Its relation to the input.
         relation: PathRelation,
         /// The role of the input in the command.
         name: String,
-        /// Where the input is.
+        /// The input.
         input: PathBuf,
     },
-    /// A place that holds files which no list of ours names.
+    /// A place with files that no list of ours names.
     #[error(
         "cannot write {}: it holds {}, which djinn did not write; nothing was changed; move that away, or choose \
          another output",
@@ -50,7 +50,7 @@ pub enum Error {
         /// The link.
         path: PathBuf,
     },
-    /// A list of ours that says what djinn cannot have written.
+    /// A list of ours with entries that djinn cannot have written.
     #[error(
         "{} is damaged: {detail}; nothing was changed; move the folder {} away, and run the same command again",
         .path.display(),
@@ -62,7 +62,7 @@ pub enum Error {
         /// Description of the fault.
         detail: String,
     },
-    /// A place that another process writes to.
+    /// A place to which another process writes.
     #[error("{} is in use by {holder}; wait for it, or choose another output", .path.display())]
     Busy {
         /// The file or folder.
@@ -76,7 +76,7 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
-    /// A path that ends in no name, such as `..`.
+    /// A path without a name at its end, such as `..`.
     #[error("{} cannot name a new folder", .path.display())]
     Unnamed {
         /// The path.
@@ -84,7 +84,7 @@ pub enum Error {
     },
 }
 
-/// How an output lies to an input.
+/// The relation of an output to an input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PathRelation {
     /// They are the same file or folder.
@@ -105,7 +105,7 @@ impl fmt::Display for PathRelation {
     }
 }
 
-/// The first few names, and how many more there are.
+/// The first few names, and the number of others.
 fn few(found: &[PathBuf]) -> String {
     const SHOWN: usize = 3;
     let names: Vec<String> = found.iter().take(SHOWN).map(|path| path.display().to_string()).collect();

@@ -1,9 +1,10 @@
-//! How do two folders change places, without a moment in which a place is empty?
+//! Exchanges two folders, without a moment in which a place is empty.
 
 use std::io;
 use std::path::Path;
 
-/// Exchanges what two paths name, at once. `false`: nothing was done, because the system or the file system cannot.
+/// Exchanges the entries under two paths, at once. `false`: nothing was done, because the system or the file system
+/// cannot.
 #[cfg(target_os = "linux")]
 pub fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};

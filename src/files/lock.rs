@@ -1,4 +1,4 @@
-//! Does another process write to this place right now?
+//! Locks on places to which a process writes.
 
 use super::error::{Error, Result};
 use fs_err::File;
@@ -11,18 +11,18 @@ use std::time::{Duration, Instant};
 /// Name of the lock file in a folder.
 pub const LOCK_FILE: &str = ".lock";
 
-/// A killed process may take a moment to be gone.
+/// The time that a killed process may take to disappear.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// The most that a lock file of ours holds: the number of a process.
+/// The largest content of a lock file of ours: the number of a process.
 const MAX_BYTES: u64 = 20;
 
 /// The right to write to a place, until dropped. It is an advisory lock that the system takes back when the process
-/// ends, however it ends; so there are no stale locks. The file holds the number of the process, for messages.
+/// ends in any way; so there are no stale locks. The file holds the number of the process, for messages.
 #[derive(Debug)]
 pub struct Lock {
     file: File,
-    /// The file, where it goes with the lock.
+    /// The lock file, if it is removed with the lock.
     temporary: Option<PathBuf>,
     is_enforced: bool,
 }
@@ -38,13 +38,13 @@ impl Lock {
         Ok(Self { file, temporary: None, is_enforced })
     }
 
-    /// Whether the lock keeps others out. Some network file systems know no locks; working without one is better than
-    /// not at all, but people must know.
+    /// Whether the lock excludes others. Some network file systems have no locks; working without one is better than
+    /// not at all, but users must know.
     pub const fn is_enforced(&self) -> bool {
         self.is_enforced
     }
 
-    /// Takes the lock on `path`, which need not exist, by a file beside it that goes with the lock.
+    /// Takes the lock on `path`, which need not exist, by a file beside it that is removed with the lock.
     ///
     /// # Errors
     /// [`Error::Busy`] when another process has it; [`Error::Foreign`] when the lock file is not ours.
@@ -55,7 +55,7 @@ impl Lock {
         let lock = path.with_file_name(name);
         loop {
             let (file, is_enforced) = acquire(&lock, path)?;
-            // Whoever had the lock before may have removed the file after it was opened here.
+            // A previous holder of the lock may have removed the file after it was opened here.
             if is_still_at(&file, &lock) {
                 return Ok(Self { file, temporary: Some(lock), is_enforced });
             }
@@ -99,7 +99,7 @@ fn acquire(path: &Path, what: &Path) -> Result<(File, bool)> {
     Ok((file, is_enforced))
 }
 
-/// Whether a lock that was tried keeps others out; `false` where the file system has none.
+/// Whether a lock that was tried excludes others; `false` if the file system has none.
 fn enforced(tried: std::result::Result<(), TryLockError>) -> std::result::Result<bool, TryLockError> {
     match tried {
         Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => Ok(false),

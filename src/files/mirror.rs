@@ -1,6 +1,6 @@
-//! Who else must know what happens in a folder?
+//! Mirrors of folders, which are notified of changes.
 //!
-//! A folder can be the view of one that is kept elsewhere, and that other machines see. Those who write and read it
+//! A folder can be the view of one that is kept elsewhere and seen by other machines. Code that writes and reads it
 //! need not know: the folder's [`Mirror`] is notified of each file that has its final name here.
 
 use std::borrow::Cow;
@@ -9,7 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-/// Keeps a folder and its other place alike. Its errors are those of the other place.
+/// Keeps a folder and its other place in agreement. Its errors are those of the other place.
 pub trait Mirror: Debug + Send + Sync {
     /// A file has its final name and is whole.
     fn committed(&self, path: &Path) -> io::Result<()>;
@@ -19,14 +19,14 @@ pub trait Mirror: Debug + Send + Sync {
     fn refresh(&self, dir: &Path) -> io::Result<()>;
     /// The length of a file of others whose content is not shown here, bytes.
     fn n_bytes_elsewhere(&self, path: &Path) -> Option<u64>;
-    /// Makes the other place as the whole folder is now. Nothing in it may be half done.
+    /// Makes the other place equal to the whole present folder, which must not contain anything half done.
     ///
     /// # Errors
-    /// When somebody else has written there; those of the other place.
+    /// When another program has written there; errors of the other place.
     fn publish(&self) -> io::Result<()>;
 }
 
-/// A folder with its mirror; or one that only has another name for people.
+/// A folder with its mirror, or with just another name for people.
 struct Mirrored {
     dir: PathBuf,
     name: String,
@@ -41,12 +41,12 @@ pub fn mirror(dir: &Path, name: String, mirror: Arc<dyn Mirror>) {
     list_mut().push(Mirrored { dir: dir.to_owned(), name, mirror: Some(mirror) });
 }
 
-/// From now on, messages call `dir`, or the file of that name, `name`.
+/// From now on, messages call the folder or file `dir` by the name `name`.
 pub fn call(dir: &Path, name: String) {
     list_mut().push(Mirrored { dir: dir.to_owned(), name, mirror: None });
 }
 
-/// Ends what [`mirror`] began. Messages that are still to come find the name.
+/// Ends the effect of [`mirror`]. Later messages still find the name.
 pub fn unmirror(dir: &Path) {
     list_mut().iter_mut().filter(|mirrored| mirrored.dir == dir).for_each(|mirrored| mirrored.mirror = None);
 }
@@ -75,7 +75,7 @@ pub fn name_elsewhere(path: &Path) -> Option<String> {
     })
 }
 
-/// A message that says where things are, and not where they are shown.
+/// A message with the names of places instead of the paths where they are shown.
 pub fn in_their_names(message: &str) -> Cow<'_, str> {
     list().iter().fold(Cow::Borrowed(message), |message, Mirrored { dir, name, .. }| {
         let dir = dir.to_string_lossy();

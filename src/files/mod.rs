@@ -1,11 +1,11 @@
-//! What may a command write, and what may it remove? Whole files, lists of what is ours, locks, overlaps, and notices
+//! What may a command write, and what may it remove? Whole files, lists of our own files, locks, overlaps, and notices
 //! to mirrors.
 //!
 //! The rule: a command removes only files that a list of ours names. It refuses an output that overlaps an input or
-//! holds files of somebody else, and says so before it touches anything.
+//! holds foreign files before it touches anything.
 //!
 //! `AtomicFile` writes next to its target under a name that no other process uses; a `NewFolder` appears complete or
-//! not at all; `regular` rejects what is neither a file nor a folder before it is opened. A `Mirror` is notified of
+//! not at all; `regular` rejects anything other than files and folders before it is opened. A `Mirror` is notified of
 //! changes in a folder that others see elsewhere.
 
 mod as_text;

@@ -1,4 +1,4 @@
-//! How does a folder come into being whole or not at all, though others may want the same name?
+//! Folders that appear whole or not at all, even if others want the same name.
 
 use super::atomic::{is_partial_of, unique_partial};
 use super::error::{Error, Result};
@@ -10,7 +10,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// A folder that is written beside its place, under a name of its own, and renamed when it is whole. It keeps a list of
-/// what is written into it. Dropping it without [`commit`](Self::commit) removes what the list names.
+/// the files written into it. Dropping it without [`commit`](Self::commit) removes the listed files.
 #[derive(Debug)]
 pub struct NewFolder {
     out: PathBuf,
@@ -21,11 +21,11 @@ pub struct NewFolder {
 }
 
 impl NewFolder {
-    /// Begins to write `out`, which must not exist or be empty, from `inputs`, given with what they are. What a killed
-    /// process left of an earlier attempt is removed.
+    /// Begins to write `out`, which must not exist or be empty. `inputs` are the paths of the inputs, each with its
+    /// description. The remains of killed attempts are removed.
     ///
     /// # Errors
-    /// [`Error::Overlap`], [`Error::Exists`], [`Error::Link`], [`Error::Busy`]; those of the file system.
+    /// [`Error::Overlap`], [`Error::Exists`], [`Error::Link`], [`Error::Busy`]; errors of the file system.
     pub fn begin<'a>(out: &Path, inputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<Self> {
         check_overlap(out, inputs)?;
         if out.file_name().is_none() {
@@ -36,7 +36,7 @@ impl NewFolder {
             fs::create_dir_all(parent)?;
         }
         let lock = Lock::beside(out)?;
-        // Whoever had the lock may have been faster.
+        // A previous holder of the lock may have been faster.
         check_free(out)?;
         remove_leftovers(out)?;
         let partial = unique_partial(out);
@@ -46,7 +46,7 @@ impl NewFolder {
         Ok(folder)
     }
 
-    /// Where to write.
+    /// The folder to write into.
     pub fn path(&self) -> &Path {
         &self.partial
     }
@@ -54,7 +54,7 @@ impl NewFolder {
     /// Gives the folder its name.
     ///
     /// # Errors
-    /// [`Error::Exists`] when somebody put something there meanwhile; those of the file system.
+    /// [`Error::Exists`] when another program put something there meanwhile; errors of the file system.
     pub fn commit(mut self) -> Result<()> {
         check_free(&self.out)?;
         if self.out.exists() {
@@ -90,7 +90,7 @@ fn check_free(out: &Path) -> Result<()> {
     if is_free { Ok(()) } else { Err(Error::Exists { path: out.to_owned() }) }
 }
 
-/// Removes what killed attempts at `out` left beside it: their lists say what. The lock on `out` must be held.
+/// Removes the listed remains of killed attempts beside `out`. The lock on `out` must be held.
 fn remove_leftovers(out: &Path) -> Result<()> {
     let (Some(parent), Some(name)) = (out.parent(), out.file_name().and_then(|name| name.to_str())) else {
         return Ok(());

@@ -5,13 +5,13 @@ use std::ffi::OsString;
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
-/// Links that are followed before a path is taken for a circle; Linux has the same limit.
+/// The most links that are followed before a path is considered a loop; Linux has the same limit.
 const MAX_LINKS: usize = 40;
 
 /// Refuses an output that is an input, lies inside one, or contains one. Neither needs to exist yet.
 ///
 /// # Errors
-/// [`Error::Overlap`] for the first input that overlaps; those of the file system.
+/// [`Error::Overlap`] for the first input that overlaps; errors of the file system.
 pub fn check_overlap<'a>(output: &Path, inputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<()> {
     let resolved = resolve(output)?;
     for (name, input) in inputs {
@@ -32,8 +32,8 @@ fn relation(output: &Path, input: &Path) -> Option<PathRelation> {
     }
 }
 
-/// Where a path leads: absolute, without links and dots. Unlike [`std::fs::canonicalize`] it needs no part of the path
-/// to exist: what is not there yet is no link.
+/// The target of a path: absolute, without links and dots. Unlike [`std::fs::canonicalize`] it does not require any
+/// part of the path to exist: a missing part is not a link.
 ///
 /// # Errors
 /// When links form a loop, or there is no current folder.

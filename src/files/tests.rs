@@ -1,4 +1,4 @@
-//! Is what others put somewhere left alone, and is what is ours found again?
+//! Are foreign files left alone, and are our own recognized?
 
 use super::*;
 use fs_err as fs;
@@ -81,7 +81,7 @@ fn a_list_may_be_cut_off_and_every_flipped_bit_of_it_is_noticed() {
         fs::write(&path, &list[..n_bytes]).unwrap();
         assert!(listed(dir.path()).unwrap().is_some_and(|names| names == names_of(&["a"])), "{n_bytes} bytes");
     }
-    // Whoever goes on ends the line first.
+    // The next writer ends the line first.
     remove_leftovers(dir.path()).unwrap();
     write(&dir.path().join("c"), "");
     assert_eq!(listed(dir.path()).unwrap(), Some(names_of(&["a", "c"])));
@@ -240,7 +240,7 @@ fn a_place_has_one_writer() {
     drop(lock);
     drop(Lock::beside(&out).unwrap());
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "the lock of the folder alone");
-    // A file of this name that another program wrote is not emptied.
+    // A file with this name that another program wrote is not emptied.
     fs::write(dir.path().join(LOCK_FILE), "yarn lockfile v1").unwrap();
     assert!(matches!(Lock::in_folder(dir.path()), Err(Error::Foreign { .. })));
     assert_eq!(fs::read_to_string(dir.path().join(LOCK_FILE)).unwrap(), "yarn lockfile v1");
@@ -257,7 +257,7 @@ fn a_folder_appears_whole_or_not_at_all() {
     drop(folder);
     assert_eq!(fs::read_dir(dir.path().join("new")).unwrap().count(), 0);
 
-    // A killed process left its folder, in which somebody put something: ours goes, theirs stays.
+    // A killed process left its folder, into which another program put a file: ours goes, theirs stays.
     let killed = NewFolder::begin(&out, []).unwrap();
     write(&killed.path().join("lanes.parquet"), "half");
     put(&killed.path().join("thesis.doc"), "years of work");

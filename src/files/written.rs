@@ -1,9 +1,8 @@
-//! What of this folder is ours? A list in the folder names every file that was begun in it, before it is begun.
+//! Which files of a folder are ours? A list in the folder names every file before it is begun.
 //!
 //! A folder in which a command works keeps such a list ([`keep_list`]). Every [`AtomicFile`](super::AtomicFile) enters
-//! itself in the list of the innermost folder above it that has one, so that writers need not know of it. Whatever the
-//! list does not name was put there by somebody else and is left alone. Folders hold nothing: they go when they are
-//! empty.
+//! itself in the list of the innermost folder above it that has one, so that writers need not know of it. Files that
+//! are not on the list are foreign and are left alone. Folders are not listed: they are removed when they are empty.
 
 use super::atomic::is_partial_of;
 use super::error::{Error, Result};
@@ -28,10 +27,10 @@ pub fn keep_list(dir: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The files that the list of `dir` names, whether or not they came to be; `None` where the folder keeps no list.
+/// The files that the list of `dir` names, whether or not they exist; `None` if the folder keeps no list.
 ///
 /// # Errors
-/// [`Error::Damaged`] when it holds what this module did not write; those of the file system.
+/// [`Error::Damaged`] when it holds entries that this module did not write; errors of the file system.
 pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     let path = dir.join(LIST_FILE);
     if is_link(&path) || !path.is_file() {
@@ -73,8 +72,8 @@ fn name_on(line: &[u8]) -> Option<PathBuf> {
     (stays_below(&name) && line_of(&name).ok()? == line).then(|| PathBuf::from(name))
 }
 
-/// How many bytes at the end of a list are the beginning of a line that a kill cut off: the file that it would have
-/// named was not begun.
+/// The number of bytes at the end of a list that are the beginning of a line cut off by a kill: the file that it would
+/// have named was not begun.
 fn n_cut_off(list: &[u8]) -> usize {
     let last = list.rsplit(|byte| *byte == b'\n').next().unwrap_or_default();
     let after_name = last.windows(2).rposition(|pair| pair == b"\" ").map(|at| last.len() - at - 2);
@@ -96,7 +95,7 @@ pub fn enter_all<'a>(dir: &Path, names: impl Iterator<Item = &'a Path>) -> io::R
         lines.push_str(&line_of(&name.to_string_lossy())?);
         lines.push('\n');
     }
-    // One write of a short text at the end of a file is not torn apart by other threads.
+    // One write of a short text at the end of a file is not interleaved with those of other threads.
     fs::File::options().append(true).open(dir.join(LIST_FILE))?.write_all(lines.as_bytes())
 }
 
@@ -105,8 +104,8 @@ pub fn list_above(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).find(|dir| dir.join(LIST_FILE).is_file()).map(Path::to_owned)
 }
 
-/// Everything below `dir` that is no folder, relative to it and sorted; nothing where there is no such folder. Links
-/// are not followed: they count as files.
+/// All entries below `dir` other than folders, relative to it and sorted; empty if there is no such folder. Links are
+/// not followed: they count as files.
 pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     let mut pending = vec![PathBuf::new()];
@@ -125,20 +124,20 @@ pub fn files_below(dir: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The files below `dir` that are not among `ours`: neither such a file nor the partial file of one, nor the list.
+/// The files below `dir` that are neither among `ours`, nor partial files of these, nor the list.
 pub fn foreign(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
     Ok(files_below(dir)?.into_iter().filter(|name| !is_ours(name, ours)).collect())
 }
 
-/// Removes those files below `dir` that are `ours`, and the folders that this leaves empty, `dir` included. Returns
-/// what stays.
+/// Removes the files below `dir` that are `ours`, and the folders that this leaves empty, including `dir`. Returns the
+/// remaining entries.
 ///
 /// # Errors
-/// [`Error::Link`] when `dir` is a link, which may lead anywhere; those of the file system.
+/// [`Error::Link`] when `dir` is a link, which may lead anywhere; errors of the file system.
 pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf>> {
     check_no_link(dir)?;
     let (removed, kept): (Vec<_>, Vec<_>) = files_below(dir)?.into_iter().partition(|name| is_ours(name, ours));
-    // The list last: until then, a second attempt knows what is ours.
+    // The list last: until then, a second attempt knows our files.
     let (list, files): (Vec<_>, Vec<_>) = removed.into_iter().partition(|name| name == Path::new(LIST_FILE));
     for name in files.iter().chain(if kept.is_empty() { list.iter() } else { [].iter() }) {
         fs::remove_file(dir.join(name))?;
@@ -147,11 +146,11 @@ pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf
     Ok(kept)
 }
 
-/// Empties the folder `dir` of what the list in it or above it says was written there, so that a writer can begin anew;
-/// makes the folder where it is missing.
+/// Removes the files in the folder `dir` that the list in it or above it names, so that a writer can begin anew;
+/// creates the folder if it is missing.
 ///
 /// # Errors
-/// [`Error::Foreign`] when it holds anything else, [`Error::Link`] when it is a link; those of the file system.
+/// [`Error::Foreign`] when it holds anything else, [`Error::Link`] when it is a link; errors of the file system.
 pub fn clear(dir: &Path) -> Result<()> {
     check_no_link(dir)?;
     let mut ours = BTreeSet::new();
@@ -171,8 +170,8 @@ pub fn clear(dir: &Path) -> Result<()> {
     Ok(fs::create_dir_all(dir)?)
 }
 
-/// Removes the partial files of files that the list of `dir` names, and from the list the line that a kill cut off.
-/// Nobody must be writing there: they are leftovers then.
+/// Removes the partial files of files that the list of `dir` names, and from the list a line that a kill cut off. No
+/// process may be writing there: the files are leftovers then.
 ///
 /// # Errors
 /// As [`listed`]; [`Error::Link`] when `dir` is a link.

@@ -1,4 +1,4 @@
-//! Sweeps of the baseline: which futures become samples, with which provenance, and what is refused.
+//! Sweeps of the baseline: which futures become samples, with which provenance, and what is rejected.
 
 use super::testing::{config, denoiser, difference_m, drift, index, load};
 use super::*;

@@ -110,12 +110,12 @@ impl EditConfig {
     }
 }
 
-/// A cell's scene as the denoiser sees it.
+/// The scene of a cell as the denoiser sees it.
 #[derive(Debug)]
 pub(super) struct Conditioned {
-    /// The recording, edited if the sweep says so.
+    /// The recording, edited if the sweep has edits.
     pub(super) scene: Scene,
-    /// The part of it that is observed.
+    /// The observed part of the scene.
     pub(super) mask: ObservationMask,
     /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
@@ -124,7 +124,7 @@ pub(super) struct Conditioned {
 }
 
 impl Conditioned {
-    /// A scene of which the mask shows a part, without requested agents and templates.
+    /// A scene with its observed part, without requested agents and templates.
     pub(super) const fn new(scene: Scene, mask: ObservationMask, center_idx: usize) -> Self {
         Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new() }
     }
@@ -133,8 +133,8 @@ impl Conditioned {
         SceneView { scene: &self.scene, ego_idx: self.agents.0, mask: &self.mask }
     }
 
-    /// The observed states of a scenario that continues it. States of a template count as generated, although the
-    /// denoiser observes them.
+    /// The observed states of a scenario that continues this scene. States of a template count as generated, although
+    /// the denoiser observes them.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
             let is_made = timestep >= generated.n_history && self.performers.contains(&agent_idx);
@@ -153,7 +153,7 @@ pub(super) struct Wanted {
 }
 
 impl Generator<'_> {
-    /// The scene of a cell as the denoiser sees it, with these requested `agents`, for all samples or, with a template,
+    /// The scene of a cell, with these requested `agents`, as the denoiser sees it for all samples or, with a template,
     /// for this one.
     pub(super) fn condition(
         &self,
@@ -208,7 +208,7 @@ impl Generator<'_> {
     ) -> Vec<usize> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
-        // How often the pair had the same target before.
+        // The number of earlier samples of the pair with this target.
         let variant = sample_idx / cell.targets.len().max(1);
         let target = cell.target(sample_idx);
         let template = behavior.template(recorded, &asked, &target, variant);
@@ -255,7 +255,7 @@ impl Generator<'_> {
     }
 }
 
-/// The first state of the history that the mask hides, of the agents that it shows at all, by agent and timestep.
+/// The first state of the history that the mask hides, among agents that it shows at all, by agent and timestep.
 fn first_hidden(scene: &Scene, mask: &ObservationMask) -> Option<(usize, usize)> {
     let is_shown = |agent_idx: &usize| (0..scene.n_timesteps).any(|t| mask.is_observed(*agent_idx, t));
     let history = |agent_idx| (0..scene.n_history).map(move |timestep| (agent_idx, timestep));

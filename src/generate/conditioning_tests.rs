@@ -40,7 +40,7 @@ fn under_every_mask_observed_states_are_kept_and_the_others_generated() {
             assert_eq!(record.scenario.provenance.observation, name);
             let states = states(record);
             let n_observed = states.iter().filter(|(.., is_observed)| *is_observed).count();
-            // Three agents are fully tracked, and so many are shown by that task.
+            // Three agents are fully tracked, and the task shows all three.
             let is_whole = name == "agent_conditioned";
             assert!(n_observed > 0 && (n_observed == states.len()) == is_whole, "{name}: {n_observed}");
             for (generated, recorded, is_observed) in &states {
@@ -168,7 +168,7 @@ fn from_the_largest_noise_level_editing_is_ordinary_sampling() {
         assert_eq!(a.scenario.scene, b.scenario.scene);
         assert_ne!(a.scenario.id, b.scenario.id);
     }
-    // And more noise forgets more of the edit.
+    // More noise forgets more of the edit.
     let far = |tau: &str| {
         let records = generate(&sweep(&format!("edit = {{ tau = {tau}, {SHIFT}")));
         let distances = records

@@ -146,8 +146,8 @@ impl GenerateConfig {
     }
 }
 
-/// Refuses names that cannot be printed, are used twice, or mean other traffic in tables. `what` is the kind of thing
-/// that is named.
+/// Rejects names that cannot be printed, are used twice, or mean other traffic in tables. `what` is the kind of thing
+/// that has these names.
 fn distinct_names<'a>(names: impl Iterator<Item = &'a String>, what: &str) -> settings::Result {
     let mut known = BTreeSet::new();
     for (i, name) in names.enumerate() {

@@ -28,7 +28,7 @@ pub enum Error {
         /// The part that differs.
         what: &'static str,
     },
-    /// A scene has a different length than those that the denoiser was trained on.
+    /// A scene has a different length than the denoiser's training scenes.
     #[error(
         "scene {scene_id} has {found} timesteps, but the denoiser was trained on {expected}; ingest scenes of that \
          length"
@@ -46,7 +46,7 @@ pub enum Error {
     NoScenes {
         /// The sweep.
         sweep: String,
-        /// How many scenes were looked at.
+        /// The number of examined scenes.
         n_considered: usize,
         /// A remedy.
         hint: &'static str,
@@ -60,9 +60,9 @@ pub enum Error {
     Infeasible {
         /// The request.
         request: String,
-        /// Scenes that were looked at.
+        /// Examined scenes.
         n_scenes: usize,
-        /// Pairs of them.
+        /// Their pairs.
         n_pairs: usize,
     },
     /// A scene could not be loaded.

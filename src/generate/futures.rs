@@ -1,4 +1,4 @@
-//! What will everybody do from here on? One future of a scene at a time, unguided, for closed loops.
+//! Samples one unguided future of a scene at a time, for closed loops.
 
 use super::batch::Batch;
 use super::conditioning::Conditioned;
@@ -12,8 +12,8 @@ use candle_core::Device;
 use serde_json::json;
 use std::sync::Arc;
 
-/// Samples futures of scenes that are given one by one: kept apart and on the road as samples of sweeps are, and
-/// nothing else. A scene is denoised alone, because matrix products of several rows round differently.
+/// Samples futures of scenes, one scene at a time: kept apart and on the road as samples of sweeps are, but not guided.
+/// A scene is denoised alone, because matrix products of several rows round differently.
 pub struct Futures<'a> {
     model: &'a TrainedDenoiser,
     config: ResolvedGeneration,
@@ -27,7 +27,7 @@ pub struct Futures<'a> {
 pub struct Continued<'a> {
     /// The scene, with as many timesteps as the model has.
     pub scene: &'a Scene,
-    /// What of it is given. Agents without a state at present stay away.
+    /// The observed states. Agents without a state at present stay away.
     pub mask: &'a ObservationMask,
     /// The agent at the origin of the model's frame.
     pub center_idx: usize,
@@ -38,11 +38,11 @@ pub struct Continued<'a> {
 }
 
 impl<'a> Futures<'a> {
-    /// Futures by `model`: a distilled one in the steps that it was distilled for, any other in ten steps of
+    /// Futures by `model`: a distilled one takes the steps that it was distilled for, any other ten steps of
     /// DPM-Solver++.
     ///
     /// # Errors
-    /// When the model cannot be sampled so.
+    /// When the model cannot be sampled in this way.
     pub fn new(model: &'a TrainedDenoiser, seed: u64, device: &'a Device) -> Result<Self, Error> {
         let sampler = match &model.spec.distillation {
             Some(Distillation::Steps { sigmas }) => {
@@ -89,7 +89,7 @@ impl<'a> Futures<'a> {
         &self.model.fingerprint
     }
 
-    /// A future of everybody; the inner error says why there is none, such as states that are not finite.
+    /// A future of everybody; the inner error tells why there is none, such as states that are not finite.
     ///
     /// # Errors
     /// When the device fails.
@@ -98,7 +98,7 @@ impl<'a> Futures<'a> {
         Ok(sampled.unwrap_or_else(|| Err(UnfitScene("has no agent to continue".to_owned()))))
     }
 
-    /// `n` futures, of which each has a stream of noise: that of its step, those of the next steps.
+    /// `n` futures, each with a stream of noise of its own: those of this step and the next ones.
     ///
     /// # Errors
     /// When the device fails.

@@ -1,4 +1,4 @@
-//! Everything generation needs, checked before it begins.
+//! Everything that generation needs, checked before it begins.
 
 use super::{Diffusion, Error, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
@@ -35,7 +35,7 @@ pub struct Generator<'a> {
     pub(super) scenes: &'a SceneLoader<'a>,
     pub(super) metric_settings: MetricSettings,
     pub(super) device: &'a Device,
-    /// How scenes become batches; it remembers the modes of motion of one batch for the next.
+    /// Turns scenes into batches; it keeps the modes of motion of one batch for the next.
     pub(super) collator: Arc<Collator>,
 }
 
@@ -123,8 +123,8 @@ impl<'a> Generator<'a> {
         Ok(scene)
     }
 
-    /// Refuses a distilled denoiser with other scales or timesteps than the denoiser, and either of the two in the
-    /// place of the other.
+    /// Rejects a distilled denoiser with other scales or timesteps than the denoiser, and either of the two in place of
+    /// the other.
     fn check_distilled(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
         let is_alike = own.edm == spec.edm

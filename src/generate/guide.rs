@@ -1,4 +1,4 @@
-//! Guides the denoiser of a batch as its sweep says: by the classifier and the objectives, nested.
+//! Guides the denoiser of a batch with the settings of its sweep: by the classifier and the objectives, nested.
 
 use super::pairs::slots;
 use super::{
@@ -25,8 +25,8 @@ const ESTIMATE_SIGMA: f64 = 0.1;
 /// The kind and value of each objective, for one sample.
 pub(super) type Wishes = Vec<(&'static str, f64)>;
 
-/// The rules of traffic for every sample: boxes a hand's breadth apart (recordings have no more), centers no further
-/// off the road than they are. Agents of a requested collision may touch each other.
+/// The rules of traffic for every sample: boxes stay a hand's breadth apart (recordings have no more), centers no
+/// farther off the road than they are. Agents of a requested collision may touch each other.
 fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
     let roles = sweep.behavior.as_deref().and_then(BehaviorEntry::of).map_or(&[][..], |behavior| behavior.roles);
     let may_collide = <[&str; 2]>::try_from(roles).ok();
@@ -39,7 +39,7 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
 pub(super) struct Guided<'a> {
     /// The sweep.
     pub(super) sweep: &'a ResolvedSweep,
-    /// How its denoiser is sampled.
+    /// The settings with which its denoiser is sampled.
     pub(super) diffusion: &'a Diffusion,
     /// Strength of the guidance, and weight of the target states.
     pub(super) level: GuidanceLevel,
@@ -76,7 +76,7 @@ impl Guided<'_> {
         Ok(context.aiming_at(targets.collect())?)
     }
 
-    /// The value of each objective with its kind for each of the samples `x`, if the sweep selects by them; otherwise
+    /// The value of each objective with its kind for each of the samples `x` if the sweep selects by them; otherwise
     /// empty.
     pub(super) fn wishes(&self, x: &Tensor) -> Result<Vec<Wishes>, Error> {
         let n_rows = x.dim(0)?;
@@ -120,9 +120,9 @@ impl<'g> Generator<'g> {
         if parts.is_empty() { GuidanceTag::NONE.to_owned() } else { parts.join("+") }
     }
 
-    /// Calls `sample` with `inner`, guided as the sweep says. The strength multiplies classifier and objectives alike;
-    /// each of the two shifts is limited on its own, and objectives judge the estimate that the classifier has shifted.
-    /// The rules of traffic come last, with a strength of their own.
+    /// Calls `sample` with `inner`, guided with the settings of the sweep. The strength multiplies classifier and
+    /// objectives alike; each of the two shifts is limited on its own, and objectives judge the estimate that the
+    /// classifier has shifted. The rules of traffic come last, with a strength of their own.
     pub(super) fn guided<T>(
         &self,
         guided: &Guided<'_>,
@@ -185,7 +185,7 @@ impl<'g> Generator<'g> {
         })
     }
 
-    /// `inner`, guided by a potential of clean estimates as strongly as the sweep says.
+    /// `inner`, guided by a potential of clean estimates with the settings of the sweep.
     fn on_estimates<'a>(
         &self,
         Guided { diffusion, level, repeated, .. }: &Guided<'a>,
@@ -202,7 +202,7 @@ impl<'g> Generator<'g> {
         }
     }
 
-    /// [`Self::on_estimates`] by a classifier's potential: damping presumes a best value, which log odds do not have.
+    /// [`Self::on_estimates`] by a classifier's potential: damping assumes a best value, which log odds do not have.
     fn by_classifier<'a>(
         &self,
         guided: &Guided<'a>,

@@ -2,8 +2,8 @@
 //! behavior?
 //!
 //! A [`Plan`] fixes everything that is drawn before anything is sampled: which scenes, which pairs of agents, in which
-//! shards. A shard depends on the plan, the models and the seed alone, so that shards can be generated in any order, by
-//! any number of threads and in any number of attempts, to the same bytes.
+//! shards. A shard depends on the plan, the models and the seed alone, so shards can be generated in any order, by any
+//! number of threads and in any number of attempts, to the same bytes.
 //!
 //! `SweepConfig` is a sweep or an arm as written; all later code works on `ResolvedSweep`, which was checked once and
 //! cannot contradict itself. `request` plans rounds of shards by Thompson sampling on the counts of finished shards; a

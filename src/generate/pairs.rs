@@ -1,4 +1,4 @@
-//! Which agents of a scene can show a behavior, and which of them most likely?
+//! Which agents of a scene can show a behavior, and which are most likely to?
 
 use super::{Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
@@ -24,9 +24,9 @@ pub(super) struct CandidatePair {
     pub(super) agents: (usize, usize),
     /// The roles with their tracks.
     pub(super) roles: Roles,
-    /// How well it is suited; higher is better.
+    /// How suitable it is; higher is better.
     pub(super) score: f64,
-    /// Outcomes that it can still reach.
+    /// The outcomes that it can still reach.
     pub(super) outcomes: Vec<Outcome>,
 }
 
@@ -74,7 +74,7 @@ impl Generator<'_> {
         let sigma = Tensor::full(RANKING_SIGMA, candidates.len(), self.device)?.to_dtype(batch.x0.dtype())?;
         let mut total = vec![0.0; candidates.len()];
         for draw in 0..N_RANKING_DRAWS {
-            // All pairs of a scene see the same noise, so that it does not decide between them.
+            // All pairs of a scene get the same noise, so that it does not decide between them.
             let seed = self.seed().derive_named("ranking", &scene.id.0).derive("draw", &[draw]);
             let noise = NoiseSource::new(vec![seed; candidates.len()]).draw_like(&batch.x0)?;
             let logits = classifier.network.logits(&features, &(noise * RANKING_SIGMA)?, &sigma)?;
@@ -135,7 +135,7 @@ pub(super) fn slots(batch: &SceneBatch, agents: &[(usize, usize)]) -> Result<Vec
     agents.iter().enumerate().map(|(row, pair)| Ok((slot(row, pair.0)?, slot(row, pair.1)?))).collect()
 }
 
-/// How many agents are nearer to agent `center` at present than `agent_idx`, parked ones aside; ties go to the smaller
+/// The number of agents nearer to agent `center` at present than `agent_idx`, parked ones aside; ties go to the smaller
 /// index.
 fn proximity_rank(scene: &Scene, center: usize, agent_idx: usize) -> usize {
     let key = |agent_idx: usize| (distance_m(scene, center, agent_idx), agent_idx);

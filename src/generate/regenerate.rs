@@ -1,4 +1,4 @@
-//! How is one scenario generated again? By denoising its original batch, and nothing else.
+//! Generates one scenario again, by denoising its original batch and nothing else.
 
 use super::{Error, Generator, ShardPlan};
 use crate::progress::Silent;
@@ -8,9 +8,9 @@ use crate::scene::{GuidanceLevel, Provenance};
 /// One sample of a shard.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampleKey {
-    /// Which of the shard's cells it continues.
+    /// The cell of the shard that it continues.
     pub cell: usize,
-    /// How strongly it is guided.
+    /// The level of its guidance.
     pub level: GuidanceLevel,
     /// Its number.
     pub sample_idx: usize,
@@ -32,7 +32,7 @@ impl SampleKey {
 impl Generator<'_> {
     /// Generates one sample of a shard exactly as with the whole shard, to the last digit. Matrix products of few rows
     /// round differently from those of many, so the other samples of its batch are denoised again, too. A selection
-    /// that compares samples of several batches is not repeated: a sample that was kept stays kept.
+    /// that compares samples of several batches is not repeated: a kept sample stays kept.
     ///
     /// `None` if the shard has no such sample, or the sample did not become a scenario.
     ///

@@ -31,18 +31,18 @@ pub struct RejectedSample {
     pub scene_id: SceneId,
     /// The sweep.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
-    /// Which sample of its scene and strength it is.
+    /// Its number among the samples of its scene and strength.
     pub sample_idx: usize,
     /// The run's seed.
     pub seed: u64,
-    /// Why it is none.
+    /// Why it is not a scenario.
     pub reason: String,
 }
 
-/// One of the samples of a cell, or why there is none.
+/// A sample of a cell, or why there is none.
 #[derive(Debug, Clone)]
 struct Sampled {
     level: GuidanceLevel,
@@ -50,7 +50,7 @@ struct Sampled {
     draw: Result<Draw, UnfitScene>,
 }
 
-/// The conditioning of samples.
+/// The conditioning of the samples of a shard.
 struct Given {
     /// For each cell one conditioning for all samples or, with templates, one for each sample.
     of_cells: Vec<Vec<Conditioned>>,
@@ -64,7 +64,7 @@ impl Given {
     }
 }
 
-/// Decides, from its level, cells and samples, whether a batch is generated.
+/// Decides whether to generate a batch, given its level, cells and samples.
 type BatchChoice<'a> = dyn Fn(GuidanceLevel, &[usize], &Range<usize>) -> bool + 'a;
 
 impl Generator<'_> {
@@ -77,7 +77,7 @@ impl Generator<'_> {
         self.generate_part(shard, &|_, _, _| true, progress)
     }
 
-    /// Generates the batches of a shard that `is_chosen` picks. A batch does not depend on which others are generated.
+    /// Generates the batches of a shard that `is_chosen` picks. Batches do not depend on each other.
     pub(super) fn generate_part(
         &self,
         shard: &ShardPlan,

@@ -1,4 +1,4 @@
-//! Which samples become scenarios? Those within limits of metrics and objectives, and of these the best.
+//! Which samples become scenarios? The best of those within limits of metrics and objectives.
 
 use super::Limit;
 use crate::metrics::{ALL, Direction, MetricSettings, SampleGroup, by_id};
@@ -33,7 +33,7 @@ pub struct SelectConfig {
     pub by: Vec<String>,
 }
 
-/// The sum of all objectives, as selections name it.
+/// The name of the sum of all objectives in selections.
 const ALL_OBJECTIVES: &str = "objectives";
 /// The prefix of metrics that look at the requested pair.
 const PAIR_PREFIX: &str = "pair_";
@@ -175,7 +175,7 @@ impl SelectConfig {
     }
 }
 
-/// Whether higher values of a metric are better; for objectives they are.
+/// Whether higher values of a metric are better; they are for objectives.
 fn direction(id: &str) -> Direction {
     by_id(id).map_or(Direction::HigherIsBetter, |metric| metric.spec().direction)
 }

@@ -67,7 +67,7 @@ impl Behavior for Drift {
         &["gap_m"]
     }
 
-    /// The second one drifts the farther to the right, the larger the target gap is.
+    /// The second agent drifts the farther to the right, the larger the target gap is.
     fn template(
         &self,
         scene: &Scene,
@@ -130,12 +130,12 @@ pub(super) fn config(toml: &str) -> GenerateConfig {
     config
 }
 
-/// The section resolved, where the drift is mined.
+/// The resolved section, with the drift as mined behavior.
 pub(super) fn resolve(toml: &str) -> ResolvedGeneration {
     config(toml).resolve(&drift()).unwrap()
 }
 
-/// The behavior that is mined.
+/// The mined behavior.
 pub(super) fn drift() -> [Box<dyn Behavior>; 1] {
     [Box::new(Drift)]
 }
@@ -144,7 +144,7 @@ pub(super) fn load(scene_idx: usize) -> Result<Scene, Box<dyn std::error::Error 
     Ok(scene(scene_idx))
 }
 
-/// Calls `use_it` with a generator for `config`, and returns what it returns.
+/// Calls `use_it` with a generator for `config`, and returns its result.
 pub(super) fn with_generator<T>(config: &GenerateConfig, n_nan: usize, use_it: impl FnOnce(&Generator<'_>) -> T) -> T {
     with_denoiser(&denoiser(n_nan), config, use_it)
 }
@@ -160,7 +160,7 @@ fn with_denoiser<T>(
     use_it(&Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap())
 }
 
-/// [`with_generator`] for a configuration that may be refused.
+/// [`with_generator`] for a configuration that may be rejected.
 pub(super) fn with_generator_result<T>(
     config: &GenerateConfig,
     use_it: impl FnOnce(&Generator<'_>) -> Result<T, Error>,

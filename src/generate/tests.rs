@@ -1,4 +1,4 @@
-//! Is what is generated independent of how it is generated, paired across strengths, and guarded against nonsense?
+//! Is the result independent of how it is generated, paired across strengths, and guarded against nonsense?
 
 mod combined;
 mod guidance;
@@ -242,7 +242,7 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     assert_eq!(refusal(steps(), &format!("{}\nedit = {{ tau = 2.0 }}", euler(2.0))), None);
     let between = refusal(steps(), &format!("{}\nedit = {{ tau = 5.0 }}", euler(2.0))).unwrap();
     assert!(between.contains("edits a tau"), "{between}");
-    // A distilled one in the place of the denoiser.
+    // A distilled one in place of the denoiser.
     let mut denoiser = denoiser(0);
     denoiser.spec.distillation = steps();
     let config = resolve("[[sweeps]]\nname = 'a'\nn_scenes = 2");

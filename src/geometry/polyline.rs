@@ -6,7 +6,7 @@ use super::Vec2;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Polyline(pub Vec<Vec2>);
 
-/// Where a point falls on a polyline.
+/// The projection of a point onto a polyline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Projection {
     /// Distance along the polyline to the closest point, meters.

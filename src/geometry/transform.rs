@@ -5,7 +5,7 @@ use super::{Vec2, wrap_angle};
 /// A rigid transform of the plane. `a_from_b` takes coordinates in frame `b` to frame `a`: rotate, then translate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Transform2 {
-    /// Where the origin of `b` lies in `a`, meters.
+    /// The origin of `b` in `a`, meters.
     pub translation: Vec2,
     /// Direction of the x axis of `b` in `a`, radians.
     pub rotation_rad: f64,

@@ -1,4 +1,4 @@
-//! Whose motion does an objective judge?
+//! The agents whose motion an objective judges.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ impl AgentSelector {
         &self.0
     }
 
-    /// Whether the name means somebody in a sweep with these roles.
+    /// Whether the name stands for an agent in a sweep with these roles.
     pub fn is_known(&self, roles: &[&str]) -> bool {
         [Self::ALL, Self::EGO].contains(&self.name()) || roles.contains(&self.name())
     }

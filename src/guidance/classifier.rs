@@ -21,7 +21,7 @@ pub enum ClassifierPotential {
 }
 
 impl ClassifierPotential {
-    /// Whether it is the one that need not be named.
+    /// Whether it is the default, which need not be named.
     pub fn is_default(&self) -> bool {
         *self == Self::default()
     }
@@ -57,8 +57,8 @@ mod tests {
     use super::*;
     use candle_core::{Device, Var};
 
-    /// d ln p / dz = 1 - p, which is nearly 1 where p is nearly 0 and nearly 0 where p is nearly 1; that of the log
-    /// odds is 1.
+    /// d ln p / dz = 1 - p, which is nearly 1 where p is nearly 0 and nearly 0 where p is nearly 1; the derivative of
+    /// the log odds is 1.
     #[test]
     fn log_p_lets_go_of_what_it_is_sure_of_and_log_odds_do_not() {
         let slopes = |potential: ClassifierPotential| {

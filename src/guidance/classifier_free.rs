@@ -3,7 +3,7 @@
 use crate::diffusion::Denoiser;
 use candle_core::{Result, Tensor};
 
-/// How the states of the two branches are related: both describe the same noisy scene, each in its own coordinates.
+/// The relation of the states of the two branches: both describe the same noisy scene, each in its own coordinates.
 pub trait BranchChange {
     /// The state of the conditional branch for the state `x` (B, …) of the unconditional one. Entries that only the
     /// latter has are left out (zero).
@@ -15,7 +15,7 @@ pub trait BranchChange {
 
 /// D(x; σ) = D(x; σ | `x_obs`) + λ (D(x; σ | `x_obs`, `x_cond`) - D(x; σ | `x_obs`)).
 ///
-/// By D = x + σ² ∇ ln p this is the paper's mixture of scores. The two branches differ in what is observed: `x_cond` is
+/// By D = x + σ² ∇ ln p this is the paper's mixture of scores. The two branches observe different states: `x_cond` is
 /// latent in the first and observed in the second, where its score is not defined. So estimates are mixed rather than
 /// scores: in the conditional branch the estimate of `x_cond` is its clean value, while `x_cond` keeps diffusing in the
 /// state. At λ = 1 this samples exactly from the conditional distribution, as if `x_cond` had been observed; at λ = 0
@@ -25,7 +25,7 @@ pub struct ClassifierFreeDenoiser<'a> {
     pub unconditional: &'a dyn Denoiser,
     /// The denoiser that also sees the target states.
     pub conditional: &'a dyn Denoiser,
-    /// From the state of one to that of the other.
+    /// Maps the state of one branch to that of the other.
     pub change: &'a dyn BranchChange,
     /// The weight λ.
     pub weight: f64,
@@ -57,7 +57,7 @@ mod tests {
     const MEAN: [f64; 2] = [0.2, -0.1];
     const COVARIANCE: [[f64; 2]; 2] = [[0.25, 0.15], [0.15, 0.2]];
     const B0: f64 = 0.5;
-    /// Where the conditional branch has its origin: a reference that moved because b is known.
+    /// The origin of the conditional branch: a reference that moved because b is known.
     const ORIGIN: f64 = 0.7;
 
     fn rows(x: &Tensor, sigma: &Tensor, row: impl Fn(&[f64], f64) -> [f64; 2]) -> Result<Tensor> {

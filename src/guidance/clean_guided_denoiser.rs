@@ -68,14 +68,14 @@ impl Default for ObjectiveGuidanceConfig {
 
 /// D'(x; σ) = D(x; σ) + α C(σ) ∇J(x₀) at x₀ = D(x; σ), with C the covariance of x₀ given x.
 ///
-/// The wish is a likelihood p(y | x₀) ∝ exp(J(x₀)) of the *clean* sample. What sampling needs is the noisy one,
-/// p(y | x) = E[exp(J(x₀)) | x]. To first order around the posterior mean, J(x₀) ≈ J(D) + ∇J · (x₀ - D), and x₀ is
-/// about normal given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the
-/// mean D + C ∇J, which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ
-/// ln p(y | x) and ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian
-/// data of covariance Uᵀ Λ U, C = Uᵀ (σ² λ / (σ² + λ)) U and nothing is approximate if J is linear; this C is taken for
-/// all data, because it needs no derivative of the network. Traffic has little
-/// variance in modes that change from timestep to timestep, so that it is pushed as it moves: aside without a jolt.
+/// The objective is a likelihood p(y | x₀) ∝ exp(J(x₀)) of the *clean* sample. Sampling needs the noisy one, p(y | x) =
+/// E[exp(J(x₀)) | x]. To first order around the posterior mean, J(x₀) ≈ J(D) + ∇J · (x₀ - D), and x₀ is about normal
+/// given x, so ln p(y | x) ≈ J(D(x)) + ½ ∇J · C ∇J; the tilted posterior exp(∇J · x₀) p(x₀ | x) has the mean D + C ∇J,
+/// which is what the guided denoiser must return. The same follows from the chain rule: D' = D + σ² ∇ₓ ln p(y | x) and
+/// ∇ₓ J(D(x)) = (∂D/∂x)ᵀ ∇J, with σ² ∂D/∂x = C exactly (Tweedie's formula, second order). For Gaussian data of
+/// covariance Uᵀ Λ U, C = Uᵀ (σ² λ / (σ² + λ)) U and nothing is approximate if J is linear; this C is used for all
+/// data, because it needs no derivative of the network. Traffic has little variance in modes that change from timestep
+/// to timestep, so it is pushed along its motion: aside without a jolt.
 ///
 /// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer D + α C ∇J / (1 + α
 /// k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, the factor 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it without
@@ -98,7 +98,7 @@ pub struct CleanGuidedDenoiser<'a> {
     pub modes: Option<&'a Surroundings>,
 }
 
-/// The estimate of the inner denoiser, and what multiplies gradients by its covariance.
+/// The estimate of the inner denoiser, and the factor by which gradients are multiplied by its covariance.
 enum Estimate<'a> {
     /// The estimate, and σ² σ_data² / (σ² + σ_data²) of each row.
     Independent(Tensor, Tensor),
@@ -107,7 +107,7 @@ enum Estimate<'a> {
 }
 
 impl Estimate<'_> {
-    /// The estimate without a graph behind it.
+    /// The estimate, detached from its graph.
     fn x0_hat(&self) -> Tensor {
         let (Self::Independent(x0_hat, _) | Self::InModes(x0_hat, ..)) = self;
         x0_hat.detach()
@@ -151,7 +151,7 @@ impl CleanGuidedDenoiser<'_> {
     }
 }
 
-/// How strongly the potential bends, row by row: α C (-∂²J) along the steps that were taken, the largest so far.
+/// The curvature of the potential, row by row: α C (-∂²J) along the steps that were taken, the largest so far.
 struct Bends {
     strengths: Vec<f64>,
     largest: Vec<f64>,
@@ -180,7 +180,7 @@ impl Bends {
         Ok(())
     }
 
-    /// Bends that are none, such as 0 / 0 where nothing is left to wish for, or that have the wrong sign change
+    /// Curvatures that are undefined, such as 0 / 0 where the potential is at its best, or have the wrong sign change
     /// nothing.
     fn raise(&mut self, row: usize, bend: f64) {
         if bend.is_finite() && bend > self.largest[row] {

@@ -5,15 +5,15 @@ use candle_core::{Result, Tensor};
 
 /// A log potential of noisy states as one of clean estimates: J(x₀) = ln p(y | x₀; σ) at a low noise level σ.
 ///
-/// With [`super::CleanGuidedDenoiser`] this guides samples under masks of which the guidance knows no noisy states.
+/// With [`super::CleanGuidedDenoiser`] this guides samples under masks whose noisy states are unknown to the guidance.
 /// Clean estimates mean the same under every mask, and can be expressed in the coordinates of another one exactly;
-/// noisy states cannot, because of what only the one mask observes there is no noise.
+/// noisy states cannot, because entries that only the one mask observes have no noise.
 pub struct EstimatePotential<'a> {
     /// The guidance.
     pub guidance: &'a dyn Guidance,
-    /// From the mask that the guidance knows (the base) to the one that is sampled; `None` where they are the same.
+    /// From the mask that the guidance knows (the base) to the sampled one; `None` if they are the same.
     pub change: Option<&'a MaskChange>,
-    /// The noise level that the estimate is said to have.
+    /// The noise level that the estimate is assumed to have.
     pub sigma: f64,
 }
 
@@ -39,7 +39,7 @@ mod tests {
     use crate::tensor::{FutureValidity, SceneBatch, StateParametrization};
     use candle_core::Var;
 
-    /// Wants the second agent far to the left at the end, and reports the noise level that it is given.
+    /// Favors the second agent far to the left at the end, and reports the noise level that it gets.
     struct ToTheLeft<'a> {
         batch: &'a SceneBatch,
     }
@@ -80,7 +80,7 @@ mod tests {
             let y_m = sampled.decode(&estimate).unwrap().to_dtype(candle_core::DType::F32).unwrap();
             let y_m = y_m.flatten_all().unwrap().to_vec1::<f32>().unwrap()[(12 + 10) * 3 + 1];
             assert!((value(&estimate) - 0.25 * f64::from(y_m)).abs() < 1e-3, "{parametrization:?}");
-            // The potential is linear: finite differences are exact but for rounding.
+            // The potential is linear: finite differences are exact up to rounding.
             let x0 = Var::from_tensor(&estimate).unwrap();
             let gradients = potential.log_potential(x0.as_tensor()).unwrap().sum_all().unwrap().backward().unwrap();
             let gradient = gradients.get(x0.as_tensor()).unwrap();

@@ -28,7 +28,7 @@ impl Default for GuidanceConfig {
 }
 
 impl GuidanceConfig {
-    /// Guidance as the paper's equation 3 has it: at every noise level, however far it shifts.
+    /// Guidance as in the paper's equation 3: at every noise level, however far it shifts.
     pub const UNRESTRICTED: Self = Self { sigma_hi: f64::MAX, max_shift: f64::MAX };
 
     /// Whether guidance acts at a noise level. The bound belongs to it, in the single precision in which samplers pass
@@ -66,7 +66,7 @@ impl GuidedDenoiser<'_> {
         limit_norm(&shift, self.config.max_shift).map(Some)
     }
 
-    /// α σ² where guidance acts, else 0.
+    /// α σ² where guidance acts, otherwise 0.
     fn factor(&self, sigma: f64) -> f64 {
         if self.config.acts_at(sigma) { self.strength * sigma.powi(2) } else { 0.0 }
     }
@@ -82,7 +82,7 @@ impl Denoiser for GuidedDenoiser<'_> {
     }
 }
 
-/// ∇ₓ of each row's log potential, of the shape of `x`, without a graph behind it.
+/// ∇ₓ of each row's log potential, with the shape of `x`, detached from its graph.
 pub fn log_potential_gradient(guidance: &dyn Guidance, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
     let x = Var::from_tensor(&x.detach())?;
     // Rows are independent, so the gradient of the sum holds every row's own gradient.

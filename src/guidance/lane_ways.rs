@@ -1,4 +1,4 @@
-//! Which ways lead on from the lane beside an agent, and which ones come toward it? Their center lines.
+//! The center lines of ways that lead on from the lane beside an agent, and of oncoming ones.
 
 use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
@@ -6,14 +6,14 @@ use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_4, FRAC_PI_8, PI};
 use std::sync::Arc;
 
-/// An agent is in a lane whose center line is within half a wide lane of it, meters, and leads its way but for this
-/// angle.
+/// An agent is in a lane whose center line is within half a wide lane of it, meters, and whose direction is within this
+/// angle of its heading.
 const IN_LANE_M: f64 = 2.0;
 const ALONG_RAD: f64 = FRAC_PI_4;
-/// Lanes beside each other have parallel center lines, and these distances between them, meters.
+/// Lanes beside each other have parallel center lines, and distances between them in this range, meters.
 const PARALLEL_RAD: f64 = FRAC_PI_8;
 const BESIDE_M: std::ops::Range<f64> = 2.0..5.5;
-/// How far ways lead on from the lane in which they begin, meters, and how many of them there may be.
+/// How far ways lead on from the lane in which they begin, meters, and their largest number.
 const AHEAD_M: f64 = 120.0;
 const N_WAYS: usize = 12;
 /// How far they run straight on at both ends, meters.
@@ -58,8 +58,7 @@ impl LaneWays {
         self.in_row(self.beside_in_scene(self.in_scene(pose), side))
     }
 
-    /// The lines, in the row's frame, of the lanes beside an agent at `pose` that come toward it, each in the agent's
-    /// direction.
+    /// The lines, in the row's frame, of the oncoming lanes beside an agent at `pose`, each in the agent's direction.
     pub(super) fn oncoming(&self, pose: WayPose) -> Vec<Polyline> {
         let pose = self.in_scene(pose);
         let toward = WayPose { heading_rad: pose.heading_rad + PI, ..pose };
@@ -80,7 +79,7 @@ impl LaneWays {
         lines
     }
 
-    /// The line against a lane and those that lead there; where several lead there, the first of the map.
+    /// The line against a lane and those that lead to it; if several lead there, the first of the map.
     fn line_against(&self, lane: &Lane) -> Option<Polyline> {
         let (mut points, mut last, mut added_m) = (Vec::new(), Some(lane), 0.0);
         while let Some(lane) = last.filter(|_| added_m < AHEAD_M) {
@@ -115,7 +114,7 @@ impl LaneWays {
     }
 
     fn is_beside(&self, lane: &Lane, pose: WayPose, side: f64) -> bool {
-        // Who is to the right of a line has a negative offset from it.
+        // An agent to the right of a line has a negative offset from it.
         passes(lane, pose, PARALLEL_RAD).is_some_and(|offset_m| BESIDE_M.contains(&(-side.signum() * offset_m)))
     }
 
@@ -129,7 +128,7 @@ impl LaneWays {
     }
 }
 
-/// How far an agent at `pose` is to the left of the lane's center line, where the lane passes it in its direction.
+/// The offset of an agent at `pose` to the left of the lane's center line, if the lane passes it in its direction.
 fn passes(lane: &Lane, pose: WayPose, within_rad: f64) -> Option<f64> {
     let place = lane.centerline.project(pose.position)?;
     let is_along = angle_difference(place.heading_rad, pose.heading_rad).abs() < within_rad;
@@ -163,8 +162,8 @@ mod tests {
         Lane { successors, ..Lane::unconnected(id, centerline, Default::default()) }
     }
 
-    /// Lane 1 along x forks into 2, straight on, and 3, to the left; 4 lies to its left, 5 beyond that, 6 to its right
-    /// and joins 2, and 7 comes toward it.
+    /// Lane 1 along x forks into 2, straight on, and 3, to the left; 4 is to its left, 5 beyond that, 6 is to its right
+    /// and joins 2, and 7 is oncoming.
     fn ways() -> LaneWays {
         let lanes = vec![
             lane(1, &[(0.0, 0.0), (50.0, 0.0)], &[2, 3]),
@@ -189,7 +188,7 @@ mod tests {
         assert_eq!(left.len(), 1);
         assert!(left[0].0.iter().all(|point| (point.y - 3.5).abs() < 1e-9));
         assert!(beside(-1.0).is_empty());
-        // The lane that comes toward it, against its direction.
+        // The oncoming lane, against its direction.
         let oncoming = ways().oncoming(pose(20.0, 0.2));
         assert_eq!(oncoming.len(), 1);
         assert!(oncoming[0].0.iter().all(|point| (point.y - 3.4).abs() < 1e-9));
@@ -199,7 +198,7 @@ mod tests {
         let own = WayPose { position: moved.point(Vec2::new(20.0, 0.2)), heading_rad: moved.heading(0.05) };
         let there = LaneWays::new(&ways().lanes, &moved).beside(own, 1.0);
         assert!(there[0].0.iter().zip(&left[0].0).all(|(a, b)| a.distance(moved.point(*b)) < 1e-9));
-        // The map's word counts where lanes join.
+        // The map's declaration counts if lanes join.
         let mut named = ways().lanes.lanes().to_vec();
         named[0].right_neighbor = Some(LaneId(6));
         let named = LaneWays::new(&Arc::new(LaneGraph::new(named)), &Transform2::IDENTITY);

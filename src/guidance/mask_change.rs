@@ -1,10 +1,10 @@
-//! The same noisy scene under two observation masks: the change between their diffused states.
+//! The change between the diffused states of one noisy scene under two observation masks.
 
 use super::BranchChange;
 use crate::tensor::SceneBatch;
 use candle_core::{Error, Result, Tensor};
 
-/// From batches of a base mask to those of an extended one, which observes more, and back.
+/// The map from batches of a base mask to those of an extended one, which observes more, and back.
 ///
 /// Under each mask diffused states are an affine image of scene coordinates, agent by agent: y = b + A x on latent
 /// entries. Base b and matrix A follow from what is observed, so they differ for agents of whom more is observed. Let S
@@ -21,7 +21,8 @@ use candle_core::{Error, Result, Tensor};
 ///   extended mask.) An agent that only the extended mask observes changes its frame and units; its noise is then of a
 ///   wrong share.
 pub struct MaskChange {
-    /// Places on the flattened (B · A) axis of the agents whose masks differ, (K); the others are the same in both.
+    /// Places on the flattened (B · A) axis of the agents whose masks differ, (K); the others have the same mask in
+    /// both.
     changed: Option<Changed>,
 }
 
@@ -162,7 +163,7 @@ fn change(before: &AgentMap, after: &AgentMap) -> Result<[(Matrix, Vec<f64>); 2]
         for (c, j) in known.iter().enumerate().filter(|(c, _)| regression[*c][s] != 0.0) {
             let share = regression[c][s];
             row.iter_mut().zip(&before.linear[*j]).for_each(|(value, noise)| *value -= share * noise);
-            // The clean value of what is observed is the base of the extended mask.
+            // The clean value of an observed entry is the base of the extended mask.
             row[n] -= share * (before.base[*j] - after.base[*j]);
         }
         row
@@ -195,7 +196,7 @@ fn restricted(matrix: &Matrix, places: &[usize]) -> Matrix {
     places.iter().map(|i| places.iter().map(|j| matrix[*i][*j]).collect()).collect()
 }
 
-/// X with A X = B, by elimination with partial pivoting; `None` where A is singular. Zeros are skipped: A is mostly
+/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A is mostly
 /// block-diagonal or triangular.
 fn solved(mut a: Matrix, mut b: Matrix) -> Option<Matrix> {
     let n = a.len();
@@ -231,7 +232,7 @@ mod tests {
     use crate::tensor::testing::collator;
     use crate::tensor::{FutureValidity, StateParametrization};
 
-    /// One car straight on, one that turns by about 80 degrees, one of whom no goal is known.
+    /// One car straight on, one that turns by about 80 degrees, one without a known goal.
     fn cars() -> Scene {
         let turning = Drive { x: 30.0, y: 20.0, heading_rad: -1.6, speed_mps: 8.0, curvature_1pm: -0.2 };
         scene(&[Drive::straight(5.0, 1.0, 0.3, 12.0), turning, Drive::straight(-20.0, 3.5, 3.1, 4.0)])
@@ -266,10 +267,10 @@ mod tests {
             let x = noise(&base);
             let moved = change.to_conditional(&x).unwrap();
             let (before, after) = (base.decode(&x).unwrap(), extended.decode(&moved).unwrap());
-            // The known part of Brownian noise is taken off; the rest is where it was.
+            // The known part of Brownian noise is removed; the rest is unchanged.
             let is_same = difference(&before, &after, &extended.latent) < 1e-3;
             assert_eq!(is_same, parametrization != StateParametrization::Motion, "{parametrization:?}");
-            // The third agent's masks are the same: nothing of it changes, not even by rounding.
+            // The third agent's masks are the same: nothing about it changes, not even by rounding.
             assert_eq!(
                 difference(
                     &x.narrow(1, 2, 1).unwrap(),
@@ -278,7 +279,7 @@ mod tests {
                 ),
                 0.0
             );
-            // And back: estimates decode to the same places, and goals to where they are.
+            // And back: estimates decode to the same places, and goals to their own.
             let estimate = (noise(&extended) * 0.5).unwrap();
             let back = change.to_unconditional(&estimate).unwrap();
             let found = base.decode(&back).unwrap();

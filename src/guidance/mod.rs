@@ -1,5 +1,4 @@
-//! Which way should a sample be pushed? Log potentials over noisy tensors, and the denoiser that follows their
-//! gradient.
+//! Pushes samples in a direction: log potentials over noisy tensors, and the denoiser that follows their gradient.
 //!
 //! One objective a file. All share one sign convention: potentials are maximized.
 //!
@@ -45,7 +44,7 @@ use candle_core::{Result, Tensor};
 
 /// Something to be made likely, such as "this pair of agents performs a cut-in".
 pub trait Guidance {
-    /// The log potential of each batch row, (B), higher is better: ln p(y | x; σ) where there is a probability, else
+    /// The log potential of each batch row, (B), higher is better: ln p(y | x; σ) if there is a probability, otherwise
     /// any score whose exponential tilts the distribution. `x` is (B, …) at the noise levels `sigma` (B). It must be
     /// differentiable in `x`, and row by row: a row depends on its own row of `x` and `sigma` only.
     fn log_potential(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor>;

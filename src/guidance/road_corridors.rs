@@ -1,11 +1,11 @@
-//! Where is the road? Lanes as strips around their center lines, and the strip that is nearest to a point.
+//! The road: lanes as strips around their center lines, and the strip nearest to a point.
 
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{Lane, LaneGraph, LaneId};
 
-/// Half the width of a lane whose boundaries the map does not give, meters.
+/// Half the width of a lane without boundaries in the map, meters.
 const HALF_NOMINAL_WIDTH_M: f64 = 1.75;
-/// How far lanes are carried straight on where the map ends, meters: nothing is known of the road there.
+/// How far lanes continue straight where the map ends, meters: the road is unknown there.
 const EXTENSION_M: f64 = 100.0;
 
 /// The road of a scene: each lane as a chain of straight strips.
@@ -31,7 +31,7 @@ struct Strip {
     half_width_m: f64,
 }
 
-/// Where the road is nearest.
+/// The nearest place on the road.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct NearestRoad {
     /// The nearest point of the center line of the nearest strip.
@@ -47,8 +47,8 @@ impl RoadCorridors {
         Self { lanes: lanes.lanes().iter().filter_map(corridor).collect() }
     }
 
-    /// The center line of the strip that `point` is the fewest meters outside of (or, if it is on the road, one that it
-    /// is inside of). `None` without lanes.
+    /// The center line of the strip that `point` is the least distance outside of (or, if it is on the road, one that
+    /// it is inside of). `None` without lanes.
     pub(super) fn nearest(&self, point: Vec2) -> Option<NearestRoad> {
         let mut best: Option<(f64, NearestRoad)> = None;
         for lane in &self.lanes {
@@ -61,7 +61,7 @@ impl RoadCorridors {
             }
             for strip in &lane.strips {
                 let nearest = strip.nearest(point);
-                // Most strips are farther by far, and roots take time. With some room for rounding.
+                // Most strips are much farther away, and roots take time. Some room is left for rounding.
                 let least_m = best.map_or(f64::INFINITY, |(excess_m, _)| excess_m);
                 let reach_m = least_m + nearest.half_width_m + 1e-6;
                 let offset = nearest.point - point;

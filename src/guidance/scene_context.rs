@@ -1,4 +1,4 @@
-//! The context of a batch for objectives, beside its states: who is who, what is valid, sizes of agents, the road.
+//! The context of a batch for objectives, beside its states: roles, validity, sizes of agents, the road.
 
 use super::AgentSelector;
 use super::lane_ways::LaneWays;
@@ -30,16 +30,16 @@ pub struct SceneContext {
     pub dt_s: f64,
     /// Observed timesteps t_obs; the present is timestep `n_history` - 1.
     pub n_history: usize,
-    /// Whether headings are generated. Where they are not, they follow the motion once a sample is done, and decoded
-    /// states hold those of the kinematic reference.
+    /// Whether headings are generated. If not, they follow the motion once a sample is done, and decoded states hold
+    /// those of the kinematic reference.
     pub generates_headings: bool,
-    /// 1 where there is a state, observed or generated, (B, A, T).
+    /// 1 if there is a state, observed or generated, (B, A, T).
     pub valid: Tensor,
-    /// 1 where the state is generated, (B, A, T).
+    /// 1 if the state is generated, (B, A, T).
     pub latent: Tensor,
     /// Length and width of each agent, meters, (B, A, 2); 0 for padding.
     pub extent_m: Tensor,
-    /// 1 for agents that drive on lanes, as far as is known, (B, A).
+    /// 1 for agents that drive on lanes, as far as known, (B, A).
     pub motorized: Tensor,
     /// The road of each row, in its ego frame.
     pub(super) roads: Vec<Arc<RoadCorridors>>,
@@ -54,7 +54,7 @@ pub struct SceneContext {
 }
 
 impl SceneContext {
-    /// The context of `batch`, whose row b was made of `rows[b]`.
+    /// The context of `batch`, whose row b was made from `rows[b]`.
     ///
     /// # Errors
     /// When there is not one row each, or an agent with a role is not in the batch.
@@ -125,8 +125,8 @@ impl SceneContext {
         })
     }
 
-    /// Removes the roads of the rows at whose places the map `shows` only parts of the road, where nobody can be said
-    /// to leave it.
+    /// Removes the roads of rows at places for which `shows` is false: the map shows only parts of the road there, so
+    /// departures from it cannot be judged.
     #[must_use]
     pub fn with_roads_where(mut self, shows: impl Fn(usize) -> bool) -> Self {
         self.roads.iter_mut().enumerate().filter(|(row, _)| !shows(*row)).for_each(|(_, road)| *road = Arc::default());
@@ -154,7 +154,7 @@ impl SceneContext {
     /// 1 for the agents that `selector` names, (B, A). Padding may be among them: it has no valid entry.
     ///
     /// # Errors
-    /// When it names nobody.
+    /// When it names no agent.
     pub fn selected(&self, selector: &AgentSelector) -> Result<Tensor> {
         let (n_rows, n_agents) = self.motorized.dims2()?;
         if selector.name() == AgentSelector::ALL {
@@ -169,7 +169,7 @@ impl SceneContext {
     /// The place on the agent axis of the one agent that `selector` names, row by row.
     ///
     /// # Errors
-    /// When it names nobody, or everybody.
+    /// When it names no agent, or all of them.
     pub(super) fn slots(&self, selector: &AgentSelector) -> Result<&[usize]> {
         match (selector.name(), self.roles.get(selector.name())) {
             (_, Some(slots)) => Ok(slots),
@@ -180,7 +180,7 @@ impl SceneContext {
         }
     }
 
-    /// 1 where a term over the states of `order` + 1 timesteps from t on counts, (B, A, T - `order`): all of them are
+    /// 1 if a term over the states of `order` + 1 timesteps from t on counts, (B, A, T - `order`): all of them are
     /// valid, and at least one is generated.
     ///
     /// # Errors

@@ -24,7 +24,7 @@ fn roles() -> Roles {
 #[test]
 fn contexts_know_who_is_who() {
     let (mut scenes, roles) = ([scene(0), scene(1)], roles());
-    // In the second scene the one behind comes first.
+    // In the second scene the agent behind comes first.
     scenes[1].tracks.rotate_left(1);
     let egos = [1, 0];
     let mask = ObservationMask::predictive(3, N_TIMESTEPS, N_HISTORY);

@@ -11,7 +11,7 @@ pub(crate) const N_TIMESTEPS: usize = 12;
 pub(crate) const N_HISTORY: usize = 4;
 const DT_S: f64 = 0.25;
 
-/// Two cars side by side; the second moves over in front of the first where `is_positive`. The history says nothing.
+/// Two cars side by side; if `is_positive`, the second moves over in front of the first. The history gives no hint.
 pub(crate) fn scene(idx: usize) -> Scene {
     let mut rng = Seed(17).derive("scene", &[idx as u64]).rng();
     let is_positive = is_positive(idx);
@@ -61,7 +61,7 @@ pub(crate) fn scene(idx: usize) -> Scene {
     }
 }
 
-/// One positive scene among four.
+/// One scene in four is positive.
 pub(crate) const fn is_positive(idx: usize) -> bool {
     idx.is_multiple_of(4)
 }

@@ -1,4 +1,4 @@
-//! Does guidance push the right way, exactly as far as theory says? Checked on a mixture under a linear tilt.
+//! Does guidance push in the right direction, exactly as far as in theory? Checked on a mixture under a linear tilt.
 
 use super::*;
 use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};
@@ -139,7 +139,7 @@ fn the_gate_closes_and_the_limit_holds() {
 
 #[test]
 fn the_denoiser_is_not_differentiated_through() {
-    /// Fails when it is given a tensor with a graph behind it.
+    /// Fails if it gets a tensor with a graph.
     struct Opaque<'a>(&'a MixtureDenoiser, Cell<usize>);
     impl Denoiser for Opaque<'_> {
         fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {

@@ -40,7 +40,7 @@ pub(super) struct WantedTurn {
 
 impl TurningWay {
     /// The way on from `pose` along the lanes that reaches the target change of heading first; without lanes, an arc
-    /// that an agent of `reach_m` meters of way within the scene can drive. `None` if no lane turns so.
+    /// that an agent that drives `reach_m` meters within the scene can drive. `None` if no lane turns in this way.
     pub(super) fn of(lanes: &LaneWays, pose: WayPose, wanted: WantedTurn, reach_m: f64) -> Option<Self> {
         if lanes.is_empty() {
             return Self::along(arc(pose, wanted, reach_m), pose, wanted);
@@ -50,9 +50,9 @@ impl TurningWay {
         ways.min_by(|a, b| ahead_m(a).total_cmp(&ahead_m(b)))
     }
 
-    /// Where an agent that drives steps of these lengths should be on the line after each of them, meters: as far as it
-    /// has driven, but with a target mean speed in the bend, and evenly farther or less far where that does not end at
-    /// a target station.
+    /// The stations at which an agent that drives steps of these lengths should be on the line after each of them,
+    /// meters: as far as it has driven, but with a target mean speed in the bend, and evenly farther or less far if
+    /// that does not end at a target station.
     pub(super) fn stations_m(&self, steps_m: &[f64], wanted_step_m: [f64; 2]) -> Vec<f64> {
         let driven_m = |steps_m: &[f64]| -> Vec<f64> {
             let so_far = steps_m.iter().scan(self.start_m, |at_m, step_m| {
@@ -154,7 +154,7 @@ mod tests {
             // 70 % of 22.44 m are a quarter of a circle of 10 m, which ends 10 m ahead and aside.
             let way = TurningWay::of(&none, POSE, wanted, 5.0 * std::f64::consts::PI / 0.7).unwrap();
             assert!(way.line.0[way.line.0.len() - 2].distance(Vec2::new(10.0, sign * 10.0)) < 1e-9);
-            // The target change is reached where 1.371 rad of 10 m are driven, after 60 m before the pose.
+            // The target change is reached after 1.371 rad at 10 m, and 60 m before the pose.
             assert!((way.wanted_m[0] - 60.0 - 13.71).abs() < 0.5, "{:?}", way.wanted_m);
             assert!(way.bend_m[0] < 62.5 && way.bend_m[1] < way.wanted_m[0]);
         }
@@ -182,7 +182,7 @@ mod tests {
         let none = LaneWays::new(&LaneGraph::default().into(), &Transform2::IDENTITY);
         let wanted = WantedTurn { sign: 1.0, change_rad: [1.0, 1.4], from_rad: -1.5 };
         let way = TurningWay::of(&none, POSE, wanted, 20.0).unwrap();
-        // It has turned by 1.5 rad already: more than the most.
+        // It has turned by 1.5 rad already: more than the maximum.
         assert!((way.wanted_m[0] - 60.0).abs() < 1e-9, "{:?}", way.wanted_m);
     }
 }

@@ -31,11 +31,12 @@ const MAX_SPEED_MPS: f64 = 1e6;
 /// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.
 ///
 /// The ego is the focal track; if there is none at present, a seeded draw among the motorized tracks that are tracked
-/// throughout, or else among those tracked at present; parked ones come last. `map` is `None` if scenes need no lanes.
+/// throughout, or otherwise among those tracked at present; parked ones come last. `map` is `None` if scenes need no
+/// lanes.
 ///
 /// # Errors
-/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego`, those with `no_lanes_in_radius` of the
-/// map, and those of which most tracks are not plausible.
+/// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego` or with `no_lanes_in_radius` of the
+/// map, and scenes in which most tracks are implausible.
 pub(super) fn assemble(
     mut raw: RawScene,
     map: Option<&LaneIndex>,
@@ -109,7 +110,7 @@ pub(super) fn assemble(
     Ok((scene, counts))
 }
 
-/// Replaces recorded velocities by those that follow from the positions, and counts the tracks whose recorded ones
+/// Replaces recorded velocities by those derived from the positions, and counts the tracks whose recorded ones
 /// disagree.
 fn derive_velocities(raw: &mut RawScene, counts: &mut IngestReport) {
     for track in &mut raw.tracks {
@@ -168,7 +169,7 @@ fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, Stat
         let mut eligible: Vec<usize> = (0..raw.tracks.len())
             .filter(|idx| raw.tracks[*idx].class.is_motorized() && is_eligible(&raw.tracks[*idx]))
             .collect();
-        // Numbers in their order, whatever the order of rows in the recording.
+        // By number, whatever the order of rows in the recording.
         eligible.sort_by_key(|idx| (raw.tracks[*idx].id.0.len(), &raw.tracks[*idx].id.0));
         let drawn = seed.derive_named("ego", &raw.id.0).rng().below(eligible.len());
         eligible.get(drawn).copied()
@@ -182,8 +183,8 @@ fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, Stat
     raw.tracks[ego_idx].trajectory.get(present).map(|state| (ego_idx, *state))
 }
 
-/// The tracks that take part, by ascending index: the ego, and the nearest of those present up to the cap, parked
-/// vehicles behind all others.
+/// The tracks of the scene, by ascending index: the ego, and the nearest of those present up to the cap, with parked
+/// vehicles last.
 fn choose_agents(
     tracks: &[Track],
     ego_idx: usize,

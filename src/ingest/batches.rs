@@ -5,14 +5,14 @@ use super::raw::{RawUnit, Reject};
 use std::ops::ControlFlow;
 use std::sync::mpsc::SyncSender;
 
-/// Units that are parsed together.
+/// Units to be parsed together.
 pub(super) type Batch = Vec<Result<RawUnit, Reject>>;
 
 /// Maximum number of units of a batch.
 const MAX_UNITS: usize = 64;
 
 /// Bytes at which a batch ends. Two batches are in memory at a time, one being filled and one parsed, and the scenes
-/// that are made, wait, or are stored.
+/// that are being made, wait, or are being stored.
 const MAX_BYTES: u64 = 32 << 20;
 
 /// Collects units into batches and sends them. The end of a batch depends only on its own units, so batches are the
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
     use std::sync::mpsc::sync_channel;
 
-    /// Sizes of the batches that units of these sizes come in.
+    /// Sizes of the batches for units of these sizes.
     fn batch_sizes(n_to_skip: u64, unit_bytes: &[u64]) -> Vec<usize> {
         let (sender, receiver) = sync_channel(unit_bytes.len() + 1);
         let mut batches = BatchSender::new(sender, n_to_skip);

@@ -26,7 +26,7 @@ pub(super) fn split_cells<'a>(line: &'a [u8], cells: &mut Vec<&'a [u8]>) {
     cells.push(&line[start..]);
 }
 
-/// A bit for each byte, the first the lowest: whether it is a comma.
+/// A mask of the commas, one bit for each byte, the first byte in the lowest bit.
 fn commas_of(block: &[u8; 64]) -> u64 {
     let mut commas = 0;
     for (i, bytes) in block.as_chunks().0.iter().enumerate() {
@@ -42,7 +42,7 @@ const fn each(byte: u8) -> u64 {
     u64::from_ne_bytes([byte; 8])
 }
 
-/// The highest bit of each byte of `word` that is `byte`, and no other bit: nothing is carried from byte to byte.
+/// The highest bit of each byte of `word` that equals `byte`, and no other bit: nothing is carried from byte to byte.
 const fn equal_bytes(word: u64, byte: u8) -> u64 {
     let differing = word ^ each(byte);
     !(((differing & each(0x7f)) + each(0x7f)) | differing | each(0x7f))

@@ -46,7 +46,7 @@ impl<'a> Lines<'a> {
         if let Some(end) = end {
             self.n_shown = end + 1;
             self.number += 1;
-            // The buffer is full still, so that nothing is read here.
+            // The buffer is still full, so nothing is read here.
             let line = clean(&self.reader.fill_buf()?[..end], self.number);
             self.n_empty = if line.is_empty() { self.n_empty + 1 } else { 0 };
             if self.n_empty > MAX_EMPTY_LINES {
@@ -77,7 +77,7 @@ impl<'a> Lines<'a> {
         Ok(Some((self.number, clean(&self.line, self.number))))
     }
 
-    /// Appends what follows the last line to `bytes`.
+    /// Appends the bytes after the last line to `bytes`.
     ///
     /// # Errors
     /// When the stream cannot be read, or, as [`io::ErrorKind::FileTooLarge`], when more than `max_bytes` follow.

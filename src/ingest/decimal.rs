@@ -26,7 +26,7 @@ pub(super) fn whole_number(cell: &[u8]) -> Option<i64> {
     }
 }
 
-/// At most 15 digits and nothing else.
+/// A whole number of at most 15 digits, without a sign.
 fn short_whole(cell: &[u8]) -> Option<i64> {
     if cell.is_empty() || cell.len() > MAX_DIGITS {
         return None;

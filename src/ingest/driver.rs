@@ -1,4 +1,4 @@
-//! Reads, parses and assembles in parallel, and hands the scenes on in the order of the recordings.
+//! Reads, parses and assembles in parallel, and passes on the scenes in the order of the recordings.
 
 use super::archive::visit_entries;
 use super::assemble::assemble;
@@ -26,7 +26,7 @@ pub struct IngestBatch {
     /// The scenes.
     pub scenes: Vec<Scene>,
     /// Maps that these scenes are the first to need, whole, in the recording's frame. After resuming, maps of earlier
-    /// batches come again.
+    /// batches are repeated.
     pub maps: Vec<(MapId, LaneGraph)>,
     /// Units done after this batch: resuming after them continues with the next batch. `None` if the scenes of its last
     /// unit continue in the next batch.
@@ -35,15 +35,16 @@ pub struct IngestBatch {
     pub report: IngestReport,
 }
 
-/// Reads the recordings of `config.inputs` and hands their scenes to `sink`, batch after batch, in a thread of its own.
+/// Reads the recordings of `config.inputs` and passes their scenes to `sink`, batch after batch, in a thread of its
+/// own.
 ///
 /// Batches, scenes and reports depend on the inputs and the configuration only, not on threads. To resume, pass the
-/// merged reports of the batches that were stored as `done`: their units are read over without being parsed. Returns
-/// the report of everything, `done` included.
+/// merged reports of the stored batches as `done`: their units are skipped without being parsed. Returns the report on
+/// everything, including `done`.
 ///
 /// # Errors
 /// An input that cannot be read, a missing or damaged map, no scenes at all, or a failing sink. A damaged recording
-/// among many is no error: it is counted as a reject.
+/// among many is not an error: it is counted as a reject.
 pub fn ingest(
     config: &IngestConfig,
     done: Option<&IngestReport>,
@@ -63,7 +64,7 @@ pub fn ingest(
     progress.start("ingest", config.limit.unwrap_or(0), "scenes");
     progress.advance(total.n_scenes);
     let parser = UnitParser { config, source, maps: &maps, places };
-    // Units are read, parsed and stored at the same time; parsing is what takes all threads.
+    // Units are read, parsed and stored at the same time; only parsing uses all threads.
     let seen = std::thread::scope(|scope| {
         // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
@@ -85,7 +86,7 @@ pub fn ingest(
         progress.warn(&format!("{} rejected as {reason}, the first: {first}", rejects.count));
     }
     total.warnings().for_each(|warning| progress.warn(&warning));
-    // These were said when the maps were read. No batch has them: which one would, depends on what was done before.
+    // These were announced when the maps were read. No batch has them: which one would depends on what was done before.
     maps.findings.into_iter().for_each(|finding| total.count_warning(finding));
     if total.n_scenes == 0 {
         let none = || Error::NoScenes { files: seen.summary(config), report: Box::new(total) };
@@ -97,7 +98,7 @@ pub fn ingest(
     Ok(total)
 }
 
-/// The files that the reader came across.
+/// The files that the reader has seen.
 #[derive(Default)]
 struct SeenFiles {
     n_recordings: u64,
@@ -174,16 +175,16 @@ fn read_batches(
     seen.into_inner()
 }
 
-/// The reject of a file that is named as a copy of another: its scenes would count twice.
+/// The reject for a file that is named as a copy of another: its scenes would count twice.
 fn copy(path: &str) -> Reject {
     let detail = format!("{path}: it is named as a copy; give each recording once, or rename it if it is another one");
     Reject { reason: "recording_repeated", detail }
 }
 
-/// Most scenes that are made at a time: a recording holds thousands.
+/// The most scenes to make at a time: a recording holds thousands.
 const MAX_SCENES: usize = 64;
 
-/// A scene to be made, or what is known of a unit without any.
+/// A scene to be made, or the outcome of a unit without any.
 struct Pending<'a> {
     /// The size of the unit that begins with it.
     n_unit_bytes: Option<u64>,
@@ -266,7 +267,7 @@ impl UnitParser<'_> {
         outcomes.into_iter().zip(begins).map(|(make, n_unit_bytes)| Pending { n_unit_bytes, make }).collect()
     }
 
-    /// Why the configuration leaves a unit out, if it does.
+    /// The reason for which the configuration leaves a unit out, if it does.
     fn reason_unwanted(&self, unit: &RawUnit) -> Option<&'static str> {
         if let UnitSplit::All(split) = unit.split
             && !self.config.wants_split(split)

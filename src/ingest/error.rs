@@ -37,7 +37,7 @@ impl From<&str> for Malformed {
     }
 }
 
-/// Why an ingest cannot go on.
+/// Why an ingest cannot continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -49,7 +49,7 @@ pub enum Error {
         /// The fault, and what to write instead.
         detail: String,
     },
-    /// The operating system refused to read an input; its message names the path.
+    /// An input that the operating system could not read; the message names the path.
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// A folder, archive or compressed file cannot be read to its end.
@@ -82,7 +82,7 @@ pub enum Error {
         dataset: &'static str,
         /// The inputs that were searched.
         searched: String,
-        /// Archives among them that are not read.
+        /// Archives among them that are not supported.
         passed_over: Vec<String>,
     },
     /// Maps are required and some places lack one.
@@ -96,13 +96,13 @@ pub enum Error {
         missing: Vec<String>,
         /// Maps that were found.
         found: Vec<String>,
-        /// Archives that are not read.
+        /// Archives that are not supported.
         passed_over: Vec<String>,
     },
     /// Everything was read, but there are no scenes.
     #[error("no scenes: {files}; {}", .report.summary())]
     NoScenes {
-        /// The files that were seen.
+        /// The files that were found.
         files: String,
         /// The report on them.
         report: Box<IngestReport>,

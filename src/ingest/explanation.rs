@@ -1,4 +1,4 @@
-//! What was understood of recordings, for people to compare with what they know of them.
+//! Figures on recordings as they were understood, for people to compare with what they know.
 
 use super::report::IngestReport;
 use crate::geometry::{Vec2, angle_difference};
@@ -7,7 +7,7 @@ use crate::scene::{AgentClass, Scene, State, Track};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Display};
 
-/// Who moves faster has a direction of motion, m/s.
+/// Agents faster than this have a direction of motion, m/s.
 const MOVING_MPS: f64 = 1.0;
 /// A vehicle this near to the center of a lane is on it, meters.
 const ON_LANE_M: f64 = 2.0;
@@ -26,16 +26,16 @@ pub struct Explanation {
 struct ClassFacts {
     class: AgentClass,
     n_tracks: usize,
-    /// Median length and width, meters; `None` where none is recorded.
+    /// Median length and width, meters; `None` if none is recorded.
     size_m: Option<[f64; 2]>,
     /// The 5th, 50th and 95th percentile of speeds, m/s.
     speeds_mps: [f64; 3],
-    /// Median angle between heading and motion of those who move, degrees.
+    /// Median angle between heading and motion of moving agents, degrees.
     slip_deg: Option<f64>,
 }
 
 impl Explanation {
-    /// Explains `scenes`, of which there is at least one, and the report on them.
+    /// Explains `scenes`, at least one, and the report on them.
     pub fn of(scenes: &[Scene], report: &IngestReport) -> Self {
         let places: BTreeSet<&str> = scenes.iter().map(|scene| scene.source.place.as_str()).collect();
         let files: BTreeSet<&str> = scenes.iter().map(|scene| scene.source.file.as_str()).collect();
@@ -118,7 +118,7 @@ fn extent_of(scenes: &[Scene]) -> String {
     )
 }
 
-/// How many vehicles that move at present are on a lane and along it; `None` without lanes.
+/// How many of the vehicles that move at present are on a lane and along it; `None` without lanes.
 fn on_lanes(scenes: &[Scene]) -> Option<String> {
     let (mut n, mut n_on, mut n_along) = (0_u32, 0_u32, 0_u32);
     for (scene, track) in

@@ -20,7 +20,7 @@ pub(super) fn file_stem(path: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// Whether a file is an archive by its name. Those that are read are entered; what comes as a file is one of another
+/// Whether a file is an archive by its name. Supported archives are entered; one that arrives as a file is of another
 /// kind, within an archive, or damaged.
 pub(super) fn is_archive(path: &str) -> bool {
     const ARCHIVES: [&str; 12] =
@@ -30,7 +30,7 @@ pub(super) fn is_archive(path: &str) -> bool {
     ARCHIVES.iter().any(|suffix| lower.ends_with(suffix) || part.ends_with(suffix))
 }
 
-/// The reject of an archive that comes as a file: what it holds is not read.
+/// The reject for an archive that arrives as a file: its content is not read.
 pub(super) fn passed_over(path: &str, reader: &mut dyn BufRead) -> Reject {
     let why = reader.fill_buf().map_or_else(
         |error| error.to_string(),
@@ -42,8 +42,7 @@ pub(super) fn passed_over(path: &str, reader: &mut dyn BufRead) -> Reject {
     Reject { reason: "archive_passed_over", detail: format!("{path}: {why}") }
 }
 
-/// Whether a file is named as the copy that a browser or a file manager makes beside a file: `x (1).csv`,
-/// `x - Copy.csv`.
+/// Whether a file has the name that a browser or a file manager gives to a copy: `x (1).csv`, `x - Copy.csv`.
 pub(super) fn is_copy(path: &str) -> bool {
     let stem = file_name(path).split('.').next().unwrap_or_default();
     let numbered = stem.strip_suffix(')').and_then(|stem| stem.rsplit_once(" ("));
@@ -56,7 +55,7 @@ pub(super) fn split_of_path(path: &str) -> Option<Split> {
     path.rsplit('/').find_map(split_of_name)
 }
 
-/// The split that the folders of an entry name, or else the name of its container (or of the folder around it).
+/// The split that the folders of an entry name, or otherwise the name of its container (or of the folder around it).
 pub(super) fn split_of_entry(entry: &Entry) -> Split {
     let name_of = |path: &Path| path.file_name().and_then(|name| split_of_name(&name.to_string_lossy()));
     split_of_path(&entry.path)

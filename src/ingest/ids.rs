@@ -1,6 +1,6 @@
-//! Is one number written in two ways among the ids of a recording, such as `7` and `07`?
+//! Finds ids of a recording that may be the same number, such as `7` and `07`.
 //!
-//! Ids are texts: `07` is kept as it is written. Where `7` is there as well, nobody can tell whether they are one.
+//! Ids are texts: `07` is kept as written. If there is `7` as well, nobody can tell whether they are the same.
 
 use super::quotes::printable;
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// The reason of rejects.
 pub(super) const AMBIGUOUS: &str = "ambiguous_id";
 
-/// Each id that is another spelling of an earlier one, behind that one.
+/// Each id that is another spelling of an earlier one, after that one.
 pub(super) fn ambiguous<'a>(ids: impl Iterator<Item = &'a [u8]>) -> impl Iterator<Item = [&'a [u8]; 2]> {
     let mut numbers: BTreeMap<&[u8], &[u8]> = BTreeMap::new();
     ids.filter_map(move |id| Some([*numbers.entry(number(id)?).or_insert(id), id])).filter(|[first, id]| first != id)
@@ -20,7 +20,7 @@ pub(super) fn in_words(what: &str, pair: [&[u8]; 2]) -> String {
     format!("{what} {first} is also written {id}; write each id in one way")
 }
 
-/// The digits of the whole number that an id is, without those that may be left out.
+/// The digits of an id that is a whole number, without optional ones.
 fn number(id: &[u8]) -> Option<&[u8]> {
     let id = id.strip_prefix(b"+").unwrap_or(id);
     let mut parts = id.splitn(2, |byte| *byte == b'.');

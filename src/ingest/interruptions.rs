@@ -1,21 +1,22 @@
-//! What a tracker lost for a moment: gaps within tracks are counted, and a track that goes on under another id is one.
+//! Short losses of a tracker: gaps within tracks are counted, and tracks that continue under another id are joined.
 
 use super::raw::{Finding, RawScene};
 use super::report::IngestReport;
 use crate::geometry::angle_difference;
 use crate::scene::{Dataset, Derivation, State, Track, TrackRole, Trajectory};
 
-/// Longest gap of this kind, seconds.
+/// Longest short gap, seconds.
 const MAX_GAP_S: f64 = 1.0;
-/// Who goes on is this near to where the last motion leads, meters, with this speed, m/s, and heading, radians.
+/// A continuation is this close to where the last motion leads, meters, with this close a speed, m/s, and heading,
+/// radians.
 const MAX_OFF_M: f64 = 1.0;
 const MAX_OFF_MPS: f64 = 3.0;
 const MAX_OFF_RAD: f64 = 0.5;
-/// Its size differs by less, meters.
+/// Its size differs by less than this, meters.
 const MAX_OFF_SIZE_M: f64 = 0.5;
 
 /// Joins tracks that continue others, and counts them and the gaps within tracks. Tracks with a role in their dataset
-/// stay as they are, and so do those of Argoverse's benchmarks.
+/// stay as they are, as do tracks of Argoverse's benchmarks.
 pub(super) fn mend(raw: &mut RawScene, counts: &mut IngestReport) {
     let max_gap = (MAX_GAP_S / raw.dt_s).round() as usize;
     let is_benchmark = matches!(raw.source.dataset, Dataset::Argoverse1 | Dataset::Argoverse2);
@@ -26,7 +27,7 @@ pub(super) fn mend(raw: &mut RawScene, counts: &mut IngestReport) {
         let next = |later: &usize| continues(&raw.tracks[idx], &raw.tracks[*later], raw.dt_s, max_gap);
         let others = (0..raw.tracks.len()).filter(|later| *later != idx && !is_benchmark);
         let candidates: Vec<usize> = others.filter(next).collect();
-        // Of several, none is it for sure.
+        // Among several, none is certain.
         let [later] = candidates[..] else {
             idx += 1;
             continue;
@@ -70,7 +71,7 @@ fn continues(track: &Track, later: &Track, dt_s: f64, max_gap: usize) -> bool {
     is_free && is_near && is_as_fast && turns(last, first) && is_as_large
 }
 
-/// The first track with the states of the second.
+/// The first track, extended by the states of the second.
 fn join(track: &Track, later: &Track) -> Track {
     let [own, more] = [track, later].map(|track| track.trajectory.entries());
     let trajectory = Trajectory::new(own.iter().zip(more).map(|(own, more)| own.or(*more)).collect());
@@ -95,7 +96,7 @@ mod tests {
     use crate::scene::testing::{Drive, scene, without_states};
 
     fn mended(change: impl Fn(&mut crate::scene::Scene)) -> [Vec<String>; 2] {
-        // The second goes on where the first would be after 0.7 s; the third is far away.
+        // The second continues where the first would be after 0.7 s; the third is far away.
         let drives = [0.0, 0.0, 50.0].map(|x| Drive::straight(x, 1.0, 0.2, 10.0));
         let scene = without_states(scene(&drives), 0, |timestep| timestep > 4);
         let mut scene = without_states(without_states(scene, 1, |timestep| timestep < 8), 2, |t| t == 5 || t == 6);

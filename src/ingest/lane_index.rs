@@ -60,7 +60,7 @@ impl LaneIndex {
     }
 }
 
-/// All points within a distance of one.
+/// All points within a distance of a center.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Circle {
     pub(super) center: Vec2,

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-/// Makes a graph of lanes whose connections are as a map lists them.
+/// Makes a graph of lanes from the connections that a map lists.
 ///
 /// Maps list a connection at one end only, to lanes outside the file, or to the lane itself: here every successor has
 /// its predecessor and nothing dangles. Maps also list the lane across the dividing line as a neighbor: a neighbor in

@@ -24,9 +24,9 @@ pub(super) struct MapCatalog {
     maps: BTreeMap<MapId, Listed>,
     /// Maps that cannot be read, which is an error only for recordings that need them.
     broken: BTreeMap<MapId, Broken>,
-    /// Archives among the inputs that are not read.
+    /// Archives among the inputs that are not supported.
     passed_over: BTreeSet<String>,
-    /// What is doubtful in the maps and was left out of them, for the report; it has been said.
+    /// Doubts about the maps and lanes left out of them, for the report; the user has been warned of them.
     pub(super) findings: Vec<Finding>,
 }
 
@@ -51,7 +51,7 @@ struct Listed {
 }
 
 impl MapCatalog {
-    /// Reads the maps among `map_inputs`, or else among the inputs themselves.
+    /// Reads the maps among `map_inputs`, or otherwise among the inputs themselves.
     ///
     /// # Errors
     /// When none is found, or a place named by the recordings' paths lacks one or has one that cannot be read.
@@ -158,7 +158,7 @@ impl MapCatalog {
         Ok(())
     }
 
-    /// The map of this id.
+    /// The map with this id.
     pub(super) fn get(&self, id: &MapId) -> Option<&LaneIndex> {
         self.maps.get(id).map(|listed| &listed.lanes)
     }
@@ -166,7 +166,8 @@ impl MapCatalog {
     /// Fails if any map is missing.
     ///
     /// # Errors
-    /// [`Error::Map`] for one that cannot be read; else [`Error::MissingMaps`] names them, and those that were found.
+    /// [`Error::Map`] for one that cannot be read; otherwise [`Error::MissingMaps`], which names the missing maps and
+    /// those that were found.
     pub(super) fn require(&self, missing: impl Iterator<Item = MapId>) -> Result<(), Error> {
         let missing: Vec<MapId> = missing.collect();
         if let Some(broken) = missing.iter().find_map(|id| self.broken.get(id)) {
@@ -181,7 +182,7 @@ impl MapCatalog {
     }
 }
 
-/// Whether two maps have the same lanes, but for the digits with which they are written.
+/// Whether two maps have the same lanes, apart from the digits with which they are written.
 fn are_alike(one: &LaneGraph, other: &LaneGraph) -> bool {
     const MAX_DISTANCE_M: f64 = 0.1;
     let is_near = |a: &Lane, b: &Lane| {
@@ -200,7 +201,7 @@ mod tests {
     use crate::scene::Dataset;
     use std::sync::Mutex;
 
-    /// Keeps what the user is told.
+    /// Keeps the messages to the user.
     #[derive(Default)]
     struct Told(Mutex<Vec<String>>);
 
@@ -245,7 +246,7 @@ mod tests {
         fs_err::copy(map, folder.path().join("maps/FIX_Intersection.osm")).unwrap();
         let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
         let read = || MapCatalog::read(&config, &Interaction::new(&config), &Places::of(&config), &Silent);
-        // A map that nobody needs may be broken.
+        // A map that is not needed may be broken.
         fs_err::write(folder.path().join("maps/FIX_Nowhere.osm"), "<osm>").unwrap();
         assert_eq!(read().unwrap().maps.len(), 1);
         for place in ["FIX_Intersection", "FIX_Elsewhere"] {

@@ -22,7 +22,7 @@ impl MapReport {
         self.warnings.entry(reason).or_default().add(1, detail);
     }
 
-    /// The warnings for the report of the scene that brings the map, which is in `file`.
+    /// The warnings for the report on the scene with this map, which is in `file`.
     pub(super) fn findings(&self, file: &str) -> Vec<Finding> {
         let one = |(what, found): (&&'static str, &RejectCount)| {
             let detail = format!("{file}: {}", found.examples.join("; "));

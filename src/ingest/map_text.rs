@@ -4,10 +4,10 @@ use super::error::Error;
 use std::borrow::Cow;
 use std::io::{BufRead, Read};
 
-/// The text of the map in `file`, which may have `max_bytes`, without a byte order mark.
+/// The text of the map in `file`, of at most `max_bytes`, without a byte order mark.
 ///
 /// # Errors
-/// [`Error::Map`] when it cannot be read, is larger, or is in another encoding than it says.
+/// [`Error::Map`] when it cannot be read, is larger, or is not in its declared encoding.
 pub(super) fn read_text(reader: &mut dyn BufRead, max_bytes: u64, file: &str) -> Result<String, Error> {
     let error = |what: String| Error::map(file, "", what);
     let mut bytes = Vec::new();
@@ -28,8 +28,8 @@ pub(super) fn line_at(bytes: &[u8], at: usize) -> usize {
     1 + memchr::memchr_iter(b'\n', &bytes[..at.min(bytes.len())]).count()
 }
 
-/// The text of a document in UTF-8, in UTF-16 with a byte order mark, or in ISO-8859-1 if it says so; or the first byte
-/// that is none.
+/// The text of a document in UTF-8, in UTF-16 with a byte order mark, or in ISO-8859-1 if it declares so; or the
+/// position of the first byte that cannot be decoded.
 fn decoded(bytes: &[u8]) -> Result<Cow<'_, str>, usize> {
     let utf8 = match std::str::from_utf8(bytes) {
         Ok(text) => return Ok(text.into()),

@@ -1,4 +1,4 @@
-//! Recordings of one file each, or of two, which come in any order: a recording and the file that belongs to it.
+//! Recordings of one file each, or of two files that arrive in any order: a recording and its companion.
 
 use super::archive::Entry;
 use super::error::Error;
@@ -13,9 +13,9 @@ use std::ops::ControlFlow;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PairNames<'a> {
     pub(super) recordings: &'a str,
-    /// The files that belong to recordings; `None` if recordings are complete without.
+    /// The companions of recordings; `None` if recordings are complete without.
     pub(super) companions: Option<&'a str>,
-    /// Most bytes of a file, and most that may wait for their counterparts.
+    /// The most bytes of a file, and the most that may wait for their counterparts.
     pub(super) max_bytes: u64,
     /// The reason to reject a recording without its companion, and what else the user can do.
     pub(super) alone: (&'static str, &'static str),
@@ -34,10 +34,10 @@ impl<'a> PairNames<'a> {
         Self { recordings, companions: None, max_bytes: MAX_WHOLE_FILE_BYTES, alone: ("", "") }
     }
 
-    /// What `*` stands for in the name of a file, and which part it is; `None` if it is neither.
+    /// The text for `*` in the name of a file, and which part the file is; `None` if it is neither.
     pub(super) fn part_of<'p>(&self, path: &'p str) -> Option<(&'p str, PairPart)> {
         let within = |pattern: &str| star_of(pattern, file_name(path));
-        // `*_tracks.csv` and `*.csv`: the longer one is meant.
+        // `*_tracks.csv` and `*.csv`: the longer one applies.
         let companion = self.companions.and_then(|names| Some((names, within(names)?)));
         match (within(self.recordings), companion) {
             (Some(_), Some((names, star))) if names.len() > self.recordings.len() => Some((star, PairPart::Companion)),
@@ -48,18 +48,18 @@ impl<'a> PairNames<'a> {
     }
 }
 
-/// What the first `*` of a pattern stands for in a name; all of it in a pattern without.
+/// The text for the first `*` of a pattern in a name; the whole name in a pattern without `*`.
 fn star_of<'p>(pattern: &str, name: &'p str) -> Option<&'p str> {
     let Some((prefix, suffix)) = pattern.split_once('*') else { return (pattern == name).then_some(name) };
     name.strip_prefix(prefix)?.strip_suffix(suffix)
 }
 
-/// Emits a recording as soon as its companion has come, or at once if it needs none.
+/// Emits a recording as soon as its companion has arrived, or at once if it needs none.
 pub(super) struct PairReader<'a> {
     names: PairNames<'a>,
-    /// By folder and recording.
+    /// Companions by folder and recording.
     companions: BTreeMap<String, Companion>,
-    /// By folder and recording, with the order of arrival.
+    /// Recordings by folder and recording, with the order of arrival.
     recordings: BTreeMap<String, (u64, RawUnit)>,
     n_arrived: u64,
     n_waiting_bytes: usize,

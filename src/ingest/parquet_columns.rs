@@ -14,7 +14,7 @@ use std::io::{BufRead, Read};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Limits of a file: a small one may hold gigabytes.
+/// Limits of a file, since a small one may hold gigabytes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limits {
     pub(super) n_rows: usize,
@@ -31,7 +31,7 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// Decodes the columns of a Parquet file with these `names`, and with those `numbers` that are numbers.
+    /// Decodes the columns of a Parquet file with these `names`; those in `numbers` must be numbers.
     pub(super) fn read(bytes: &[u8], names: &[&str], numbers: &[&str], limits: Limits) -> Result<Self, Malformed> {
         let damaged = || Err("the file is damaged beyond decoding".into());
         let decoded = contained(|| decode(bytes, names, numbers, limits)).unwrap_or_else(damaged)?;
@@ -82,7 +82,7 @@ impl Columns {
         Ok(numbers.iter().map(|number| number.unwrap_or(f64::NAN)).collect())
     }
 
-    /// A column of text or whole numbers, of which some may be missing.
+    /// A column of text or whole numbers, some of which may be missing.
     pub(super) fn text_or_null(&self, name: &str) -> Result<StringArray, Malformed> {
         let is_text = |found: &DataType| is_string(found) || found.is_integer();
         let column = self.converted(name, &DataType::Utf8, "text", is_text)?;
@@ -152,7 +152,7 @@ fn lost(name: &str) -> Malformed {
     format!("column {name} cannot be converted").into()
 }
 
-/// The schema in which the columns of these `names` are decoded: texts as views, so that rows share a long text.
+/// The schema in which the columns with these `names` are decoded: texts as views, so that rows share a long text.
 /// Rejects columns that are neither numbers nor text.
 fn views(schema: &Schema, names: &[&str]) -> Result<SchemaRef, Malformed> {
     let in_view = |field: &FieldRef| -> Result<FieldRef, Malformed> {
@@ -207,7 +207,7 @@ fn decode(
     Ok((concat_batches(&first.schema(), &batches)?, names_of(&schema)))
 }
 
-/// What the last bytes of a file of `n_bytes` say of it; `None` if it takes more of them.
+/// The footer of a file of `n_bytes`, from its last bytes; `None` if more of them are needed.
 pub(super) fn read_footer(last: &[u8], n_bytes: u64) -> Result<Option<ParquetMetaData>, Malformed> {
     let mut decoder = ParquetMetaDataPushDecoder::try_new(n_bytes)?.with_page_index_policy(PageIndexPolicy::Skip);
     decoder.push_range(n_bytes.saturating_sub(last.len() as u64)..n_bytes, last.to_vec().into())?;
@@ -237,10 +237,10 @@ fn decoder(
 
 /// Rows that a [`Stream`] decodes at a time.
 const N_ROWS_AT_A_TIME: usize = 8192;
-/// Most bytes of a column that a [`Stream`] holds, compressed.
+/// The most bytes of a column that a [`Stream`] holds, compressed.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
-/// Some columns of a file that comes as a stream, some rows at a time. Memory is that of a row group, compressed.
+/// Some columns of a file that arrives as a stream, some rows at a time. Memory is that of a row group, compressed.
 pub(super) struct Stream<'r> {
     file: &'r mut dyn BufRead,
     n_bytes_read: u64,
@@ -249,7 +249,7 @@ pub(super) struct Stream<'r> {
 }
 
 impl<'r> Stream<'r> {
-    /// The columns of these `names` of a file with this footer, read from its beginning.
+    /// The columns with these `names` of a file with this footer, read from its beginning.
     pub(super) fn of(
         file: &'r mut dyn BufRead,
         metadata: &Arc<ParquetMetaData>,
@@ -290,7 +290,7 @@ impl<'r> Stream<'r> {
         }
     }
 
-    /// These bytes of the file, which come behind all that were read.
+    /// These bytes of the file, which come after all that were read.
     fn bytes(&mut self, range: &Range<u64>) -> Result<Vec<u8>, Malformed> {
         let n_bytes = range.end.saturating_sub(range.start);
         let n_between = range.start.checked_sub(self.n_bytes_read).ok_or("its columns are not one after the other")?;

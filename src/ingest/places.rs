@@ -1,11 +1,11 @@
-//! Are the places that a user names among those that there are?
+//! Checks that the places which the user names exist.
 
 use super::config::IngestConfig;
 use super::error::Error;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
-/// The places that files and recordings name, while the configuration names some.
+/// The places that files and recordings name, if the configuration names some.
 pub(super) struct Places<'a> {
     config: &'a IngestConfig,
     found: Mutex<BTreeSet<String>>,
@@ -16,7 +16,7 @@ impl<'a> Places<'a> {
         Self { config, found: Mutex::default() }
     }
 
-    /// A file or a recording is of this place, if it says so.
+    /// Notes the place of a file or a recording, if it names one.
     pub(super) fn note(&self, place: Option<&str>) {
         if let Some(place) = place.filter(|place| !place.is_empty() && !self.config.places.is_empty()) {
             let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
@@ -26,7 +26,7 @@ impl<'a> Places<'a> {
         }
     }
 
-    /// The error that none of the places that the configuration names is there, if that is so and others are.
+    /// The error that none of the places named by the configuration exists, if others do.
     pub(super) fn error(&self) -> Option<Error> {
         let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         let is_there = found.iter().any(|place| self.config.wants_place(place));
@@ -37,7 +37,7 @@ impl<'a> Places<'a> {
         })
     }
 
-    /// A warning about those that the configuration names and that are not there, while others are.
+    /// A warning about places that the configuration names and that do not exist, if others do.
     pub(super) fn warning(&self) -> Option<String> {
         let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = listed(self.config.places.iter().filter(|place| !found.contains(*place)));
@@ -45,8 +45,8 @@ impl<'a> Places<'a> {
     }
 }
 
-/// Why nothing can be stored of a place: what has its name, such as a folder of a corpus, has at most 255 bytes, and
-/// all but letters and digits take three of them.
+/// The reason why a place cannot be stored, if any: a folder of a corpus with its name can have at most 255 bytes, and
+/// all characters but letters and digits take three of them.
 pub(super) fn flaw_of(place: &str) -> Option<String> {
     const MAX_BYTES: usize = 240;
     let n_bytes: usize = place.bytes().map(|byte| if byte.is_ascii_alphanumeric() { 1 } else { 3 }).sum();

@@ -1,30 +1,31 @@
-//! Leaves out the lanes of a map that cannot be lanes, and turns around lines that run against their lane.
+//! Leaves out lanes of a map that cannot be lanes, and turns lines around that run against their lane.
 
 use super::map_report::MapReport;
 use crate::geometry::{Polyline, Vec2};
 use crate::scene::Lane;
 use std::collections::BTreeSet;
 
-/// The width of a lane half way along it, at least, meters: lanes may begin and end in a point.
+/// The least width of a lane half way along it, meters: lanes may begin and end in a point.
 const MIN_WIDTH_M: f64 = 1.0;
-/// The width of a lane anywhere, at most, meters.
+/// The largest width of a lane anywhere, meters.
 const MAX_WIDTH_M: f64 = 20.0;
-/// A centerline is at least this share as long as the shorter bound; and the longer bound, as the centerline.
+/// A centerline has at least this share of the length of the shorter bound, and the longer bound this share of the
+/// centerline's.
 const MIN_LENGTH_SHARE: f64 = 0.5;
-/// A line that turns by more between two segments goes back where it came from, radians.
+/// A line that turns by more than this between two segments doubles back, radians.
 const MAX_TURN_RAD: f64 = 170.0 / 180.0 * std::f64::consts::PI;
-/// Shorter segments turn as they were drawn, meters.
+/// Segments shorter than this may turn in any way, meters.
 const MIN_SEGMENT_M: f64 = 0.5;
-/// How far lines may be off where lanes begin and end in a point, meters.
+/// The tolerance for lines where lanes begin and end in a point, meters.
 const SLACK_M: f64 = 0.3;
-/// A lane is judged at this many points, at least.
+/// The fewest points at which a lane is judged.
 const MIN_POINTS: usize = 5;
 
 /// Why a lane is left out: reason and detail.
 type Flaw = (&'static str, String);
 
-/// The lanes that can be lanes, in their order: the first of each id, whose lines have a length and do not double back,
-/// and whose centerline lies between its bounds, if there are any. The others are reported.
+/// The lanes that can be lanes, in their order: the first with each id, whose lines have a length and do not double
+/// back, and whose centerline lies between its bounds, if there are any. The others are reported.
 pub(super) fn plausible(mut lanes: Vec<Lane>, report: &mut MapReport) -> Vec<Lane> {
     let mut seen = BTreeSet::new();
     lanes.retain(|lane| {
@@ -42,7 +43,7 @@ fn check_lines(lane: &Lane) -> Result<(), Flaw> {
     let bounds = [("left bound", &lane.left), ("right bound", &lane.right)].into_iter().filter(|_| has_bounds);
     for (name, line) in std::iter::once(("centerline", &lane.centerline)).chain(bounds) {
         let length_m = line.length_m();
-        // A length that is not a number is no length either.
+        // A length that is not a number does not count.
         if !(length_m > 1e-3 && length_m.is_finite()) {
             return Err(("lanes_without_length", format!("its {name} has fewer than 2 distinct points")));
         }
@@ -53,7 +54,7 @@ fn check_lines(lane: &Lane) -> Result<(), Flaw> {
     Ok(())
 }
 
-/// Where a line goes back where it came from.
+/// The place at which a line doubles back.
 fn fold(line: &Polyline) -> Option<Vec2> {
     line.0.windows(3).find_map(|points| {
         let (arriving, leaving) = (points[1] - points[0], points[2] - points[1]);
@@ -97,8 +98,8 @@ fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
     Ok(())
 }
 
-/// Whether the left and the right bound of a lane must be turned for the left one to lie left of the right one, as
-/// Lanelet2 does: bounds are drawn in any direction.
+/// Whether the left and the right bound of a lane must be turned for the left one to lie left of the right one, as in
+/// Lanelet2: bounds are drawn in any direction.
 pub(super) fn to_turn(left: &Polyline, right: &Polyline) -> [bool; 2] {
     let turns_left = offset_m(left, middle(right, false)) >= 0.0;
     [turns_left, offset_m(right, middle(left, turns_left)) <= 0.0]
@@ -119,7 +120,7 @@ fn offset_m(line: &Polyline, point: Vec2) -> f64 {
     line.project(point).map_or(0.0, |projection| projection.offset_m)
 }
 
-/// Turns around the lines of a lane that run against the others, and returns whether there were any. Lanes whose lines
+/// Turns lines of a lane around that run against the others, and returns whether there were any. Lanes whose lines
 /// agree stay as they are.
 pub(super) fn turn_around(left: &mut Polyline, right: &mut Polyline, centerline: Option<&mut Polyline>) -> bool {
     let mut is_turned = runs_against(left, right);
@@ -181,7 +182,7 @@ mod tests {
         ];
         let sound = [
             lane(1, &CENTER, &LEFT, &RIGHT),
-            // Without bounds, and from a point on.
+            // Without bounds, and starting from a point.
             lane(2, &CENTER, &[], &[]),
             bend,
             lane(4, &CENTER, &[(0.0, 0.0), (40.0, 2.0)], &[(0.0, 0.0), (40.0, -2.0)]),

@@ -1,4 +1,4 @@
-//! Judges by the motion of vehicles whether a recording means what its format says: radians, meters, m/s, its map.
+//! Judges by the motion of vehicles whether a recording agrees with its format: radians, meters, m/s, its map.
 
 use super::lane_index::{Circle, LaneIndex};
 use super::raw::{Finding, RawScene, Reject};
@@ -6,39 +6,39 @@ use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{AgentClass, DatasetFacts, State, Track, Trajectory};
 use std::f64::consts::TAU;
 
-/// Who moves faster moves along its heading, m/s.
+/// Vehicles faster than this move along their heading, m/s.
 const FAST_MPS: f64 = 5.0;
-/// A track is judged by its motion if it is fast for so many timesteps.
+/// A track is judged by its motion if it is fast for this many timesteps.
 const MIN_FAST_STEPS: usize = 5;
 /// Headings are off if they differ from the motion by more than this, radians.
 const MAX_SLIP_RAD: f64 = std::f64::consts::FRAC_PI_4;
 /// The limit for headings beyond a full turn, which are degrees or were added up, radians.
 const MAX_SLIP_BEYOND_TURN_RAD: f64 = 0.15;
-/// No vehicle is faster, m/s; and where positions are noisy or at uneven times.
+/// No vehicle is faster than this, m/s, even with noisy positions or uneven times.
 const MAX_SPEED_MPS: f64 = 80.0;
 const MAX_NOISY_SPEED_MPS: f64 = 500.0;
-/// Recorded velocities contradict the positions by this factor, of those who move.
+/// Recorded velocities of moving vehicles contradict the positions if they differ by this factor.
 const MAX_SPEED_RATIO: f64 = 2.0;
 const MOVING_MPS: f64 = 2.0;
-/// A vehicle that is farther from all lanes is beside the road, meters.
+/// A vehicle farther than this from all lanes is beside the road, meters.
 const BESIDE_ROAD_M: f64 = 10.0;
-/// A scene is rejected if so many of its tracks are doubtful, and more than half of those that can be judged.
+/// A scene is rejected if this many of its tracks are doubtful, and more than half of those that can be judged.
 const MIN_REJECTED_TRACKS: u64 = 3;
 
 /// A fault of tracks.
 struct Fault {
     what: &'static str,
-    /// The fate of a scene of which most tracks have it.
+    /// What happens to a scene if most of its tracks have it.
     of_most: OfMost,
 }
 
-/// The fate of a scene of which most tracks have a fault.
+/// What happens to a scene if most of its tracks have a fault.
 enum OfMost {
     /// It is rejected for this reason.
     Reject(&'static str),
-    /// It is kept with a warning, as it is with fewer: generated traffic may be so.
+    /// It is kept with a warning, also if fewer tracks have the fault: generated traffic may be so.
     Keep,
-    /// It is kept with a warning, and without if there are fewer: those are the work of a tracker.
+    /// It is kept with a warning, and without one if fewer tracks have the fault, which are then errors of a tracker.
     Warn,
 }
 
@@ -55,11 +55,11 @@ const FAULTS: [Fault; 6] = [
 /// The judgment of a track: not to be judged, sound, or doubtful with the figures.
 type Verdict = Option<Result<(), String>>;
 
-/// Adds the doubtful tracks to the findings of a scene, and wraps the headings of its vehicles, which come as they were
+/// Adds the doubtful tracks to the findings of a scene, and wraps the headings of its vehicles, which arrive as
 /// recorded.
 ///
 /// # Errors
-/// Rejects a scene of which most tracks cannot be what they say.
+/// Rejects a scene if most of its tracks are implausible.
 pub(super) fn judge(raw: &mut RawScene) -> Result<(), Reject> {
     let facts = raw.source.dataset.facts();
     let mut doubtful = FAULTS.map(|_| (0, 0, None));
@@ -92,7 +92,7 @@ pub(super) fn judge(raw: &mut RawScene) -> Result<(), Reject> {
     Ok(())
 }
 
-/// The heading of a track as its reader hands it on: that of a vehicle as it was recorded, to be judged.
+/// The heading of a track as its reader passes it on: for a vehicle as recorded, so that it can be judged.
 pub(super) fn recorded_heading(heading_rad: f64, class: AgentClass) -> f64 {
     if class.is_motorized() { heading_rad } else { wrap_angle(heading_rad) }
 }
@@ -131,7 +131,7 @@ fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.
     let verdict = |fault: Option<String>| Some(fault.map_or(Ok(()), Err));
     let (beyond, off) = match (beyond, off) {
         _ if !facts.has_headings => (None, None),
-        // Headings that are added up agree with the motion.
+        // Headings that were added up agree with the motion.
         (Some(heading_rad), _) if !is_judged || 2 * n_off_beyond > n_fast => {
             (verdict(Some(format!("has a heading of {heading_rad:.1}, expected radians"))), None)
         }
@@ -159,7 +159,7 @@ fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.
     [beyond, off, jumps, against, sizes, velocities]
 }
 
-/// Adds to the findings that all vehicles of a scene are far beside the lanes of its map.
+/// Adds a finding if all vehicles of a scene are far beside the lanes of its map.
 pub(super) fn judge_place(raw: &mut RawScene, present: usize, map: &LaneIndex) {
     let vehicles = raw.tracks.iter().filter(|track| track.class.is_motorized());
     let positions: Vec<Vec2> =
@@ -226,7 +226,7 @@ mod tests {
         }
     }
 
-    /// The scene of `n_changed` cars that are changed among five, judged.
+    /// The judged scene of five cars, `n_changed` of which are changed.
     fn judged(n_changed: usize, change: impl Fn(usize, &mut State)) -> Result<RawScene, Reject> {
         let cars = (0..5).map(|id| {
             car(id, |timestep, state| {
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn sound_recordings_pass_and_full_turns_are_none() {
-        // Who stands may be turned anyhow, and headings may be added up over roundabouts.
+        // Standing vehicles may have any heading, and headings may be added up over roundabouts.
         let turned = |_: usize, state: &mut State| state.heading_rad += 2.0 * TAU;
         let scene = judged(5, turned).expect("sound");
         assert_eq!(scene.findings, []);

@@ -28,9 +28,9 @@ pub struct RawUnit {
     pub bytes: Vec<u8>,
     /// Line of the file at which `bytes` begin, counted from 1.
     pub first_line: u64,
-    /// The line of each row in `bytes` if the rows are scattered over the file; else empty.
+    /// The line of each row in `bytes` if the rows are scattered over the file; otherwise empty.
     pub lines: Vec<u64>,
-    /// Which part of a long table `bytes` are, if they are not all of it.
+    /// The part of a long table in `bytes`, unless they are all of it.
     pub part: Option<Arc<Part>>,
     /// A second file that belongs to the first: the pedestrians of a recording, the map of a scenario.
     pub companion: Option<Companion>,
@@ -39,9 +39,9 @@ pub struct RawUnit {
 /// A part of a long table: the rows of some of its scenes. Times are seconds after its frame 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
-    /// What messages count: lines of text, or rows.
+    /// The unit of counting in messages: lines of text, or rows.
     pub counted: &'static str,
-    /// The time of frame 0 as rows have it.
+    /// The time of frame 0, as in the rows.
     pub start_s: f64,
     /// First and last frame of the whole table.
     pub frames: (i64, i64),
@@ -49,13 +49,13 @@ pub struct Part {
     pub tracks: Arc<BTreeMap<String, SeenTrack>>,
     /// Its windows among those of the table.
     pub windows: Range<i64>,
-    /// When a row is counted with this part.
+    /// The times whose rows are counted with this part.
     pub own_s: Range<f64>,
-    /// Its rows, some of which parts beside it have, too.
+    /// The times of its rows, some of which adjacent parts have, too.
     pub rows_s: Range<f64>,
 }
 
-/// What all rows of a table say of a track.
+/// Facts about a track from all rows of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SeenTrack {
     /// Its place in the order of first rows.
@@ -122,9 +122,9 @@ pub struct RawScene {
     pub tracks: Vec<Track>,
     /// Unknown headings, which are replaced by the direction of the lane.
     pub heading_gaps: Vec<HeadingGap>,
-    /// The map the scene lies on.
+    /// The map of the scene.
     pub map_id: MapId,
-    /// The map, if the scene brings its own; otherwise it is looked up among those read beforehand.
+    /// The map, if the scene brings its own; otherwise it is among those read beforehand.
     pub own_map: Option<Arc<LaneGraph>>,
     /// Doubts about it and its own map.
     pub findings: Vec<Finding>,
@@ -135,19 +135,19 @@ pub struct RawScene {
 pub struct Finding {
     /// A stable code that names the things, such as `lanes_turned_around`.
     pub what: &'static str,
-    /// How many of them.
+    /// How many there are.
     pub n: u64,
     /// File and figures.
     pub detail: String,
 }
 
-/// A track that stands before it moves, in a recording without headings: those before `until_timestep` are
+/// A track that stands before it moves, in a recording without headings: headings before `until_timestep` are
 /// placeholders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HeadingGap {
     /// Index of the track.
     pub track_idx: usize,
-    /// First timestep whose heading is known; the number of timesteps where none is.
+    /// First timestep with a known heading; the number of timesteps if there is none.
     pub until_timestep: usize,
 }
 

@@ -19,9 +19,9 @@ pub(super) struct Observation {
     pub(super) frame: i64,
     /// Center, meters.
     pub(super) position: Vec2,
-    /// m/s; counts only where it does not follow from positions.
+    /// m/s; used only if it does not follow from positions.
     pub(super) velocity: Vec2,
-    /// Radians, counterclockwise from x, where it is recorded.
+    /// Radians, counterclockwise from x, if recorded.
     pub(super) heading_rad: Option<f64>,
 }
 
@@ -34,7 +34,7 @@ pub(super) struct RecordedTrack {
     pub(super) extent: Option<Extent>,
     /// When it is parked, seconds after frame 0.
     pub(super) parked_s: Vec<RangeInclusive<f64>>,
-    /// Rows that repeated others and were left out.
+    /// Repeated rows that were left out.
     pub(super) n_repeated: u64,
     /// By ascending frame.
     pub(super) states: Vec<(i64, State, HeadingSource)>,
@@ -46,9 +46,9 @@ pub(super) enum HeadingSource {
     Recorded,
     /// The direction of the motion.
     Motion,
-    /// The agent is slow: the last heading that was known.
+    /// The last known heading, because the agent is slow.
     Held,
-    /// The agent has been slow from the start: the direction of its velocity, which is noise.
+    /// The direction of the velocity, which is noise, because the agent has been slow from the start.
     Unknown,
 }
 
@@ -98,11 +98,11 @@ impl RecordedTrack {
         Some((self.states.first()?.0, self.states.last()?.0))
     }
 
-    /// The track in the `n_timesteps` frames from `first_frame` on, of which `n_history` are observed; `None` if it was
-    /// not tracked in any of them.
+    /// The track in the `n_timesteps` frames from `first_frame` on, the first `n_history` of which are observed; `None`
+    /// if it was not tracked in any of them.
     ///
-    /// An agent that is slow from its start on has one heading until it moves: that of its first motion, if it is
-    /// observed moving; else the direction of its first velocity. Looking further ahead would leak the future direction
+    /// An agent that is slow from its start has one heading until it moves: that of its first motion, if that is
+    /// observed; otherwise the direction of its first velocity. Looking further ahead would leak the future direction
     /// of the agent into the past.
     pub(super) fn cut(&self, first_frame: i64, n_timesteps: usize, n_history: usize) -> Option<Track> {
         let end_frame = first_frame + n_timesteps as i64;

@@ -5,7 +5,7 @@ use crate::scene::SceneSource;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How many examples of each reject reason are kept.
+/// The number of examples kept for each reject reason.
 const MAX_EXAMPLES: usize = 5;
 
 /// Counts of what was read, kept and left out. Reports of consecutive batches add up with [`IngestReport::merge`].
@@ -23,7 +23,8 @@ pub struct IngestReport {
     pub scenes_by: BTreeMap<String, u64>,
     /// Rejected units and scenes by reason.
     pub rejects: BTreeMap<String, RejectCount>,
-    /// Counts of what was left out by the configuration, such as agents over the cap and scenes of other places.
+    /// Counts of units, scenes and agents left out by the configuration, such as agents over the cap and scenes of
+    /// other places.
     pub dropped: BTreeMap<String, u64>,
     /// Counts of assumptions for data that is not recorded, such as headings of standing vehicles.
     pub assumed: BTreeMap<String, u64>,
@@ -35,14 +36,14 @@ pub struct IngestReport {
 /// Rejects or warnings of one reason.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RejectCount {
-    /// How many.
+    /// Their number.
     pub count: u64,
     /// File, line and detail of the first few.
     pub examples: Vec<String>,
 }
 
 impl RejectCount {
-    /// Counts `n` more of them, with an example.
+    /// Counts `n` more, with an example.
     pub(super) fn add(&mut self, n: u64, example: String) {
         self.count += n;
         if self.examples.len() < MAX_EXAMPLES {
@@ -82,7 +83,7 @@ impl IngestReport {
         self.rejects.entry(reject.reason.to_owned()).or_default().add(1, reject.detail.clone());
     }
 
-    /// Counts what is doubtful.
+    /// Counts a finding.
     pub(super) fn count_warning(&mut self, Finding { what, n, detail }: Finding) {
         self.warnings.entry(what.to_owned()).or_default().add(n, detail);
     }

@@ -25,7 +25,7 @@ pub trait RecordingSource: Sync {
     /// so each is made on demand.
     fn parse(&self, unit: RawUnit) -> Vec<PendingScene<'_>>;
 
-    /// About how many bytes of memory a unit takes while it is parsed, without its scenes; it determines the size of
+    /// The approximate memory of a unit while it is parsed, without its scenes, bytes; it determines the size of
     /// batches. Only sources that keep parsed data need to return more than the size of the unit.
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
         unit.n_bytes()
@@ -36,13 +36,13 @@ pub trait RecordingSource: Sync {
         false
     }
 
-    /// The id of the map that the entry at `path` is, to be read before all recordings; `None` if it is none, as where
-    /// scenes bring their own.
+    /// The id of the map in the entry at `path`, to be read before all recordings; `None` if it is not a map, or scenes
+    /// bring their own.
     fn map_at(&self, _path: &str) -> Option<MapId> {
         None
     }
 
-    /// Reads such a map.
+    /// Reads a map.
     ///
     /// # Errors
     /// [`Error::Map`] when the map is not whole.
@@ -70,7 +70,7 @@ pub type PendingScene<'a> = Box<dyn FnOnce() -> Result<RawScene, Reject> + Send 
 pub struct MapFile {
     /// Its lanes.
     pub graph: LaneGraph,
-    /// If several files contain one map, the one of the lowest rank counts; the first of equals.
+    /// If several files contain one map, the one with the lowest rank counts; the first among equals.
     pub rank: u8,
     /// Its defects.
     pub report: MapReport,
@@ -79,7 +79,7 @@ pub struct MapFile {
 /// Receives units and rejects; each counts as one unit. `Break` ends reading.
 pub type EmitUnit<'a> = dyn FnMut(Result<RawUnit, Reject>) -> ControlFlow<()> + 'a;
 
-/// Cuts entries into units. It may hold back a bounded amount of entries until their counterparts come.
+/// Cuts entries into units. It may hold back a bounded amount of entries until their counterparts arrive.
 pub trait UnitReader {
     /// Reads one entry.
     ///
@@ -98,7 +98,7 @@ pub trait UnitReader {
         false
     }
 
-    /// Emits what is held back, after the last entry of the last pass.
+    /// Emits the entries that are held back, after the last entry of the last pass.
     ///
     /// # Errors
     /// See [`UnitReader::read`].
@@ -147,7 +147,7 @@ impl Horizon {
         self.n_history + self.n_future
     }
 
-    /// What is wrong with a recording of so many frames, or whatever it calls them.
+    /// The error for a recording of `n` timesteps, called `frames` in it, that is too short.
     pub fn too_long_for(self, n: i64, frames: &str) -> String {
         let n_timesteps = self.n_timesteps();
         format!("{n} {frames}, a scene has {n_timesteps}: set ingest.n_history and ingest.n_future for shorter scenes")

@@ -1,23 +1,23 @@
-//! When does a vehicle stand for so long that it is parked?
+//! Finds when a vehicle stands for so long that it is parked.
 
 use crate::geometry::Vec2;
 use std::ops::RangeInclusive;
 
-/// Who stays within this distance of a place stands, meters; trackers err by less.
+/// A vehicle that stays within this distance of a place stands, meters; trackers err by less.
 const STANDING_M: f64 = 1.0;
-/// Who stands for so long is parked, seconds; no signal is red for as long.
+/// A vehicle that stands for this long is parked, seconds; no signal is red for as long.
 const PARKED_S: f64 = 180.0;
 
-/// What was seen of a vehicle up to some time.
+/// The standing of a vehicle up to some time.
 #[derive(Debug, Default)]
 pub(super) struct Standing {
     parked_s: Vec<RangeInclusive<f64>>,
-    /// Where it came to stand, when, and until when it has stood there.
+    /// Where it came to stand, when, and the last time at which it stood there.
     now: Option<(Vec2, f64, f64)>,
 }
 
 impl Standing {
-    /// Adds where it is next. Times must ascend; others end what is known.
+    /// Adds the next position. Times must ascend; an earlier time starts anew.
     pub(super) fn see(&mut self, time_s: f64, position: Vec2) {
         match &mut self.now {
             Some((place, _, until_s)) if time_s >= *until_s && place.distance(position) <= STANDING_M => {

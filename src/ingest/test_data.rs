@@ -1,4 +1,4 @@
-//! Where does the development data lie, for the tests that use it, and how are files damaged?
+//! Finds the development data for the tests that use it, and damages files.
 
 use std::path::PathBuf;
 
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 mod skipped;
 
 /// The path of `relative` in the folder of development data, which is shared beside the crate or named by the
-/// environment variable `DJINN_DATA`. Where it is missing, says that the test is skipped.
+/// environment variable `DJINN_DATA`. If it is missing, reports that the test is skipped.
 pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
     let beside = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data"));
     let path = std::env::var_os("DJINN_DATA").map_or(beside, PathBuf::from).join(relative);
@@ -19,7 +19,7 @@ pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
 }
 
 /// The bytes with some damage: at each place (taken modulo the length), a byte is exchanged, then some are removed.
-/// Every seventh length cuts the rest off.
+/// Every seventh length cuts off the rest.
 pub(crate) fn damaged(bytes: &[u8], damages: &[(usize, u8, usize)]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for (place, byte, n_removed) in damages {

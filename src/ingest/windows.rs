@@ -7,13 +7,13 @@ use super::source::{Horizon, PendingScene};
 use crate::scene::{Dataset, SceneId, SceneSource, Split, Track};
 use std::sync::Arc;
 
-/// Longest recording, 28 hours: frames further apart are a fault.
+/// The longest recording, 28 hours: frames further apart are an error.
 pub(super) const MAX_RECORDING_FRAMES: i64 = 1_000_000;
 
 /// The tracks of a whole recording.
 pub(super) struct Recording {
     pub(super) dataset: Dataset,
-    /// Where they come from, without the text.
+    /// The unit they come from, without the text.
     pub(super) unit: RawUnit,
     pub(super) tracks: Vec<RecordedTrack>,
     /// Doubts about it; reported with its first scene.
@@ -63,7 +63,7 @@ impl Recording {
         present.into_iter().enumerate().map(window).collect()
     }
 
-    /// The scene that begins at `first_frame`, of the tracks that are `present`.
+    /// The scene that begins at `first_frame`, with the tracks that are `present`.
     fn window(
         &self,
         first_frame: i64,
@@ -132,7 +132,7 @@ pub(super) struct Cut<'a> {
 }
 
 impl Cut<'_> {
-    /// The scene with those of `tracks` at `present` that are tracked at any time in it.
+    /// The scene with the tracks among `present` that are tracked at any time in it.
     pub(super) fn scene(self, tracks: &[RecordedTrack], present: impl IntoIterator<Item = usize>) -> RawScene {
         let Self { dataset, unit, split, case, first_frame, n_timesteps, n_history } = self;
         let cut = |index: usize| {

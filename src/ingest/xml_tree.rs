@@ -6,10 +6,10 @@ use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 
-/// Deeper documents are none of the format.
+/// The greatest depth of documents in these formats.
 const MAX_DEPTH: usize = 32;
 
-/// An element with everything in it but comments.
+/// An element with its content, without comments.
 #[derive(Debug, Default)]
 pub(super) struct Element {
     pub(super) name: String,
@@ -91,7 +91,7 @@ impl Element {
         self.children.iter()
     }
 
-    /// The elements of this name in it.
+    /// The elements with this name in it.
     pub(super) fn all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Self> {
         self.children.iter().filter(move |child| child.name == name)
     }
@@ -114,7 +114,7 @@ impl Element {
         text.trim().parse().map_err(|_| expected().into())
     }
 
-    /// The finite number of an attribute; `default` if it is not there.
+    /// The finite number of an attribute; `default` if there is none.
     pub(super) fn float(&self, name: &str, default: Option<f64>) -> Result<f64, Malformed> {
         let text = self.attribute(name);
         let value = text.map_or(default, |text| text.trim().parse().ok()).filter(|value: &f64| value.is_finite());

@@ -1,4 +1,4 @@
-//! How good is the best joint sample for the agents that Argoverse 2 scores?
+//! The best joint sample for the agents that Argoverse 2 scores.
 
 use super::displacement::{displacements_m, final_displacement_m, mean};
 use super::miss_rate::is_miss;
@@ -12,8 +12,8 @@ const COLLISION_M: f64 = 1.0;
 /// Figures of Argoverse 2's benchmark of worlds, its word for joint samples.
 ///
 /// The agents are those that are marked as focal or scored and are recorded throughout the future. The best world has
-/// the least mean FDE over them (the first of equals), and every figure is of that world. Unlike minSceneADE, each
-/// agent has the same weight. Only defined for Argoverse 2.
+/// the least mean FDE over them (the first among equals), and every figure is taken from that world. Unlike
+/// minSceneADE, each agent has the same weight. Only defined for Argoverse 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ActorWorld {
     /// avgMinADE: the mean over agents of their mean distance over the future.
@@ -22,7 +22,7 @@ pub enum ActorWorld {
     AvgMinFde,
     /// avgBrierMinFDE: avgMinFDE plus (1 - p)² for the world's probability p.
     AvgBrierMinFde,
-    /// actorMR: the share of agents that end more than 2 m from where they were recorded.
+    /// actorMR: the share of agents that end more than 2 m from their recorded position.
     MissRate,
     /// actorCR: the share of agents whose center comes within 1 m of another scored agent's, at the same time.
     CollisionRate,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// The mean of a metric over groups.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Aggregate {
-    /// Arithmetic mean; every group counts the same.
+    /// Arithmetic mean; every group has the same weight.
     pub mean: f64,
     /// Number of groups for which the metric is defined.
     pub n: u64,

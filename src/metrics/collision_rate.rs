@@ -11,8 +11,8 @@ const MIN_MOTION_M: f64 = 1.0;
 /// Collision rate: the share of samples in which any two agents collide.
 ///
 /// Two agents collide if their boxes overlap at the same future timestep at which both have a state. Pairs that already
-/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, and they say nothing
-/// about the sample.
+/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, which tell nothing about
+/// the sample.
 #[derive(Debug, Clone, Copy)]
 pub struct CollisionRate;
 
@@ -54,7 +54,7 @@ impl Metric for AgentCollisionRate {
 /// Two agents that collide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Collision {
-    /// Their indices, in order.
+    /// The indices of the agents, in order.
     pub(crate) pair: [usize; 2],
     /// The first timestep at which their boxes overlap.
     pub(crate) timestep: usize,
@@ -80,7 +80,7 @@ pub(crate) fn collisions(scene: &Scene) -> Vec<Collision> {
     found
 }
 
-/// For every agent tracked at present whether it collides.
+/// Whether each agent tracked at present collides.
 fn collides(scene: &Scene) -> Vec<bool> {
     let found = collisions(scene);
     present_agents(scene).map(|i| found.iter().any(|collision| collision.pair.contains(&i))).collect()

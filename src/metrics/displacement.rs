@@ -1,9 +1,9 @@
-//! How far is a sampled agent from where it was recorded?
+//! The distance of a sampled agent from its recorded position.
 
 use super::sample_group::{future, present_agents};
 use crate::scene::{AgentClass, Benchmark, Scene};
 
-/// The agents that a joint metric scores, of those tracked at present. Most papers, DJINN among them, score all.
+/// The agents that a joint metric scores, among those tracked at present. Most papers, DJINN among them, score all.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScoredAgents {
     /// Every agent.

@@ -7,7 +7,7 @@ use crate::scene::Scene;
 use std::collections::BTreeSet;
 
 /// Drivable-area compliance (DAC) of Argoverse 1: the share of samples in which the ego is on the road at every future
-/// timestep. Unlike [`OffroadRate`](super::OffroadRate), it counts only the ego, wherever that is at present.
+/// timestep. Unlike [`OffroadRate`](super::OffroadRate), it counts only the ego, on the road at present or not.
 ///
 /// The benchmark looks the area up in a raster of the city. Here the road is the area of the lanes, with the tolerance
 /// and the continuation beyond the map's end of the off-road rate, so figures need not agree to the last digit. Not

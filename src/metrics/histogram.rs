@@ -51,8 +51,8 @@ impl Histogram {
         (self.n() > 0).then(|| self.sum / self.n() as f64)
     }
 
-    /// The range of all values but a share of `beyond` at either end, rounded outward to a bin. An end in the first or
-    /// last bin is infinite, because these hold all values beyond. `None` without values.
+    /// The range of all values except a share of `beyond` at either end, rounded outward to a bin. An end in the first
+    /// or last bin is infinite, because these hold all values beyond. `None` without values.
     pub fn central_range(&self, beyond: f64) -> Option<[f64; 2]> {
         let n = self.n() as f64;
         let width = (self.range[1] - self.range[0]) / N_BINS as f64;
@@ -92,8 +92,8 @@ impl Histogram {
         Some(area * (self.range[1] - self.range[0]) / N_BINS as f64)
     }
 
-    /// Jensen-Shannon divergence over 40 bins, in bits: 0 for equal distributions, 1 for those that share no bin.
-    /// `None` if either is empty.
+    /// Jensen-Shannon divergence over 40 bins, in bits: 0 for equal distributions, 1 for distributions without a common
+    /// bin. `None` if either is empty.
     pub fn jensen_shannon(&self, other: &Self) -> Option<f64> {
         let (own, theirs) = (self.shares(BINS_PER_COARSE)?, other.shares(BINS_PER_COARSE)?);
         let term = |p: f64, q: f64| if p > 0.0 { p * (2.0 * p / (p + q)).log2() } else { 0.0 };

@@ -17,8 +17,8 @@ use crate::scene::Scene;
 pub enum JointConsistency {
     /// minJointMR: the least share of missed agents of any sample.
     MinMissRate,
-    /// Consistent-minJointMR, by which the benchmark ranks: the same over samples without a collision among the agents;
-    /// 1 if there is none.
+    /// Consistent-minJointMR, by which the benchmark ranks: the minimum over samples without a collision among the
+    /// agents; 1 if there is none.
     ConsistentMinMissRate,
     /// CrossCollisionRate: the share of samples in which any two of the agents collide at any time.
     CrossCollisionRate,

@@ -9,17 +9,17 @@ use crate::scene::Scene;
 const MAX_ACCELERATION_MPS2: f64 = 8.0;
 /// Jerks beyond this are uncomfortable, m/s³ (nuPlan's bound).
 const MAX_JERK_MPS3: f64 = 8.37;
-/// Time between the positions whose differences are taken, seconds: short enough for a brake stab, long enough for
-/// the noise of positions to stay small.
+/// Time between the positions whose differences are taken, seconds: short enough for a brake stab, long enough for the
+/// noise of positions to stay small.
 const STRIDE_S: f64 = 0.3;
 
-/// Acceleration violation rate: of the motorized agents tracked at present, over all samples, the share whose
-/// acceleration exceeds 8 m/s² in size. From second differences of positions 0.3 s apart, the last of which lies in the
-/// future: the step from history to future counts.
+/// Acceleration violation rate: over all samples, the share of motorized agents tracked at present whose acceleration
+/// exceeds 8 m/s² in size. From second differences of positions 0.3 s apart, the last of which lies in the future: the
+/// step from history to future counts.
 #[derive(Debug, Clone, Copy)]
 pub struct AccelerationViolationRate;
 
-/// Jerk violation rate: the same for a jerk beyond 8.37 m/s³, from third differences of positions 0.3 s apart.
+/// Jerk violation rate: the share whose jerk exceeds 8.37 m/s³, from third differences of positions 0.3 s apart.
 #[derive(Debug, Clone, Copy)]
 pub struct JerkViolationRate;
 
@@ -53,8 +53,8 @@ impl Metric for JerkViolationRate {
     }
 }
 
-/// For every motorized agent tracked at present that has such a difference of positions in the future, whether any of
-/// them exceeds `limit` (in meters per second to the power of the order of the difference) or is NaN.
+/// For every motorized agent tracked at present with such a difference of positions in the future, whether any of these
+/// differences exceeds `limit` (in meters per second to the power of the order of the difference) or is NaN.
 fn exceeds(scene: &Scene, weights: &[f64], limit: f64) -> Vec<bool> {
     let stride = (STRIDE_S / scene.dt_s).round().max(1.0) as usize;
     let order = weights.len() - 1;

@@ -1,4 +1,4 @@
-//! One value of one metric, and the traffic that it is of.
+//! One value of one metric, and the traffic that it describes.
 
 use super::{Group, SeriesKey};
 use crate::scene::{GuidanceLevel, SceneId};
@@ -11,7 +11,7 @@ pub struct MetricRow {
     pub group: Group,
     /// The measured sweep, or the sweep that continues these recordings.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The place; empty for all places together.
@@ -24,7 +24,7 @@ pub struct MetricRow {
     pub metric: String,
     /// The value, in the unit that the metric's name ends in.
     pub value: f64,
-    /// How many scenes, scenarios or samples the value is over.
+    /// The number of scenes, scenarios or samples behind the value.
     pub n: u64,
     /// Standard error of the mean, for aggregates over at least two values.
     pub std_error: Option<f64>,

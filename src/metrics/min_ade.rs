@@ -28,7 +28,7 @@ impl Metric for MinAde {
     }
 }
 
-/// The ADE of the ego in the sample with the least FDE, which Argoverse 1's own evaluation calls minADE. Of samples
+/// The ADE of the ego in the sample with the least FDE, which Argoverse 1's own evaluation calls minADE. Among samples
 /// with the same FDE, the first counts.
 #[derive(Debug, Clone, Copy)]
 pub struct MinAdeOfMinFde;

@@ -14,7 +14,7 @@ const MAX_ITERATIONS: usize = 100;
 /// Fits from different starts; the likeliest is used.
 const N_STARTS: u64 = 4;
 /// Least standard deviation of a component in any dimension, in the unit of the points. For positions in meters, this
-/// is far below what tells futures apart.
+/// is far below the differences between futures.
 const MIN_STD: f64 = 0.1;
 /// Components with less weight have lost all points.
 const NO_WEIGHT: f64 = 1e-12;
@@ -35,7 +35,7 @@ pub struct Component {
 pub struct Mixture {
     /// The components, by decreasing weight. Fewer than configured if points coincide.
     pub components: Vec<Component>,
-    /// For each point the probability of each component, in the order of the components.
+    /// The probability of each component for each point, in the order of the components.
     pub responsibilities: Vec<Vec<f64>>,
     /// The log-likelihood of the points after each iteration; never falls, except by rounding.
     pub log_likelihoods: Vec<f64>,
@@ -193,7 +193,7 @@ mod tests {
         let points = [0.0, 2.0, 100.0, 104.0, 102.0].map(|x| vec![x]);
         let mixture = Mixture::fit(&points, 2, Seed(1)).expect("fits");
         let [first, second] = &mixture.components[..] else { panic!("{mixture:?}") };
-        // Each point belongs to one component only, as far as an f64 can tell.
+        // Each point belongs to one component only, within the precision of an f64.
         assert!(all_near(&[first.weight, first.mean[0], first.variance[0]], &[0.6, 102.0, 8.0 / 3.0], 1e-9));
         assert!(all_near(&[second.weight, second.mean[0], second.variance[0]], &[0.4, 1.0, 1.0], 1e-9));
         // Σ ln(weight · N(x; mean, variance)), written out.
@@ -224,7 +224,7 @@ mod tests {
         assert!(refused(&points, 0));
     }
 
-    /// 60 points of 60 numbers around three well separated centers, 30, 20 and 10 of them.
+    /// 60 points of 60 numbers around three well separated centers: 30, 20 and 10 points.
     fn clusters(seed: u64) -> (Vec<Vec<f64>>, Vec<Vec<f64>>) {
         let mut rng = Seed(seed).rng();
         let centers: Vec<Vec<f64>> = (0..3).map(|_| (0..60).map(|_| 10.0 * rng.normal()).collect()).collect();

@@ -7,8 +7,8 @@
 //! Common to all: the future is every timestep from `n_history` on. The agents are those tracked at present, t_obs - 1;
 //! nothing is generated for others. Distances to the recording count only timesteps at which the agent is recorded.
 //! Observed states of the future (goals, other agents' plans, all but a window) are part of it as recorded: their
-//! distances are 0, so distances of sweeps with different masks are not comparable. A group for which a metric is not
-//! defined has no value and does not enter the mean.
+//! distances are 0, so distances of sweeps with different masks are not comparable. A group for which a metric is
+//! undefined has no value and does not enter the mean.
 //!
 //! The benchmarks' figures, by their names there. If two benchmarks define the same number, there is one metric:
 //!
@@ -24,9 +24,9 @@
 //!   `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate
 //!   `cross_collision_rate`, EgoCollisionRate `ego_collision_rate`.
 //!
-//! How likely a recorded future is among all samples of a scene, as the Waymo sim agents challenge scores it, is no
-//! [`Metric`]: [`Likelihoods`] finds a dozen values at once, and compares as many copies of a reference as there are
-//! samples.
+//! The likelihood of a recorded future among all samples of a scene, as scored by the Waymo sim agents challenge, is
+//! not a [`Metric`]: [`Likelihoods`] finds a dozen values at once, and compares as many copies of a reference as there
+//! are samples.
 //!
 //! The benchmarks take six guesses: with more samples, compare the figures over six [`Modes`].
 
@@ -107,7 +107,7 @@ use std::collections::BTreeSet;
 pub trait Metric: Send + Sync {
     /// Its specification.
     fn spec(&self) -> MetricSpec;
-    /// Its value; `None` if it is not defined, such as a distance to a recording without a future.
+    /// Its value; `None` if undefined, such as a distance to a recording without a future.
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64>;
     /// The agents whose modes may replace the samples, for figures that a benchmark takes over a few guesses. `None`
     /// for metrics of the samples themselves, such as their variety, or how often they collide.
@@ -174,7 +174,7 @@ pub static ALL: &[&dyn Metric] = &[
     &SceneMetric::MaxDrac,
 ];
 
-/// The metric of this name. `None` if there is no such metric.
+/// The metric with this name. `None` if there is no such metric.
 pub fn by_id(id: &str) -> Option<&'static dyn Metric> {
     ALL.iter().copied().find(|metric| metric.spec().id == id)
 }

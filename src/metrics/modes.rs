@@ -8,12 +8,12 @@ use crate::geometry::Vec2;
 use crate::scene::{Scene, State, Track, Trajectory};
 use crate::seed::Seed;
 
-/// The agents whose modes a metric is about.
+/// The agents whose modes a metric needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ModesOf {
     /// The ego's alone, for single-agent benchmarks.
     Ego,
-    /// All agents' jointly.
+    /// All agents jointly.
     Scene,
 }
 
@@ -115,7 +115,7 @@ mod tests {
     use crate::metrics::constant_velocity;
     use crate::scene::testing::{self, Drive};
 
-    /// Two cars. The first goes on straight or turns left, by which the samples differ; those of a kind differ by
+    /// Two cars. The first goes straight on or turns left, by which the samples differ; samples of one kind differ
     /// little.
     fn samples() -> Vec<Scene> {
         let sample = |curvature_1pm: f64, y: f64| {
@@ -146,7 +146,7 @@ mod tests {
             assert!((means.probabilities[0] - 0.6).abs() < 1e-9 && (means.probabilities[1] - 0.4).abs() < 1e-9);
             let last = samples[0].n_timesteps - 1;
             let end = |scene: &Scene| scene.state(0, last).expect("driven").position;
-            // The mean of the three that turn is the one in their middle, of the two others it is halfway.
+            // The mean of the three turning samples is the middle one, that of the two others is halfway between them.
             assert!(end(&means.samples[0]).distance(end(&samples[3])) < 1e-9);
             assert!(end(&means.samples[1]).distance(end(&samples[0]).lerp(end(&samples[4]), 0.5)) < 1e-9);
             let velocity = |scene: &Scene| scene.state(0, last).expect("driven").velocity;
@@ -187,7 +187,7 @@ mod tests {
         assert!(ModeFit::new(&samples[..1], &[0], 2, Seed(3)).is_none());
         assert!(ModeFit::new(&[], &[0], 2, Seed(3)).is_none());
         assert!(ModeFit::new(&samples, &[], 2, Seed(3)).is_none());
-        // An agent that one sample lacks does not take part, and has no state in the mean.
+        // An agent that is missing in one sample does not take part, and has no state in the mean.
         let mut lacking = samples.clone();
         let n_history = samples[0].n_history;
         lacking[2] = testing::without_states(lacking[2].clone(), 1, |t| t >= n_history);

@@ -11,7 +11,7 @@ use crate::geometry::{Vec2, wrap_angle};
 use crate::scene::{Scene, Track};
 use serde::{Deserialize, Serialize};
 
-/// Every so many timesteps distances are measured; neighboring timesteps are redundant.
+/// Distances are measured once in this many timesteps; neighboring timesteps are redundant.
 const DISTANCE_STRIDE: usize = 5;
 /// Below this speed headings are unreliable, meters per second.
 const MOVING_MPS: f64 = 1.0;
@@ -205,8 +205,8 @@ mod tests {
     use crate::scene::testing::{self, Drive};
     use crate::scene::{State, Trajectory};
 
-    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second, and 6 m/s² each
-    /// second if `jerk` says so.
+    /// Two cars at 10 m/s side by side, 6 m apart between centers; the first gains 2 m/s each second, and with `jerk` 6
+    /// m/s² each second.
     fn scene(jerk: f64) -> Scene {
         let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)]);
         let states = (0..scene.n_timesteps).map(|timestep| {
@@ -235,7 +235,7 @@ mod tests {
         let distances = nearest_distances(&still);
         // Half of each width of 1.8 m lies between the centers.
         assert!(distances.len() == 4 && (distances[0] - 4.2).abs() < 0.1, "{distances:?}");
-        // Third differences over 0.3 s reach back 0.9 s, and timesteps 9 to 11 have so much before them.
+        // Third differences over 0.3 s reach back 0.9 s, and timesteps 9 to 11 have that much before them.
         assert!(all_near(&jerks(&still, first), 3, 0.0));
         let pushed = scene(6.0);
         assert!(all_near(&jerks(&pushed, &pushed.tracks[0]), 3, 6.0));
@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn times_to_collision_by_hand() {
         // The follower is 4 m/s faster; at the first future timestep, after 0.4 s, its center is 20 - 1.6 m behind, and
-        // a length of 4.5 m less between boxes: 13.9 m. Half a second later 2 m less. A third one drives by itself.
+        // a length of 4.5 m less between boxes: 13.9 m. Half a second later 2 m less. A third car drives alone.
         let drives = [Drive::straight(20.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 0.0, 0.0, 14.0)];
         let times = times_to_collision(&testing::scene(&[drives[0], drives[1], Drive::straight(0.0, 30.0, 0.0, 10.0)]));
         let expected = [13.9 / 4.0, 13.9 / 4.0, 5.0, 11.9 / 4.0, 11.9 / 4.0, 5.0];

@@ -38,7 +38,7 @@ impl Metric for OffroadRate {
     }
 }
 
-/// For every motorized agent on the road at present whether it leaves it.
+/// For every motorized agent on the road at present, whether it leaves the road.
 fn leaves(road: &Road, scene: &Scene) -> Vec<bool> {
     let is_on_road = |agent_idx: usize, timestep: usize| {
         scene.state(agent_idx, timestep).map(|state| state.position.is_finite() && road.holds(state.position))

@@ -6,7 +6,7 @@ use crate::scene::Scene;
 /// The share of recorded values that may lie beyond either end of a range.
 const BEYOND: f64 = 0.001;
 
-/// For each quantity of motion ([`MOTION`]) the range of all recorded values but a thousandth at either end.
+/// For each quantity of motion ([`MOTION`]), the range of all recorded values except a thousandth at either end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedRanges(Vec<Option<[f64; 2]>>);
 
@@ -41,8 +41,8 @@ mod tests {
         let recorded: Vec<Scene> = (0..20).map(|i| alone(8.0 + 0.2 * f64::from(i))).collect();
         let ranges = RecordedRanges::of(&MotionHistograms::of(&recorded));
         assert_eq!(ranges.plausibility(&alone(10.0)), Some(1.0));
-        // One of four quantities, speed, acceleration, jerk and yaw rate, is out of range; nobody else is there to be
-        // near.
+        // One of four quantities, speed, acceleration, jerk and yaw rate, is out of range; there is no other agent
+        // nearby.
         assert_eq!(ranges.plausibility(&alone(14.0)), Some(0.75));
         assert_eq!(RecordedRanges::of(&MotionHistograms::default()).plausibility(&alone(14.0)), None);
     }

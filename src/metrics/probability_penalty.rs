@@ -3,7 +3,7 @@
 use super::min_ade::{ego_ade_m, ego_fde_m};
 use super::{Direction, Metric, MetricSpec, ModesOf, SampleGroup};
 
-/// Lower probabilities have the same penalty (Argoverse 1).
+/// Lower probabilities get the penalty of this one (Argoverse 1).
 const LEAST_PROBABILITY: f64 = 0.05;
 
 /// Which distance is penalized.

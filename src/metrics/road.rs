@@ -47,7 +47,7 @@ impl Road {
         candidates().any(|piece| piece.contains(point)) || candidates().any(|piece| piece.is_near(point))
     }
 
-    /// How far `point` is off the road, meters; 0 on it. NaN for a point that is NaN.
+    /// The distance of `point` from the road, meters; 0 on it. NaN if the point is NaN.
     pub(crate) fn distance_m(&self, point: Vec2) -> f64 {
         if !point.is_finite() {
             return f64::NAN;
@@ -70,7 +70,7 @@ impl Piece {
         matches!(self, Self::Outline(outline, _) if is_in_polygon(outline, point))
     }
 
-    /// How far `point`, which is within no outline, is from the piece, meters.
+    /// The distance of `point`, which is within no outline, from the piece, meters.
     fn distance_m(&self, point: Vec2) -> f64 {
         let (line, half_width_m) = match self {
             Self::Outline(_, closed) => (closed, 0.0),
@@ -89,7 +89,7 @@ impl Piece {
     }
 }
 
-/// Whether the map ends where a lane starts, and where it ends: no lane goes on from there, nor from a neighbor.
+/// Whether the map ends at the start of a lane, and at its end: no lane continues there, nor from a neighbor.
 pub(super) fn map_ends(lanes: &LaneGraph, lane: &Lane) -> [bool; 2] {
     let is_map_end = |connected: fn(&Lane) -> &Vec<LaneId>| {
         let mut neighbors =
@@ -99,7 +99,7 @@ pub(super) fn map_ends(lanes: &LaneGraph, lane: &Lane) -> [bool; 2] {
     [is_map_end(|lane| &lane.predecessors), is_map_end(|lane| &lane.successors)]
 }
 
-/// The continuations of a lane before its start and beyond its end, where the map ends.
+/// The continuations of a lane before its start and beyond its end, if the map ends there.
 fn open_ends(lanes: &LaneGraph, lane: &Lane) -> Vec<Piece> {
     let points = &lane.centerline.0;
     let ray = |from: Option<&Vec2>, end: Option<&Vec2>| {

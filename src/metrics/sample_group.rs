@@ -6,8 +6,8 @@ use std::ops::Range;
 /// A recorded scene and samples of its future.
 ///
 /// The samples have the same tracks in the same order, the same timesteps and the same observed states (the history,
-/// unless the sweep sets another mask), and a future state of every agent tracked at present whenever the recording has
-/// one; otherwise the agent cannot be scored. The recording itself may serve as its only sample.
+/// unless the sweep sets another mask). Every agent tracked at present has a future state if it has one in the
+/// recording; otherwise the agent cannot be scored. The recording itself may serve as its only sample.
 #[derive(Debug, Clone, Copy)]
 pub struct SampleGroup<'a> {
     /// The recording.
@@ -28,21 +28,22 @@ impl<'a> SampleGroup<'a> {
         Self { recorded, samples, probabilities: None, asked: Roles::none(), asked_to_collide: false }
     }
 
-    /// The probability of a sample; those of all samples sum to 1. `None` if there is no such sample, or no finite sum.
+    /// The probability of a sample; over all samples they sum to 1. `None` if there is no such sample, or no finite
+    /// sum.
     pub(super) fn probability(&self, sample_idx: usize) -> Option<f64> {
         let Some(probabilities) = self.probabilities else { return Some(1.0 / self.samples.len() as f64) };
         let sum: f64 = probabilities.iter().sum();
         Some(probabilities.get(sample_idx)? / sum).filter(|probability| probability.is_finite())
     }
 
-    /// The sample with the least `figure` (the first of equals), and that figure; `None` without samples, or if the
-    /// figure is not defined for one of them.
+    /// The sample with the least `figure` (the first among equals), and that figure; `None` without samples, or if the
+    /// figure is undefined for one of them.
     pub(super) fn best_sample(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<(usize, f64)> {
         let figures: Option<Vec<f64>> = self.samples.iter().map(figure).collect();
         figures?.into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The least `figure` of all samples; `None` without samples, or if it is not defined for one of them.
+    /// The least `figure` of all samples; `None` without samples, or if it is undefined for one of them.
     pub(super) fn min_over_samples(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
         let figures: Option<Vec<f64>> = self.samples.iter().map(figure).collect();
         figures?.into_iter().reduce(f64::min)

@@ -70,7 +70,7 @@ pub struct SeriesKey {
     pub group: Group,
     /// The measured sweep, or the sweep that continues these recordings.
     pub sweep: String,
-    /// How strongly it was guided; unguided for groups that were not generated.
+    /// The level of guidance; unguided for groups that were not generated.
     pub level: GuidanceLevel,
 }
 

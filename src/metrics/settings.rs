@@ -1,4 +1,4 @@
-//! The settings of metrics: the same for evaluation, for selections of sweeps and for limits of requests.
+//! The settings of metrics: common to evaluation, selections of sweeps and limits of requests.
 
 use super::{ALL, DrivableAreaCompliance, Metric, OffroadRate, ValidityConfig, ValidityRate};
 use crate::settings;
@@ -17,7 +17,7 @@ impl MetricSettings {
         ALL.iter().map(|metric| self.configured(*metric).unwrap_or_else(|| Box::new(*metric))).collect()
     }
 
-    /// The metric of this name. `None` if there is no such metric.
+    /// The metric with this name. `None` if there is no such metric.
     pub fn by_id(&self, id: &str) -> Option<Box<dyn Metric>> {
         let metric = super::by_id(id)?;
         Some(self.configured(metric).unwrap_or_else(|| Box::new(metric)))
@@ -28,7 +28,7 @@ impl MetricSettings {
         super::by_id(id).is_some_and(|metric| self.configured(metric).is_some())
     }
 
-    /// The metric with these settings; `None` if it has none.
+    /// The metric with these settings; `None` if it has no settings.
     fn configured(&self, metric: &dyn Metric) -> Option<Box<dyn Metric>> {
         let validity = ValidityRate { limits: Some(self.validity.clone()) };
         let places_without_road = || self.validity.places_without_road.clone();
@@ -45,7 +45,7 @@ impl MetricSettings {
     /// Checks the settings.
     ///
     /// # Errors
-    /// Its key below `evaluate`, its value and what was expected.
+    /// Names its key below `evaluate`, its value and the expectation.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))
     }
@@ -61,7 +61,7 @@ mod tests {
 
     #[test]
     fn metrics_with_settings_judge_by_them() {
-        // The first car passes through one that stands in its way, which is all that is wrong with them.
+        // The first car passes through one that stands in its way; nothing else is wrong.
         let crash = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(10.0, 0.0, 0.0, 0.0)]);
         let group = SampleGroup::equally_likely(&crash, std::slice::from_ref(&crash));
         let rate = |settings: &MetricSettings| settings.by_id("validity_rate").expect("known").evaluate(&group);

@@ -11,14 +11,14 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// A recording with samples, and the figure that must come of it; no `value` where the metric is not defined.
+/// A recording with samples, and the expected figure; no `value` if the metric is undefined.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MetricCase {
     recorded: SceneSpec,
     #[serde(default)]
     samples: Vec<SceneSpec>,
-    /// How likely the samples are, where they are not equally likely.
+    /// The probabilities of the samples, unless they are equally likely.
     probabilities: Option<Vec<f64>>,
     /// The requested agents, as [role, agent].
     #[serde(default)]
@@ -26,7 +26,7 @@ struct MetricCase {
     value: Option<f64>,
 }
 
-/// The figure where the first two agents are requested as ego and other.
+/// The figure with the first two agents requested as ego and other.
 fn evaluate(metric: &dyn Metric, recorded: &Scene, samples: &[Scene]) -> Option<f64> {
     let roles = ["ego", "other"].into_iter().map(str::to_owned);
     let asked: Roles = roles.zip(recorded.tracks.iter().map(|track| track.id.clone())).collect();
@@ -142,7 +142,7 @@ fn drifted(scene: &Scene, drift_mps: f64) -> Scene {
 fn a_recording_is_no_distance_from_itself() {
     for seed in 0..20 {
         let scene = random_scene(seed, 9, 25.0);
-        // Distances between samples, and between agents, are none from the recording.
+        // Distances between samples, and between agents, are not distances from the recording.
         let is_distance = |metric: &&&dyn Metric| {
             metric.spec().unit == "m" && !["mfd_m", "pair_min_distance_m"].contains(&metric.spec().id)
         };

@@ -26,7 +26,7 @@ impl Default for BehaviorClassifierConfig {
 }
 
 /// Shortest and longest encoding periods of c_noise, which lies in [-1.55, 1.10]: the probability of a behavior changes
-/// slowly with the noise level, so that shorter periods would only invite overfitting.
+/// slowly with the noise level, so shorter periods would only invite overfitting.
 const NOISE_PERIODS: (f64, f64) = (1.0, 8.0);
 
 /// The paper's noise-aware classifier: a perceptron over the diffused trajectories of both agents, the validity of each
@@ -40,7 +40,7 @@ pub struct BehaviorClassifier {
 
 impl BehaviorClassifier {
     /// A classifier of pairs over `n_timesteps` with `state_dim` diffused dimensions, whose parameters live in
-    /// `params`; those that are not there yet are drawn from `seed`.
+    /// `params`; missing ones are drawn from `seed`.
     ///
     /// # Errors
     /// Fails when the parameters exist with other shapes.

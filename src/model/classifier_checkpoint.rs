@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClassifierSpec {
-    /// Says that this is a behavior classifier, to readers of the file.
+    /// Marks the file as a behavior classifier, for its readers.
     pub kind: ClassifierKind,
     /// Name of the behavior.
     pub behavior: String,
@@ -35,7 +35,7 @@ pub struct ClassifierSpec {
     pub n_positive: u64,
     /// Number of negative pairs it was trained on.
     pub n_negative: u64,
-    /// How much more a positive pair counted in the loss than a negative one.
+    /// The weight of a positive pair in the loss relative to a negative one.
     pub pos_weight: f64,
     /// Optimizer steps it was trained for.
     pub steps: u64,
@@ -57,7 +57,7 @@ impl ClassifierSpec {
     /// The classifier's input for agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
     ///
     /// # Errors
-    /// Fails when there is not one pair a row or a place lies outside the agent axis.
+    /// Fails when there is not one pair per row or a place lies outside the agent axis.
     pub fn features(&self, batch: &SceneBatch, pairs: &[(usize, usize)]) -> Result<PairFeatures> {
         PairFeatures::new(batch, pairs, self.normalizer.parametrization)
     }

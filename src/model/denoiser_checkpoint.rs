@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, de};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DenoiserSpec {
-    /// Says that this is a denoiser, to readers of the file.
+    /// Marks the file as a denoiser, for its readers.
     pub kind: DenoiserKind,
     /// The network.
     #[serde(deserialize_with = "network")]
@@ -37,14 +37,14 @@ pub struct DenoiserSpec {
     pub seed: u64,
     /// Fingerprint of the scenes it was trained on.
     pub scenes: String,
-    /// The objectives that it was trained toward, as in the configuration; of a distilled denoiser those of its teacher
-    /// come first.
+    /// The objectives toward which it was trained, as in the configuration; for a distilled denoiser, those of its
+    /// teacher come first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub objectives: Vec<serde_json::Value>,
-    /// Its loss on held-out scenes after changes to its inputs; empty where nobody measured it.
+    /// Its loss on held-out scenes after changes to its inputs; empty if not measured.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed_losses: Vec<ChangedLoss>,
-    /// Its loss on held-out scenes place by place; empty where nobody measured it.
+    /// Its loss on held-out scenes place by place; empty if not measured.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub losses_by_place: Vec<PlaceLoss>,
     /// The target of its distillation; `None` for an ordinary denoiser.
@@ -52,8 +52,8 @@ pub struct DenoiserSpec {
     pub distillation: Option<Distillation>,
 }
 
-/// Reads a network. Checkpoints of earlier builds, the bundled ones among them, say that a part is off that networks no
-/// longer have.
+/// Reads a network. Checkpoints of earlier builds, including the bundled ones, have a flag for a part that networks no
+/// longer have, set to off.
 fn network<'de, D: Deserializer<'de>>(from: D) -> Result<NetworkConfig, D::Error> {
     let mut network = serde_json::Value::deserialize(from)?;
     let geometry = network.get_mut("geometry").and_then(serde_json::Value::as_object_mut);
@@ -65,7 +65,7 @@ fn network<'de, D: Deserializer<'de>>(from: D) -> Result<NetworkConfig, D::Error
     }
 }
 
-/// The loss of a denoiser on held-out scenes of which something was changed before it saw them.
+/// The loss of a denoiser on held-out scenes with a change made before it saw them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChangedLoss {
@@ -97,7 +97,7 @@ pub struct PlaceLoss {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SceneChange {
-    /// None.
+    /// No change.
     AsRecorded,
     /// Lanes turned by 90 degrees around the ego agent.
     MapTurned,
@@ -105,9 +105,9 @@ pub enum SceneChange {
     MapShifted,
     /// No lanes.
     NoMap,
-    /// None, with a loss of the ego agent's states only.
+    /// No change, but the loss of the ego agent's states only.
     EgoOnly,
-    /// Nobody but the ego agent, with a loss of its states only.
+    /// No agents but the ego agent, and the loss of its states only.
     EgoAlone,
 }
 
@@ -133,7 +133,7 @@ impl SceneChange {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Distillation {
-    /// Its answer leads to the next of these noise levels in one Euler step.
+    /// Each output leads to the next of these noise levels in one Euler step.
     Steps {
         /// The noise levels at which it can be evaluated, and 0.
         sigmas: Vec<f64>,
@@ -160,8 +160,8 @@ impl DenoiserSpec {
         }
     }
 
-    /// How scenes become batches to sample. The geometric network takes any number of agents, and nobody is left out:
-    /// who is left out ends where the past does.
+    /// How scenes become batches to sample. The geometric network takes any number of agents, and none is left out: an
+    /// agent that is left out ends with the past.
     pub fn sampling_collator(&self) -> Collator {
         let max_agents = if self.network.geometry.is_some() { usize::MAX } else { self.max_agents };
         Collator { max_agents, ..self.collator() }

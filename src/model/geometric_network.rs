@@ -1,9 +1,9 @@
-//! F_θ of the geometric denoiser: a transformer over short stretches of motion that sees, at every noise level, where
-//! each agent's estimate is and what surrounds it there.
+//! F_θ of the geometric denoiser: a transformer over short stretches of motion that sees, at every noise level, the
+//! pose of each agent's estimate and its surroundings there.
 //!
-//! Beside what DJINN's own network sees it sees the lanes around each agent in the agent's frame, and for each token
-//! its own pose, its nearest neighbors and its nearest lanes at the pose of the estimate (`relations`). A token is a
-//! stretch of `patch` timesteps of one agent.
+//! Beside the inputs of DJINN's own network it sees the lanes around each agent in the agent's frame, and for each
+//! token its own pose, its nearest neighbors and its nearest lanes at the pose of the estimate (`relations`). A token
+//! is a stretch of `patch` timesteps of one agent.
 
 use super::relations::{self, Counts, Relations};
 use super::trunk::{LaneKeys, Trunk, TrunkConfig};
@@ -52,15 +52,15 @@ pub(super) struct GeometricNetwork {
     output: Mlp,
 }
 
-/// Everything that F_θ computes from what does not change between calls.
+/// The results of F_θ that do not change between calls.
 #[derive(Debug, Clone)]
 pub(super) struct KnownTokens {
     /// The known part of the input of each token, (B, A, N, width).
     input: Tensor,
     lanes: LaneKeys,
-    /// 1 where a token holds a state that is observed or latent, (B, A, N).
+    /// 1 if a token holds a state that is observed or latent, (B, A, N).
     valid: Tensor,
-    /// 1 where somebody reads the result, (B, A, N).
+    /// 1 if the result is read, (B, A, N).
     read: Tensor,
 }
 
@@ -120,7 +120,7 @@ impl GeometricNetwork {
         })
     }
 
-    /// Encodes what does not change between calls.
+    /// Encodes the inputs that do not change between calls.
     ///
     /// # Errors
     /// If the batch was collated without `Sight`, or does not fit the network.
@@ -151,8 +151,8 @@ impl GeometricNetwork {
         Ok(KnownTokens { input, lanes: self.trunk.project_keys(&lanes, &lane_valid)?.of_agents(), valid, read })
     }
 
-    /// F_θ for the noisy states of `seen` (B, A, T, 4 D), of which the estimate has `poses` (B, A, T, 3), at `c_noise`
-    /// (B): (B, A, T, D).
+    /// F_θ for the noisy states of `seen` (B, A, T, 4 D), whose estimate has `poses` (B, A, T, 3), at `c_noise` (B):
+    /// (B, A, T, D).
     ///
     /// # Errors
     /// Fails when shapes do not fit.
@@ -196,7 +196,7 @@ impl GeometricNetwork {
         f_x.reshape((b, a, n * self.geometry.patch, self.state_dim))?.narrow(2, 0, batch.valid.dim(2)?)
     }
 
-    /// (B, A, T, F) to tokens (B, A, N, patch · F); what the last token lacks is zero.
+    /// (B, A, T, F) to tokens (B, A, N, patch · F); the missing end of the last token is zero.
     fn tokens(&self, x: &Tensor) -> Result<Tensor> {
         let (b, a, t, f) = x.dims4()?;
         let n = t.div_ceil(self.geometry.patch);
@@ -223,13 +223,13 @@ impl KnownTokens {
     }
 }
 
-/// The largest of what a perceptron makes of each valid entry of (.., K, F), and 0 without any: (.., width).
+/// The maximum of a perceptron's outputs over the valid entries of (.., K, F), and 0 without any: (.., width).
 fn pool(perceptron: &Mlp, entries: &Tensor, valid: &Tensor) -> Result<Tensor> {
     // Entries that are not valid are exactly 0, which no entry is below.
     pool_positive(&perceptron.forward_valid(entries, valid)?)
 }
 
-/// The features of what is known of each state, in the agent's own frame: (B, A, T, `KNOWN`).
+/// The known features of each state, in the agent's own frame: (B, A, T, `KNOWN`).
 fn known_features(batch: &SceneBatch) -> Result<Tensor> {
     let Some(surroundings) = &batch.surroundings else {
         candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");

@@ -26,7 +26,7 @@ fn config() -> NetworkConfig {
     }
 }
 
-/// Two lanes side by side along x, one going on in another.
+/// Two lanes side by side along x, one with a successor.
 fn road(with_bounds: bool) -> Arc<LaneGraph> {
     let line = |x: f64, y: f64| Polyline((0..=6).map(|i| Vec2::new(x + f64::from(i) * 10.0, y)).collect());
     let lane = |id: i64, x: f64, y: f64| Lane {
@@ -133,7 +133,7 @@ fn the_order_of_agents_does_not_matter() {
 
 #[test]
 fn the_whole_scene_may_be_turned_and_moved() {
-    // Coordinates are relative to the ego agent: where a recording put its origin makes no difference.
+    // Coordinates are relative to the ego agent: the origin of a recording makes no difference.
     let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
     let scene = cars(3, &road(true));
     let moved = crate::geometry::Transform2::from_pose(Vec2::new(400.0, -250.0), 2.0);

@@ -1,4 +1,4 @@
-//! How networks of scenes see what is known: observed states, agent features and the map.
+//! The known inputs of networks of scenes: observed states, agent features and the map.
 
 use crate::nn::{Linear, Mlp, Scope, sinusoidal};
 use crate::tensor::FeatureLayout;

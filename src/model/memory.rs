@@ -1,9 +1,9 @@
-//! How many numbers do networks keep: parameters, and what a pass over a batch leaves behind?
+//! The number of values that networks keep: parameters, and intermediate results of a pass over a batch.
 //!
 //! Closed forms in the shapes of layers, counted where networks are defined ([`trunk`](super::trunk),
 //! [`network`](super::network), [`geometric_network`](super::geometric_network),
-//! [`scene_transformer`](super::scene_transformer)); what is small beside them, such as biases, is left out. They are
-//! floating-point numbers: a size that no machine has must not overflow.
+//! [`scene_transformer`](super::scene_transformer)); small parts, such as biases, are left out. They are floating-point
+//! numbers: a size that no machine has must not overflow.
 
 use super::relations::{LANE, NEIGHBOR, OWN};
 use super::{BehaviorClassifierConfig, NetworkConfig, SceneTransformerConfig};
@@ -54,7 +54,7 @@ impl Stack<'_> {
         let n_layers = |kind: char| self.layers.chars().filter(|letter| *letter == kind).count() as f64;
         let (time, agents, map) = (n_layers('T'), n_layers('A'), n_layers('M'));
         let keys = map * n_lane_rows * 2.0 * width;
-        // Own layers keep two norms, queries, keys and values, what is mixed, two results and two sums; map layers a
+        // Own layers keep two norms, queries, keys and values, the mixture, two results and two sums; map layers a
         // query alone.
         let own = |length: f64| rows * (10.0 * width + feed_forward + n_heads * length);
         let read = rows * (8.0 * width + feed_forward + n_heads * n_lanes);
@@ -67,12 +67,12 @@ impl Stack<'_> {
 }
 
 impl NumberCounts {
-    /// The counts for `n` rows in the place of one, with the same parameters.
+    /// The counts for `n` rows in place of one, with the same parameters.
     fn repeated(self, n: f64) -> Self {
         Self { activations: n * self.activations, alive: n * self.alive, ..self }
     }
 
-    /// Adds what makes the features of `rows` out of `inputs` numbers each.
+    /// Adds the layers that turn `inputs` numbers into the features of each of `rows`.
     fn with_input(self, rows: f64, inputs: f64, width: f64) -> Self {
         Self {
             parameters: self.parameters + (inputs + 2.0 * width) * width,

@@ -133,14 +133,14 @@ pub struct SceneNetwork {
     output: Mlp,
 }
 
-/// Everything that F_θ computes from what does not change between calls: known states, features and the map.
+/// The results of F_θ that do not change between calls: from known states, features and the map.
 #[derive(Debug, Clone)]
 pub struct Known {
     /// The known part of the first input map, (B, A, T, width).
     input: Tensor,
     lanes: LaneKeys,
     valid: Tensor,
-    /// 1 where somebody reads the result: at valid states that are not known, (B, A, T).
+    /// 1 if the result is read: at valid states that are not known, (B, A, T).
     read: Tensor,
 }
 
@@ -180,9 +180,9 @@ impl SceneNetwork {
         Ok(Self { encoding, latent_periods, input_latent, known, input_noise, input_out, trunk, norm_out, output })
     }
 
-    /// Encodes what does not change between calls: known states `context` (B, A, T, D), agent features (B, A, T, C),
-    /// lane polylines (M, L, F) with `lane_valid` (M, L), `valid` (B, A, T) and `latent` (B, A, T), where results are
-    /// read.
+    /// Encodes the inputs that do not change between calls: known states `context` (B, A, T, D), agent features (B, A,
+    /// T, C), lane polylines (M, L, F) with `lane_valid` (M, L), `valid` (B, A, T) and `latent` (B, A, T), where
+    /// results are read.
     ///
     /// # Errors
     /// Fails when shapes do not fit the network.

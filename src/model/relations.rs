@@ -1,8 +1,8 @@
-//! Where is a noisy agent, and what is around it there? Poses of an estimate to features of each agent at each token:
-//! its own pose, its nearest neighbors, its nearest lanes.
+//! Turns the poses of an estimate into features of each agent at each token: its own pose, its nearest neighbors, its
+//! nearest lanes.
 //!
-//! All of it is looked up on the host and outside of every gradient: which neighbor or lane is nearest jumps, and a
-//! network that sees them at every noise level has its gradients through the states themselves.
+//! All of it is looked up on the host and outside of every gradient: the nearest neighbor or lane changes abruptly, and
+//! a network that sees them at every noise level has its gradients through the states themselves.
 
 mod lanes;
 
@@ -18,8 +18,8 @@ pub(super) const OWN: usize = 10;
 /// Features of a neighbor.
 pub(super) const NEIGHBOR: usize = 17;
 
-/// Meters per unit of positions in an agent's own frame, and where those relative to a neighbor are half of their
-/// limit.
+/// Meters per unit of positions in an agent's own frame, and the distance at which positions relative to a neighbor are
+/// half of their limit.
 const POSITION_M: f32 = 10.0;
 /// Meters per unit of positions in the ego frame.
 const EGO_POSITION_M: f32 = 50.0;
@@ -32,15 +32,15 @@ pub(super) struct Relations {
     pub(super) own: Tensor,
     /// (B, A, N, K, `NEIGHBOR`).
     pub(super) neighbors: Tensor,
-    /// 1 where there is a neighbor, (B, A, N, K).
+    /// 1 if there is a neighbor, (B, A, N, K).
     pub(super) neighbor_valid: Tensor,
     /// (B, A, N, L, `LANE`).
     pub(super) lanes: Tensor,
-    /// 1 where there is a lane, (B, A, N, L).
+    /// 1 if there is a lane, (B, A, N, L).
     pub(super) lane_valid: Tensor,
 }
 
-/// How many of each there are.
+/// The length of a token, and the numbers of its neighbors and lanes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Counts {
     /// Timesteps of a token.
@@ -206,8 +206,7 @@ fn own_features(pose: &Pose, [x0, y0, cos0, sin0]: [f32; 4]) -> [f32; OWN] {
     ]
 }
 
-/// Distance of two boxes along the axis on which they are farthest apart, negative where they overlap (separating
-/// axes).
+/// Distance of two boxes along the axis on which they are farthest apart, negative if they overlap (separating axes).
 fn gap_m(a: &Pose, of_a: &AgentSurroundings, b: &Pose, of_b: &AgentSurroundings) -> f32 {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let (cos, sin) = ((a.cos * b.cos + a.sin * b.sin).abs(), (a.cos * b.sin - a.sin * b.cos).abs());

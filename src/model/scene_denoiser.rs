@@ -12,9 +12,9 @@ use candle_core::{Result, Tensor};
 /// A denoiser of scenes, with DJINN's network or the geometric one.
 ///
 /// DJINN's is D_θ(x; σ) = c_skip(σ) x + c_out(σ) F_θ(c_in(σ) x, …, c_noise(σ)). The geometric one has factors of its
-/// own for each mode of an agent's motion, whose variance Λ is known: D_θ(x; σ) = W x + Uᵀ c_out(σ, Λ) U F_θ(…) with
-/// W = Uᵀ w(σ, Λ) U, where w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that what F_θ has
-/// to say has unit variance (Karras et al. 2022, appendix B.6). The cap keeps W from trusting large modes more than EDM
+/// own for each mode of an agent's motion, whose variance Λ is known: D_θ(x; σ) = W x + Uᵀ c_out(σ, Λ) U F_θ(…) with W
+/// = Uᵀ w(σ, Λ) U, where w = λ / (λ + σ²), λ = min(Λ, σ_data²), and c_out² = (1 - w)² Λ + w² σ², so that the target of
+/// F_θ has unit variance (Karras et al. 2022, appendix B.6). The cap keeps W from trusting large modes more than EDM
 /// does.
 #[derive(Debug, Clone)]
 pub struct SceneDenoiser {
@@ -30,10 +30,10 @@ enum Network {
 }
 
 impl SceneDenoiser {
-    /// A denoiser whose parameters live in `params`; those that are not there yet are drawn from `seed`.
+    /// A denoiser whose parameters live in `params`; missing ones are drawn from `seed`.
     ///
     /// # Errors
-    /// Fails when the configuration is no network.
+    /// Fails when the configuration is not that of a network.
     pub fn new(params: &mut Params, config: &NetworkConfig, state_dim: usize, edm: Edm, seed: Seed) -> Result<Self> {
         let mut scope = Scope::root(params, seed);
         let network = match &config.geometry {
@@ -50,9 +50,9 @@ impl SceneDenoiser {
         &self.edm
     }
 
-    /// The denoiser conditioned on the observed states and maps of `batch`, for `n_samples` samples of every row:
-    /// rows b · n_samples to (b + 1) · n_samples - 1 of its input belong to row b of the batch. What all samples of a
-    /// scene share is computed once.
+    /// The denoiser conditioned on the observed states and maps of `batch`, for `n_samples` samples of every row: rows
+    /// b · n_samples to (b + 1) · n_samples - 1 of its input belong to row b of the batch. Results that all samples of
+    /// a scene share are computed once.
     ///
     /// # Errors
     /// Fails when the batch does not fit the network.
@@ -95,7 +95,7 @@ pub struct BoundDenoiser<'a> {
     edm: &'a Edm,
     network: Bound<'a>,
     latent: Tensor,
-    /// The input in the place of x where states are observed, (B, A, T, D).
+    /// The input in place of x for observed states, (B, A, T, D).
     observed_motion: Option<Tensor>,
 }
 
@@ -104,8 +104,7 @@ enum Bound<'a> {
     Scene {
         network: &'a SceneNetwork,
         known: Known,
-        /// The matrices that turn white motion into residuals of unit variance, (B, A, T, T), where the network sees
-        /// them.
+        /// The matrices that turn white motion into residuals of unit variance, (B, A, T, T), if the network sees them.
         path: Option<Tensor>,
     },
     Geometric(Box<BoundGeometric<'a>>),
@@ -121,7 +120,7 @@ struct BoundGeometric<'a> {
 }
 
 impl BoundDenoiser<'_> {
-    /// `scaled` states with what observed agents were seen to do in the places of observed states.
+    /// `scaled` states with the motion of observed agents in place of observed states.
     fn moved(&self, scaled: &Tensor) -> Result<Tensor> {
         match &self.observed_motion {
             Some(motion) => scaled + motion,
@@ -154,7 +153,7 @@ impl Denoiser for BoundDenoiser<'_> {
                 let variance = rows(&|s| s * s)?;
                 let factors = ModeFactors::new(batch, &variance)?;
                 let skipped = factors.skip(&x)?;
-                // Sums of smooth motion are some two times as large as those of white motion.
+                // Sums of smooth motion are about twice as large as those of white motion.
                 let path_of_skipped = (path.matmul(&skipped)? * 0.5)?;
                 let seen =
                     Tensor::cat(&[&self.moved(&scaled)?, &path.matmul(&scaled)?, &skipped, &path_of_skipped], 3)?;

@@ -1,5 +1,5 @@
-//! Scene Transformer, the joint variant (Ngiam et al. 2021): from what is known of a scene, a few futures of all its
-//! agents at once, and how likely each is.
+//! Scene Transformer, the joint variant (Ngiam et al. 2021): from the known inputs of a scene, a few futures of all its
+//! agents at once, with their probabilities.
 
 use super::known_input::KnownInput;
 use super::trunk::{Trunk, TrunkConfig, check_heads, check_layers};
@@ -51,7 +51,7 @@ impl SceneTransformerConfig {
 }
 
 impl Default for SceneTransformerConfig {
-    /// The published layers, but for those that read traffic signals, which our recordings do not have.
+    /// The published layers, except for those that read traffic signals, which our recordings do not have.
     fn default() -> Self {
         Self {
             encoder: "TATATA M TA M TA".to_owned(),
@@ -116,8 +116,8 @@ pub struct SceneTransformer {
 }
 
 impl SceneTransformer {
-    /// A network for states of `state_dim` dimensions in a parametrization, whose parameters live in `params`; those
-    /// that are not there yet are drawn from `seed`.
+    /// A network for states of `state_dim` dimensions in a parametrization, whose parameters live in `params`; missing
+    /// ones are drawn from `seed`.
     ///
     /// # Errors
     /// Fails when the layer strings hold other letters than T, A and M, there is no mode, or sizes do not fit.

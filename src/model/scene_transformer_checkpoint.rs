@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SceneTransformerSpec {
-    /// Says that this is a Scene Transformer, to readers of the file.
+    /// Marks the file as a Scene Transformer, for its readers.
     pub kind: SceneTransformerKind,
     /// The network.
     pub network: SceneTransformerConfig,

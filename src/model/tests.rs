@@ -24,7 +24,7 @@ fn config() -> NetworkConfig {
     }
 }
 
-/// Cars one behind the other, each faster than the one before it, on a sharper bend.
+/// Cars one behind the other, each faster than the one before it, and on a sharper bend.
 pub(super) fn drives(n: usize) -> Vec<Drive> {
     let drive = |i: usize| Drive {
         x: 6.0 * i as f64,

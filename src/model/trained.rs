@@ -26,7 +26,7 @@ pub trait ModelSpec: Serialize + DeserializeOwned {
     }
 }
 
-/// A network ready for use, with what it is and where it came from.
+/// A network ready for use, with its specification and its origin.
 #[derive(Debug, Clone)]
 pub struct TrainedModel<S: ModelSpec> {
     /// The network; its parameters take no gradients.
@@ -41,7 +41,7 @@ impl<S: ModelSpec> TrainedModel<S> {
     /// Reads a checkpoint file.
     ///
     /// # Errors
-    /// When the file is not a whole checkpoint of such a network, of this version.
+    /// When the file is not a whole checkpoint of such a network, in this version.
     pub fn read(path: &Path, compute: &Compute) -> Result<Self, Error> {
         let checkpoint = read_checkpoint::<S>(path, &compute.device)?;
         let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };

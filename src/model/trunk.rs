@@ -1,5 +1,4 @@
-//! The stack of transformer layers that all networks of scenes are made of: how do the states of a scene come to see
-//! each other?
+//! The stack of transformer layers in all networks of scenes, by which the states of a scene see each other.
 
 use crate::nn::{Axis, CrossAttention, LayerNorm, Mlp, Scope, SelfAttention};
 use crate::settings::{self, Issue};
@@ -68,7 +67,7 @@ pub(super) struct Trunk {
 pub(super) struct LaneKeys {
     /// Keys and values of each map layer, (M, L, 2 width).
     keys: Vec<Tensor>,
-    /// 1 where a polyline is no padding, (M, L).
+    /// 1 if a polyline is not padding, (M, L).
     valid: Tensor,
     /// Whether each agent has a map of its own (M = B A), and not each scene.
     of_agents: bool,
@@ -80,7 +79,7 @@ impl LaneKeys {
         Self { of_agents: true, ..self }
     }
 
-    /// The maps of agents, whose rows of scenes are `n_rows`, for rows taken several times.
+    /// The maps of agents, with `n_rows` rows of scenes, for rows taken several times.
     ///
     /// # Errors
     /// Fails when the device runs out of memory.
@@ -136,8 +135,8 @@ impl Trunk {
     }
 
     /// Features (B, A, T, width) to features of the same shape, with `valid` (B, A, T). B is a multiple of the number
-    /// of maps M: each map belongs to B / M rows that follow each other. Results mean something where `read` (B, A, T)
-    /// is 1: the last layer does no more than it must elsewhere.
+    /// of maps M: each map belongs to B / M consecutive rows. Results are meaningful only if `read` (B, A, T) is 1:
+    /// elsewhere the last layer does only what it must.
     ///
     /// # Errors
     /// Fails when shapes do not fit, or the map was projected by another trunk.

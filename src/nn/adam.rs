@@ -29,7 +29,7 @@ impl Default for Adam {
 
 impl Adam {
     /// Takes one step with learning rate `lr` and returns the global norm of the gradients before clipping. Gradients
-    /// are scaled down together where that norm exceeds `clip_norm`. A parameter without a gradient stays as it is.
+    /// are scaled down together if that norm exceeds `clip_norm`. A parameter without a gradient does not change.
     ///
     /// # Errors
     /// When the norm is not finite; nothing is changed then.

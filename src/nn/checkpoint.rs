@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use super::error::Error;
 use crate::files::write_atomically;
 
-/// The entry of the safetensors metadata that holds ours, as JSON.
+/// The entry of the safetensors metadata that holds djinn's, as JSON.
 const METADATA_KEY: &str = "djinn";
 
 /// The content of a checkpoint file.
@@ -59,7 +59,7 @@ pub fn read_checkpoint<M: DeserializeOwned>(path: &Path, device: &Device) -> Res
     parse_checkpoint(&fs_err::read(path)?, path, device)
 }
 
-/// Reads the `bytes` of a checkpoint, which are those of the file at `path`.
+/// Parses the `bytes` of the checkpoint file at `path`.
 ///
 /// # Errors
 /// When they are cut off, or hold no metadata of type `M`.

@@ -40,7 +40,7 @@ impl Ema {
     /// Moves the average toward the present values of `params`.
     ///
     /// # Errors
-    /// When `params` are not those that the average was made of.
+    /// When `params` are not those from which the average was made.
     pub fn update(&mut self, params: &Params) -> Result<()> {
         self.n_updates += 1;
         let n = self.n_updates as f64;
@@ -56,7 +56,7 @@ impl Ema {
     /// training.
     ///
     /// # Errors
-    /// When `params` are not those that the average was made of.
+    /// When `params` are not those from which the average was made.
     pub fn swap(&mut self, params: &mut Params) -> Result<()> {
         let values = copies(&params.tensors())?;
         params.load(&self.tensors)?;

@@ -24,7 +24,7 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// The metadata does not describe what the reader expects.
+    /// The metadata does not describe the expected kind of model.
     #[error(
         "the metadata of {path} is for another model or version; use a checkpoint of this kind of model, written by \
          this version"

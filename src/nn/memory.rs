@@ -1,4 +1,4 @@
-//! Keeps memory that a tensor frees for the next tensor.
+//! Keeps freed memory of tensors for later ones.
 
 use std::sync::Once;
 

@@ -1,4 +1,4 @@
-//! Trainable parameters by name: which tensors does a model hold, and where do their first values come from?
+//! Trainable parameters by name: the tensors of a model, and the source of their first values.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ pub enum Init {
     Zeros,
     /// All 1.
     Ones,
-    /// Uniform over ±1 / √`fan_in`: what `torch.nn.Linear` uses for weights and biases.
+    /// Uniform over ±1 / √`fan_in`, as in `torch.nn.Linear` for weights and biases.
     KaimingUniform {
         /// Number of inputs that each output sums over.
         fan_in: usize,

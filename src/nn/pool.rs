@@ -2,7 +2,7 @@
 
 use candle_core::Device;
 
-/// Runs `work` on a thread of rayon's pool. From any other thread, each of a network's many operations would be handed
+/// Runs `work` on a thread of rayon's pool. From any other thread, each of a network's many operations would be passed
 /// to the pool and waited for.
 pub fn in_pool<R: Send>(device: &Device, work: impl FnOnce() -> R + Send) -> R {
     match device {

@@ -1,4 +1,4 @@
-//! How exactly are the products inside linear maps taken?
+//! The precision of products inside linear maps.
 
 use std::fmt;
 use std::str::FromStr;
@@ -64,7 +64,7 @@ impl Precision {
     }
 }
 
-/// Sends `f32` products to tensor cores as long as it lives. candle's switch holds for the whole process, but other
+/// Sends `f32` products to tensor cores while it exists. candle's switch holds for the whole process, but other
 /// products, such as those of paths in the motion parametrization, must not lose digits. Only one thread submits work
 /// to the GPU.
 #[cfg(feature = "cuda")]

@@ -51,7 +51,7 @@ fn normal(shape: &[usize], seed: u64) -> Tensor {
     Tensor::from_vec(values, shape, &Device::Cpu).unwrap()
 }
 
-/// States (2, 3, 4) of which the last agent of the last scene is padding.
+/// States (2, 3, 4), with the last agent of the last scene as padding.
 fn valid() -> Tensor {
     let values = (0..24).map(|i| if i >= 20 { 0f32 } else { 1.0 }).collect::<Vec<_>>();
     Tensor::from_vec(values, (2, 3, 4), &Device::Cpu).unwrap()

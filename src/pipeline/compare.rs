@@ -20,7 +20,7 @@ const HEAD_BYTES: u64 = 1 << 20;
 /// Writes a page that sets the runs in two folders side by side.
 ///
 /// # Errors
-/// When one of the folders is no run folder or holds files that cannot be read; those of the file system.
+/// When one of the folders is no run folder or holds files that cannot be read; errors of the file system.
 pub fn write_comparison(a: &Path, b: &Path, page: &Path) -> Result<()> {
     let comparison = Comparison { a: read_run(a)?, b: read_run(b)? };
     check_page(a, b, page)?;
@@ -41,7 +41,7 @@ fn check_page(a: &Path, b: &Path, page: &Path) -> Result<()> {
     if page.symlink_metadata().is_err() {
         return Ok(());
     }
-    // A device has no end, and a file of somebody else's may be of any size.
+    // A device has no end, and a foreign file may be of any size.
     regular(page).map_err(Failure::input)?;
     let begins_as_ours = || -> std::io::Result<bool> {
         let mut head = Vec::new();

@@ -7,7 +7,7 @@ use crate::model::TrainedDenoiser;
 use crate::nn::Compute;
 use std::path::Path;
 
-/// The model that is `named`, or else the distilled denoiser or the denoiser of the run whose `corpus` it is.
+/// The model that is `named`, or otherwise the distilled denoiser or the denoiser of the run of the `corpus`.
 ///
 /// # Errors
 /// When there is none, or it is not a whole checkpoint.

@@ -126,7 +126,7 @@ fn evaluations_per_second(
         (false, Some(path)) => checkpoint_file(path),
         (false, None) => return Ok(None),
     };
-    // The stage that reads it reports errors; a damaged model of this run is made again.
+    // Errors are reported by the stage that reads the model; a damaged model of this run is made again.
     let Ok(TrainedDenoiser { network: denoiser, spec, .. }) = TrainedDenoiser::read(&path, compute) else {
         return Ok(None);
     };
@@ -179,7 +179,7 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
     Scene {
         id: SceneId("made-up".to_owned()),
         source: SceneSource {
-            // Any: none of its facts are used.
+            // Any dataset: none of its facts are used.
             dataset: Dataset::ALL[0],
             version: String::new(),
             split: Split::Unsplit,

@@ -1,4 +1,4 @@
-//! Where does each stage find what another one wrote?
+//! Where does each stage find the outputs of others?
 
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Everything under its own name below `root`.
+    /// All places under their own names below `root`.
     pub fn below(root: &Path) -> Self {
         Self {
             scenes: root.join(SCENES),
@@ -42,7 +42,7 @@ impl Layout {
         }
     }
 
-    /// Puts what is below the folder `from` below `to`.
+    /// Moves places below the folder `from` to below `to`.
     pub fn move_below(&mut self, from: &Path, to: &Path) {
         for place in [
             &mut self.scenes,
@@ -82,7 +82,7 @@ pub const SAMPLES: &str = "samples";
 pub const CORPUS: &str = "corpus";
 /// The metric rows.
 pub const METRICS: &str = "metrics.parquet";
-/// The figures that people look at first, and the gates.
+/// The main figures of the evaluation, and the gates.
 pub const METRICS_SUMMARY: &str = "metrics.json";
 /// The outcome of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";

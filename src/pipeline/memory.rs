@@ -1,4 +1,4 @@
-//! How much memory does training or sampling take, and does the machine have it?
+//! How much memory does training or sampling need, and does the machine have it?
 //!
 //! The estimate counts the numbers of four bytes in networks, optimizer and results of operations by the closed forms
 //! of [`NumberCounts`], and multiplies them with a measured overhead. pipelines/README.md compares it with measured
@@ -17,14 +17,13 @@ use crate::store::SceneStore;
 
 /// Bytes of a number.
 const NUMBER: f64 = 4.0;
-/// The program itself with its tables, and what it keeps of scenes, bytes.
+/// The program itself with its tables, and the scenes that it keeps, bytes.
 const BASE: f64 = 60e6;
-/// Copies of the parameters while they are trained: themselves, gradients, two moments, their average, and the state
-/// that is saved.
+/// Copies of the parameters during training: themselves, gradients, two moments, their average, and the saved state.
 const TRAINED_COPIES: f64 = 6.0;
 /// Results and their gradients, with what the allocator keeps between them, per result of an operation. Measured.
 const TRAINED_RESULTS: f64 = 2.2;
-/// Agents of a busy scene, where scenes are not ingested yet.
+/// Agents of a busy scene, for use before scenes are ingested.
 const N_AGENTS: usize = 16;
 
 /// The memory of a stage, in bytes.
@@ -38,7 +37,7 @@ pub struct StageMemory {
     per_row: f64,
     /// Rows of a batch.
     batch_size: usize,
-    /// The size of scenes that it is for.
+    /// The size of the scenes for which it is estimated.
     scene: SceneSize,
 }
 
@@ -53,7 +52,7 @@ impl StageMemory {
         Self { stage: StageId::Generate, fixed, per_row, batch_size, scene }
     }
 
-    /// All of it.
+    /// The total.
     pub fn bytes(&self) -> f64 {
         self.fixed + self.per_row * self.batch_size as f64
     }
@@ -64,7 +63,7 @@ impl StageMemory {
         format!("about {} of memory, with scenes of {n_agents} agents and {n_timesteps} timesteps", size(self.bytes()))
     }
 
-    /// Refuses what goes beyond the limit.
+    /// Refuses estimates beyond the limit.
     fn check(&self, limit: Limit) -> Result<()> {
         if self.bytes() <= limit.bytes {
             return Ok(());
@@ -87,7 +86,7 @@ impl StageMemory {
     }
 }
 
-/// How much stages may take.
+/// The memory that stages may use.
 #[derive(Clone, Copy)]
 struct Limit {
     bytes: f64,
@@ -166,7 +165,7 @@ impl<'a> Sizes<'a> {
         })
     }
 
-    /// The largest scene that a network is shown.
+    /// The largest scene that a network sees.
     fn scene(&self, max_agents: usize, n_lanes: usize, state_dim: Option<usize>) -> Result<SceneSize> {
         let (n_agents, n_timesteps) = match (self.largest, &self.config.ingest) {
             (Some(largest), _) => largest,
@@ -176,8 +175,8 @@ impl<'a> Sizes<'a> {
         Ok(SceneSize { n_agents: n_agents.min(max_agents), n_timesteps, n_lanes, state_dim: state_dim.unwrap_or(3) })
     }
 
-    /// The denoiser's network and the scenes that it is shown: as it will be trained, or as its checkpoint says. `None`
-    /// where neither is known.
+    /// The denoiser's network and the scenes that it sees: as configured for its training, or from its checkpoint.
+    /// `None` if neither is known.
     fn denoiser(&self) -> Result<Option<(NetworkConfig, SceneSize)>> {
         let path = match &self.config.train.denoiser {
             Some(section) => match &section.checkpoint {
@@ -190,7 +189,7 @@ impl<'a> Sizes<'a> {
             },
             None => checkpoint_file(&self.layout.denoiser),
         };
-        // The stage that reads it reports errors.
+        // Errors are reported by the stage that reads the model.
         let Ok(TrainedModel { spec, .. }) = TrainedModel::<DenoiserSpec>::read(&path, &Compute::cpu()) else {
             return Ok(None);
         };
@@ -199,11 +198,11 @@ impl<'a> Sizes<'a> {
     }
 }
 
-/// Refuses stages that are to be run and would take more than `run.memory_limit_gb`, or than the `machine` bytes of
-/// memory where that is not set.
+/// Refuses planned stages that would need more than `run.memory_limit_gb`, or than the `machine` bytes of memory if
+/// that is not set.
 ///
 /// # Errors
-/// Names the setting, the estimate, the limit, and what to lower.
+/// Names the setting, the estimate, the limit, and which settings to lower.
 pub fn check_memory(
     config: &PipelineConfig,
     layout: &Layout,
@@ -216,19 +215,19 @@ pub fn check_memory(
     estimate_memory(config, layout, &run)?.iter().try_for_each(|memory| memory.check(limit))
 }
 
-/// The limit that is set, or else that of the machine, bytes.
+/// The configured limit, or else that of the machine, bytes.
 fn limit(config: &PipelineConfig, machine: Option<u64>) -> Option<Limit> {
     let set = config.run.memory_limit_gb.map(|gb| Limit { bytes: 1e9 * gb, whose: "run.memory_limit_gb allows" });
     set.or(machine.map(|bytes| Limit { bytes: bytes as f64, whose: "this machine has" }))
 }
 
-/// The memory that the process may use, bytes: the least limit of its control groups, or all that the machine has.
-/// `None` where the system does not say.
+/// The memory that the process may use, bytes: the lowest limit of its control groups, or all memory of the machine.
+/// `None` if the system does not report it.
 pub fn machine_memory() -> Option<u64> {
     memory_limit(&|path| fs_err::read_to_string(path).ok())
 }
 
-/// [`machine_memory`], where `read` gives the content of a file.
+/// [`machine_memory`], with `read` giving the content of a file.
 fn memory_limit(read: &dyn Fn(&str) -> Option<String>) -> Option<u64> {
     let total = read("/proc/meminfo").and_then(|text| {
         let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?.trim().to_owned();

@@ -1,6 +1,6 @@
-//! The pipeline: which stages are there, and where do their results lie?
+//! The pipeline: which stages does it have, and where are their results?
 //!
-//! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code and hands them to the
+//! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code and passes them to the
 //! [`engine`](crate::engine), [`compare`] sets two run folders side by side. [`cluster`] submits a pipeline to many
 //! machines, [`status`] reports its progress.
 

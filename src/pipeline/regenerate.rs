@@ -32,7 +32,7 @@ pub struct Regenerated {
 /// The batch in which it was denoised is denoised as a whole, because the last digits depend on it; nothing else is.
 ///
 /// # Errors
-/// The input's fault when there is no such scenario, or the scenes or a model are not those that it was generated with;
+/// The input's fault when there is no such scenario, or the scenes or a model differ from those it was generated with;
 /// the machine's when one of them, or the plan, is missing.
 pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Compute) -> Result<Regenerated> {
     let manifest = SampleManifest::read(&layout.samples)?;
@@ -86,7 +86,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
     Ok(Regenerated { stored, again, differences, n_columns })
 }
 
-/// The rows of the shard that holds the scenario, up to and with it, and the place of the shard in the manifest.
+/// The rows of the shard that holds the scenario, up to and including it, and the place of the shard in the manifest.
 fn rows_until(
     id: &str,
     manifest: &SampleManifest,

@@ -127,7 +127,7 @@ impl fmt::Display for StageId {
     }
 }
 
-/// A stage whose outputs are checked as wholes, which one process makes, without networks.
+/// A stage that one process runs without networks, and whose outputs are checked as wholes.
 const fn plain(name: &'static str, command: &'static str, outputs: &'static [&'static str]) -> StageKind {
     StageKind {
         name,

@@ -13,16 +13,16 @@ use serde_json::Value;
 use std::fmt::Write;
 use std::path::Path;
 
-/// How far a run is.
+/// The progress of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Status {
-    /// The stages that it has or will have, as far as that is known.
+    /// The stages that it has or will have, as far as they are known.
     pub stages: Vec<StageProgress>,
-    /// The shards of the stage that workers are at, if they are at one.
+    /// The shards of the stage at which workers are, if any.
     pub shards: Option<ShardStatus>,
 }
 
-/// How far a stage is.
+/// The progress of a stage.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StageProgress {
     /// The stage.
@@ -47,10 +47,10 @@ pub enum ProgressState {
     Missing,
 }
 
-/// Looks at the run folder `root`.
+/// Reads the progress from the run folder `root`.
 ///
 /// # Errors
-/// When it is no run folder; those of the file system.
+/// When it is not a run folder; errors of the file system.
 pub fn status(root: &Path) -> Result<Status> {
     let manifest: Option<RunManifest> = read_json(&root.join(RUN_FILE)).ok();
     let shards = shard_status(root, &KINDS)?;
@@ -76,7 +76,7 @@ pub fn status(root: &Path) -> Result<Status> {
     Ok(Status { stages, shards })
 }
 
-/// The steps in all of a training with this section, which a preset may decide.
+/// The total steps of a training with this section, which a preset may decide.
 pub(super) fn steps_in_all(section: &Value) -> Option<u64> {
     ["/resolved/fit/steps", "/steps"].iter().find_map(|key| section.pointer(key)?.as_u64())
 }

@@ -4,7 +4,7 @@ use crate::metrics::MetricRow;
 use crate::scenario::VerdictRow;
 use std::collections::BTreeMap;
 
-/// The metric by which scenarios are sorted, the hardest first: the least time to collision.
+/// The metric by which scenarios are sorted, the hardest first: the shortest time to collision.
 pub(super) const HARDNESS: &str = "pair_min_ttc_s";
 /// The metric that is 0 where a careful driver could not have prevented the event from becoming a collision.
 const PREVENTABLE: &str = "preventable_rate";
@@ -14,7 +14,7 @@ const CRITICAL_S: f64 = 1.5;
 /// The accepted scenarios of a run.
 #[derive(Debug, Clone, Default)]
 pub struct Accepted {
-    /// Their least times to collision, seconds, by their ids; infinite without a course to collide.
+    /// The shortest time to collision of each scenario by its id, seconds; infinite without a collision course.
     min_ttc_s: BTreeMap<String, f64>,
     /// `None` where no scenario, accepted or not, has the metric.
     n_not_preventable: Option<u64>,
@@ -22,16 +22,16 @@ pub struct Accepted {
     has_ttc: bool,
 }
 
-/// How many scenarios were accepted, and how hard they are.
+/// The number of accepted scenarios, and how hard they are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct HardnessSummary {
-    /// Situations, a recorded scene with the road users of the event, that they continue.
+    /// The situations that they continue: a recorded scene with the road users of the event.
     pub n_situations: u64,
-    /// Those with a time to collision below 1.5 s; `None` if it was not measured.
+    /// Scenarios with a time to collision below 1.5 s; `None` if it was not measured.
     pub n_critical: Option<u64>,
-    /// Those without a time to collision; `None` if it was not measured.
+    /// Scenarios without a time to collision; `None` if it was not measured.
     pub n_without_ttc: Option<u64>,
-    /// Those that a careful driver could not have prevented; `None` if that was not judged.
+    /// Scenarios that a careful driver could not have prevented; `None` if that was not judged.
     pub n_not_preventable: Option<u64>,
 }
 
@@ -59,7 +59,7 @@ impl Accepted {
         }
     }
 
-    /// The least time to collision of a scenario, seconds; `None` if it was not accepted.
+    /// The shortest time to collision of a scenario, seconds; `None` if it was not accepted.
     pub(super) fn min_ttc_s(&self, id: &str) -> Option<f64> {
         self.min_ttc_s.get(id).copied()
     }

@@ -60,7 +60,7 @@ impl BesideRecordings {
         self.motion.finish()
     }
 
-    /// Parameters of recorded events of the requested behaviors, beside those of the new ones. Recorded events are read
+    /// Parameters of recorded events of the requested behaviors, beside those of new ones. Recorded events are read
     /// only if there are new ones.
     pub(super) fn events(&self, all: impl Iterator<Item = Result<BehaviorEvent>>) -> Result<Vec<Distribution>> {
         if self.events.is_empty() {

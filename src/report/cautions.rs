@@ -1,4 +1,4 @@
-//! The figures that a reviewer must see first: generated traffic that is clearly worse than the recordings.
+//! The figures that a reviewer must see first: those of generated traffic that is clearly worse than the recordings.
 
 use crate::behavior::BehaviorEntry;
 use crate::evaluate::SamplingRow;
@@ -7,8 +7,8 @@ use crate::metrics::{Group, MetricRow};
 /// How far a rate of generated traffic may be above the recording's without a caution.
 const RATE_MARGIN: f64 = 0.1;
 
-/// Sentences about the aggregates over all places, sweep by sweep in the order of the rows. Collisions of sweeps that
-/// request them, by `sampling`, need none.
+/// Warnings about the aggregates over all places, sweep by sweep in the order of the rows. Sweeps that request
+/// collisions, judging by `sampling`, get none for them.
 pub fn cautions(aggregates: &[MetricRow], sampling: &[SamplingRow]) -> Vec<String> {
     let rows: Vec<&MetricRow> = aggregates.iter().filter(|row| row.place.is_empty()).collect();
     let mut sweeps: Vec<&str> = Vec::new();

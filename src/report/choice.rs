@@ -1,9 +1,9 @@
-//! Chooses the scenarios of each sweep to draw, of thousands that are offered one by one.
+//! Chooses the scenarios of each sweep to draw, from thousands that are offered one by one.
 //!
 //! Sweeps with a requested behavior are represented by single scenarios: the hardest accepted ones, and some that
 //! failed (before an evaluation, new verified ones from as many scenes as possible); requests by accepted scenarios of
 //! each bucket. Other sweeps are represented by scenes with several samples, if possible the same scenes in all of
-//! these sweeps, so that they can be compared. Limits bound what is kept of a sweep.
+//! these sweeps, so that they can be compared. Limits bound how much of a sweep is kept in memory.
 
 use super::accepted::Accepted;
 use super::card::Verdict;
@@ -13,7 +13,7 @@ use crate::scene::SceneId;
 use crate::store::SceneSet;
 use std::collections::BTreeMap;
 
-/// Samples of a scene that are drawn over each other: as many as a sweep has by default.
+/// The most samples of a scene to draw over each other: as many as a sweep has by default.
 const N_SAMPLES_DRAWN: usize = 6;
 /// Scenarios of a sweep with a behavior that are verified and not accepted, and as many without the behavior.
 const N_FAILED_DRAWN: usize = 3;
@@ -49,7 +49,7 @@ pub(super) enum Chosen {
 /// Collects candidates sweep by sweep.
 pub(super) struct Choice<'a> {
     config: &'a ReportConfig,
-    /// `None` if nothing was decided.
+    /// `None` if acceptance was not decided.
     accepted: Option<&'a Accepted>,
     sweeps: Vec<(String, Candidates)>,
     /// Accepted scenarios of requests, by request and bucket.
@@ -61,7 +61,7 @@ enum Candidates {
     Galleries(Galleries),
 }
 
-/// The scenarios of a sweep with a behavior.
+/// The candidates of a sweep with a behavior.
 struct AskedCandidates {
     accepted: Hardest,
     new: Ranked,
@@ -74,7 +74,7 @@ impl<'a> Choice<'a> {
         Self { config, accepted, sweeps: Vec::new(), buckets: BTreeMap::new() }
     }
 
-    /// Offers the next scenario, in the order of the samples, whose scene has this position in its store.
+    /// Offers the next scenario, in the order of the samples; its scene has this position in the store.
     pub(super) fn offer(&mut self, record: &ScenarioRecord, scene_idx: usize) {
         if let Some((request, bucket)) = accepted_into(record) {
             let of_bucket = self.buckets.entry((request.to_owned(), bucket.idx));
@@ -117,7 +117,7 @@ impl<'a> Choice<'a> {
         })
     }
 
-    /// How many verified scenarios of a sweep are drawn, of which none is known to be accepted.
+    /// How many verified scenarios of a sweep to draw if none is known to be accepted.
     const fn n_verified_drawn(&self) -> usize {
         if self.accepted.is_some() { N_FAILED_DRAWN } else { self.config.n_drawn }
     }
@@ -200,7 +200,7 @@ fn accepted_into(record: &ScenarioRecord) -> Option<(&str, &BucketTag)> {
     Some((&tag.request, tag.bucket.as_ref()?))
 }
 
-/// Up to `limit` scenarios, those with the least time to collision.
+/// Up to `limit` scenarios: those with the shortest times to collision.
 struct Hardest {
     limit: usize,
     n_offered: usize,
@@ -280,7 +280,7 @@ impl Galleries {
         }
     }
 
-    /// The galleries of the scenes that other sweeps draw, too, then of others up to the limit.
+    /// The galleries of scenes that other sweeps draw, too, then of others up to the limit.
     fn take(self) -> impl Iterator<Item = Vec<ScenarioRecord>> {
         let scene_of = |kept: &[ScenarioRecord]| kept[0].scenario.provenance.scene_id.clone();
         let is_kept = |scene: &&SceneId| self.kept.iter().any(|kept| scene_of(kept) == **scene);

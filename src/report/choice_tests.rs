@@ -1,4 +1,4 @@
-//! Are the scenarios chosen that a reviewer should see?
+//! Are the chosen scenarios those that a reviewer should see?
 
 use super::accepted::{Accepted, HardnessSummary};
 use super::choice::{Choice, Chosen};
@@ -175,7 +175,7 @@ fn of_each_bucket_of_a_request_some_accepted_scenarios_are_drawn() {
     records.iter().for_each(|record| offer(&mut choice, record));
     let row = choice.drawn().into_iter().find(|row| row.sweep == "gaps").unwrap();
     assert_eq!((row.n_drawn, row.n_there, row.limit.as_str()), (3, 4, "2"));
-    // The first of each scene before further ones; what came when its bucket was full is like any other sample of its
+    // The first of each scene before further ones; a scenario whose bucket was full is like any other sample of its
     // sweep.
     assert_eq!(ids(&choice.finish()), ["asked-a-2-3", "asked-a-2-0", "asked-b-2-2"]);
 }

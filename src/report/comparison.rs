@@ -34,7 +34,7 @@ pub struct ComparedRun {
     pub evaluation: EvaluationSummary,
 }
 
-/// Differences of more than so many standard errors are marked.
+/// Differences of more than this many standard errors are marked.
 const MARKED_ERRORS: f64 = 2.0;
 
 impl Comparison {
@@ -143,7 +143,7 @@ impl Comparison {
         table
     }
 
-    /// Accepted scenarios by sweep and strength, and how they came to be.
+    /// Counts of scenarios up to the accepted ones, by sweep and strength.
     pub(super) fn acceptance(&self) -> PlainTable {
         let columns =
             ["Sweep", "Strength α", "Valid, A", "B", "Accepted, A", "B", "Share accepted, A", "B", "Difference"];

@@ -1,4 +1,4 @@
-//! Do comparisons pair what belongs together, and mark what differs by more than chance?
+//! Do comparisons pair matching rows, and mark what differs by more than chance?
 
 use super::comparison::{ComparedRun, Comparison};
 use super::plain::PlainTable;

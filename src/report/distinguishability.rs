@@ -33,7 +33,7 @@ fn of_series(SeriesKey { sweep, level: own, .. }: &SeriesKey) -> [String; 2] {
     [sweep.clone(), level(*own)]
 }
 
-/// The section; `None` if nothing could be told apart.
+/// The section; `None` if there are no results.
 pub(super) fn section(found: &EvaluationSummary) -> Option<PlainSection> {
     let rows = &found.distinguishability;
     let is_of_all = |row: &&DistinguishabilityRow| row.place.is_empty() && row.class.is_empty();
@@ -125,7 +125,7 @@ fn likelihoods(found: &EvaluationSummary) -> PlainTable {
     table
 }
 
-/// The areas of two runs side by side. A star marks those whose intervals do not overlap.
+/// The areas of two runs side by side. A star marks pairs whose intervals do not overlap.
 pub(super) fn comparison(a: &EvaluationSummary, b: &EvaluationSummary) -> PlainTable {
     let columns = ["Sweep", "Strength α", "Of", "Features", "AUC, A", "B", "Difference"];
     let mut table = PlainTable::new("How often the generated track is picked (AUC)", &columns);

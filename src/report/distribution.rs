@@ -35,7 +35,7 @@ pub struct DistributionSeries {
     pub distance: Option<f64>,
 }
 
-/// Share of values at either end that the range of the bins leaves out: they count in the outermost bins.
+/// Share of values at either end beyond the range of the bins: they count in the outermost bins.
 const TAIL: f64 = 0.005;
 
 impl Distribution {

@@ -1,4 +1,4 @@
-//! The page of drives: where a planner fails that a careful driver does not, with both drives side by side.
+//! The page of drives: where a planner fails but a careful driver does not, with both drives side by side.
 
 use super::card::SceneCard;
 use super::model::Fact;
@@ -9,15 +9,15 @@ use super::plain::PlainTable;
 pub struct DrivesPage {
     /// Its title.
     pub title: String,
-    /// What was driven.
+    /// Facts about the drives.
     pub facts: Vec<Fact>,
-    /// Outcomes, traffic.
+    /// Tables of outcomes and traffic.
     pub tables: Vec<PlainTable>,
     /// Failures by two parameters of each behavior.
     pub grids: Vec<DriveGrid>,
-    /// Scenarios that the careful driver survives and the planner does not, hardest first, as far as they are drawn.
+    /// The drawn scenarios that the careful driver survives and the planner does not, hardest first.
     pub scenes: Vec<SceneCard>,
-    /// How many there are.
+    /// The number of all such scenarios, drawn or not.
     pub n_matter: usize,
 }
 
@@ -39,10 +39,10 @@ pub struct DriveGrid {
 pub struct DriveCell {
     /// Scenarios.
     pub n: u64,
-    /// Those that the planner fails, and of them those that the careful driver survives.
+    /// Scenarios that the planner fails, and those of them that the careful driver survives.
     pub n_failed: u64,
     /// See `n_failed`.
     pub n_avoidable: u64,
-    /// Those that the careful driver fails.
+    /// Scenarios that the careful driver fails.
     pub n_careful_failed: u64,
 }

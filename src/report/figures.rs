@@ -7,7 +7,7 @@ use super::tradeoffs::tradeoffs;
 use crate::scene::{GuidanceLevel, Roles, Scene};
 use std::collections::BTreeSet;
 
-/// Number of scenes that become files: the first ones on the page.
+/// The most scenes that become files: the first ones on the page.
 const MAX_SCENES: usize = 40;
 
 /// A figure as a file.

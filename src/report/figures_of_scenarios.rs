@@ -32,7 +32,7 @@ impl FiguresOfScenarios {
         self.0.get(id).cloned().unwrap_or_default()
     }
 
-    /// Means over scenarios; a metric that is not defined for some of them is averaged over the others.
+    /// Means over scenarios; a metric that is undefined for some of them is averaged over the others.
     pub(super) fn mean_of(&self, ids: &[&str]) -> Vec<CardValue> {
         let mut sums: Vec<(CardValue, f64)> = Vec::new();
         for value in ids.iter().filter_map(|id| self.0.get(*id)).flatten() {

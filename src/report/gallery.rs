@@ -18,13 +18,13 @@ use std::collections::{BTreeMap, BTreeSet};
 /// The report's part on single scenes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Drawings {
-    /// The scenes that are drawn.
+    /// The drawn scenes.
     pub scenes: Vec<SceneCard>,
-    /// How much of each sweep they are.
+    /// How much of each sweep is drawn.
     pub drawn: Vec<Drawn>,
     /// Number of recorded scenes that are continued.
     pub n_continued: usize,
-    /// How hard the accepted scenarios are; `None` if nothing was decided.
+    /// How hard the accepted scenarios are; `None` if acceptance was not decided.
     pub hardness: Option<HardnessSummary>,
     /// Motion and events, recorded and generated.
     pub distributions: Vec<Distribution>,
@@ -42,7 +42,8 @@ pub struct Gallery<'a> {
 }
 
 impl<'a> Gallery<'a> {
-    /// An empty gallery for samples that continue scenes of `store`. `accepted` is `None` if nothing was decided.
+    /// An empty gallery for samples that continue scenes of `store`. `accepted` is `None` if acceptance was not
+    /// decided.
     pub fn new(config: &'a ReportConfig, store: &'a SceneStore, accepted: Option<&'a Accepted>) -> Self {
         Self {
             store,
@@ -76,7 +77,7 @@ impl<'a> Gallery<'a> {
     /// `recorded` ones, if there are any.
     ///
     /// # Errors
-    /// When a recording is missing or cannot be read; those of the tables.
+    /// When a recording is missing or cannot be read; errors of the tables.
     pub fn finish(
         self,
         recorded: Option<impl Iterator<Item = store::Result<BehaviorEvent>>>,
@@ -96,7 +97,7 @@ impl<'a> Gallery<'a> {
         for chosen in &chosen {
             scenes.extend(card(chosen, store, &figures, &decisions)?);
         }
-        // Accepted ones first, of all sweeps together, the hardest first.
+        // Accepted ones first, across all sweeps, the hardest first.
         scenes.sort_by(|a, b| a.key.rank_s().total_cmp(&b.key.rank_s()));
         let hardness = accepted.map(|accepted| accepted.summary(situations.len()));
         Ok(Drawings { scenes, drawn, n_continued: continued.len(), hardness, distributions })
@@ -110,7 +111,7 @@ fn records(chosen: &[Chosen]) -> impl Iterator<Item = &ScenarioRecord> {
     })
 }
 
-/// Which of `records` were accepted, and why others were not, by their ids.
+/// Whether each of `records` was accepted, and why not, by id.
 fn decisions<'r>(
     verdicts: impl Iterator<Item = store::Result<VerdictRow>>,
     records: impl Iterator<Item = &'r ScenarioRecord>,

@@ -1,4 +1,4 @@
-//! The content of a report as plain data, which the page renders.
+//! The content of a report as plain data, before it becomes a page.
 
 use super::accepted::HardnessSummary;
 use super::card::SceneCard;
@@ -39,7 +39,7 @@ pub struct ReportModel {
     pub scenes: Vec<SceneCard>,
     /// Number of recorded scenes that are continued.
     pub n_continued: usize,
-    /// How hard the accepted scenarios are; `None` if nothing was decided.
+    /// How hard the accepted scenarios are; `None` if acceptance was not decided.
     pub hardness: Option<HardnessSummary>,
     /// How much of each sweep is drawn.
     pub drawn: Vec<Drawn>,
@@ -59,7 +59,7 @@ pub struct Fact {
 }
 
 impl Fact {
-    /// A fact from anything that can be written.
+    /// A fact whose value is anything that can be displayed.
     pub fn new(name: impl Into<String>, value: impl std::fmt::Display) -> Self {
         Self { name: name.into(), value: value.to_string() }
     }

@@ -39,7 +39,7 @@ pub(super) fn value(value: f64) -> String {
     if value < 0.0 && magnitude > 0.0 { format!("−{text}") } else { text }
 }
 
-/// A number of a configuration, as it was written.
+/// A number of a configuration, as written there.
 pub(super) fn setting(value: f64) -> String {
     if value.is_finite() { value.to_string().replace('-', "−") } else { ABSENT.to_owned() }
 }

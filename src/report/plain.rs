@@ -35,7 +35,7 @@ pub struct PlainTable {
 pub struct PlainRow {
     /// The cell of each column. Cells that begin with a digit or a sign are set as numbers.
     pub cells: Vec<String>,
-    /// Whether it is the reference of others, such as the recording.
+    /// Whether it is the reference for other rows, such as the recording.
     pub is_reference: bool,
 }
 

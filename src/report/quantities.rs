@@ -10,15 +10,15 @@ use std::collections::{BTreeMap, BTreeSet};
 const N_BINS: usize = 40;
 /// Collects the motion of road users in the futures of scenes, group by group.
 ///
-/// The values themselves are kept, for their median and for bins that fit them;
-/// [`MotionHistograms`](crate::metrics::MotionHistograms) serve for whole sweeps. Scenes may be dropped once added.
+/// The values themselves are kept, for their median and for bins that fit them; for whole sweeps there are
+/// [`MotionHistograms`](crate::metrics::MotionHistograms). Scenes may be dropped once added.
 #[derive(Debug, Clone, Default)]
 pub struct MotionDistributions {
     groups: Vec<(String, [Vec<f64>; MOTION.len()])>,
 }
 
 impl MotionDistributions {
-    /// Adds a scene to a group. The first group that is added to is the reference.
+    /// Adds a scene to a group. The first group to be added is the reference.
     pub fn add(&mut self, group: &str, scene: &Scene) {
         let at = self.groups.iter().position(|(name, _)| name == group).unwrap_or_else(|| {
             self.groups.push((group.to_owned(), Default::default()));
@@ -40,11 +40,11 @@ impl MotionDistributions {
     }
 }
 
-/// Maximum number of values of a parameter; then they are thinned.
+/// The maximum number of values of a parameter, beyond which they are thinned.
 const MAX_VALUES: usize = 20_000;
 
-/// The parameters of events, by name. With many events every second counts, with twice as many every fourth, and so on,
-/// so that memory is bounded and the values come from the whole run.
+/// The parameters of events, by name. With many events every second one counts, with twice as many every fourth, and so
+/// on, so that memory is bounded and the values come from the whole run.
 #[derive(Debug, Clone, Default)]
 pub struct EventParameters(BTreeMap<String, Thinned>);
 
@@ -109,7 +109,7 @@ pub fn event_distributions(groups: &[(&str, &EventParameters)]) -> Vec<Distribut
     names.into_iter().map(of_parameter).collect()
 }
 
-/// `relative_speed_mps` is the relative speed in m/s.
+/// The title and unit of a parameter: `relative_speed_mps` is the relative speed in m/s.
 pub(super) fn title_and_unit(parameter: &str) -> (String, &'static str) {
     for (suffix, unit) in
         [("_mps2", "m/s²"), ("_mps", "m/s"), ("_m", "m"), ("_s", "s"), ("_radps", "rad/s"), ("_rad", "rad")]
@@ -174,7 +174,7 @@ mod tests {
     fn of_many_values_evenly_spread_ones_stay_in_bounded_memory() {
         let mut thinned = Thinned::default();
         (0..150_000).for_each(|value| thinned.add(f64::from(value)));
-        // 20 000 values were there after 20 000, 40 000 and 80 000 events: every eighth of 150 000 is left.
+        // 20 000 values were reached after 20 000, 40 000 and 80 000 events: every eighth of 150 000 is left.
         assert_eq!((thinned.values.len(), thinned.halvings), (18_750, 3));
         assert!((0..).step_by(8).map(f64::from).zip(&thinned.values).all(|(expected, value)| expected == *value));
         let groups =

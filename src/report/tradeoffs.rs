@@ -105,7 +105,7 @@ fn sweeps(rows: &[SamplingRow]) -> Vec<SweepCurve<'_>> {
     sweeps
 }
 
-/// Two places together.
+/// The sum of two places.
 fn together(a: &Point, b: &Point) -> Point {
     let weighted = match (a.offroad_rate, b.offroad_rate) {
         (Some(rate), Some(other)) => {
@@ -184,7 +184,7 @@ fn realism_of<'a>(
     evaluation.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
 }
 
-/// One chart for each quantity of motion: its distance from the recording, with that of the constant velocity as a
+/// One chart for each quantity of motion: its distance from the recording, with the distance of constant velocity as a
 /// level.
 fn distances(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
     let mut quantities: Vec<(&str, &str)> = Vec::new();

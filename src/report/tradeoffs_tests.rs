@@ -1,4 +1,4 @@
-//! Are the curves over guidance strength those that one would draw by hand?
+//! Do the curves over guidance strength match those drawn by hand?
 
 use super::tradeoffs::tradeoffs;
 use crate::evaluate::{EvaluationSummary, RealismRow, SamplingRow};

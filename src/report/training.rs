@@ -7,12 +7,12 @@ use crate::model::{ChangedLoss, PlaceLoss, SceneChange};
 use crate::train::FitStatistics;
 use std::collections::BTreeMap;
 
-/// The prefix of held-out losses, before the noise level and perhaps a change of the scenes.
+/// The prefix of held-out losses, before the noise level and any change of the scenes.
 const HELD_OUT_LOSS: &str = "held_out_loss_at_sigma_";
 
 impl TrainingSummary {
     /// The curves of the training loop: the loss, and charts of the evaluations. Held-out losses of all noise levels
-    /// share one, and so do those of changed scenes.
+    /// share one chart, and so do those of changed scenes.
     pub fn of_fit(name: impl Into<String>, facts: Vec<Fact>, statistics: &[FitStatistics]) -> Self {
         let loss: Vec<[f64; 2]> = statistics.iter().filter_map(|line| Some([line.step as f64, line.loss?])).collect();
         let mut charts: BTreeMap<String, Vec<Curve>> = BTreeMap::new();
@@ -50,7 +50,7 @@ impl TrainingSummary {
         Self { name: name.into(), facts, charts: charts.collect(), tables: Vec::new() }
     }
 
-    /// Adds the held-out losses in a denoiser's checkpoint.
+    /// Adds the held-out losses stored in a denoiser's checkpoint.
     #[must_use]
     pub fn with_losses(mut self, changed: &[ChangedLoss], by_place: &[PlaceLoss]) -> Self {
         let mut table = PlainTable::new(
@@ -59,7 +59,7 @@ impl TrainingSummary {
             &["Scenes", "σ", "Loss", "Of that compared with"],
         );
         for ChangedLoss { change, sigma, loss } in changed {
-            // Without neighbors, only the ego agent is left to be scored.
+            // Without neighbors, only the ego can be scored.
             let compared =
                 if *change == SceneChange::EgoAlone { SceneChange::EgoOnly } else { SceneChange::AsRecorded };
             let is_compared = |other: &&ChangedLoss| other.change == compared && other.sigma == *sigma;

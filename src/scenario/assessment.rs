@@ -3,7 +3,7 @@
 use crate::metrics::{CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
 use serde::{Deserialize, Serialize};
 
-/// The judgment of one scenario, independent of what guided it. Parts that are not defined for it are absent.
+/// The judgment of one scenario, independent of its guidance. Undefined parts are absent.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Assessment {
     /// Whether it is verified, valid and no near-duplicate.
@@ -20,7 +20,7 @@ pub struct Assessment {
     pub scene: Option<SceneCriticality>,
     /// The judgment of the requested cut-in by UN Regulation No. 157.
     pub cut_in: Option<CutInJudgment>,
-    /// How it ends for the subject of the requested event; `None` also where a collision was requested.
+    /// The ending for the subject of the requested event; `None` also if a collision was requested.
     pub ending: Option<Ending>,
     /// Distance of its event from the nearest recorded one, in typical spreads.
     pub nearest_recorded_event: Option<f64>,

@@ -1,4 +1,4 @@
-//! The outcome of one drive: a scenario, a driver of its ego, and what came of it.
+//! The outcome of one drive: a scenario, a driver of its ego, and the result.
 
 use std::collections::BTreeMap;
 
@@ -17,19 +17,19 @@ pub struct DriveRow {
     pub careful_survives: Option<bool>,
     /// More about the end, for people.
     pub why: Option<String>,
-    /// How long it lasted, seconds after the present.
+    /// Its duration, seconds after the present.
     pub lasted_s: f64,
-    /// Whom the ego touched, on which of its sides, and with what relative speed, m/s.
+    /// The agent that the ego touched, on which of its sides, and with what relative speed, m/s.
     pub contact: Option<(String, String, f64)>,
     /// The shortest time to collision of the ego, seconds.
     pub min_ttc_s: Option<f64>,
     /// The hardest braking of the ego, m/s².
     pub max_braking_mps2: f64,
-    /// How far it came, meters.
+    /// The distance that the ego drove, meters.
     pub progress_m: f64,
     /// Whether the agents of the event gave their plan up.
     pub gave_up_plan: bool,
-    /// Whether the scenario's event happens in what was driven; `None` for one without an event.
+    /// Whether the scenario's event happens in the driven states; `None` for a scenario without an event.
     pub event_happens: Option<bool>,
     /// The parameters of the scenario's event.
     pub parameters: BTreeMap<String, f64>,

@@ -1,4 +1,4 @@
-//! A generated scenario's record: what was requested, what was found, and how was it judged?
+//! The record of a generated scenario: its request, the findings and the judgment.
 
 mod assessment;
 mod drive_row;

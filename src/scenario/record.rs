@@ -1,15 +1,15 @@
-//! A generated scenario with what was requested of it, what was found in it and how it was judged.
+//! A generated scenario with its request, the findings in it and its judgment.
 
 use super::{Assessment, RequestTag};
 use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
 use crate::metrics::Ending;
 use crate::scene::{Scenario, Track};
 
-/// A generated scenario, with what was requested of it and what was found in it.
+/// A generated scenario, with its request and the findings in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScenarioRecord {
     /// The scenario. Its states are rounded as the store rounds them (`store::as_stored`) before it is verified, so
-    /// that what was verified is what is written.
+    /// that the verified states are the written ones.
     pub scenario: Scenario,
     /// The sweep that it belongs to.
     pub sweep: String,
@@ -36,21 +36,21 @@ impl ScenarioRecord {
         BehaviorEntry::is_collision(self.requested_behavior.as_deref())
     }
 
-    /// The event that stands for a verified scenario in tables: the first positive one of the requested behavior.
+    /// The event that represents a verified scenario in tables: the first positive one of the requested behavior.
     /// Verification puts events with the requested roles first.
     pub fn main_event(&self) -> Option<&BehaviorEvent> {
         let requested = self.requested_behavior.as_ref().filter(|_| self.verified)?;
         self.events.iter().find(|event| event.behavior == *requested && event.label == EventLabel::Positive)
     }
 
-    /// The vehicle to which the requested event happens. `None` if nothing was requested or found, or if it happens to
-    /// nobody.
+    /// The vehicle to which the requested event happens. `None` if nothing was requested or found, or there is no such
+    /// vehicle.
     pub fn subject(&self) -> Option<&Track> {
         self.subject_idx().map(|agent_idx| &self.scenario.scene.tracks[agent_idx])
     }
 
-    /// How it ends for that vehicle, or for the first of the event if it happens to nobody, with its index. `None` also
-    /// where a collision was requested.
+    /// Its ending for that vehicle, or for the first of the event if there is no such vehicle, with its index. `None`
+    /// also if a collision was requested.
     pub fn ending(&self) -> Option<(usize, Ending)> {
         let event = self.main_event().filter(|_| !self.asks_for_collision())?;
         let scene = &self.scenario.scene;

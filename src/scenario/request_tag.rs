@@ -31,7 +31,7 @@ pub enum RequestOutcome {
     Surplus,
     /// It meets the request, but its bucket had enough scenarios of the same scene and agents.
     Repeated,
-    /// It meets the request, but moves almost as one that the request accepted before.
+    /// It meets the request, but its agents move almost as in one that the request accepted before.
     NearDuplicate,
     /// It shows the behavior, but falls into no bucket or fails a condition of the request.
     Outside,
@@ -42,7 +42,7 @@ pub enum RequestOutcome {
 }
 
 impl RequestOutcome {
-    /// All of them.
+    /// Every outcome.
     pub const ALL: [Self; 7] = [
         Self::Accepted,
         Self::Surplus,

@@ -9,7 +9,7 @@ pub struct VerdictRow {
     pub scenario_id: String,
     /// The sweep that it belongs to.
     pub sweep: String,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     pub level: GuidanceLevel,
     /// Whether it is verified, valid and no near-duplicate.
     pub accepted: bool,

@@ -57,7 +57,7 @@ impl AgentClass {
         Self::ALL.into_iter().find(|class| class.name() == name)
     }
 
-    /// Whether the agent drives on lanes, as far as is known. Unknown agents count: in Argoverse 1 nearly all are
+    /// Whether the agent drives on lanes, as far as known. Unknown agents count: in Argoverse 1 nearly all are
     /// vehicles.
     pub const fn is_motorized(self) -> bool {
         matches!(self, Self::Vehicle | Self::Bus | Self::Motorcyclist | Self::Unknown)

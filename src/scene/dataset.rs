@@ -27,15 +27,15 @@ pub struct DatasetFacts {
     pub name: &'static str,
     /// The terms under which it is published, which also apply to everything derived from it.
     pub terms: &'static str,
-    /// The country of all its places, by its three letters; `None` if the names of places give it.
+    /// The country of all its places, as a code of three letters; `None` if the names of places give it.
     pub country: Option<&'static str>,
-    /// Whether the types of agents are recorded. Otherwise those of unknown type are vehicles.
+    /// Whether the types of agents are recorded. Otherwise agents of unknown type are vehicles.
     pub has_classes: bool,
     /// Whether headings of vehicles are recorded. Otherwise they follow from positions.
     pub has_headings: bool,
-    /// Whether velocities are recorded beside positions. They are a tracker's, filtered, and not the derivative of the
-    /// positions, so that what continues with them jumps: ingest derives velocities from positions and keeps those that
-    /// are recorded only for states without a neighbor in time.
+    /// Whether velocities are recorded beside positions. They are filtered by a tracker and not the derivative of the
+    /// positions, so trajectories that continue with them jump: ingest derives velocities from positions and keeps the
+    /// recorded ones only for states without a neighbor in time.
     pub has_velocities: bool,
     /// Whether positions are good enough to judge motion by: accelerations, jerks, curvature.
     pub has_clean_motion: bool,
@@ -125,7 +125,7 @@ impl Dataset {
                 has_classes: true,
                 has_headings: true,
                 has_velocities: true,
-                // Of NGSIM's recordings there, hardly one is within the limits of accelerations and jerks.
+                // Of NGSIM's recordings, hardly one is within the limits of accelerations and jerks.
                 has_clean_motion: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
@@ -137,7 +137,7 @@ impl Dataset {
                 terms: "recordings read by a mapping: under the terms of their owner, which `evaluate.terms` states.",
                 country: None,
                 has_classes: true,
-                // Where no column has them, they are derived, and marked as such.
+                // If no column has them, they are derived, and marked as such.
                 has_headings: true,
                 has_velocities: false,
                 has_clean_motion: false,

@@ -156,7 +156,7 @@ impl SceneEdit {
         }
     }
 
-    /// The scene with this change; `resolve` finds the agents that it names. The past stays as it is.
+    /// The scene with this change; `resolve` finds the agents that it names. The past does not change.
     ///
     /// # Errors
     /// When the scene has no future or no such agent at present.
@@ -223,7 +223,7 @@ impl ScaleSpeed {
 }
 
 impl SetPositions {
-    /// Where the agent is `elapsed_s` after it was in state `now`.
+    /// The position of the agent `elapsed_s` after it was in state `now`.
     fn position(&self, now: &super::State, elapsed_s: f64) -> Vec2 {
         let start = TimedPoint { t_s: 0.0, x_m: now.position.x, y_m: now.position.y };
         let points: Vec<TimedPoint> = [start].into_iter().chain(self.points.iter().copied()).collect();

@@ -33,7 +33,7 @@ impl fmt::Display for GuidanceLevel {
     }
 }
 
-/// The number in which the levels of a sweep differ; the other is the same in all of them.
+/// The number in which the levels of a sweep differ; the other is constant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LevelAxis {
     /// The strength α.

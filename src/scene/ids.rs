@@ -27,8 +27,8 @@ string_id! {
     SceneId
 }
 impl SceneId {
-    /// The long recording of which the scene of this id is a window, and its first frame there: those of
-    /// `interaction/train/PLACE/007@41`. `None` for a recording that is one scene. Windows of the other split are of
+    /// The long recording of which the scene with this id is a window, and its first frame in it: those of
+    /// `interaction/train/PLACE/007@41`. `None` for a recording that is one scene. Windows of the other split belong to
     /// another recording.
     pub fn window_of(id: &str) -> Option<(&str, i64)> {
         let (recording, first_frame) = id.rsplit_once('@')?;
@@ -37,8 +37,8 @@ impl SceneId {
         Some((recording, first_frame))
     }
 
-    /// The first frames of the windows of a recording among scenes with these ids, with the position of the first of
-    /// each; by time.
+    /// The first frames of the windows of a recording among scenes with these ids, with the position of the first scene
+    /// of each; by time.
     pub fn windows_of<'i>(recording: &str, ids: impl Iterator<Item = &'i str>) -> Vec<(i64, usize)> {
         let of = |(position, id): (usize, &'i str)| {
             let (name, first_frame) = Self::window_of(id)?;

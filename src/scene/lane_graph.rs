@@ -37,12 +37,12 @@ pub struct LaneAttributes {
     pub tags: BTreeMap<String, String>,
 }
 
-/// The duty that a rule of the map gives to those who come along a lane.
+/// The duty that a rule of the map gives to vehicles that come along a lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LaneDuty {
     /// Nothing: others yield.
     HasRightOfWay,
-    /// To let those pass who have the right of way.
+    /// To let vehicles with the right of way pass.
     Yields,
     /// To stop at the end of the lane.
     Stops,
@@ -51,7 +51,7 @@ pub enum LaneDuty {
 impl LaneAttributes {
     /// Prefix of the names of tags of regulatory elements.
     pub const REGULATORY: &str = "regulatory:";
-    /// The name, in such a tag, of the part that the lane has in the rule.
+    /// The key, in such a tag, of the part that the lane has in the rule.
     pub const ROLE: &str = "role";
 
     /// The rules at the end of the lane, each with the name of its tag, by name: Lanelet2's `right_of_way`, in which

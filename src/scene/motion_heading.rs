@@ -1,16 +1,16 @@
-//! Headings of those of whom only positions are recorded.
+//! Headings of agents with recorded positions only.
 
 use crate::geometry::Vec2;
 
 /// Once an agent has moved this far, meters, its heading is the direction of its velocity above this speed, m/s. At
-/// lower speeds, where the velocity is too noisy, it is the direction from the last position that far away; if the
+/// lower speeds, at which the velocity is too noisy, it is the direction from the last position that far away; if the
 /// agent is slower still, it is held.
 const HEADING_DISTANCE_M: f64 = 2.0;
 const VELOCITY_HEADING_SPEED_MPS: f64 = 2.0;
 const MIN_HEADING_SPEED_MPS: f64 = 0.5;
 
-/// The heading that the motion to `position` shows, radians, with the positions `before` it, latest first. `None` if
-/// the agent is too slow or has moved too little: its heading is then the last one.
+/// The heading that follows from the motion to `position`, radians, with the positions `before` it, latest first.
+/// `None` if the agent is too slow or has moved too little: it then keeps its last heading.
 pub fn motion_heading(position: Vec2, velocity: Vec2, before: impl IntoIterator<Item = Vec2>) -> Option<f64> {
     let speed_mps = velocity.norm();
     if speed_mps < MIN_HEADING_SPEED_MPS {

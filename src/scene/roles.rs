@@ -10,7 +10,7 @@ use std::ops::Deref;
 pub struct Roles(Vec<(String, TrackId)>);
 
 impl Roles {
-    /// No roles.
+    /// An empty set of roles.
     pub const fn none() -> &'static Self {
         static NONE: Roles = Roles(Vec::new());
         &NONE

@@ -9,7 +9,7 @@ pub struct GuidanceTag {
     /// Name of the guidance, such as `none`, `classifier:cut_in` or `classifier_free`; combined guidance is joined by
     /// `+`. For the baseline, which cannot be guided, `scene_transformer`.
     pub kind: String,
-    /// How strongly.
+    /// The level of the guidance.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// The tracks the guidance acted on, as (role, track): empty without guidance.
@@ -67,8 +67,7 @@ pub struct Scenario {
     pub id: String,
     /// Observed states as recorded or edited, and generated ones, whose velocities follow from their positions.
     pub scene: Scene,
-    /// Which states of the scene were observed: one entry for each of its tracks and timesteps, false where it has no
-    /// state.
+    /// The observed states of the scene: one entry for each of its tracks and timesteps, false if it has no state.
     pub observed: ObservationMask,
     /// Its provenance.
     pub provenance: Provenance,

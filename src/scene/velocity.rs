@@ -1,4 +1,4 @@
-//! Velocities from positions: what every table of states means by a velocity.
+//! Velocities from positions, as in every table of states.
 
 use super::{State, Trajectory};
 use crate::geometry::Vec2;
@@ -21,8 +21,8 @@ pub fn velocity_at(position: impl Fn(isize) -> Option<Vec2>, dt_s: f64) -> Optio
 }
 
 impl Trajectory {
-    /// The trajectory with velocities that follow from its positions ([`velocity_at`]). The first `n_history` timesteps
-    /// are the past, whose velocities follow from the past alone. A state without a neighbor keeps its velocity.
+    /// The trajectory with velocities derived from its positions ([`velocity_at`]). The first `n_history` timesteps are
+    /// the past, whose velocities follow from the past alone. A state without a neighbor keeps its velocity.
     #[must_use]
     pub fn with_velocities_from_positions(&self, n_history: usize, dt_s: f64) -> Self {
         let velocity = |timestep: usize, state: &State| {
@@ -73,7 +73,7 @@ mod tests {
         // y(t) = t³: the backward difference at the present (timestep 3) is (3 * 27 - 4 * 8 + 1) * 1e-3 / 0.2.
         let found = velocities(|_| true, 4);
         assert!((found[3].unwrap().y - 0.25).abs() < 1e-12, "{found:?}");
-        // Behind it, and in the future, the difference is centered.
+        // After it, and in the future, the difference is centered.
         assert!((found[2].unwrap().y - 0.13).abs() < 1e-12 && (found[4].unwrap().y - 0.49).abs() < 1e-12, "{found:?}");
         let other = velocities(|timestep| timestep != 4, 4);
         assert_eq!(found[..4], other[..4]);

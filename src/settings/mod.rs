@@ -1,7 +1,8 @@
 //! Errors of settings: which setting is wrong, what is its value, and what was expected?
 //!
-//! The range of a single number stands beside its field, as an attribute of its JSON schema: published, and checked by
-//! [`check_ranges`]. Rules that involve several settings are in their sections, which use the helpers here.
+//! The range of a single number is an attribute of its field, which becomes part of its JSON schema: it is published,
+//! and checked by [`check_ranges`]. Rules that involve several settings are in their sections, which use the helpers
+//! here.
 
 mod ranges;
 #[cfg(test)]
@@ -15,7 +16,7 @@ use std::fmt::Display;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{key} {message}")]
 pub struct Issue {
-    /// The path of the setting from the section that was checked, such as `pairs.max_distance_m` or `strengths.1`.
+    /// The path of the setting from the checked section, such as `pairs.max_distance_m` or `strengths.1`.
     pub key: String,
     /// The fault and the expectation, to be read after the key: `is 0, expected 1 to 10000`.
     pub message: String,
@@ -48,7 +49,7 @@ impl Issue {
     }
 }
 
-/// Refuses a pair of settings of which the second must not be below the first.
+/// Refuses a pair of settings if the second is below the first.
 pub fn ascending((low_key, low): (&str, f64), (high_key, high): (&str, f64)) -> Result {
     match low <= high {
         true => Ok(()),
@@ -64,7 +65,7 @@ pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
     }
 }
 
-/// The longest name: file systems allow 255 bytes, of which endings take some.
+/// The longest name, bytes: file systems allow 255, some of which endings need.
 const MAX_NAME_BYTES: usize = 200;
 
 /// Refuses names that cannot be shown in tables, on pages and on terminals.

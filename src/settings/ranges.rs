@@ -1,7 +1,7 @@
-//! Does every number lie in the range that its JSON schema states?
+//! Checks that every number is in the range of its JSON schema.
 //!
-//! One statement serves editors, readers and this check. Of JSON Schema it knows what our types become: references,
-//! properties, items, alternatives, the bounds of numbers, and lists without repetitions.
+//! One statement serves editors, readers and this check. It handles the parts of JSON Schema that our types use:
+//! references, properties, items, alternatives, the bounds of numbers, and lists without repetitions.
 
 use super::{Issue, Result, distinct};
 use schemars::JsonSchema;
@@ -15,17 +15,17 @@ use toml::de::{DeArray, DeTable, DeValue};
 /// The keywords that bound a number.
 const BOUNDS: [&str; 5] = ["minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum", "multipleOf"];
 
-/// The key of what is checked within the text that is checked.
+/// The key of the checked value within the checked text.
 const SECTION: &str = "section";
 
-/// Refuses settings of which a number is beyond the range that the type's schema states, or is NaN. A number with a
-/// range is finite.
+/// Refuses settings with a number that is NaN or outside the range in the type's schema. A number with a range is
+/// finite.
 ///
 /// # Errors
-/// The first such setting with the range; that they cannot be written as TOML.
+/// The first such setting with the range; an error if they cannot be written as TOML.
 pub fn check_ranges<T: Serialize + JsonSchema>(settings: &T) -> Result {
     let schema = schemars::schema_for!(T).to_value();
-    // The text holds what values of TOML do not: whole numbers of 2^63 and more.
+    // The text can hold values that TOML cannot: whole numbers of 2^63 and more.
     let unwritable = |error: &dyn Display| Issue::new("a setting", format_args!("cannot be written as TOML: {error}"));
     let text = toml::to_string(&BTreeMap::from([(SECTION, settings)])).map_err(|error| unwritable(&error))?;
     let table = DeTable::parse(&text).map_err(|error| unwritable(&error))?;
@@ -36,7 +36,7 @@ pub fn check_ranges<T: Serialize + JsonSchema>(settings: &T) -> Result {
     })
 }
 
-/// NaN is refused whatever a schema says: no setting means anything by it.
+/// Refuses NaN under any schema: it is meaningless in every setting.
 fn check_no_nan(value: &DeValue<'_>, key: &str) -> Result {
     match value {
         DeValue::Float(number) if float(number.as_str()).is_nan() => Err(Issue::new(key, "is NaN, expected a number")),
@@ -103,7 +103,7 @@ impl Walk<'_> {
         self.root.pointer(schema["$ref"].as_str()?.strip_prefix('#')?)
     }
 
-    /// Whether an alternative is meant by a value: it is of that type, and says what the alternative says of itself.
+    /// Whether a value is meant as an alternative: it has that type, and the constants of the alternative.
     fn fits(&self, schema: &Schema, value: &DeValue<'_>) -> bool {
         let fits_referred = self.referred(schema).is_none_or(|referred| self.fits(referred, value));
         let type_name = match value {
@@ -143,7 +143,7 @@ fn entry_of<'v, 'i>(value: &'v DeValue<'i>, name: &str) -> Option<&'v DeValue<'i
     if let DeValue::Table(table) = value { table.get(name).map(Spanned::get_ref) } else { None }
 }
 
-/// Refuses a text that a list has twice, where each may be in it once.
+/// Refuses a text that occurs twice in a list without repetitions.
 fn check_unique(schema: &Schema, items: &DeArray<'_>, key: &str) -> Result {
     let texts: Vec<&str> = items.iter().filter_map(|item| text_of(item.get_ref())).collect();
     match schema["uniqueItems"] == true {

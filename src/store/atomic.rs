@@ -8,7 +8,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
 impl FileStamp {
-    /// Checks that `bytes`, the content of `path`, are what was stamped.
+    /// Checks that `bytes`, the content of `path`, match the stamp.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when the length or the hash differ.
@@ -17,10 +17,10 @@ impl FileStamp {
         self.verify_checksum(path, blake3::hash(bytes))
     }
 
-    /// Checks that the file at `path` holds the bytes that were stamped, reading it in pieces.
+    /// Checks that the file at `path` matches the stamp, reading it in pieces.
     ///
     /// # Errors
-    /// [`Error::Corrupt`] when the length or the hash differ; those of the file system.
+    /// [`Error::Corrupt`] when the length or the hash differ; errors of the file system.
     pub fn verify_file(&self, path: &Path) -> Result<()> {
         let file = fs::File::open(path)?;
         self.verify_length(path, file.metadata()?.len())?;
@@ -29,7 +29,7 @@ impl FileStamp {
         self.verify_checksum(path, hasher.finalize())
     }
 
-    /// Whether the file at `path` holds the bytes that were stamped.
+    /// Whether the file at `path` matches the stamp.
     ///
     /// # Errors
     /// On I/O errors other than a missing file.
@@ -77,7 +77,7 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&fs::read(path)?).map_err(Error::json(path))
 }
 
-/// Reads a JSON file of unfinished work; `None` where there is none that is whole.
+/// Reads a JSON file of unfinished work; `None` if it is missing or not whole.
 pub fn read_if_whole<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     match fs::read(path) {
         Err(error) if is_missing(&error) => Ok(None),
@@ -85,22 +85,22 @@ pub fn read_if_whole<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     }
 }
 
-/// Whether an error of reading says that there is no such file.
+/// Whether an error of reading means that there is no such file.
 pub(super) fn is_missing(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory)
 }
 
-/// Writes a record: an object as indented JSON, of which the last entry is a checksum of everything before it.
+/// Writes a record: an object as indented JSON, whose last entry is a checksum of everything before it.
 pub fn write_record<T: Serialize>(path: &Path, value: &T) -> Result<FileStamp> {
     let text = serde_json::to_string_pretty(value).map_err(Error::json(path))?;
     let body = text.strip_suffix("\n}").unwrap_or(&text);
     write_atomically(path, |file| Ok(write!(file, "{body}{}", seal(body.as_bytes()))?))
 }
 
-/// Reads a record; `None` where there is none.
+/// Reads a record; `None` if there is none.
 ///
 /// # Errors
-/// [`Error::Record`] when it is not as it was written; those of the file system.
+/// [`Error::Record`] when it is not as it was written; errors of the file system.
 pub fn read_record<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     let bytes = match fs::read(path) {
         Err(error) if is_missing(&error) => return Ok(None),
@@ -113,12 +113,12 @@ pub fn read_record<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     serde_json::from_slice(&bytes).map(Some).map_err(|error| damaged(error.to_string()))
 }
 
-/// The end of a record of which everything before is `body`.
+/// The end of a record that begins with `body`.
 fn seal(body: &[u8]) -> String {
     format!(",\n  \"checksum\": \"{}\"\n}}\n", blake3::hash(body).to_hex())
 }
 
-/// Whether the bytes are those of a record that nobody changed.
+/// Whether the bytes are those of an unchanged record.
 fn is_sealed(bytes: &[u8]) -> bool {
     let n_body = bytes.len().checked_sub(seal(b"").len());
     let parts = n_body.and_then(|n_body| bytes.split_at_checked(n_body));

@@ -1,6 +1,6 @@
 //! Values that only this program reads: exact to the bit, and checked.
 //!
-//! A file begins with a line that names its format with a version and the BLAKE3 hash of what follows: the value, as
+//! A file begins with a line that names its format with a version and the BLAKE3 hash of the rest: the value, as
 //! `postcard` encodes it.
 
 use super::{Error, Result};
@@ -9,7 +9,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use std::io::Write;
 use std::path::Path;
 
-/// Writes `value` in the format of this name, such as `figures.v1`.
+/// Writes `value` in the format with this name, such as `figures.v1`.
 ///
 /// # Errors
 /// On I/O errors, or if `value` has a sequence of unknown length.
@@ -22,11 +22,11 @@ pub fn write_binary_atomically<T: Serialize>(path: &Path, format: &str, value: &
     })
 }
 
-/// Reads what [`write_binary_atomically`] wrote.
+/// Reads a file written by [`write_binary_atomically`].
 ///
 /// # Errors
-/// [`Error::SchemaVersion`] when the file is of another format, [`Error::Corrupt`] when its content is not what was
-/// written; those of the file system.
+/// [`Error::SchemaVersion`] when the file has another format, [`Error::Corrupt`] when its content is not as it was
+/// written; errors of the file system.
 pub fn read_binary<T: DeserializeOwned>(path: &Path, format: &str) -> Result<T> {
     let content = fs_err::read(path)?;
     let end = content.iter().position(|byte| *byte == b'\n').unwrap_or(content.len());

@@ -1,4 +1,4 @@
-//! The card of a corpus: what its users must know. It follows from the manifest alone, so that equal corpora have equal
+//! The card of a corpus: what its users must know. It depends on the manifest alone, so that equal corpora have equal
 //! cards.
 
 use super::corpus_layout::CorpusTable;

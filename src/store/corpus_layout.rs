@@ -2,9 +2,9 @@
 //!
 //! Scenarios and their tracks are partitioned by behavior and place, recordings by place, in folders with Hive's names
 //! (`behavior=cut_in/place=PIT`), so that DuckDB, polars and pyarrow skip files that a query does not need. A file
-//! holds at most [`SCENES_PER_FILE`] of them, and the next ones are in another. Lanes (each map once) and metric values
-//! (some twenty short rows a scenario, and aggregates without a place) are single files. The rows of a file of `tracks`
-//! follow the order of the rows of the file of `scenarios` with the same number.
+//! holds at most [`SCENES_PER_FILE`] scenarios or scenes; further ones go into the next file. Lanes (each map once) and
+//! metric values (some twenty short rows a scenario, and aggregates without a place) are single files. The rows of a
+//! file of `tracks` follow the order of the rows of the file of `scenarios` with the same number.
 
 use super::schema::TableSchema;
 use super::tables::{lane, metric, recording, scenario, track};
@@ -15,13 +15,13 @@ use std::fmt::Write;
 pub(crate) const NO_BEHAVIOR: &str = "none";
 /// The value of `place` for a file without rows.
 const NO_PLACE: &str = "none";
-/// Words that readers take for truth values, numbers, times or nothing.
+/// Words that readers take for truth values, numbers, times or missing values.
 const WORDS: [&str; 8] = ["true", "false", "nan", "inf", "infinity", "epoch", "null", "nat"];
 /// Hive's name for a missing value, which readers turn into one.
 const MISSING: &str = "__HIVE_DEFAULT_PARTITION__";
 
-/// Scenarios, or recorded scenes, of a file. It bounds the size of files, which are uploaded and verified as a whole,
-/// and the memory of their footers.
+/// The most scenarios, or recorded scenes, of a file. It bounds the size of files, which are uploaded and verified as a
+/// whole, and the memory of their footers.
 pub(crate) const SCENES_PER_FILE: usize = 16 * 1024;
 
 /// The tables of a corpus.
@@ -54,7 +54,7 @@ impl CorpusTable {
         }
     }
 
-    /// The table of this name.
+    /// The table with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|table| table.name() == name)
     }
@@ -137,8 +137,8 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Whether its place is text to everybody. Readers guess the type of what folders are named for from all of these
-    /// names: a corpus of place `001` alone would have the place 1, and one of place `2024-01-01` a day.
+    /// Whether every reader takes its place for text. Readers guess the type of the values in folder names from all of
+    /// these names: a corpus of place `001` alone would have the place 1, and one of place `2024-01-01` a day.
     pub(crate) fn has_place_in_words(&self) -> bool {
         let is_word = |place: &str| place.starts_with(char::is_alphabetic) && !WORDS.contains(&&*place.to_lowercase());
         self.place.as_deref().is_none_or(is_word)

@@ -21,14 +21,14 @@ pub struct CorpusNotes {
     pub sources: BTreeMap<String, String>,
     /// Anything else, such as the pipeline's name.
     pub notes: BTreeMap<String, String>,
-    /// Sweep → reason why samples are not in the corpus → how many; each sample counts for its first reason.
+    /// Sweep → reason why samples are not in the corpus → their number; each sample counts for its first reason.
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
 /// One file of a table.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileEntry {
-    /// Where it is in the corpus, with `/` between folders.
+    /// Its path in the corpus, with `/` between folders.
     pub path: String,
     /// The values that all of its rows share.
     pub partition: Partition,
@@ -62,9 +62,9 @@ pub struct PartitionCount {
     pub place: String,
     /// Number of scenarios.
     pub n_scenarios: u64,
-    /// How many of them are verified.
+    /// The number of verified ones.
     pub n_verified: u64,
-    /// How many of the verified ones are not in the recording already.
+    /// The number of verified ones whose recording does not already show the behavior.
     pub n_new: u64,
 }
 
@@ -75,9 +75,9 @@ pub struct CorpusManifest {
     pub schema: String,
     /// Number of scenarios.
     pub n_scenarios: u64,
-    /// How many of them are verified.
+    /// The number of verified ones.
     pub n_verified: u64,
-    /// How many of the verified ones are not in the recording already.
+    /// The number of verified ones whose recording does not already show the behavior.
     pub n_new: u64,
     /// Number of recorded scenes that the scenarios continue and whose tracks are in the corpus.
     pub n_recordings: u64,
@@ -91,13 +91,13 @@ pub struct CorpusManifest {
     pub scenarios_by_partition: Vec<PartitionCount>,
     /// The tables, by name.
     pub tables: BTreeMap<String, TableEntry>,
-    /// License and citation of each dataset that is used.
+    /// License and citation of each dataset in the corpus.
     pub sources: BTreeMap<String, String>,
     /// Other notes of the writer.
     pub notes: BTreeMap<String, String>,
-    /// Changes made by tools since a pipeline wrote it, one line each.
+    /// Changes by tools since a pipeline wrote it, one line each.
     pub history: Vec<String>,
-    /// Sweep → reason why samples are not in the corpus → how many; each sample counts for its first reason.
+    /// Sweep → reason why samples are not in the corpus → their number; each sample counts for its first reason.
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
@@ -167,8 +167,8 @@ impl CorpusManifest {
     }
 }
 
-/// Whether a corpus was begun here: there is a partition of a table. Files and
-/// folders called `metrics` or `lanes` do not count: run folders and other programs have them, too.
+/// Whether a corpus was begun here: whether there is a partition of a table. Files and folders called `metrics` or
+/// `lanes` do not count: run folders and other programs have them, too.
 fn is_begun(dir: &Path) -> bool {
     CorpusTable::ALL.into_iter().any(|table| {
         let Some(key) = table.keys().first() else { return false };
@@ -178,7 +178,7 @@ fn is_begun(dir: &Path) -> bool {
     })
 }
 
-/// The error of a folder that is not a corpus. It names a corpus inside the folder, as run folders have one.
+/// The error for a folder that is not a corpus. It names a corpus inside the folder if there is one, as in run folders.
 fn no_corpus(dir: &Path) -> Error {
     let inside = Some(dir.join("corpus")).filter(|inside: &PathBuf| inside.join(MANIFEST_FILE).is_file());
     Error::NoCorpus { dir: dir.to_owned(), inside }

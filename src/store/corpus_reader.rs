@@ -33,12 +33,12 @@ pub struct CorpusReader {
 }
 
 impl CorpusReader {
-    /// Opens a finished corpus, of this version or an earlier one with one file a table, and verifies the checksums of
-    /// all of its tables.
+    /// Opens a finished corpus, of this version or an earlier one with one file per table, and verifies the checksums
+    /// of all of its tables.
     ///
     /// # Errors
     /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when its version cannot be read,
-    /// [`Error::Corrupt`] when a table is not what was written.
+    /// [`Error::Corrupt`] when a table is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let scan = CorpusScan::open(dir)?;
         let scenarios_path = dir.join(CorpusTable::Scenarios.name());
@@ -92,10 +92,10 @@ impl CorpusReader {
         Ok(ids.iter().flatten())
     }
 
-    /// The position of the scenario whose id this is, or begins so.
+    /// The position of the scenario whose id is or begins with `scenario_id`.
     ///
     /// # Errors
-    /// [`Error::NotFound`] when there is none, or several ids begin so.
+    /// [`Error::NotFound`] when there is none or several.
     pub fn position(&self, scenario_id: &str) -> Result<usize> {
         let ids = || Ok::<_, Error>(self.scenario_ids()?.enumerate());
         if let Some((position, _)) = ids()?.find(|(_, id)| *id == scenario_id) {
@@ -145,7 +145,7 @@ impl CorpusReader {
     }
 
     /// The tracks of a recorded scene, in the scene frame; `None` if the corpus lacks the recording. The rest of the
-    /// scene is the same as in the scenarios that continue it.
+    /// scene is as in the scenarios that continue it.
     ///
     /// # Errors
     /// [`Error::Corrupt`] when the table cannot be read or has a state after `n_timesteps`.
@@ -207,7 +207,7 @@ fn rows_of(path: &Path, table: CorpusTable, rows: Range<usize>) -> Result<Record
     concat_batches(&schema, &batches).map_err(|error| Error::unreadable(path, error))
 }
 
-/// Where the states of each recorded scene are.
+/// The file and rows of the states of each recorded scene.
 fn recordings(scan: &CorpusScan) -> Result<BTreeMap<String, (PathBuf, Range<usize>)>> {
     let mut scenes: BTreeMap<String, (PathBuf, Range<usize>)> = BTreeMap::new();
     for file in scan.manifest().files(CorpusTable::Recordings) {

@@ -30,19 +30,19 @@ pub(crate) struct CorpusScan {
 
 /// Some scenarios and all of their states.
 pub(crate) struct CorpusChunk {
-    /// Where the scenarios are from.
+    /// The file of the scenarios.
     pub(crate) path: PathBuf,
-    /// Position of the first of them in its file.
+    /// Position of the first scenario in its file.
     pub(crate) first_row: usize,
-    /// Their rows.
+    /// The rows of the scenarios.
     pub(crate) scenarios: RecordBatch,
-    /// Where the states are from.
+    /// The file of the states.
     pub(crate) tracks_path: PathBuf,
-    /// Position of the first of them in its file.
+    /// Position of the first state in its file.
     pub(crate) first_track_row: usize,
     /// The states; without columns if they were not requested.
     pub(crate) tracks: RecordBatch,
-    /// Which of the states belong to which scenario.
+    /// The rows of states of each scenario.
     pub(crate) track_rows: Vec<Range<usize>>,
 }
 
@@ -86,7 +86,7 @@ impl CorpusScan {
         Ok(blake3::hash(&fs::read(self.dir.join(MANIFEST_FILE))?).to_hex()[..16].to_owned())
     }
 
-    /// Where a file is.
+    /// The path of a file.
     pub(crate) fn path(&self, file: &FileEntry) -> PathBuf {
         self.dir.join(&file.path)
     }
@@ -150,7 +150,7 @@ impl CorpusScan {
         Ok(PartBatches { path, batches, keys, schema: columns.is_none().then_some(schema) })
     }
 
-    /// The number of rows that a file has, by its footer.
+    /// The number of rows of a file, from its footer.
     pub(crate) fn n_rows(&self, table: CorpusTable, file: &FileEntry) -> Result<u64> {
         parquet_file::n_rows(&self.path(file), &table.file_schema())
     }
@@ -215,7 +215,7 @@ pub(crate) fn united(schemas: &[SchemaRef]) -> SchemaRef {
     table.arrow_with(open.into_values().cloned().collect())
 }
 
-/// The rows with the columns of `schema`; columns that they lack are missing in every row.
+/// The rows with the columns of `schema`; missing columns have no value in any row.
 pub(crate) fn widened(batch: &RecordBatch, schema: &SchemaRef, path: &Path) -> Result<RecordBatch> {
     let column = |field: &Arc<Field>| {
         batch
@@ -306,7 +306,7 @@ impl CorpusChunk {
         Columns::of_batch(&self.scenarios, &self.path)
     }
 
-    /// Checks that the states are as many as the scenarios say, and in their order.
+    /// Checks that the states match the scenarios in number and order.
     fn check_order(&self, n_states: usize) -> Result<()> {
         let tracks = Columns::of_batch(&self.tracks, &self.tracks_path);
         let of_tracks: &StringArray = tracks.get("scenario_id")?;

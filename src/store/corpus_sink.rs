@@ -1,5 +1,5 @@
-//! Writes rows to the files of a corpus: in partitions, in bounded memory, with the same bytes in whatever batches they
-//! come.
+//! Writes rows to the files of a corpus: in partitions, in bounded memory, with the same bytes whatever batches the
+//! rows arrive in.
 
 use super::atomic::write_json_atomically;
 use super::corpus_card::{CARD_FILE, card};
@@ -21,9 +21,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Rows that are written at a time, so that pages break at the same rows whatever the sizes of incoming batches.
+/// Rows to write at a time, so that pages break at the same rows whatever the sizes of incoming batches.
 const ROWS_PER_WRITE: usize = 4 * 1024;
-/// Bytes of unfinished row groups over all files. Beyond it, the largest row group is ended early.
+/// The most bytes of unfinished row groups over all files. Beyond it, the largest row group is ended early.
 const MAX_BYTES_IN_MEMORY: usize = 16 << 20;
 
 /// Writes the tables of a corpus. Memory is bounded by the number of open files, one for each partition, not by the
@@ -49,15 +49,15 @@ struct OpenFile {
     number: usize,
     /// Scenarios or scenes so far.
     n_units: usize,
-    /// The last of them.
+    /// The last scenario or scene.
     last_unit: String,
     pending: Vec<RecordBatch>,
     n_pending: usize,
 }
 
 impl CorpusSink {
-    /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if a
-    /// list of ours names them; any other file is an error.
+    /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if they
+    /// are on a list of ours; any other file is an error.
     pub(crate) fn create(dir: &Path) -> Result<Self> {
         clear(dir)?;
         let (parts, files, counts) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
@@ -66,7 +66,7 @@ impl CorpusSink {
         Ok(Self { dir, scenes_per_file, parts, files, counts, manifest, scenario_schema })
     }
 
-    /// With files of this many scenarios or scenes.
+    /// Limits files to this many scenarios or scenes.
     #[cfg(test)]
     pub(crate) fn in_files_of(self, scenes_per_file: usize) -> Self {
         Self { scenes_per_file, ..self }
@@ -96,7 +96,7 @@ impl CorpusSink {
     }
 
     /// Adds rows to the files of a partition, without the columns that its folder's name holds. All rows of a scenario
-    /// or scene must come one after the other.
+    /// or scene must be consecutive.
     pub(crate) fn write(&mut self, table: CorpusTable, partition: &Partition, batch: &RecordBatch) -> Result<()> {
         let mut rest = without(batch, table.keys())?;
         let key = (table, partition.clone());
@@ -157,8 +157,8 @@ impl CorpusSink {
         Ok(())
     }
 
-    /// Finishes the files, and writes the card and, last, the manifest. A table without rows has an empty file, so that
-    /// queries find its columns; and so has one that readers could take for one of places that are no text.
+    /// Finishes the files, and writes the card and, last, the manifest. A table without rows gets an empty file, so
+    /// that queries find its columns; so does a table whose places readers could take for other types than text.
     pub(crate) fn finish(mut self, about: &CorpusNotes, history: &[String]) -> Result<CorpusManifest> {
         for table in CorpusTable::ALL {
             if !self.parts.keys().any(|(other, partition)| *other == table && partition.has_place_in_words()) {
@@ -219,8 +219,8 @@ impl OpenFile {
         Ok(Self { file, path, number, n_units: 0, last_unit: String::new(), pending: Vec::new(), n_pending: 0 })
     }
 
-    /// How many of these rows belong into the file, which ends when it has `n_max` whole scenarios or scenes. Counts
-    /// those that begin.
+    /// The number of these rows that fit into the file, which ends when it has `n_max` whole scenarios or scenes.
+    /// Counts the scenarios or scenes that begin in them.
     fn n_rows_that_fit(&mut self, table: CorpusTable, rows: &RecordBatch, n_max: usize) -> Result<usize> {
         let Some(unit) = table.unit() else { return Ok(rows.num_rows()) };
         let ids: &StringArray = Columns::of_batch(rows, &self.path).get(unit)?;
@@ -237,7 +237,7 @@ impl OpenFile {
         Ok(ids.len())
     }
 
-    /// Adds rows; writes those of which there are enough.
+    /// Adds rows; writes full portions.
     fn push(&mut self, rows: RecordBatch) -> Result<()> {
         self.n_pending += rows.num_rows();
         self.pending.push(rows);

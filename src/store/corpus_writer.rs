@@ -35,11 +35,11 @@ pub struct CorpusWriter<'m> {
 }
 
 impl<'m> CorpusWriter<'m> {
-    /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if a
-    /// list of ours names them. Maps are copied from `maps` as scenarios need them.
+    /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if they
+    /// are on a list of ours. Maps are copied from `maps` as scenarios need them.
     ///
     /// # Errors
-    /// [`Error::Files`] when the folder holds other people's files; those of the file system.
+    /// [`Error::Files`] when the folder holds foreign files; errors of the file system.
     pub fn create(dir: &Path, maps: &'m dyn MapSource) -> Result<Self> {
         let sink = CorpusSink::create(dir)?;
         let spool = dir.join(SPOOL_FILE);
@@ -55,17 +55,17 @@ impl<'m> CorpusWriter<'m> {
         })
     }
 
-    /// With files of this many scenarios or scenes.
+    /// Limits files to this many scenarios or scenes.
     #[cfg(test)]
     pub(crate) fn in_files_of(self, scenes_per_file: usize) -> Self {
         Self { sink: self.sink.in_files_of(scenes_per_file), ..self }
     }
 
-    /// Adds scenarios, in the order given.
+    /// Adds scenarios, in the given order.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when an id occurs twice or a record would not be read back as it is; those of the maps and of
-    /// the file system.
+    /// [`Error::Invalid`] when an id occurs twice or a record would not be read back unchanged; errors of the maps and
+    /// of the file system.
     pub fn write_scenarios(&mut self, records: &[ScenarioRecord]) -> Result<()> {
         for batch in records.chunks(SCENARIOS_PER_BATCH) {
             for record in batch {
@@ -90,7 +90,7 @@ impl<'m> CorpusWriter<'m> {
         self.sink.write_recordings(&partition, &recording::encode(scene)?, 1)
     }
 
-    /// Adds metric values, in the order given, except those of scenarios that have not been added.
+    /// Adds metric values, in the given order, except those of scenarios that have not been added.
     ///
     /// # Errors
     /// Errors of the rows, and I/O errors.
@@ -107,7 +107,7 @@ impl<'m> CorpusWriter<'m> {
     /// Finishes the tables, and writes the card and the manifest.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when a parameter has the name of another column; those of the file system.
+    /// [`Error::Invalid`] when a parameter has the name of another column; errors of the file system.
     pub fn finish(mut self, notes: &CorpusNotes) -> Result<CorpusManifest> {
         self.spool.finish()?;
         let path = self.dir.join(SPOOL_FILE);

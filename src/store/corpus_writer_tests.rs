@@ -15,7 +15,7 @@ fn scene_at(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
     scene
 }
 
-/// The records in the order in which a corpus keeps them: by behavior and place, and in each as they came.
+/// The records in the order in which a corpus keeps them: by behavior and place, and within each in the given order.
 fn in_order(records: &[ScenarioRecord]) -> Vec<&ScenarioRecord> {
     let mut sorted: Vec<&ScenarioRecord> = records.iter().collect();
     sorted.sort_by_key(|r| (r.requested_behavior.clone().unwrap_or("none".to_owned()), &r.scenario.scene.source.place));
@@ -67,7 +67,7 @@ fn write(dir: &Path, store: &SceneStore, records: &[ScenarioRecord], batch_len: 
     }
     writer.write_metrics([Ok(metric_row())]).unwrap();
     let left_out = [("guided".to_owned(), [("not_verified".to_owned(), 7)].into())].into();
-    // Terms of recordings that are not here have no place in the corpus.
+    // Terms of recordings that the corpus lacks have no place in it.
     let sources = [("argoverse2".to_owned(), "MIT".to_owned())].into();
     writer.finish(&CorpusNotes { left_out, sources, ..CorpusNotes::default() }).unwrap()
 }
@@ -153,8 +153,8 @@ fn partitions_are_folders_and_counted() {
     expected.extend(parts("scenarios"));
     expected.extend(parts("tracks"));
     assert_eq!(files, expected);
-    // Every seventh record asks for nothing: 20 of 140. Scenes 1, 5, … 69 are at the second place: 18 with two records
-    // each.
+    // Every seventh record has no requested behavior: 20 of 140. Scenes 1, 5, … 69 are at the second place: 18 with two
+    // records each.
     let counts: Vec<u64> = manifest.scenarios_by_partition.iter().map(|count| count.n_scenarios).collect();
     let elsewhere = |records: &[ScenarioRecord], behavior: bool| {
         let is_counted =
@@ -186,7 +186,7 @@ fn what_folders_are_named_for_is_no_column_of_their_files() {
             }
         }
     }
-    // Whoever reads by our own reader finds it, among all columns or alone.
+    // Our own reader finds it, among all columns or alone.
     let scan = CorpusScan::open(&path).unwrap();
     let file = &manifest.files(CorpusTable::Scenarios)[0];
     for columns in [None, Some(["place"].as_slice())] {
@@ -203,7 +203,7 @@ fn a_corpus_without_scenarios_has_its_columns() {
     let manifest = CorpusWriter::create(dir.path(), &store).unwrap().finish(&CorpusNotes::default()).unwrap();
     assert_eq!((manifest.n_scenarios, manifest.all_files().count()), (0, 5));
     assert!(CorpusReader::open(dir.path()).unwrap().is_empty());
-    // pyarrow and pandas cannot read a table of which no partition has a value.
+    // pyarrow and pandas cannot read a table in which no partition has a value.
     let scenarios = &manifest.files(CorpusTable::Scenarios)[0];
     assert_eq!(scenarios.path, "scenarios/behavior=none/place=none/part-00000.parquet");
 }

@@ -25,7 +25,7 @@ impl DrivenWriter {
         ParquetFile::create(path, &driven::schema(), driven::schema().arrow()).map(Self)
     }
 
-    /// Adds all states of a drive with its scenario and driver; `moved_by` says of an agent and timestep who moved it.
+    /// Adds all states of a drive with its scenario and driver; `moved_by` gives who moved an agent at a timestep.
     pub fn push(
         &mut self,
         drive: [&str; 2],

@@ -1,4 +1,4 @@
-//! What can go wrong with our own files, and what the user can do about it.
+//! Errors of our own files, and what the user can do about them.
 
 use crate::files;
 use std::fmt::Display;
@@ -28,7 +28,7 @@ pub enum Error {
     NoCorpus {
         /// The folder.
         dir: PathBuf,
-        /// The corpus in it, as run folders have one.
+        /// A corpus inside it, as in run folders.
         inside: Option<PathBuf>,
     },
     /// A file with another schema, or another version of it.
@@ -44,7 +44,7 @@ pub enum Error {
         /// The schema that the file names; empty if it names none.
         found: String,
     },
-    /// A file whose content is not what was written.
+    /// A file whose content is not as it was written.
     #[error(
         "{} is damaged: {detail}; restore it from a copy, or move its folder away and run the command that writes it \
          again",
@@ -56,7 +56,7 @@ pub enum Error {
         /// Description of the fault.
         detail: String,
     },
-    /// A record of a run whose content is not what was written. What to do about it depends on the record.
+    /// A record of a run whose content is not as it was written. The remedy depends on the record.
     #[error("{} is damaged: {detail}", .path.display())]
     Record {
         /// The file.
@@ -88,7 +88,7 @@ pub enum Error {
     UnknownMap {
         /// The map.
         map_id: String,
-        /// Where it was looked for.
+        /// The place that was searched.
         path: PathBuf,
     },
     /// A position or name that is not in a table.
@@ -107,7 +107,7 @@ pub enum Error {
         /// The cause.
         source: serde_json::Error,
     },
-    /// Arrow refused to encode or decode a table.
+    /// Arrow cannot encode or decode a table.
     #[error("cannot encode or decode {}: {source}", .path.display())]
     Arrow {
         /// The file.
@@ -115,7 +115,7 @@ pub enum Error {
         /// The cause.
         source: arrow::error::ArrowError,
     },
-    /// Parquet refused to encode or decode a table.
+    /// Parquet cannot encode or decode a table.
     #[error("cannot encode or decode {}: {source}", .path.display())]
     Parquet {
         /// The file.
@@ -142,7 +142,7 @@ impl From<files::Error> for Error {
     }
 }
 
-/// Files are named within their inputs, and two inputs may hold the same.
+/// Files are named within their inputs, and two inputs may have files of the same name.
 fn from_both([one, other]: &[String; 2]) -> String {
     if one == other { format!("from {one} in two of the inputs") } else { format!("from {one} and from {other}") }
 }
@@ -155,7 +155,7 @@ fn what_to_name(inside: Option<&Path>) -> String {
 }
 
 impl Error {
-    /// A file whose content is not what was written.
+    /// A file whose content is not as it was written.
     pub(crate) fn corrupt(path: &Path, detail: impl Into<String>) -> Self {
         Self::Corrupt { path: path.to_owned(), detail: detail.into() }
     }
@@ -163,7 +163,7 @@ impl Error {
     /// A file that could not be read: damage, or a failure of the system, after which the file may well be whole.
     pub(crate) fn unreadable(path: &Path, cause: impl Display) -> Self {
         let cause = cause.to_string();
-        // Readers of tables pass the system's errors on as texts.
+        // Readers of tables pass on the system's errors as texts.
         match cause.contains("(os error ") {
             true => Self::Io(io::Error::other(format!("failed to read {}: {cause}", path.display()))),
             false => Self::corrupt(path, cause),
@@ -179,7 +179,7 @@ impl Error {
     pub(crate) fn parquet(path: &Path) -> impl FnOnce(parquet::errors::ParquetError) -> Self {
         let path = path.to_owned();
         move |source| match source {
-            // Parquet wraps the errors of the writer beneath it; a full disk should read as a full disk.
+            // Parquet wraps the errors of its writer; a full disk should read as a full disk.
             parquet::errors::ParquetError::External(cause) => match cause.downcast::<io::Error>() {
                 Ok(io) => Self::Io(*io),
                 Err(cause) => Self::Parquet { path, source: parquet::errors::ParquetError::External(cause) },

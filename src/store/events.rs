@@ -30,7 +30,7 @@ impl<'n> EventWriter<'n> {
     ///
     /// # Errors
     /// [`Error::Invalid`](super::Error::Invalid) when an event has a role or a parameter that no behavior declares, or
-    /// a parameter has the name of another column; those of the file system.
+    /// a parameter has the name of another column; errors of the file system.
     pub fn write(&mut self, events: &[BehaviorEvent]) -> Result<()> {
         let batch = event::encode(events, &self.names)?;
         let file = match &mut self.file {
@@ -52,7 +52,7 @@ impl<'n> EventWriter<'n> {
     }
 }
 
-/// Reads the events that `keep` accepts, in the order they were written. The others take no memory.
+/// Reads the events that `keep` accepts, in the order in which they were written. The others take no memory.
 ///
 /// # Errors
 /// See [`stream_events`].
@@ -64,7 +64,7 @@ pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
-/// not such a table or an event is damaged; those of the file system.
+/// not such a table or an event is damaged; errors of the file system.
 pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<BehaviorEvent>> + use<>> {
     row_file::read(path, &event::schema(), event::decode)
 }

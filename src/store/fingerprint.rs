@@ -7,7 +7,7 @@ pub(crate) fn fingerprint(bytes: &[u8]) -> Fingerprint {
     shortened(blake3::hash(bytes))
 }
 
-/// The fingerprint of what was hashed.
+/// The fingerprint from a longer hash.
 pub(crate) fn shortened(hash: blake3::Hash) -> Fingerprint {
     let mut short = [0; 16];
     short.copy_from_slice(&hash.as_bytes()[..16]);

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 /// Length of the magic at either end of a file.
 const MAGIC_LEN: usize = 6;
-/// Length of what follows the footer: its length and the magic.
+/// Length of the trailer after the footer: the footer's length and the magic.
 const TRAILER_LEN: usize = 4 + MAGIC_LEN;
 
 /// Writes one table.
@@ -67,7 +67,7 @@ impl MappedTable {
     /// is another table.
     pub(crate) fn open(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Self> {
         let buffer = map_file(path)?;
-        // The checksum comes first: once it matches, the content is what was written.
+        // The checksum comes first: if it matches, the content is as it was written.
         stamp.verify(path, &buffer)?;
         contained(path, || Self::with_footer(path, table, buffer))
     }
@@ -95,7 +95,7 @@ impl MappedTable {
         &self.path
     }
 
-    /// Shares the schema of `other` if it is the same: with its descriptions, a schema takes tens of kilobytes.
+    /// Shares the schema of `other` if it is equal: with its descriptions, a schema takes tens of kilobytes.
     pub(crate) fn share_schema(&mut self, other: &Self) {
         if self.schema == other.schema {
             self.schema = Arc::clone(&other.schema);
@@ -152,7 +152,7 @@ fn map_file(path: &Path) -> Result<Buffer> {
     Ok(unsafe { Buffer::from_custom_allocation(start, len, Arc::new(mapping)) })
 }
 
-/// Arrow wraps the errors of the writer beneath it; a full disk should read as a full disk.
+/// Arrow wraps the errors of its writer; a full disk should read as a full disk.
 fn failed(path: &Path) -> impl FnOnce(ArrowError) -> Error {
     let path = path.to_owned();
     move |error| match error {

@@ -28,17 +28,17 @@ pub trait MapSource: Sync {
 /// Rows of lanes, and the position of each map among them.
 #[derive(Debug, Default)]
 pub(crate) struct MapTable {
-    /// Their file, for errors.
+    /// The file of the rows, for errors.
     dir: PathBuf,
     batches: Vec<(PathBuf, RecordBatch)>,
     /// The rows of each map: ranges of batches, with ascending lane ids over all of them.
     rows: BTreeMap<String, Vec<(usize, Range<usize>)>>,
-    /// The maps of the last scenes: the next scene mostly has the same one.
+    /// The maps of recent scenes: the next scene mostly has one of them.
     decoded: Mutex<BTreeMap<String, Arc<LaneGraph>>>,
 }
 
-/// Number of maps that stay decoded, and the most lanes of one: maps of whole cities take too much memory, and a scene
-/// needs few of their lanes.
+/// Number of maps that stay decoded, and the most lanes of such a map: maps of whole cities take too much memory, and a
+/// scene needs few of their lanes.
 const N_DECODED: usize = 8;
 const N_DECODED_LANES: usize = 2000;
 

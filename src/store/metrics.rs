@@ -8,7 +8,7 @@ use crate::metrics::MetricRow;
 use arrow::array::RecordBatch;
 use std::path::Path;
 
-/// Writes a metric table, in the order given.
+/// Writes a metric table, in the given order.
 pub fn write_metrics(path: &Path, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<FileStamp> {
     let mut file = RowFile::create(path, &metric::schema(), metric::encode)?;
     rows.into_iter().try_for_each(|row| file.push(row?))?;
@@ -25,11 +25,11 @@ pub(super) fn batches(rows: impl IntoIterator<Item = Result<MetricRow>>) -> impl
     })
 }
 
-/// Reads a metric table row by row, in the order it was written; few rows are in memory at a time.
+/// Reads a metric table row by row, in the order in which it was written; few rows are in memory at a time.
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
-/// not such a table or a row is damaged; those of the file system.
+/// not such a table or a row is damaged; errors of the file system.
 pub fn read_metrics(path: &Path) -> Result<impl Iterator<Item = Result<MetricRow>> + use<>> {
     row_file::read(path, &metric::schema(), metric::decode)
 }

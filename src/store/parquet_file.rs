@@ -19,7 +19,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Rows of a row group: what a writer holds in memory, and what a reader can skip.
+/// Rows of a row group: the unit that a writer holds in memory and a reader can skip.
 const ROWS_PER_GROUP: usize = 128 * 1024;
 /// Encoded bytes at which a row group ends early: a row of the scenario table takes almost a kilobyte.
 const BYTES_PER_GROUP: usize = 4 << 20;
@@ -32,7 +32,7 @@ pub(crate) struct ParquetFile {
 }
 
 impl ParquetFile {
-    /// Begins a file of this table; `schema` is the table's with its open columns.
+    /// Begins a file of this table; `schema` is the table's, with its open columns.
     pub(crate) fn create(path: &Path, table: &TableSchema, schema: SchemaRef) -> Result<Self> {
         let properties = properties(table, &schema).map_err(Error::parquet(path))?;
         let file = AtomicFile::create(path)?;
@@ -87,7 +87,7 @@ fn properties(table: &TableSchema, schema: &Schema) -> parquet::errors::Result<W
     Ok(properties.build())
 }
 
-/// Writes a table that is one batch.
+/// Writes a table that consists of one batch.
 pub(crate) fn write_batch(path: &Path, table: &TableSchema, batch: &RecordBatch) -> Result<FileStamp> {
     let mut file = ParquetFile::create(path, table, batch.schema())?;
     file.write(batch)?;
@@ -113,7 +113,7 @@ pub(crate) fn read_rows(path: &Path, table: &TableSchema, rows: Range<usize>) ->
 /// Rows that a streaming reader holds at a time.
 const ROWS_PER_BATCH: usize = 8 * 1024;
 
-/// Reads a table batch by batch: whole rows in the current version of the table, or only some columns as they are.
+/// Reads a table batch by batch: whole rows in the current version of the table, or only some columns unchanged.
 pub(crate) fn stream(path: &Path, table: &TableSchema, columns: Option<&[&str]>) -> Result<Batches> {
     let reader = contained(path, || {
         let reader = open(path, table, ArrowReaderOptions::new())?.with_batch_size(ROWS_PER_BATCH);
@@ -169,7 +169,7 @@ impl Iterator for Batches {
     }
 }
 
-/// The reader panics on some damaged files; they must be errors like others.
+/// Turns panics of the reader, which some damaged files cause, into errors.
 pub(super) fn contained<T>(path: &Path, read: impl FnOnce() -> Result<T>) -> Result<T> {
     containment::contained(read).unwrap_or_else(|| Err(Error::corrupt(path, "it cannot be decoded")))
 }
@@ -179,7 +179,7 @@ fn open(
     table: &TableSchema,
     options: ArrowReaderOptions,
 ) -> Result<ParquetRecordBatchReaderBuilder<impl ChunkReader + 'static>> {
-    // Parquet reads files of the standard library only; the errors of opening still name the path.
+    // Parquet only reads files of the standard library; errors of opening them still name the path.
     let (file, _) = fs::File::open(path)?.into_parts();
     let reader = ParquetRecordBatchReaderBuilder::try_new_with_options(file, options).map_err(damaged(path))?;
     table.check(path, reader.schema())?;
@@ -203,7 +203,7 @@ mod tests {
     fn what_a_writer_holds_is_bounded_by_bytes_and_not_by_rows_alone() {
         let dir = tempfile::tempdir().unwrap();
         let (path, table) = (dir.path().join("verdicts.parquet"), verdict::schema());
-        // Half a kilobyte that hardly compresses.
+        // Half a kilobyte that is hardly compressible.
         let id = |n: usize| (0..8).map(move |part| blake3::hash(format!("{n} {part}").as_bytes()).to_hex().to_string());
         let row = |n: usize| VerdictRow {
             scenario_id: id(n).collect(),

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The columns, in whatever type that can be converted to these.
+/// The columns, with any types that can be converted to these.
 const COLUMNS: [(&str, DataType); 5] = [
     ("scenario_id", DataType::Utf8),
     ("timestep", DataType::Int64),

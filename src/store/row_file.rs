@@ -7,7 +7,7 @@ use crate::files::FileStamp;
 use arrow::array::RecordBatch;
 use std::path::Path;
 
-/// Rows of a batch; a row takes up to 300 bytes. The pages of a file break where its batches do.
+/// Rows of a batch; a row takes up to 300 bytes. The pages of a file break at the ends of batches.
 pub(super) const ROWS_PER_BATCH: usize = 8 * 1024;
 
 /// Writes a table row by row.
@@ -48,7 +48,7 @@ impl<T> RowFile<T> {
     }
 }
 
-/// Reads a table row by row, in the order it was written; the rows end after the first error.
+/// Reads a table row by row, in the order in which it was written; the rows end after the first error.
 pub(super) fn read<T>(
     path: &Path,
     table: &TableSchema,

@@ -8,12 +8,12 @@ use arrow::array::{Array, StringArray};
 use arrow::util::display::array_value_to_string;
 use std::path::Path;
 
-/// Writes one shard of generated scenarios, in the order given. Keep samples of a scene together: they share its lanes
+/// Writes one shard of generated scenarios, in the given order. Keep samples of a scene together: they share its lanes
 /// when read.
 ///
 /// # Errors
-/// [`Error::Invalid`](super::Error::Invalid) when a record would not be read back as it is, for instance because its
-/// scene was not passed through [`as_stored`](super::as_stored); those of the file system.
+/// [`Error::Invalid`](super::Error::Invalid) when a record would not be read back unchanged, for instance because its
+/// scene was not passed through [`as_stored`](super::as_stored); errors of the file system.
 pub fn write_samples(path: &Path, records: &[ScenarioRecord]) -> Result<FileStamp> {
     parquet_file::write_batch(path, &sample::schema(), &sample::encode(records)?)
 }
@@ -22,7 +22,7 @@ pub fn write_samples(path: &Path, records: &[ScenarioRecord]) -> Result<FileStam
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
-/// not such a shard; those of `maps` and of the file system.
+/// not such a shard; errors of `maps` and of the file system.
 pub fn read_samples(path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
     let mut records = Vec::new();
     for batch in parquet_file::read(path, &sample::schema())? {
@@ -55,7 +55,7 @@ pub struct Difference {
     pub values: [String; 2],
 }
 
-/// The columns of a sample shard in which two scenarios differ, if only by a bit, and the number of columns.
+/// The columns of a sample shard in which two scenarios differ, even by a bit, and the number of columns.
 pub fn differences(a: &ScenarioRecord, b: &ScenarioRecord) -> Result<(Vec<Difference>, usize)> {
     let [a, b] = [sample::encode(std::slice::from_ref(a))?, sample::encode(std::slice::from_ref(b))?];
     let schema = a.schema();
@@ -78,7 +78,7 @@ mod tests {
     use crate::store::testing::{map, record, scene};
     use std::sync::Arc;
 
-    /// One map of any name.
+    /// A map source with one map, under any name.
     struct OneMap(LaneGraph);
 
     impl MapSource for OneMap {

@@ -28,12 +28,12 @@ pub struct SceneIndex {
     rows: Vec<IndexEntry>,
 }
 
-/// The entry of a scene beside its id.
+/// The entry of a scene, without its id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct IndexEntry {
     /// The end of its id, which begins where the previous one ends.
     id_end: usize,
-    /// Position among the places.
+    /// Position in the list of places.
     place: u32,
     n_agents: u32,
     n_timesteps: u32,

@@ -1,4 +1,4 @@
-//! A set of scenes of a store, with a bit for each.
+//! A set of scenes of a store, with one bit for each.
 
 use std::collections::BTreeMap;
 

@@ -49,7 +49,7 @@ impl SceneStore {
     ///
     /// # Errors
     /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it,
-    /// [`Error::Corrupt`] when a file is not what was written.
+    /// [`Error::Corrupt`] when a file is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let manifest = SceneManifest::read(dir)?;
         let fingerprint = blake3::hash(&fs::read(dir.join(MANIFEST_FILE))?).to_hex().to_string();
@@ -109,7 +109,7 @@ impl SceneStore {
     /// Loads scene `i` with its lanes.
     ///
     /// # Errors
-    /// [`Error::NotFound`] when there are fewer; those of its map.
+    /// [`Error::NotFound`] when there are fewer; errors of its map.
     pub fn scene(&self, i: usize) -> Result<Scene> {
         let after = self.batches.partition_point(|batch| batch.first <= i);
         let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {
@@ -120,7 +120,7 @@ impl SceneStore {
         scene::decode(&Columns::of_batch(&self.batch(at)?, self.shards[shard].path()), i - first, &self.maps)
     }
 
-    /// The batch of this position among all.
+    /// The batch at this position among all.
     fn batch(&self, at: usize) -> Result<RecordBatch> {
         let lock = || self.decoded.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(batch) = lock().get(&at) {
@@ -274,7 +274,7 @@ mod tests {
                     for (state, original) in track.trajectory.entries().iter().zip(original.trajectory.entries()) {
                         prop_assert_eq!(state.is_some(), original.is_some());
                         let (Some(state), Some(original)) = (state, original) else { continue };
-                        // In the recording's frame, to which single precision would give only decimeters.
+                        // In the recording's frame, for which single precision would give only decimeters.
                         let world = |s: &crate::scene::State| scene.world_from_scene.point(s.position);
                         prop_assert!(world(state).distance(world(original)) < 1e-4);
                     }

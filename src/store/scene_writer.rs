@@ -92,7 +92,7 @@ impl SceneWriter {
         Ok((writer, last))
     }
 
-    /// With smaller shards.
+    /// Limits shards to this many scenes.
     #[cfg(test)]
     pub(crate) fn in_shards_of(self, scenes_per_shard: u64) -> Self {
         Self { scenes_per_shard, ..self }
@@ -104,7 +104,7 @@ impl SceneWriter {
     ///
     /// # Errors
     /// [`Error::Invalid`] when a scene cannot be stored, for instance because its map was never added;
-    /// [`Error::DuplicateScene`] when its id was added before; those of the file system. The writer cannot be used
+    /// [`Error::DuplicateScene`] when its id was added before; errors of the file system. The writer cannot be used
     /// afterwards, but finished shards remain for [`resume`](Self::resume).
     pub fn write_batch(
         &mut self,
@@ -173,7 +173,7 @@ impl SceneWriter {
         scene.lanes.is_empty() || scene.map_id.as_ref().is_some_and(|id| self.known_maps.contains(&id.0))
     }
 
-    /// The recording of a scene that was added.
+    /// The recording of an added scene.
     fn file_of(&self, hash: u128) -> Result<String> {
         let mut found = self.current.files.get(&hash).cloned();
         for shard in &self.shards {
@@ -240,7 +240,7 @@ fn open_or_create(file: &mut Option<IpcFile>, create: impl FnOnce() -> Result<Ip
     }
 }
 
-/// Enough of a hash to distinguish any number of scenes.
+/// A hash long enough to distinguish any number of scenes.
 fn hash_of(scene_id: &str) -> u128 {
     let mut start = [0; 16];
     start.copy_from_slice(&blake3::hash(scene_id.as_bytes()).as_bytes()[..16]);

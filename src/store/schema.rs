@@ -28,7 +28,7 @@ pub struct OpenColumns {
     pub data_type: DataType,
     /// Their content.
     pub description: &'static str,
-    /// The columns that are known beforehand.
+    /// The columns known beforehand.
     pub known: Vec<Field>,
 }
 
@@ -43,7 +43,7 @@ pub struct TableSchema {
     pub description: &'static str,
     /// The columns.
     pub fields: Vec<Field>,
-    /// Families of nullable columns after these.
+    /// Families of nullable columns after `fields`.
     pub open: Vec<OpenColumns>,
 }
 
@@ -87,7 +87,7 @@ impl TableSchema {
         found.fields().iter().map(AsRef::as_ref).filter(|field: &&Field| !self.has(field.name()))
     }
 
-    /// Whether a column of this name is one of the fixed ones.
+    /// Whether a column with this name is one of the fixed ones.
     pub(crate) fn has(&self, name: &str) -> bool {
         self.fields.iter().any(|field| field.name() == name)
     }
@@ -118,7 +118,7 @@ impl TableSchema {
         let schema = self.arrow_with(self.open_of(batch.schema_ref()).cloned().collect());
         let column = |field: &FieldRef| match batch.column_by_name(field.name()) {
             Some(column) if column.data_type() == field.data_type() => Ok(Arc::clone(column)),
-            // Same type, but other descriptions of its members.
+            // The type is the same, but the descriptions of its members differ.
             Some(column) => cast(column, field.data_type()),
             None => Err(ArrowError::SchemaError(format!("column {} is missing", field.name()))),
         };

@@ -1,7 +1,7 @@
-//! Values in a temporary file, for what is known before the rows ahead of it in a table.
+//! Values in a temporary file, which are known before the rows that precede them in a table.
 //!
-//! A value is four bytes of length and what `postcard` makes of it. Unlike a Parquet file, whose footer describes every
-//! row group, a spool takes the same memory however long it becomes.
+//! A value is four bytes of length and its `postcard` encoding. Unlike a Parquet file, whose footer describes every row
+//! group, a spool takes the same memory however long it becomes.
 
 use super::{Error, Result, remove_if_present};
 use crate::files::AtomicFile;
@@ -55,7 +55,7 @@ impl<T: DeserializeOwned> Spooled<T> {
     /// once.
     ///
     /// # Errors
-    /// [`Error::Corrupt`] when the file is not what was written; those of the file system.
+    /// [`Error::Corrupt`] when the file is not as it was written; errors of the file system.
     pub fn values(&self) -> Result<impl Iterator<Item = Result<T>> + use<T>> {
         let mut file = BufReader::new(fs::File::open(&self.path)?);
         let (path, mut n_left) = (self.path.clone(), self.n_bytes);
@@ -73,7 +73,7 @@ impl<T: DeserializeOwned> Spooled<T> {
 }
 
 impl<T> Spooled<T> {
-    /// The error that a value of this file makes no sense.
+    /// The error for an invalid value of this file.
     pub(crate) fn corrupt(&self, detail: &str) -> Error {
         Error::corrupt(&self.path, detail)
     }
@@ -84,7 +84,7 @@ impl<T> Spooled<T> {
     }
 }
 
-/// The next value of a file of which `n_left` bytes are not read yet.
+/// The next value of a file with `n_left` bytes that are not read yet.
 fn next_value<T: DeserializeOwned>(path: &Path, file: &mut impl Read, n_left: &mut u64) -> Result<T> {
     let unreadable = |error: std::io::Error| Error::unreadable(path, format!("it cannot be read: {error}"));
     let mut length = [0; 4];

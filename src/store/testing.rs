@@ -13,7 +13,7 @@ use crate::scene::{
 use crate::seed::{Seed, SeededRng};
 use std::sync::Arc;
 
-/// A map of `n_lanes` lanes whose coordinates are as large as city frames have them.
+/// A map of `n_lanes` lanes with coordinates as large as in city frames.
 pub(crate) fn map(seed: u64, n_lanes: i64) -> LaneGraph {
     let mut rng = Seed(seed).derive_named("test", "map").rng();
     let mut line = |n_points: usize| {
@@ -41,7 +41,7 @@ pub(crate) fn map(seed: u64, n_lanes: i64) -> LaneGraph {
     LaneGraph::new(lanes.collect())
 }
 
-/// A scene on the first lanes of `map`; without one where there is no map.
+/// A scene on the first lanes of `map`; without lanes if there is no map.
 pub(crate) fn scene(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
     let mut rng = Seed(seed).derive_named("test", "scene").rng();
     let (n_timesteps, n_history) = (12 + rng.below(4), 5);
@@ -150,7 +150,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
     }
 }
 
-/// A judgment of a scenario from `scene`, with something in every part or in few.
+/// A judgment of a scenario from `scene`, with values in all of its parts or in few.
 pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
     let violation = |check: Check, timestep: usize| Violation {
         check,

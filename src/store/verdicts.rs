@@ -27,11 +27,11 @@ impl VerdictWriter {
     }
 }
 
-/// Reads a table of verdicts row by row, in the order it was written; few rows are in memory at a time.
+/// Reads a table of verdicts row by row, in the order in which it was written; few rows are in memory at a time.
 ///
 /// # Errors
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
-/// not such a table or a row is damaged; those of the file system.
+/// not such a table or a row is damaged; errors of the file system.
 pub fn read_verdicts(path: &Path) -> Result<impl Iterator<Item = Result<VerdictRow>> + use<>> {
     row_file::read(path, &verdict::schema(), verdict::decode)
 }

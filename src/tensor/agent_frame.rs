@@ -8,7 +8,7 @@ use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
 /// The agents of a row and the frame its coordinates are in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AgentFrame {
-    /// From the scene frame to the row's ego frame.
+    /// Maps the scene frame to the row's ego frame.
     pub ego_from_scene: Transform2,
     /// Indices of the scene's tracks, in the order of the batch's agent axis.
     pub agents: Vec<usize>,

@@ -23,8 +23,8 @@ pub(super) struct AgentRow<'a> {
     /// Its entries in order of time, and whether they are observed; the others are latent.
     entries: Vec<(usize, bool)>,
     is_observed_at_all: bool,
-    /// Whether x is relative to the reference, in the agent's own frame. An agent never observed has none: it is
-    /// diffused in the ego frame, in scene units.
+    /// Whether x is relative to the reference, in the agent's own frame. An agent never observed has no reference: it
+    /// is diffused in the ego frame, in scene units.
     is_residual: bool,
     /// The heading of the agent's frame in the ego frame.
     frame_heading_rad: f64,
@@ -32,13 +32,13 @@ pub(super) struct AgentRow<'a> {
     unit: [f64; 3],
     /// Whether its heading follows from its motion instead of being generated.
     derives_heading: bool,
-    /// How rough its motion is, as its recorded steps show, before errors are taken away.
+    /// The roughness of its motion, from its recorded steps before errors are removed.
     texture: [f64; 3],
-    /// What is added to the reference of latent entries after the present.
+    /// The errors that are added to the reference of latent entries after the present.
     fading: Option<FadingErrors>,
 }
 
-/// Where an entry decodes to when x is 0, in the ego frame.
+/// The pose of an entry when x is 0, in the ego frame.
 #[derive(Clone, Copy)]
 struct Base {
     position: Vec2,
@@ -98,7 +98,7 @@ impl<'a> AgentRow<'a> {
         }
     }
 
-    /// Lets its motion be as rough as the `recorded` track.
+    /// Makes its motion as rough as the `recorded` track.
     pub(super) fn rough_like(mut self, view: &SceneView<'_>, recorded: &Track, agent_idx: usize) -> Self {
         let Some(covariance) = &self.collator.normalizer.motion_covariance else { return self };
         let present = view.scene.current_timestep();
@@ -114,7 +114,7 @@ impl<'a> AgentRow<'a> {
         self
     }
 
-    /// Lets what was taken from the `recorded` track as errors fade after the present, so that samples begin where the
+    /// Makes errors that were removed from the `recorded` track fade after the present, so that samples begin where the
     /// recording ends.
     pub(super) fn fading_from(mut self, scene: &Scene, recorded: &Track) -> Self {
         self.fading = FadingErrors::between(scene, recorded, self.track);
@@ -217,7 +217,7 @@ impl<'a> AgentRow<'a> {
         Some([offset.x, offset.y, turn])
     }
 
-    /// Writes the changes of residuals from timestep to timestep, and what they add up to.
+    /// Writes the changes of residuals from timestep to timestep, and their running sums.
     fn write_motion(&self, rows: &mut BatchBuffers, residuals: &[Option<[f64; 3]>]) -> Option<MotionModes> {
         let timesteps = |are_observed: bool| -> Vec<usize> {
             self.entries.iter().filter(|(_, is_observed)| *is_observed == are_observed).map(|(t, _)| *t).collect()

@@ -17,8 +17,8 @@ use std::borrow::Cow;
 pub enum FutureValidity {
     /// The recorded ones: for training and for losses.
     Recorded,
-    /// Every stretch of hidden states that follows or precedes an observed state of the agent, whatever was recorded in
-    /// it: for sampling. Where the mask shows that the agent was not tracked, it stays absent.
+    /// Every stretch of hidden states that follows or precedes an observed state of the agent, recorded or not: for
+    /// sampling. Where the mask shows that the agent was not tracked, it stays absent.
     Everything,
     /// The stretches of [`Self::Everything`], in which recorded states are scored: for training a network on the inputs
     /// that it gets in sampling. States that were not recorded continue the last recorded motion.
@@ -43,10 +43,10 @@ pub struct Collator {
     pub normalizer: Normalizer,
     /// Timesteps of a row; scenes with fewer (history only) are padded with entries to generate.
     pub n_timesteps: usize,
-    /// At most so many agents a row: those nearest to the ego agent at the last timestep of the history, of whom
-    /// vehicles that are parked come last.
+    /// The most agents per row: those nearest to the ego agent at the last timestep of the history, with parked
+    /// vehicles last.
     pub max_agents: usize,
-    /// At most so many lane polylines a row, nearest first.
+    /// The most lane polylines per row, nearest first.
     pub max_lanes: usize,
     /// The look-up of surroundings, for networks that see them.
     pub sight: Option<Sight>,
@@ -103,7 +103,7 @@ impl Collator {
         SceneBatch::new(tensors)
     }
 
-    /// The scene without the errors of its observed states, as far as the covariance of motion tells them.
+    /// The scene without the errors of its observed states, as far as the covariance of motion reveals them.
     fn believed<'a>(&self, view: &SceneView<'a>) -> Cow<'a, Scene> {
         let Some(covariance) = &self.normalizer.motion_covariance else { return Cow::Borrowed(view.scene) };
         without_errors(view, covariance, self.normalizer.motion_units())

@@ -1,9 +1,9 @@
-//! How an agent is expected to go on: a linear prediction from the motion it was observed in.
+//! The expected continuation of an agent: a linear prediction from its observed motion.
 //!
-//! The reference of an agent carries on its velocity. Its acceleration and the bend it drives show in its observed
-//! steps p beyond that velocity, and W p with W = C_zp C_pp⁻¹ is the best linear prediction of its future motion z
-//! beyond it (Wiener's filter). What is diffused is the rest z - W p: a sample of zeros goes on as the agent was seen
-//! to move, and the covariance of the rest says how quickly traffic departs from that.
+//! The reference of an agent continues its velocity. Its acceleration and curvature show in its observed steps p beyond
+//! that velocity, and W p with W = C_zp C_pp⁻¹ is the best linear prediction of its future motion z beyond it (Wiener's
+//! filter). The rest z - W p is diffused: a sample of zeros continues the agent's observed motion, and the covariance
+//! of the rest tells how quickly traffic departs from it.
 
 use super::MotionCovariance;
 use super::eigen::symmetric_eigen;
@@ -11,8 +11,8 @@ use std::sync::{Arc, OnceLock};
 
 /// Variances below this share of the largest are rounding errors.
 const MIN_RELATIVE_VARIANCE: f64 = 1e-12;
-/// So are those below this share of the variance of errors of positions. Steps cannot vary like that: the velocity that
-/// is carried on follows from them. Where a recording's velocity follows otherwise, nothing may be read into it.
+/// So are those below this share of the variance of errors of positions. Steps cannot vary so little: the continued
+/// velocity follows from them. In a recording whose velocity has another origin, such directions mean nothing.
 pub(super) const MIN_SHARE_OF_NOISE: f64 = 0.01;
 
 /// The prediction from the last k observed steps.
@@ -32,7 +32,7 @@ impl Continuation {
     }
 
     /// The sums of the predicted motion W p over 1, 2, … N timesteps, for the k observed steps `past` by ascending
-    /// time. Dimensions that are not diffused go on as the reference does.
+    /// time. Dimensions that are not diffused continue like the reference.
     pub(super) fn sums(&self, past: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let n = self.weights.first().map_or(0, |weights| weights.len() / past.len().max(1));
         let mut sum = [0.0; 3];
@@ -59,7 +59,7 @@ impl PartialEq for Continuations {
 }
 
 impl MotionCovariance {
-    /// The continuation of an agent whose last `n_past` steps were observed, at most as many as the covariance knows.
+    /// The continuation of an agent whose last `n_past` steps were observed, at most as many as the covariance covers.
     pub(super) fn continuation(&self, n_past: usize) -> Option<&Continuation> {
         let all = || (1..=self.n_past).map(|n_past| self.predict(n_past)).collect();
         self.continuations.0.get_or_init(all).get(n_past.checked_sub(1)?)
@@ -105,8 +105,8 @@ impl MotionCovariance {
         })
     }
 
-    /// How the error of observed position (or heading) 0 to K enters entry `i` of `values`: each step is a difference
-    /// of two positions, and the velocity that is carried on is the slope of the parabola through the last three.
+    /// The weight of the error of observed position (or heading) 0 to K in entry `i` of `values`: each step is a
+    /// difference of two positions, and the continued velocity is the slope of the parabola through the last three.
     pub(super) fn share_of_error(&self, dim: usize, i: usize, position: usize) -> f64 {
         let k = self.n_past;
         let of_velocity = match (dim < 2, k - position) {
@@ -192,7 +192,7 @@ pub(super) mod tests {
     #[test]
     fn noise_makes_the_prediction_careful() {
         // With one observed step p of -a / 2 and a step after it of z = a / 2, with errors e0, e1 of the two positions:
-        // the velocity that is carried on errs by e1 - e0, the step by nothing beyond it, and z by -e1 - (e1 - e0).
+        // the continued velocity errs by e1 - e0, the step by nothing beyond it, and z by -e1 - (e1 - e0).
         let covariance = accelerating(1, 1, 0.3);
         let noise = covariance.noise_covariance(0);
         for (found, expected) in noise.iter().zip([0.0, 0.0, 0.0, 0.09 * 5.0]) {
@@ -207,7 +207,7 @@ pub(super) mod tests {
                 assert!((noise[i * 4 + j] - expected).abs() < 1e-12, "{i} {j}");
             }
         }
-        // Large errors leave nothing of the prediction; what was to be predicted is then left to chance.
+        // Large errors leave nothing of the prediction; the unpredicted part is then left to chance.
         let careful = accelerating(4, 2, 100.0);
         let continuation = careful.continuation(4).unwrap();
         assert!(continuation.covariance[0][0] > 0.2, "{:?}", continuation.covariance);

@@ -1,4 +1,4 @@
-//! What the states of a sample are beyond what the network generated: standing, velocities, headings that fit them.
+//! Finishes the states of a sample beyond the network's output: standing, velocities, and headings that fit them.
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, State, motion_heading, velocity_at};
@@ -6,24 +6,25 @@ use std::f64::consts::FRAC_PI_2;
 
 /// A step shorter than this is no motion, meters: 0.04 m/s at 10 Hz.
 const STILL_STEP_M: f64 = 0.004;
-/// Who was observed to stand for so many states, and is generated to get no farther than this, meters, stays. A start
-/// gets as far in half a second; networks let standing vehicles creep.
+/// An agent that was observed to stand for this many states, and is generated to move no farther than this, meters,
+/// stays. A start moves as far in half a second; networks let standing vehicles creep.
 const STANDING_STATES: usize = 6;
 const CREEP_M: f64 = 0.15;
-/// Who got no farther than at this speed, m/s, in the last observed second stands, but for errors of the tracker.
+/// An agent that moved no faster than this, m/s, in the last observed second is standing, apart from errors of the
+/// tracker.
 const STANDING_MPS: f64 = 0.2;
-/// The way that who stands is then generated to go counts in full if it is longer than this, meters, and for little if
-/// it is shorter: of those who stand in Argoverse 1, samples got half a meter in 3 s in the median, recorded ones 0.12.
+/// The generated motion of a standing agent counts in full if it is longer than this, meters, and for little if it is
+/// shorter: standing agents of Argoverse 1 moved half a meter in 3 s in the median of samples, 0.12 m in recordings.
 const START_M: f64 = 1.0;
-/// What is taken from its velocity is taken within this time, seconds.
+/// Velocity is removed within this time, seconds.
 const ONSET_S: f64 = 0.3;
-/// The mean of so many states is where somebody gets.
+/// The end of an agent's motion is the mean of this many states.
 const END_STATES: usize = 3;
-/// Positions this close are the same but for rounding, meters.
+/// Positions this close are equal up to rounding, meters.
 const SAME_PLACE_M: f64 = 1e-6;
 
-/// Whether who stands is exactly still in a recording of which these are observed states of an agent each, state by
-/// state: steps too short to be motion are mostly none. Some trackers move standing vehicles by millimeters.
+/// Whether standing agents are exactly still in a recording; `agents` has the observed states of each agent: steps too
+/// short to be motion are mostly zero. Some trackers move standing vehicles by millimeters.
 pub(super) fn stands_still<'a>(agents: impl IntoIterator<Item = &'a Vec<Option<State>>>) -> bool {
     let (mut n_still, mut n_moved) = (0, 0);
     for states in agents {
@@ -39,8 +40,8 @@ pub(super) fn stands_still<'a>(agents: impl IntoIterator<Item = &'a Vec<Option<S
     n_still >= n_moved
 }
 
-/// Keeps who was observed to stand, but not exactly still, where it is, without taking the tracker's errors from its
-/// states: the way w that it is generated to go, and the turn, become w · |w|³ / (|w|³ + START_M³).
+/// Keeps agents that were observed to stand, but not exactly still, in their place, without removing the tracker's
+/// errors from their states: the generated displacement w, and the turn, become w · |w|³ / (|w|³ + START_M³).
 pub(super) fn stay(entries: &mut [Option<State>], latent: &[u8], dt_s: f64) {
     let Some(last_idx) = (0..entries.len()).rfind(|t| latent[*t] == 0 && entries[*t].is_some()) else { return };
     let (observed, generated) = entries.split_at_mut(last_idx + 1);
@@ -57,7 +58,7 @@ pub(super) fn stay(entries: &mut [Option<State>], latent: &[u8], dt_s: f64) {
     let way = sum * (1.0 / ends.len() as f64);
     let turn_rad = angle_difference(end.heading_rad, last.heading_rad);
     let taken = START_M.powi(3) / (way.norm().powi(3) + START_M.powi(3));
-    // Along the way at a constant speed, but for its onset.
+    // Along the way at a constant speed, except during its onset.
     let ramp = |s: f64| s - ONSET_S * (1.0 - (-s / ONSET_S).exp());
     let n_generated = generated.len();
     for (i, state) in generated.iter_mut().enumerate() {
@@ -68,8 +69,8 @@ pub(super) fn stay(entries: &mut [Option<State>], latent: &[u8], dt_s: f64) {
     }
 }
 
-/// Leaves out the steps of a sample that are too short to be motion, after the last observed state, and creeping of who
-/// stood there: who stands is exactly still. What follows is shifted by the sum of the steps that were left out.
+/// Removes steps of a sample that are too short to be motion, after the last observed state, and creeping of agents
+/// that stood there: a standing agent is exactly still. Later states are shifted by the sum of the removed steps.
 pub(super) fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
     let n_entries = entries.len();
     let mut left_out = Vec2::ZERO;
@@ -97,7 +98,7 @@ pub(super) fn hold_still(entries: &mut [Option<State>], latent: &[u8]) {
     }
 }
 
-/// Where the headings of an agent come from.
+/// The source of an agent's headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HeadingSource {
     /// The network.
@@ -137,10 +138,10 @@ pub(super) fn derive_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: 
     }
 }
 
-/// Vehicles do not slide: turns generated headings into the motion by as much as their angle to it exceeds what turning
-/// explains and what the given states of the vehicle show. At a yaw rate ω and a speed v, the center of a vehicle of
-/// length L moves at up to atan(L ω / 2 v) to its heading. Whoever is slower than 2 m/s is turned by less, below 1 m/s
-/// not at all: those who maneuver may go backward.
+/// Keeps vehicles from sliding: turns generated headings into the motion by the part of their angle to it that exceeds
+/// both what turning explains and the angle in the vehicle's observed states. At a yaw rate ω and a speed v, the center
+/// of a vehicle of length L moves at up to atan(L ω / 2 v) to its heading. Vehicles slower than 2 m/s are turned by
+/// less, below 1 m/s not at all: maneuvering ones may go backward.
 pub(super) fn turn_into_motion(entries: &mut [Option<State>], latent: &[u8], dt_s: f64, length_m: f64) {
     let slides = |entries: &[Option<State>]| -> Vec<f64> {
         (0..entries.len()).map(|t| slide_rad(entries, t, dt_s, length_m)).collect()
@@ -163,13 +164,13 @@ pub(super) fn turn_into_motion(entries: &mut [Option<State>], latent: &[u8], dt_
     }
 }
 
-/// A turn changes the yaw rate, and so what turning explains.
+/// The number of repetitions: a turn changes the yaw rate, and so the angle that turning explains.
 const N_TURNS: usize = 3;
-/// Turns are averages over two timesteps before, the same one and two after, lest whoever begins to slide is turned at
-/// once.
+/// Turns are averages over two timesteps before, the same one and two after, so that a vehicle that begins to slide is
+/// not turned abruptly.
 const WEIGHTS: [f64; 5] = [1.0 / 9.0, 2.0 / 9.0, 3.0 / 9.0, 2.0 / 9.0, 1.0 / 9.0];
 
-/// The angle from heading to motion at timestep `t` beyond what turning explains, radians; 0 where it is not known.
+/// The angle from heading to motion at timestep `t` beyond what turning explains, radians; 0 if unknown.
 fn slide_rad(entries: &[Option<State>], t: usize, dt_s: f64, length_m: f64) -> f64 {
     let (Some(state), Some(before)) = (entries[t], t.checked_sub(1).and_then(|t| entries[t])) else { return 0.0 };
     let speed_mps = state.speed_mps();
@@ -210,7 +211,7 @@ mod tests {
             let shift_m = entry.unwrap().position.x - at(t);
             assert!(shift_m.abs() < 0.004, "{t}: {shift_m}");
         }
-        // Up to an observed state nothing moves, lest it be missed.
+        // Up to an observed state nothing is shifted, so that the state is met.
         let mut entries: Vec<Option<State>> = (0..12).map(state).collect();
         latent[11] = 0;
         hold_still(&mut entries, &latent);
@@ -258,7 +259,7 @@ mod tests {
         let swings = |states: &[State]| (11..40).map(|t| (states[t].position.y - states[t - 1].position.y).abs()).sum();
         let [found, sampled]: [f64; 2] = [swings(&creeps), 29.0 * 0.02];
         assert!((found - sampled).abs() < 0.01, "{found}");
-        // A start keeps nearly all, and who rolled at the present all of its way.
+        // A start keeps nearly all of its motion, and an agent that rolled at present keeps all of it.
         assert!(stayed(0.1, 2.0)[39].position.x > 5.8);
         assert!((stayed(0.3, 0.17)[39].position.x - 0.51).abs() < 1e-9);
     }
@@ -313,7 +314,7 @@ mod tests {
 
     #[test]
     fn headings_of_datasets_without_them_are_held_while_slow() {
-        // Rolls out from 1.9 m/s, with noise of a centimeter across that is the same at every third timestep.
+        // Rolls out from 1.9 m/s, with noise of a centimeter across that is equal at every third timestep.
         let noise = |t: usize| if t.is_multiple_of(3) { 0.01 } else { -0.01 };
         let at = |t: usize| Vec2::new(0.19 * t as f64 - 0.002 * (t * t) as f64, noise(t));
         let entry = |t: usize| Some(State { position: at(t), ..State::default() });
@@ -376,7 +377,7 @@ mod tests {
         let mut turned = circle.clone();
         turn_into_motion(&mut turned, &latent, 0.1, 4.0);
         assert_eq!(turned, circle);
-        // Whose headings are off by as much in its given states; who is driven backward.
+        // Headings that are off by as much in the observed states; a vehicle that is driven backward.
         for (aside_mps, heading_rad) in [(0.0, 0.05), (0.0, std::f64::consts::PI)] {
             let (mut entries, latent) = sliding(aside_mps, heading_rad);
             let before = entries.clone();

@@ -14,8 +14,8 @@ const LANE_ATTRIBUTES: usize = 5;
 pub struct FeatureLayout;
 
 impl FeatureLayout {
-    /// Features of an agent at a timestep: velocity where observed (2), observed, valid, length and width
-    /// (0 where not recorded), and whether the agent is never observed.
+    /// Features of an agent at a timestep: velocity if observed (2), observed, valid, length and width (0 if not
+    /// recorded), and whether the agent is never observed.
     pub const AGENT: usize = 7;
     /// Features of a lane polyline: 10 points of (x, y, is padding), turn left, turn right, in an intersection,
     /// with traffic control, one-way.

@@ -1,12 +1,12 @@
 //! The hidden states that sampling generates.
 
-/// For every timestep whether it is hidden and to be generated when sampling.
+/// For every timestep, whether it is hidden and to be generated when sampling.
 ///
-/// `is_shown` says which timesteps the mask observes, `is_recorded` at which the recording has a state. A shown
+/// `is_shown` tells which timesteps the mask observes, `is_recorded` at which the recording has a state. A shown
 /// timestep is never generated: if it has no state, the agent is known not to have been tracked. Hidden timesteps form
 /// stretches between shown ones. A whole stretch is generated if the agent is tracked at the shown timestep before or
-/// after it; when it came or went in between must stay hidden. Without a state at either end (before the agent came,
-/// after it left, or because it is never observed) nothing is generated.
+/// after it, since the time at which it came or went in between must stay hidden. Without a state at either end (before
+/// the agent came, after it left, or because it is never observed) nothing is generated.
 pub(super) fn generated_timesteps(
     n_timesteps: usize,
     is_shown: impl Fn(usize) -> bool,
@@ -64,7 +64,7 @@ mod tests {
         assert_eq!(generated("o..o..o..", "xxxxxxxxx"), ".gg.gg.gg");
         // Gone after timestep 4: between 6 and the end nothing is known of it, and nothing is generated.
         assert_eq!(generated("o..o..o..", "xxxxx...."), ".gg.gg...");
-        // A gap where it is shown stays a gap; the stretches beside it touch a tracked state on one side.
+        // A shown gap stays a gap; the stretches beside it touch a tracked state on one side.
         assert_eq!(generated("o.o.o.o.o", "xx...xxxx"), ".g...g.g.");
     }
 

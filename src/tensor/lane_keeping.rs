@@ -1,34 +1,35 @@
-//! Who keeps its lane to the millimeter, as the drivers of simulations do, does so in samples, too.
+//! Makes samples of agents that keep their lanes to the millimeter, as drivers of simulations do, do so, too.
 //!
-//! A network leaves centimeters of drift where a recording has none at all. Where the observed second of an agent shows
-//! that its offset from its lane and its heading along it do not change but for rounding, small drift of a sample is an
-//! error, and is taken away; so are small changes of progress where it shows a speed without any. Human drivers never
-//! keep a lane like that, and whoever is generated to leave its offset or its speed, or is led into a bend, is left
-//! alone.
+//! A network leaves centimeters of drift where a recording has none at all. If the observed second of an agent shows
+//! that its offset from its lane and its heading along it do not change, up to rounding, small drift of a sample is an
+//! error, and is removed; so are small changes of progress if its observed speed is constant. Human drivers never keep
+//! a lane like that, and agents that are generated to leave their offset or their speed, or are led into a bend, are
+//! left alone.
 
 use crate::geometry::{Polyline, Projection, Vec2, angle_difference, wrap_angle};
 use crate::scene::{Lane, LaneGraph, Scene, State};
 use std::f64::consts::FRAC_PI_2;
 
-/// So many states in a row tell.
+/// The number of consecutive states that decide.
 const MIN_STATES: usize = 6;
-/// Who moved by less in them stands, meters.
+/// An agent that moved by less than this in them is standing, meters.
 const MOVED_M: f64 = 0.3;
-/// Places and headings that differ by less are the same but for rounding, meters and radians.
+/// Places and headings that differ by less are equal up to rounding, meters and radians.
 const SAME_M: f64 = 2e-3;
 const SAME_HEADING_RAD: f64 = 2.5e-3;
-/// Who is generated to leave its offset by more means it, meters.
+/// An agent that is generated to leave its offset by more than this does so on purpose, meters.
 const KEPT_M: f64 = 0.25;
-/// Who is generated to get farther, or less far, than at its speed by more means that, too, meters.
+/// An agent that is generated to move farther, or less far, than at its speed by more than this does so on purpose,
+/// meters.
 const CRUISE_M: f64 = 0.3;
 /// Lanes that turn by more are bends, in which the middle of a vehicle does not keep its offset, radians.
 const STRAIGHT_RAD: f64 = 0.1;
 /// A lane is an agent's if it is at most this far away, meters, and turned by this much, radians.
 const MAX_OFFSET_M: f64 = 2.5;
 const MAX_TURN_RAD: f64 = 0.5;
-/// A lane turned by one radian counts as so many meters farther.
+/// A lane turned by one radian counts as this many meters farther.
 const TURN_M: f64 = 4.0;
-/// Ways lead so far ahead, meters, and straight on where the map ends.
+/// How far ways lead ahead, meters; straight on where the map ends.
 const AHEAD_M: f64 = 150.0;
 
 /// An agent that keeps its lane.
@@ -36,19 +37,19 @@ const AHEAD_M: f64 = 150.0;
 pub(super) struct LaneKeeper {
     /// The middle of its lane and of those that follow.
     line: Polyline,
-    /// Where it was last observed: meters to the left of the line, heading, and direction of the line, radians.
+    /// Its last observed pose: meters to the left of the line, heading, and direction of the line, radians.
     offset_m: f64,
     heading_rad: f64,
     direction_rad: f64,
-    /// Its progress along the line then, meters, and, if that was steady, in a timestep.
+    /// Its progress along the line at that time, meters, and its progress per timestep if that was steady.
     station_m: f64,
     steady_step_m: Option<f64>,
     /// Whether it was seen to move.
     has_moved: bool,
 }
 
-/// The agents of a scene that keep their lanes, by track, given their `observed` states by timestep. Who stands is
-/// taken for one if at least half of those who move are.
+/// The agents of a scene that keep their lanes, by track, given their `observed` states by timestep. A standing agent
+/// counts as one if at least half of the moving ones do.
 pub(super) fn lane_keepers(scene: &Scene, observed: &[Vec<Option<State>>]) -> Vec<Option<LaneKeeper>> {
     let mut n_moving = 0;
     let mut keeper = |(track, states): (usize, &Vec<Option<State>>)| {
@@ -75,7 +76,7 @@ impl LaneKeeper {
             ends.1 - ends.0
         };
         let now = run.first()?;
-        // Who turns has left every straight lane: none needs to be looked for.
+        // A turning agent has left every straight lane, so no lane needs to be searched for it.
         let turns = &mut run.iter().map(|state| angle_difference(state.heading_rad, now.heading_rad));
         if range(turns) > SAME_HEADING_RAD + STRAIGHT_RAD {
             return None;
@@ -97,7 +98,7 @@ impl LaneKeeper {
         keeps.then_some(Self { line, offset_m, heading_rad, direction_rad, station_m, steady_step_m, has_moved })
     }
 
-    /// Takes the drift from states that were generated after all observed ones.
+    /// Removes the drift from states that were generated after all observed ones.
     pub(super) fn keep(&self, entries: &mut [Option<State>], latent: &[u8]) {
         let is_observed = |t: &usize| latent[*t] == 0 && entries[*t].is_some();
         let Some(first) = (0..entries.len()).rfind(is_observed).map(|last| last + 1) else { return };
@@ -139,7 +140,7 @@ fn own_lane<'a>(lanes: &'a LaneGraph, state: &State) -> Option<&'a Lane> {
     lanes.lanes().iter().filter_map(cost).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, lane)| lane)
 }
 
-/// The middle of `lane` and of those before and after it that turn least, straight on beyond the map.
+/// The middle of `lane` and of the lanes before and after it that turn least, straight on beyond the map.
 fn way(lanes: &LaneGraph, lane: &Lane) -> Polyline {
     let turn = |lane: &&Lane| match lane.centerline.0.as_slice() {
         [first, second, .., before, last] => {
@@ -232,7 +233,7 @@ mod tests {
             let expected = on_lane + Vec2::from_angle(direction_rad + FRAC_PI_2) * rounded(N_OBSERVED - 1);
             match t < N_OBSERVED {
                 true => assert_eq!(found, *sampled),
-                // Where the lane turns an offset is a matter of millimeters along it.
+                // Where the lane turns, the offset along it is accurate to millimeters only.
                 false => assert!(found.position.distance(expected) < 6e-3, "{t}: {found:?}"),
             }
             assert!((found.heading_rad - direction_rad).abs() < 1e-12, "{t}");

@@ -5,8 +5,8 @@
 //! network into a small error of velocity instead of a jerk. Diffused values have no meaning by themselves:
 //! [`SceneBatch::decode`] turns them into meters and radians, linearly.
 //!
-//! Decoded samples are finished as recordings are: who stands is still (`ending`), who keeps its lane to the millimeter
-//! goes on to (`lane_keeping`).
+//! Decoded samples are finished like recordings: standing agents are still (`ending`), and agents that keep their lanes
+//! to the millimeter continue to do so (`lane_keeping`).
 //!
 //! With a `Sight`, the collator also looks around each agent: lane pieces that it can reach, in its own frame, and the
 //! modes of its motion.

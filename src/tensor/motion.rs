@@ -2,8 +2,8 @@
 //!
 //! Independent errors of a few centimeters in neighboring positions are accelerations that no vehicle reaches. The
 //! motion parametrization diffuses instead the numbers z from which a Brownian path makes the residuals r of an agent:
-//! away from its observed states r is the running sum of z, and between two of them a Brownian bridge. Whatever z is, r
-//! is continuous with the observed states, and small errors in z are small errors in velocity.
+//! away from its observed states r is the running sum of z, and between two of them a Brownian bridge. For any z, r is
+//! continuous with the observed states, and small errors in z are small errors in velocity.
 
 /// How the residual of one latent timestep follows from that of the timestep before it in the chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,7 +14,7 @@ struct Link {
     from: Option<usize>,
     /// The factor of that residual.
     carry: f64,
-    /// Standard deviation of what is added, per unit of z.
+    /// Standard deviation of the increment, per unit of z.
     scale: f64,
 }
 

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The least variance of a mode where the noise of recordings is not known.
+/// The least variance of a mode if the noise of recordings is unknown.
 const MIN_VARIANCE: f64 = 1e-4;
 /// The least standard deviation of a mode as a share of the noise of observed positions.
 const MIN_SHARE_OF_NOISE: f64 = 0.2;
@@ -30,11 +30,11 @@ pub struct MotionCovariance {
     pub n_timesteps: usize,
     /// One (K + N) x (K + N) matrix for each diffused dimension, row by row, in order of time.
     pub values: Vec<Vec<f64>>,
-    /// The standard deviation of errors of observed positions and headings that predictions from them allow for, one a
-    /// dimension; none without K.
+    /// The standard deviation of errors of observed positions and headings for which predictions from them allow, one
+    /// per dimension; empty without K.
     #[serde(default)]
     pub noise: Vec<f64>,
-    /// How rough motion follows from rough steps, one a dimension; none where that is not known.
+    /// The relation of rough motion to rough steps, one per dimension; empty if unknown.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub texture: Vec<Texture>,
     #[serde(skip)]
@@ -52,7 +52,7 @@ impl MotionCovariance {
         Self { n_past, n_timesteps, values, noise, texture, modes_of_past, continuations, estimates }
     }
 
-    /// This covariance with the texture of each dimension, of which some may not be known.
+    /// This covariance with the texture of each dimension, as far as known.
     pub(super) fn with_texture(self, texture: Vec<Option<Texture>>) -> Self {
         if texture.iter().all(Option::is_none) {
             return self;
@@ -94,7 +94,7 @@ impl MotionCovariance {
 /// variance along each of its vectors.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct MotionModes {
-    /// (D, T, T), one mode a row; zero where a timestep is not latent, and in rows without a mode.
+    /// (D, T, T), one mode per row; zero at timesteps that are not latent, and in rows without a mode.
     pub(super) vectors: Vec<f32>,
     /// (D, T); zero in rows without a mode.
     pub(super) variances: Vec<f32>,
@@ -117,7 +117,7 @@ impl MotionModes {
 struct Stretch {
     /// Timesteps from the observed state that the stretch is counted from, ascending, from 1.
     offsets: Vec<usize>,
-    /// Timesteps between the observed states at its two ends; `None` if there is one at one end only.
+    /// Timesteps between the observed states at its two ends; `None` if only one end has one.
     gap: Option<usize>,
     /// Number of observed steps from which its motion is predicted.
     n_past: usize,
@@ -191,7 +191,7 @@ impl ModeTable {
 }
 
 impl Stretch {
-    /// Covariance of the motion z of this stretch, row by row: that of free motion, given where it ends if that is
+    /// Covariance of the motion z of this stretch, row by row: that of free motion, conditioned on its end if that is
     /// observed.
     fn covariance(&self, covariance: &MotionCovariance, dim: usize) -> Vec<f64> {
         let last = self.offsets.last().copied().unwrap_or(0);

@@ -63,9 +63,9 @@ impl Normalizer {
     /// σ_data: the standard deviation of every diffused feature (paper, Appendix A).
     pub const SIGMA_DATA: f64 = 0.5;
 
-    /// These scales, with those of motion of `other`, if that knows as much of the past, and has motion in a dimension.
-    /// Recordings differ in their texture: a network that is trained further on others learns theirs only if what it
-    /// diffuses is white for them, too.
+    /// These scales, with the scales of motion of `other`, if that covers as much of the past, and has motion in a
+    /// dimension. Recordings differ in their texture: a network that is trained further on others learns theirs only if
+    /// the diffused values are white for them, too.
     #[must_use]
     pub fn for_motion_of(&self, other: &Self) -> Self {
         let (Some(own), Some(others)) = (&self.motion_covariance, &other.motion_covariance) else {
@@ -105,7 +105,7 @@ impl Normalizer {
         [self.motion_longitudinal_unit_m, self.motion_lateral_unit_m, self.motion_heading_unit_rad]
     }
 
-    /// Units of what is diffused of an agent that is observed at some time.
+    /// Units of the diffused values of an agent that is observed at some time.
     pub(super) const fn agent_units(&self) -> [f64; 3] {
         match self.parametrization {
             StateParametrization::Scene => self.scene_units(),
@@ -127,7 +127,7 @@ impl RootMeanSquare {
         self.n += 1;
     }
 
-    /// The unit in which the values have a root mean square of σ_data; 1 when there were none.
+    /// The unit in which the values have a root mean square of σ_data; 1 without values.
     fn unit(&self) -> f64 {
         let unit = (self.sum / self.n.max(1) as f64).sqrt() / Normalizer::SIGMA_DATA;
         if unit > 1e-6 { unit } else { 1.0 }
@@ -138,14 +138,14 @@ impl RootMeanSquare {
 const KEPT_SHARE: f64 = 0.995;
 /// Tracks for each observed step of a prediction.
 const TRACKS_PER_STEP: usize = 10;
-/// Motions so many times beyond the limit are jumps of a recording.
+/// Motions this many times beyond the limit are jumps of a recording.
 const JUMP: f64 = 3.0;
-/// Errors of observed positions, meters, and headings, radians: about those of recordings that are rounded to
-/// millimeters and milliradians, with something to spare.
+/// Errors of observed positions, meters, and headings, radians: slightly more than those of recordings that are rounded
+/// to millimeters and milliradians.
 const POSITION_NOISE_M: f64 = 1e-3;
 const HEADING_NOISE_RAD: f64 = 1e-3;
-/// If the past predicts motion but for less than this share, it is as good as known, and units stay those of the
-/// motion.
+/// If the past predicts all but less than this share of motion, the motion is as good as known, and units stay those of
+/// the motion.
 const MIN_REST: f64 = 0.1;
 /// Maximum number of motions kept for the constants: enough for three digits.
 const MAX_MOTIONS: usize = 2_000_000;
@@ -168,7 +168,7 @@ pub struct NormalizerFit {
     position: RootMeanSquare,
     heading: RootMeanSquare,
     /// Motions of each agent that is present: of the steps in its history, and of the timesteps after it, both counted
-    /// from 0; turns are NaN where they are not known.
+    /// from 0; turns are NaN if unknown.
     motions: Vec<TrackMotion>,
     /// Number of steps in a history.
     n_past: usize,
@@ -280,9 +280,9 @@ impl NormalizerFit {
         futures.map(move |(_, z)| z[dim]).filter(|z| !z.is_nan())
     }
 
-    /// The covariance of motion in units of what is diffused, which are set to those of the motion that is not
-    /// predicted from the past. Only tracks that are recorded throughout count, lest the smallest variances be errors
-    /// of its estimate, and those without jumps far beyond the `limits`. `None` without any.
+    /// The covariance of motion in units of the diffused values, which are set to those of the motion that is not
+    /// predicted from the past. Only tracks that are recorded throughout count, so that the smallest variances are not
+    /// errors of the estimate, and only tracks without jumps far beyond the `limits`. `None` without any.
     fn covariance(&self, limits: &[f64], units: &mut [f64; 3]) -> Option<MotionCovariance> {
         let n_timesteps = self.motions.iter().map(|motion| motion.future.len()).max()?;
         let is_whole = |motion: &&TrackMotion| motion.past.len() == self.n_past && motion.future.len() == n_timesteps;
@@ -299,7 +299,7 @@ impl NormalizerFit {
             for motion in &whole {
                 let past = &motion.past[self.n_past - n_past..];
                 let values: Vec<f64> = past.iter().chain(&motion.future).map(|(_, z)| f64::from(z[dim])).collect();
-                // One that is NaN is not within the limit either.
+                // A value that is NaN is not within the limit either.
                 if !values.iter().all(|value| value.abs() <= JUMP * limit) {
                     continue;
                 }

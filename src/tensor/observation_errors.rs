@@ -1,11 +1,11 @@
-//! Errors of observed states, which are estimated and taken away before a scene is encoded.
+//! Errors of observed states, which are estimated and removed before a scene is encoded.
 //!
 //! Trackers differ in their errors by orders of magnitude. A prediction that takes 10 cm of error for acceleration is
-//! meters off after 3 s, and a network that was trained on exact pasts has never seen the like. So each track is seen
-//! as traffic is likeliest to have moved, given what was observed: with p = E e + q for the observed steps p, errors e
-//! of the positions and true steps q of covariance C, the errors are expected to be s² Eᵀ (C + s² E Eᵀ)⁻¹ p. Their size
-//! s is the one under which p is likeliest. A track is left as it is where that is the least, also if its motion is a
-//! few times as lively as most: who turns into a roundabout moves far, but smoothly.
+//! meters off after 3 s, and a network that was trained on exact pasts has never seen the like. So each track is
+//! replaced by the likeliest motion of traffic, given its observations: with p = E e + q for the observed steps p,
+//! errors e of the positions and true steps q of covariance C, the errors are expected to be s² Eᵀ (C + s² E Eᵀ)⁻¹ p.
+//! Their size s is the one under which p is likeliest. A track is left as it is if that is the least size, also if its
+//! motion is a few times as lively as most: a vehicle that turns into a roundabout moves far, but smoothly.
 
 use super::continuation::{MIN_SHARE_OF_NOISE, grid, inverse, product};
 use super::reference::{Reference, ReferencePose};
@@ -15,8 +15,8 @@ use crate::scene::{Scene, State, Track, Trajectory};
 use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
-/// What may explain a track: how lively its motion is and how large its errors are, as multiples of the ordinary
-/// standard deviation and of the least errors. The first few say that the track is exact.
+/// Possible explanations of a track: how lively its motion is and how large its errors are, as multiples of the
+/// ordinary standard deviation and of the least errors. In the first few, the track is exact.
 const EXPLANATIONS: [[f64; 2]; 7] =
     [[1.0, 1.0], [2.0, 1.0], [4.0, 1.0], [1.0, 4.0], [1.0, 16.0], [1.0, 64.0], [1.0, 256.0]];
 const N_EXACT: usize = 3;
@@ -49,7 +49,7 @@ impl PartialEq for Estimates {
 }
 
 impl MotionCovariance {
-    /// The errors in dimension `dim` of the positions (or headings) that the observed `steps` are between, in units of
+    /// The errors in dimension `dim` of the positions (or headings) between which the observed `steps` lie, in units of
     /// x; `None` if they are as exact as those of training traffic.
     fn errors(&self, dim: usize, steps: &[f64]) -> Option<Vec<f64>> {
         let k = steps.len();
@@ -70,7 +70,7 @@ impl MotionCovariance {
         };
         let mut best = (0, f64::NEG_INFINITY);
         for (place, likelihood) in estimates.iter().map(log_likelihood).enumerate() {
-            // Of equal ones the first.
+            // The first among equal ones.
             best = if likelihood > best.1 { (place, likelihood) } else { best };
         }
         (best.0 >= N_EXACT).then(|| of_steps(&estimates[best.0].errors))
@@ -108,8 +108,8 @@ pub(super) fn without_errors<'a>(
     scene
 }
 
-/// The trajectory of `track` in the scene frame without the errors of its states up to the present, of which as many as
-/// the covariance knows are `observed`. `None` if it is exact, or too little of it was observed.
+/// The trajectory of `track` in the scene frame without the errors of its states up to the present; as many of them as
+/// the covariance covers are `observed`. `None` if it is exact, or too little of it was observed.
 fn track_without_errors(
     track: &Track,
     scene: &Scene,
@@ -165,7 +165,7 @@ pub(super) struct FadingErrors {
 }
 
 impl FadingErrors {
-    /// What a `recorded` track had at present beyond what is `believed` of it; `None` if that is nothing.
+    /// The difference at present between a `recorded` track and its `believed` one; `None` if there is none.
     pub(super) fn between(scene: &Scene, recorded: &Track, believed: &Track) -> Option<Self> {
         let (present, dt_s) = (scene.current_timestep(), scene.dt_s);
         let (recorded, believed) = (recorded.trajectory.get(present)?, believed.trajectory.get(present)?);
@@ -178,7 +178,7 @@ impl FadingErrors {
         })
     }
 
-    /// The pose with what is left of the errors at `timestep`: they begin with their own velocity and decay.
+    /// The pose with the remaining errors at `timestep`: they begin with their own velocity and decay.
     pub(super) fn added_to(&self, pose: ReferencePose, timestep: usize) -> ReferencePose {
         let Some(elapsed) = timestep.checked_sub(self.present).filter(|elapsed| *elapsed > 0) else { return pose };
         let elapsed_s = elapsed as f64 * self.dt_s;
@@ -267,13 +267,14 @@ mod tests {
 
     #[test]
     fn errors_are_found() {
-        // Constant speed, seen with errors of 10 cm. A shift of all positions cannot be seen; these errors have none.
+        // Constant speed, observed with errors of 10 cm. A shift of all positions is not observable; these errors have
+        // none.
         let errors = [0.08, -0.12, 0.05, 0.11, -0.09, -0.03, 0.14, -0.1, 0.03, -0.07];
         let noisy: Vec<f64> = (0..).map(f64::from).zip(errors).map(|(t, error)| t + error).collect();
         let found = wandering(9, 30).errors(0, &steps(&noisy)).unwrap();
         let left: f64 = found.iter().zip(errors).map(|(found, error)| (found - error).powi(2)).sum();
         assert!((left / 10.0).sqrt() < 0.06, "{found:?}");
-        // They are those under which the steps that are left are those of smooth motion.
+        // They are the errors under which the remaining steps are those of smooth motion.
         let believed: Vec<f64> = noisy.iter().zip(&found).map(|(position, error)| position - error).collect();
         assert_eq!(wandering(9, 30).errors(0, &steps(&believed)), None);
         assert!(found.iter().sum::<f64>().abs() < 1e-9, "{found:?}");

@@ -1,4 +1,4 @@
-//! The inputs of a pairwise classifier: two agents whose future is diffused.
+//! The inputs of a pairwise classifier: two agents with a diffused future.
 
 use super::{Normalizer, SceneBatch, StateParametrization};
 use crate::geometry::{Transform2, Vec2, wrap_angle};
@@ -35,7 +35,7 @@ impl PairFeatures {
     /// The features of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
     ///
     /// # Errors
-    /// Fails when there is not one pair a row or a place lies outside the agent axis.
+    /// Fails when there is not one pair per row or a place lies outside the agent axis.
     pub fn new(batch: &SceneBatch, pairs: &[(usize, usize)], parametrization: StateParametrization) -> Result<Self> {
         let (n_rows, n_agents, n_timesteps, _) = batch.x0.dims4()?;
         if pairs.len() != n_rows || pairs.iter().any(|(first, second)| (*first).max(*second) >= n_agents) {

@@ -11,9 +11,9 @@ pub(super) struct ReferencePose {
     pub(super) heading_rad: f64,
 }
 
-/// The reference trajectory of one agent: its observed states, linear interpolation between them, and the velocity of
-/// the nearest observed state carried on outside of them; after the present with the acceleration and the bend that the
-/// observed steps predict ([`Reference::continued`]).
+/// The reference trajectory of one agent: its observed states, linear interpolation between them, and a continuation at
+/// the velocity of the nearest observed state outside of them; after the present with the acceleration and the
+/// curvature that the observed steps predict ([`Reference::continued`]).
 pub(super) struct Reference<'a> {
     observed: Vec<(usize, &'a State)>,
     /// Place among the observed states of the last one up to the present, or of the first one after it.
@@ -35,8 +35,8 @@ impl<'a> Reference<'a> {
         Self { observed, anchor, dt_s, n_past: 0, added: Vec::new() }
     }
 
-    /// The reference that goes on from the present as `covariance` predicts from the steps up to it, without turning
-    /// unless the agent `turns`. It is the same if something is observed later, or no step leads to the present.
+    /// The reference that continues from the present as `covariance` predicts from the steps up to it, without turning
+    /// unless the agent `turns`. It is unchanged if something is observed later, or no step leads to the present.
     pub(super) fn continued(mut self, covariance: Option<&MotionCovariance>, turns: bool) -> Self {
         let Some(covariance) = covariance.filter(|_| self.anchor + 1 == self.observed.len()) else { return self };
         let are_consecutive = |pair: &&[(usize, &State)]| pair[0].0 + 1 == pair[1].0;
@@ -57,7 +57,7 @@ impl<'a> Reference<'a> {
     }
 
     /// The heading of the agent's own frame: that of its last observed state up to the present, so that observing goals
-    /// beside a history does not turn it, or else of its first one; 0 for an agent never observed.
+    /// beside a history does not turn it, or otherwise of its first one; 0 for an agent never observed.
     pub(super) fn frame_heading_rad(&self) -> f64 {
         self.observed.get(self.anchor).map_or(0.0, |(_, state)| state.heading_rad)
     }
@@ -107,8 +107,8 @@ impl<'a> Reference<'a> {
         }
     }
 
-    /// `carried` on to `elapsed` timesteps after the last observed state, with what the prediction adds. Beyond its end
-    /// the last step of the prediction is repeated.
+    /// The pose `carried` on to `elapsed` timesteps after the last observed state, with the prediction added. Beyond
+    /// its end the last step of the prediction is repeated.
     fn predicted(&self, carried: ReferencePose, elapsed: usize) -> ReferencePose {
         let (Some(last), Some(i)) = (self.added.len().checked_sub(1), elapsed.checked_sub(1)) else { return carried };
         let before = last.checked_sub(1).map_or([0.0; 3], |before| self.added[before]);
@@ -181,7 +181,7 @@ mod tests {
             Reference::new(&track, 0.1, 4, observed).continued(Some(&covariance), true)
         };
         // x is t + t²/20, and the heading at timestep 4 is 0.4 rad. The covariance has one dimension, so only the part
-        // of the acceleration along that heading goes on.
+        // of the acceleration along that heading continues.
         let reference = continued(&|t| t <= 4);
         assert_eq!(reference.n_past(), 3);
         for (t, elapsed) in [(5, 1.0), (7, 3.0), (9, 5.0)] {

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 /// Scenes as padded tensors: B scenes, A agents, T timesteps, L polylines, D dimensions of a diffused state.
 ///
-/// An entry is *latent* when it is to be generated, *observed* when it is given, *valid* when it is either.
-/// Everything else is padding, and zero. Diffused values x are related to meters and radians in the row's ego
-/// frame by `decode`: base + rotation · (unit · path · x) on latent entries; observed entries are the base itself.
+/// An entry is *latent* when it is to be generated, *observed* when it is given, *valid* when it is either. Everything
+/// else is padding, and zero. Diffused values x are related to meters and radians in the row's ego frame by `decode`:
+/// base + rotation · (unit · path · x) on latent entries; observed entries are the base itself.
 ///
 /// The tensors are those of [`SceneTensors`], read-only: their shapes, types and devices agree.
 #[derive(Debug, Clone)]
@@ -60,7 +60,7 @@ pub struct SceneTensors {
 /// diffused state.
 #[derive(Debug, Clone)]
 pub struct Surroundings {
-    /// Where each agent's own frame has its origin, in the row's ego frame, (B, A, 2), meters. Its rotation is that of
+    /// The origin of each agent's own frame, in the row's ego frame, (B, A, 2), meters. Its rotation is that of
     /// decoding.
     pub origin: Tensor,
     /// Attributes of agents, (B, A, `SurroundingsLayout::AGENT`).
@@ -239,7 +239,7 @@ impl SceneBatch {
         self.path.as_ref().map(unit).transpose()
     }
 
-    /// The scenes that samples `x` (B, A, T, D) stand for. `sources[b]` is the scene that row b was made of.
+    /// The scenes of the samples `x` (B, A, T, D). `sources[b]` is the scene from which row b was made.
     ///
     /// Each has the tracks of its source in the same order: observed states as recorded, latent states decoded, with
     /// velocities from three positions in a row; agents that the batch left out keep their observed states only.

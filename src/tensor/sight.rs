@@ -36,8 +36,7 @@ impl Sight {
     }
 
     /// The surroundings of the agents of all rows, A agents and T timesteps with D diffused dimensions a row.
-    /// `modes_of_agents` have the place of their agent in (B, A); agents are expected to go on as `covariance`
-    /// predicts.
+    /// `modes_of_agents` have the place of their agent in (B, A); `covariance` predicts how agents continue.
     pub(super) fn surroundings(
         &self,
         views: &[SceneView<'_>],

@@ -6,7 +6,7 @@ use crate::scene::{AgentClass, Extent, LaneGraph, Track};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Pieces farther than this from an agent's reference path are left out, unless it can reach them, meters.
+/// Pieces farther than this from an agent's reference path are left out unless the agent can reach them, meters.
 const NEAR_M: f64 = 20.0;
 /// An agent is in a lane within this distance of its centerline, meters, …
 const IN_LANE_M: f64 = 2.5;
@@ -60,7 +60,7 @@ pub struct AgentSurroundings {
 pub struct RowSurroundings {
     /// The pieces of all lanes.
     pub pieces: Vec<LanePiece>,
-    /// One for each agent of the row.
+    /// Surroundings for each agent of the row.
     pub agents: Vec<AgentSurroundings>,
     /// Time between timesteps, seconds.
     pub dt_s: f32,
@@ -201,7 +201,7 @@ mod tests {
         Lane::unconnected(id, Polyline(vec![from, to]), Default::default())
     }
 
-    /// A lane along x that another one continues, one beside it, one back on the far side, and one far away.
+    /// A lane along x with a successor, a neighbor, an oncoming lane on the far side, and a lane far away.
     fn road() -> LaneGraph {
         let at = Vec2::new;
         let mut first = lane(1, at(0.0, 0.0), at(36.0, 0.0));
@@ -216,7 +216,7 @@ mod tests {
         ])
     }
 
-    /// By lane and place in it, what an agent at (8, 0) that drives along x at 10 m/s is shown, with its reach.
+    /// By lane and place in it, the pieces for an agent at (8, 0) that drives along x at 10 m/s, with its reach.
     fn shown(n_lanes: usize, horizon_s: f64) -> Vec<(u32, f32, Option<f32>)> {
         let track = &scene(&[Drive::straight(8.0, 0.0, 0.0, 10.0)]).tracks[0];
         let path = (0..=4).map(|i| Vec2::new(8.0 + 7.0 * f64::from(i), 0.0)).collect();
@@ -233,8 +233,8 @@ mod tests {
     fn lanes_that_can_be_reached_come_first_with_the_way_to_them() {
         let all = shown(9, 3.0);
         let reached: Vec<_> = all.iter().take_while(|(_, _, reach)| reach.is_some()).copied().collect();
-        // Six of nine places are for those; a change of lanes counts 10 m. The lane back is near, and cannot be
-        // reached.
+        // Six of nine places are for reachable ones; a change of lanes counts 10 m. The oncoming lane is near, and
+        // cannot be reached.
         assert_eq!(
             reached[..4],
             [(0, 0.0, Some(-8.0)), (2, 0.0, Some(2.0)), (0, 18.0, Some(10.0)), (2, 18.0, Some(20.0))]

@@ -23,7 +23,7 @@ impl Collator {
         self.collate(&[SceneView { scene, ego_idx: scene.ego_idx, mask }], validity, &Device::Cpu).unwrap()
     }
 
-    /// Scenes of which the history is observed, each seen from its ego agent.
+    /// Scenes with an observed history, each seen from its ego agent.
     pub(crate) fn predictive(&self, scenes: &[&Scene], validity: FutureValidity) -> SceneBatch {
         let mask = |s: &&Scene| ObservationMask::predictive(s.tracks.len(), s.n_timesteps, s.n_history);
         let masks: Vec<_> = scenes.iter().map(mask).collect();

@@ -1,4 +1,4 @@
-//! Encoding and decoding agree, masks are what the paper says, and nothing leaks.
+//! Encoding and decoding agree, masks are those of the paper, and nothing leaks.
 
 use super::testing::collator;
 use super::*;
@@ -52,7 +52,7 @@ fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
 
 #[test]
 fn who_creeps_in_the_recording_is_not_held() {
-    // Two millimeters a timestep, as trackers move who stands.
+    // Two millimeters a timestep, as trackers move standing vehicles.
     let scene = scene(&[Drive::straight(3.0, 4.0, 0.5, 0.02), Drive::straight(9.0, 4.0, 0.0, 10.0)]);
     let mask = ObservationMask::predictive(2, 12, 4);
     let batch = collate(&collator([&scene], StateParametrization::Motion), &scene, 0, &mask);

@@ -1,9 +1,9 @@
-//! How rough an agent's motion is, which its observed steps show.
+//! The roughness of an agent's motion, estimated from its observed steps.
 //!
 //! Trackers and drivers give motion a texture whose size differs from agent to agent by an order of magnitude within
 //! one dataset. The covariance of motion is that of the average agent. With the observed steps p in their modes, the
 //! roughness is the mean of their squares over their variances in the upper half of the modes, r = mean (u·p)² / λ; and
-//! the variances of the motion that follows are in the modes of fast motion c rᵝ times those of the average agent.
+//! the variances of the later motion are, in the modes of fast motion, c rᵝ times those of the average agent.
 
 use super::MotionCovariance;
 use super::continuation::{MIN_SHARE_OF_NOISE, grid};
@@ -13,16 +13,16 @@ use std::sync::{Arc, OnceLock};
 
 /// The modes of fast motion are all but this share of the slowest: those above about 1 Hz of 3 s.
 const SLOW_SHARE: f64 = 0.2;
-/// Smaller and larger roughness counts as this: who stands is rougher than measured, and jumps are errors.
+/// Roughness is limited to this range: standing agents are rougher than measured, and jumps are errors.
 const ROUGHNESS: [f64; 2] = [0.01, 100.0];
-/// The variances of an agent differ from the average by at most such factors.
+/// The variances of an agent differ from the average at most by factors in this range.
 const FACTORS: [f64; 2] = [0.01, 100.0];
-/// Fewer tracks do not tell how roughness goes on.
+/// Fewer tracks do not show how roughness continues.
 const MIN_TRACKS: usize = 100;
 /// The share of tracks that count for the mean; the others jump.
 const KEPT_SHARE: f64 = 0.99;
 
-/// How the roughness of motion follows from that of the observed steps in one dimension.
+/// The relation of the roughness of motion to that of the observed steps in one dimension.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Texture {
@@ -53,8 +53,8 @@ pub(super) fn is_fast(i: usize, n: usize) -> bool {
     i as f64 >= SLOW_SHARE * n as f64
 }
 
-/// The mean square, over their variances, of the numbers `values` in the modes that `counts` takes, the mode of the
-/// largest variance first; `None` where there is none with a variance above `least`.
+/// The mean square, relative to their variances, of the numbers `values` in the modes that `counts` accepts, the mode
+/// of the largest variance first; `None` if there is none with a variance above `least`.
 fn roughness(eigen: &Eigen, values: &[f64], counts: impl Fn(usize) -> bool, least: f64) -> Option<f64> {
     let n = values.len();
     let mut order: Vec<usize> = (0..n).collect();
@@ -90,8 +90,8 @@ impl MotionCovariance {
         Some(found.clamp(ROUGHNESS[0], ROUGHNESS[1]))
     }
 
-    /// The texture that `tracks` of training traffic show in dimension `dim`: observed steps and the motion after them,
-    /// in units of x. `None` if they are too few.
+    /// The texture of `tracks` of training traffic in dimension `dim`: observed steps and the motion after them, in
+    /// units of x. `None` if they are too few.
     pub(super) fn fit_texture(&self, dim: usize, tracks: &[(Vec<f64>, Vec<f64>)]) -> Option<Texture> {
         let continuation = self.continuation(self.n_past)?;
         let rest = symmetric_eigen(continuation.covariance[dim].clone(), self.n_timesteps);
@@ -137,7 +137,7 @@ mod tests {
         MotionCovariance::new(6, 10, vec![values], vec![0.0])
     }
 
-    /// Tracks that are `spread` times as rough as others, some more, some less.
+    /// Tracks that are up to `spread` times as rough as others.
     fn tracks(spread: f64, n: usize) -> Vec<(Vec<f64>, Vec<f64>)> {
         let mut rng = Seed(3).rng();
         let draw = |rng: &mut SeededRng, n: usize, size: f64| (0..n).map(|_| size * rng.normal()).collect::<Vec<f64>>();
@@ -174,7 +174,7 @@ mod tests {
         assert!((white().texture_factor(0, &[9.0; 6]) - 1.0).abs() < 1e-9);
     }
 
-    /// Two cars at 10 m/s, the second of which was seen to move by centimeters to and fro.
+    /// Two cars at 10 m/s, the second of which was observed to move by centimeters to and fro.
     fn one_trembles() -> Scene {
         let mut scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 4.0, 0.0, 10.0)]);
         let trembles = |(t, state): (usize, &Option<State>)| {

@@ -29,7 +29,7 @@ fn batch(parametrization: StateParametrization, n_rows: usize) -> SceneBatch {
 #[test]
 fn the_loss_is_that_of_the_best_future_by_hand() {
     let batch = batch(StateParametrization::Scene, 2);
-    // Futures that are the recorded one, moved along the agent's axis by so many meters in every latent state.
+    // Futures that are the recorded one, moved along the agent's axis by this many meters in every latent state.
     let unit = batch.unit.narrow(2, 0, 1).unwrap().unsqueeze(2).unwrap();
     let moved = |row: usize, meters: f64| {
         let shift = (unit.recip().unwrap() * meters).unwrap();

@@ -153,7 +153,7 @@ mod tests {
         let lane = |change: SceneChange| changed(made.clone(), change).lanes.lanes()[0].centerline.0[0] - ego;
         let turned = before.rotated(std::f64::consts::FRAC_PI_2);
         assert!(lane(SceneChange::MapTurned).distance(turned) < 1e-9);
-        // To the left of somebody who heads along +y is -x.
+        // The left of a vehicle that heads along +y is -x.
         assert!(lane(SceneChange::MapShifted).distance(before + Vec2::new(-SHIFT_M, 0.0)) < 1e-9);
         assert!(lane(SceneChange::AsRecorded).distance(before) == 0.0);
         assert!(changed(made.clone(), SceneChange::NoMap).lanes.lanes().is_empty());

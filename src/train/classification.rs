@@ -18,7 +18,7 @@ pub struct ClassificationTask<'a> {
     pub frozen: &'a BehaviorClassifier,
     /// The pairs.
     pub inputs: &'a NoisyPairs<'a>,
-    /// How much more a positive pair counts than a negative one.
+    /// The weight of a positive pair relative to a negative one.
     pub pos_weight: f64,
     /// Pairs a step.
     pub batch_size: usize,

@@ -17,7 +17,7 @@ use candle_core::{Device, Tensor};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Scenes of which some hold a cut-in.
+/// Scenes, some of which hold a cut-in.
 const fn scenes(n: usize) -> MadeScenes<fn(usize) -> Scene> {
     MadeScenes(n, scene)
 }

@@ -22,7 +22,7 @@ pub struct NoiseLevelReport {
     /// Probability that a random positive pair scores higher than a random negative one, ties counting half.
     pub auc: Option<f64>,
     /// Expected calibration error: the mean distance of probabilities from the share of positive pairs in ten bins of
-    /// probability, where positive pairs count as much as in training.
+    /// probability, with positive pairs weighted as in training.
     pub calibration_error: Option<f64>,
 }
 
@@ -101,7 +101,7 @@ mod tests {
         assert!((report.auc.unwrap() - 4.0 / 6.0).abs() < 1e-12);
     }
 
-    /// p = 1/2 twice, of which one is positive, and p = 0.9, which is negative. Weights of 1: |0.5 - 0.5| and 0.9, of 3
+    /// p = 1/2 twice, one of which is positive, and p = 0.9, which is negative. Weights of 1: |0.5 - 0.5| and 0.9, of 3
     /// pairs. If positive pairs count three times: 0.5 - 1.5 in the first bin, and 0.9, of 5.
     #[test]
     fn probabilities_are_compared_with_shares_bin_by_bin() {

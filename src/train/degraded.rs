@@ -1,10 +1,10 @@
-//! Scenes as other recordings would have them, so that a network learns to do with less than simulators give.
+//! Scenes with less data, as in other recordings, so that a network learns to do without what simulators provide.
 //!
 //! Some datasets have no maps, some no sizes, and many have cars that are parked beside the road. A network that has
-//! always seen maps and sizes brakes and turns at random where one is missing, and one that has seen nobody parked
-//! lets who is parked drive off.
+//! always seen maps and sizes brakes and turns at random when one is missing, and one that has never seen parked cars
+//! lets them drive off.
 //!
-//! Errors of observed states are not among this: they are taken away before a network sees them.
+//! Errors of observed states are not included: they are removed before a network sees them.
 
 use crate::geometry::{OrientedBox, Vec2, wrap_angle};
 use crate::scene::{Extent, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
@@ -16,10 +16,11 @@ use std::sync::Arc;
 const WITHOUT_MAP: f64 = 0.1;
 const WITHOUT_SIZES: f64 = 0.1;
 
-/// Share of scenes in which cars are parked beside the road, and how many at most; simulated traffic has none.
+/// Share of scenes in which cars are parked beside the road, and their largest number; simulated traffic has none.
 const WITH_PARKED: f64 = 0.25;
 const MOST_PARKED: usize = 4;
-/// How far beside the way of somebody they are, meters, and how far from the center of any lane and from all bodies.
+/// The distance of a parked car beside the way of an agent, meters, and its least distance from the center of any lane
+/// and from all bodies.
 const BESIDE_M: [f64; 2] = [3.0, 12.0];
 const OFF_LANES_M: f64 = 2.6;
 const CLEARANCE_M: f64 = 0.5;
@@ -43,8 +44,8 @@ pub(super) fn degraded(mut scene: Scene, rng: &mut SeededRng) -> Scene {
     scene
 }
 
-/// A car that stands beside the way of somebody throughout, in the scene frame. `None` if the place drawn for it is not
-/// free, or whose way it is does not drive a motor vehicle.
+/// A car that stands beside the way of an agent throughout, in the scene frame. `None` if the drawn place is not free,
+/// or the agent is not motorized.
 fn parked(scene: &Scene, number: usize, rng: &mut SeededRng) -> Option<Track> {
     let beside = scene.tracks.get(rng.below(scene.tracks.len()))?;
     let states: Vec<&State> = beside.trajectory.valid().map(|(_, state)| state).collect();

@@ -29,7 +29,7 @@ pub fn train_denoiser(
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
     let draws = scenes.draws(!training.objectives.is_empty(), job);
     let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
-    // Who trains a model further must not end with a worse one.
+    // Training a model further must not end with a worse one.
     let schedule = FitConfig { keeps_best: start.is_some(), ..training.common.fit.clone() };
     let outcome = fit(&schedule, &mut model.params, &task, job)?;
     spec.changed_losses = changed_losses(&task)?;

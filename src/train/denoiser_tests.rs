@@ -69,7 +69,7 @@ fn the_held_out_loss_falls_and_the_checkpoint_reads_back() {
 fn objectives_shape_clean_estimates() {
     let final_cost = |weight: f64| {
         let mut training = training(200);
-        // Nobody was recorded to turn that hard, but what is left of noise looks like it.
+        // No recorded agent turns that hard, but residual noise looks like it.
         training.objectives = vec![ObjectiveConfig::new(weight, AccelerationLimit { limit_mps2: 8.0 })];
         let dir = tempfile::tempdir().unwrap();
         let outcome = train(&arcs(24), &training, dir.path()).unwrap();
@@ -156,7 +156,7 @@ fn training_can_start_from_a_checkpoint() {
     let scales = |outcome: &TrainOutcome<DenoiserSpec>| outcome.spec.normalizer.scene_units();
     assert_eq!(scales(&warm), scales(&cold));
     assert_ne!(warm.spec.normalizer.motion_covariance, cold.spec.normalizer.motion_covariance);
-    // A training that only spoils it ends with what it started from.
+    // A training that only makes it worse ends with the weights it started from.
     let third = tempfile::tempdir().unwrap();
     let mut spoiling = training(20);
     spoiling.common.fit.learning_rate = 5.0;

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 /// The noise levels at which held-out losses are given: from finest detail to the choice of a maneuver.
 const EVALUATION_SIGMAS: [f64; 4] = [0.05, 0.2, 0.8, 3.0];
 
-/// The one of them at which losses on changed scenes are also taken; all of them would cost too much.
+/// The noise level at which losses on changed scenes are also taken; all of them would cost too much.
 const CHANGED_SIGMA: f64 = 0.8;
 
 /// Training of a `SceneDenoiser` on the scenes of a dataset.

@@ -48,7 +48,7 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
     read_checkpoint(&dir.join("model.safetensors"), &Device::Cpu).unwrap()
 }
 
-/// Two steps, for data that is decided at far lower noise than traffic is.
+/// Two steps, for data that is decided at far lower noise than traffic.
 fn two_steps() -> StepDistillation {
     StepDistillation { grid: StepGrid { sigma_max: Some(20.0), sigma_min: Some(0.8) }, ..Default::default() }
 }
@@ -69,7 +69,7 @@ fn every_parameter_receives_a_gradient() {
     let mut params = Params::new(&Compute::cpu());
     let build = |params: &mut Params| SceneDenoiser::new(params, &spec.network, 3, spec.edm, Seed(1)).unwrap();
     let denoiser = build(&mut params);
-    // Layers that begin at zero would hide what lies before them.
+    // Layers that begin at zero would hide earlier ones.
     let frozen = build(&mut params.frozen());
     let masks = MaskSampler::new(&training.common.tasks).unwrap();
     let collator = spec.collator();
@@ -85,7 +85,7 @@ fn every_parameter_receives_a_gradient() {
     }
 }
 
-/// Where the car ends sideways in 64 samples of a few evaluations, meters.
+/// The lateral end of the car in 64 samples of a few evaluations, meters.
 fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
     let forked = fork(0, &[]);
     let batch = trained.spec.collator().predictive(&[&forked], FutureValidity::Everything);
@@ -97,7 +97,7 @@ fn endings_m(trained: &TrainedDenoiser, sampler: &SamplerConfig) -> Vec<f64> {
     values(&repeated.decode(&x).unwrap().narrow(2, 11, 1).unwrap().narrow(3, 1, 1).unwrap())
 }
 
-/// The denoiser of [`teacher`], and what becomes of it when it is distilled.
+/// The denoiser of [`teacher`], and the result of its distillation.
 fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
     let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let checkpoint = teacher(400, dirs[0].path());
@@ -110,7 +110,7 @@ fn distilled(training: &DistillTraining) -> (TrainedDenoiser, TrainedDenoiser) {
     (denoiser, distilled)
 }
 
-/// How many end on one of both ways, each of which ends some 4 m to the side.
+/// The number that end on one of both ways, each of which ends some 4 m to the side.
 fn n_on_a_way(endings: &[f64]) -> usize {
     let way_m = fork(0, &[]).state(0, 11).unwrap().position.y;
     assert!((3.0..6.0).contains(&way_m), "{way_m}");

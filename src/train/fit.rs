@@ -25,15 +25,15 @@ pub struct FitStatistics {
 /// The result of a training run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitOutcome {
-    /// Steps that this call took, beyond those of the state it resumed from.
+    /// Steps that this call took, beyond those of the state from which it resumed.
     pub steps_taken: u64,
     /// All lines of statistics, in order.
     pub statistics: Vec<FitStatistics>,
 }
 
 /// Trains `params` on `task` for `config.steps` steps, from the state in the job's folder if there is one. At the end
-/// `params` are the averaged weights if `config.ema_decay` is positive, else the last ones; with `config.keeps_best`,
-/// those of the best evaluation, the one before the first step among them.
+/// `params` are the averaged weights if `config.ema_decay` is positive, otherwise the last ones; with
+/// `config.keeps_best`, those of the best evaluation, including the one before the first step.
 ///
 /// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A run that was
 /// killed and resumed ends with the same weights as an uninterrupted one.
@@ -52,7 +52,7 @@ pub fn fit(
     let first_step = run.position.step;
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
-    // What training changes shows only beside the figures of what it started from.
+    // The effect of training shows only beside the figures of the initial weights.
     if run.position.statistics.is_empty() && first_step == 0 && config.steps > 0 {
         run.evaluate(config, params, task)?;
     }
@@ -218,7 +218,7 @@ mod tests {
         }
     }
 
-    /// Interrupts after so many steps.
+    /// Interrupts after this many steps.
     struct StopAfter(AtomicU64);
 
     impl Progress for StopAfter {
@@ -308,7 +308,7 @@ mod tests {
         let x = params.get_or_init("x", &[1], Init::Zeros, Seed(1)).unwrap();
         let outcome = fit(&config, &mut params, &Slope(x.clone()), job(dir.path(), &Silent)).unwrap();
         // Worked out by hand: rates 0.05, 0.1 (1 + cos π/4) / 2, 0.05 and 0.1 (1 + cos 3π/4) / 2, and averages whose
-        // decay is 2/11, 3/12, 4/13 and 5/14; before them, where training starts.
+        // decay is 2/11, 3/12, 4/13 and 5/14; before them, the initial weights.
         let evaluated: Vec<f64> =
             outcome.statistics.iter().filter_map(|line| line.evaluation.get("x").copied()).collect();
         let expected = [0.0, -0.040_909, -0.111_744, -0.162_706, -0.186_681];

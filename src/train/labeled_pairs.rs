@@ -20,7 +20,7 @@ pub struct MinedEvent<'a> {
 pub struct LabeledPair {
     /// Index of the scene in the dataset.
     pub scene_idx: usize,
-    /// The tracks of the first and second role; the same twice for behaviors of a single agent.
+    /// The tracks of the first and second role; one track twice for behaviors of a single agent.
     pub tracks: (TrackId, TrackId),
     /// Whether the pair performs the behavior.
     pub is_positive: bool,
@@ -29,7 +29,7 @@ pub struct LabeledPair {
 impl LabeledPair {
     /// The pairs of `events`, which are all of one behavior, by scene. A pair with several events is positive if one of
     /// them is. With more than `max_pairs` pairs, random negative ones are left out until half are positive, then
-    /// random ones of both.
+    /// random ones of both kinds.
     pub fn of_events(events: &[MinedEvent<'_>], max_pairs: usize, seed: Seed) -> Vec<Self> {
         let mut labels: BTreeMap<(usize, TrackId, TrackId), bool> = BTreeMap::new();
         for MinedEvent { scene_idx, event } in events {

@@ -24,7 +24,7 @@ pub(super) fn squared_error(
     Ok(squared)
 }
 
-/// For each row of `squared` (B, A, T, D) √(m + c²) - c, where m is the mean over the row's scored scalars: quadratic
+/// √(m + c²) - c for each row of `squared` (B, A, T, D), where m is the mean over the row's scored scalars: quadratic
 /// for small errors and linear above c (pseudo-Huber). Returns (B).
 pub(super) fn pseudo_huber(batch: &SceneBatch, squared: &Tensor, c: f64) -> Result<Tensor, Error> {
     let state_dim = squared.dim(3)? as f64;

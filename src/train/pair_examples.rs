@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A scene reduced to what the classifier of one pair needs.
+/// A scene reduced to the input of the classifier for one pair.
 #[derive(Debug, Clone)]
 pub struct PairExample {
     /// The agents of the pair, with the first as the ego agent, as guidance will see them; no lanes.
@@ -28,7 +28,7 @@ pub struct PairExamples {
 }
 
 impl PairExamples {
-    /// The examples of `pairs`, which come by scene.
+    /// The examples of `pairs`, which are ordered by scene.
     ///
     /// # Errors
     /// When a scene cannot be loaded or lacks the tracks of its pairs.
@@ -121,7 +121,7 @@ impl NoisyPairs<'_> {
         Ok(collator.collate(&views, FutureValidity::Recorded, self.device)?)
     }
 
-    /// Labels of the pairs to train on, of which there are both, and of the held-out pairs.
+    /// Labels of the pairs to train on, which include both kinds, and of the held-out pairs.
     pub const fn labels(&self) -> [&Labels; 2] {
         [&self.train.labels, &self.held_out.labels]
     }

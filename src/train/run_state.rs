@@ -27,7 +27,7 @@ pub(super) struct Position {
     /// The step of the best evaluation, and how bad that was; its weights are in the state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) best: Option<(u64, f64)>,
-    /// Hash of the rest of the state, with its tensors; `None` before they are saved.
+    /// Hash of the rest of the state, including its tensors; `None` before they are saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
 }

@@ -41,10 +41,10 @@ pub struct SceneDraws<'a> {
     pub ahead: Prefetched,
 }
 
-/// Scenes to train on, by index, in groups that count the same.
+/// Scenes to train on, by index, in groups with equal weight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WeightedGroups {
-    /// How often one of them is drawn, relative to others.
+    /// How often one of them is drawn, relative to other sources.
     pub weight: f64,
     /// The groups; none of them is empty.
     pub groups: Vec<Vec<usize>>,
@@ -127,8 +127,8 @@ impl SceneDraws<'_> {
         self.collate(&drawn, seeds, rngs)
     }
 
-    /// The means of `n` scalar figures over batches of held-out scenes, which count by their number of scenes and lack
-    /// what training scenes lack. The seeds of a batch are the same whenever it is evaluated.
+    /// The means of `n` scalar figures over batches of held-out scenes, weighted by their number of scenes and degraded
+    /// like training scenes. The seeds of a batch are the same whenever it is evaluated.
     pub fn held_out_means(
         &self,
         n: usize,
@@ -182,7 +182,7 @@ impl SceneDraws<'_> {
         Some(self.member_of(&last.groups, first_group, place))
     }
 
-    /// The member whose turn it is in some groups, of which the first has the number `first_group`.
+    /// The member whose turn it is in some groups, the first of which has the number `first_group`.
     fn member_of(&self, groups: &[Vec<usize>], first_group: usize, turn: u64) -> usize {
         let (group, turn) = ((turn % groups.len() as u64) as usize, turn / groups.len() as u64);
         let n = groups[group].len() as u64;

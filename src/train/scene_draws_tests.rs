@@ -1,4 +1,4 @@
-//! Draws follow the weights of sources and places, and are the same whether or not they are made in advance.
+//! Draws follow the weights of sources and places, and do not depend on whether they are made in advance.
 
 use super::testing::{arcs, collator, draws_of_four};
 use super::*;
@@ -45,7 +45,7 @@ fn groups_count_the_same_however_many_scenes_they_have() {
     assert_eq!(data.groups(Balance::Scenes), [WeightedGroups::single((0..10).collect())]);
     let places = data.groups(Balance::Places);
     assert_eq!(places[0].groups, [(0..8).collect::<Vec<_>>(), vec![8, 9]]);
-    // Every second row is of the small place, whose two scenes take turns.
+    // Every second row is from the small place, whose two scenes take turns.
     let (collator, masks) = (collator(&dataset, StateParametrization::Motion), any_masks());
     let draws = draws_of_four(&dataset, &places, &collator, &masks);
     let drawn: Vec<usize> = (0..4).flat_map(|step| draws.batch_indices(step)).collect();

@@ -19,7 +19,7 @@ pub trait TrainTask: Sync {
     /// Figures on held-out data with the present parameters, by name.
     fn evaluate(&self) -> Result<BTreeMap<String, f64>, Error>;
 
-    /// How bad these figures are, to compare evaluations of one training; `None` if nothing is held out.
+    /// The badness of these figures, to compare evaluations of one training; `None` if nothing is held out.
     fn badness(&self, _figures: &BTreeMap<String, f64>) -> Option<f64> {
         None
     }

@@ -11,7 +11,7 @@ use std::path::Path;
 
 static CPU: Compute = Compute::cpu();
 
-/// So many scenes, made by a function of their index.
+/// This many scenes, made by a function of their index.
 pub(super) struct MadeScenes<F>(pub(super) usize, pub(super) F);
 
 /// Scenes of a known number.
@@ -41,7 +41,7 @@ pub(super) fn arcs(n: usize) -> MadeScenes<impl Fn(usize) -> Scene + Sync> {
     })
 }
 
-/// The scene where the `track_idx`-th of its tracks, which drives straight as `car`, bends from the present on.
+/// The scene with its `track_idx`-th track, which drives straight as `car`, bending from the present on.
 fn turning_from_the_present(mut scene: Scene, track_idx: usize, car: Drive, curvature_1pm: f64) -> Scene {
     let present = scene.current_timestep();
     let way_m = car.speed_mps * scene.dt_s * present as f64;
@@ -56,7 +56,7 @@ fn turning_from_the_present(mut scene: Scene, track_idx: usize, car: Drive, curv
     scene
 }
 
-/// The others, and last a car that bears left or right from the present on, which cannot be predicted.
+/// The other agents, and last a car that bears left or right from the present on, which cannot be predicted.
 pub(super) fn fork(idx: usize, others: &[Drive]) -> Scene {
     let side = if idx.is_multiple_of(2) { 1.0 } else { -1.0 };
     let car = Drive::straight(0.0, 0.0, 0.0, 15.0);

@@ -43,7 +43,7 @@ pub struct TrainOutcome<S> {
 pub(super) struct Trainable<S: ModelSpec> {
     /// The parameters.
     pub(super) params: Params,
-    /// The network whose parameters take gradients.
+    /// The network, whose parameters take gradients.
     pub(super) network: S::Network,
     /// The network without gradients, for evaluations.
     pub(super) frozen: S::Network,

@@ -30,7 +30,7 @@ pub struct TrainingSource {
     pub train: Vec<usize>,
     /// The place of each of them, by number.
     pub places: Vec<usize>,
-    /// Indices of held-out scenes; those evaluated on are chosen from them.
+    /// Indices of held-out scenes, from which the evaluated ones are chosen.
     pub held_out: Vec<usize>,
 }
 

@@ -9,7 +9,8 @@ use crate::geometry::{Projection, Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
 use std::f64::consts::FRAC_PI_2;
 
-/// How long the other must stay in the lane, and how long after it has come in the two may move on, seconds.
+/// How long the other must stay in the lane, and how long after its arrival in the lane both may still move over,
+/// seconds.
 const SETTLING_S: f64 = 1.0;
 /// Both must move at least this fast, m/s: a standing agent is not cut off, and its heading may be noise.
 const MIN_SPEED_MPS: f64 = 1.0;
@@ -30,13 +31,13 @@ pub(super) struct Crossing {
     pub(super) reached: usize,
     /// When its center crosses the side of the lane.
     pub(super) crossing: usize,
-    /// How far the ego moves toward it, meters.
+    /// How far the ego moves toward the other, meters.
     pub(super) ego_shift_m: f64,
     /// Their relation at the intrusion.
     pub(super) moment: Intrusion,
 }
 
-/// Where an agent is relative to the lane.
+/// The place of an agent relative to the lane.
 #[derive(Clone, Copy)]
 struct LanePlace {
     station_m: f64,
@@ -87,8 +88,8 @@ impl LaneCrossing<'_> {
         Some(Crossing { intrusion, reached, crossing, ego_shift_m, moment })
     }
 
-    /// When the other, which comes from `side`, is in the lane with its center, having headed along it until then.
-    /// `None` also where it goes back soon.
+    /// The timestep from which the other, which comes from `side`, has its center in the lane, having headed along it
+    /// until then. `None` also if it soon goes back.
     fn crossed(&self, other: &Track, side: f64) -> Option<usize> {
         let (present, end) = (self.scene.current_timestep(), self.scene.n_timesteps);
         let beyond_m = |t: usize, side: f64| self.lane.beyond_m(state(other, t)?.position, side);
@@ -120,8 +121,8 @@ impl LaneCrossing<'_> {
             && (self.scene.current_timestep()..=come_in).all(keeps)
     }
 
-    /// Whether the other comes into the way of the ego as it drives: ahead of it, and beside the place at which the ego
-    /// passes it, or is last, by at most half of both widths.
+    /// Whether the other comes into the way of the driving ego: ahead of it, and beside the place at which the ego
+    /// passes it, or the ego's last place, by at most half of both widths.
     fn is_met(&self, places: &[[Option<LanePlace>; 2]]) -> bool {
         let [own_m, their_m] = self.pair.map(|agent_idx| self.scene.tracks[agent_idx].extent_or_nominal().width_m);
         let is_in_way = |timestep: usize| {
@@ -157,7 +158,7 @@ impl LaneCrossing<'_> {
         })
     }
 
-    /// From the front of the ego to the rear of the other, along the lane.
+    /// The distance from the front of the ego to the rear of the other, along the lane.
     fn gap_m(&self, own: &LanePlace, theirs: &LanePlace) -> f64 {
         let half_length_m = self.scene.tracks[self.pair[0]].extent_or_nominal().length_m / 2.0;
         theirs.station_m - theirs.half_along_m - own.station_m - half_length_m
@@ -176,8 +177,8 @@ impl LaneCrossing<'_> {
         Some(LanePlace { station_m, offset_m, heading_rad, half_along_m, half_across_m })
     }
 
-    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also where the other is in its strip
-    /// already at present.
+    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also if the other is in its strip already
+    /// at present.
     fn replayed(&self, places: &[[Option<LanePlace>; 2]]) -> Option<(usize, usize)> {
         let (scene, extent) = (self.scene, self.scene.tracks[self.pair[0]].extent_or_nominal());
         let kept_offset_m = places[scene.current_timestep()][0]?.offset_m;
@@ -186,7 +187,7 @@ impl LaneCrossing<'_> {
         if is_in_strip(&places[scene.current_timestep()][1]?) {
             return None;
         }
-        // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
+        // Delays that are a whole number of timesteps up to rounding, such as 30 of 0.1 s, are excluded.
         let max_delay = (self.behavior.max_delay_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
         (scene.n_history..scene.n_timesteps).find_map(|timestep| {
             let theirs = places[timestep][1].filter(is_in_strip)?;
@@ -204,8 +205,8 @@ fn state(track: &Track, timestep: usize) -> Option<&State> {
     track.trajectory.get(timestep).filter(|state| state.is_finite())
 }
 
-/// How far an agent gets to the left between two timesteps (or the first and last between them at which it is tracked),
-/// across the mean of its headings at both, meters: nothing on an even bend.
+/// How far an agent moves to the left between two timesteps (or the first and last between them at which it is
+/// tracked), across the mean of its headings at both, meters: 0 on an even bend.
 fn across_headings_m(track: &Track, from: usize, to: usize) -> Option<f64> {
     let mut states = (from..=to).filter_map(|timestep| state(track, timestep));
     let first = states.next()?;

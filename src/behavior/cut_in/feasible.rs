@@ -12,7 +12,7 @@ use crate::scene::Scene;
 
 /// Spacing of the tried accelerations, m/s², and times, seconds.
 const SPACING: f64 = 0.5;
-/// How far the boxes must overlap across the path, and the smallest gap, meters.
+/// The least overlap of the boxes across the path, and the smallest gap, meters.
 const SHARE_M: f64 = 0.3;
 /// How long before the end of the scene the ego must reach the place where the other came in, even if it brakes,
 /// seconds.
@@ -20,9 +20,9 @@ const TO_SPARE_S: f64 = 0.5;
 /// The assumed lateral speed of the other once it is in the ego's path, m/s: about the mean of a lane change of three
 /// seconds.
 const CROSSING_MPS: f64 = 1.2;
-/// Who drifts away from the ego's lane faster than this does not cut in at once, m/s.
+/// A vehicle that drifts away from the ego's lane faster than this does not cut in at once, m/s.
 const AWAY_MPS: f64 = 0.5;
-/// Who is farther off the middle of its lane is between lanes, meters.
+/// A vehicle farther than this from the middle of its lane is between lanes, meters.
 const IN_LANE_M: f64 = 0.9;
 /// Below this speed an agent stands, m/s, and there is no cut-in.
 const STANDING_MPS: f64 = 1.0;
@@ -55,7 +55,7 @@ pub(super) struct CutInPlan {
     pub(super) time_s: f64,
     /// The other's speed then, m/s; it changes at a constant rate.
     pub(super) then_mps: f64,
-    /// How far the other's lane is from the ego's path then, and how far the other has to move over, meters.
+    /// How far the other's lane is from the ego's path at that time, and how far the other has to move over, meters.
     pub(super) aside_m: f64,
     pub(super) shift_m: f64,
     pub(super) outcome: Outcome,
@@ -64,9 +64,9 @@ pub(super) struct CutInPlan {
 impl CutIn {
     /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other leaves its lane
     /// with at most 2 m/s² across on average and, at its peak, -4 to 2.5 m/s² along the lane. The ego keeps its lane
-    /// and brakes for the other with at most 5 m/s². Nobody is in the way, if all others continue straight. Before the
-    /// scene ends, the other's center is in the lane and the ego reaches the place where the other came in. Only the
-    /// past and the map are used.
+    /// and brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue straight.
+    /// Before the scene ends, the other's center is in the lane and the ego reaches the place where the other came in.
+    /// Only the past and the map are used.
     ///
     /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
     /// is too far to the side, ahead or behind.
@@ -213,7 +213,7 @@ mod tests {
         assert!(!found.is_empty());
         for outcome in &found {
             let value = |name| outcome.get(name).unwrap();
-            // Which side, and nobody brakes or accelerates more than the limits within the future of the scene.
+            // The side, and nobody brakes or accelerates beyond the limits within the future of the scene.
             assert_eq!(value("side"), 1.0);
             let changed_mps = value("other_speed_mps") - 10.0;
             assert!((-4.0 * 4.0..=2.5 * 4.0).contains(&changed_mps), "{changed_mps}");
@@ -224,9 +224,9 @@ mod tests {
 
     #[test]
     fn the_way_aside_takes_its_share_of_the_time() {
-        // 3.3 m aside, less 1.8 m of two half widths, with 0.3 m inside the lane: 1.8 m, which 2 m/s² take √3.6 s for.
+        // 3.3 m aside, less 1.8 m of two half widths, with 0.3 m inside the lane: 1.8 m, which take √3.6 s at 2 m/s².
         // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2 or 2.5 of the 4 s: 3
-        // would leave less than is to spare.
+        // would leave too little time.
         let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
         let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
         let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();

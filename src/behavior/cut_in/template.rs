@@ -145,11 +145,11 @@ struct Braking {
 }
 
 impl Pair {
-    /// How the ego brakes for the other: as in `style`, or as hard as it must to keep its distance. `None` if it would
-    /// have to brake too hard, or would reach the place where the other came in too late.
+    /// How the ego brakes for the other: in the given `style`, or as hard as it must to keep its distance. `None` if it
+    /// would have to brake too hard, or would reach the place where the other came in too late.
     fn braking(&self, plan: &CutInPlan, max_delay_s: f64, style: Style) -> Option<Braking> {
         let gap_m = plan.outcome.get("gap_m")?;
-        // Who is too close behind falls back.
+        // A vehicle that is too close behind falls back.
         let opens_mps = ((FOLLOWS_S * plan.then_mps - gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
         let less_mps = (self.own_mps - plan.then_mps + opens_mps).clamp(0.0, self.own_mps);
         let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
@@ -163,19 +163,19 @@ impl Pair {
         is_possible.then_some(braking)
     }
 
-    /// How far the ego has driven, meters.
+    /// The distance driven by the ego, meters.
     fn own_driven_m(&self, plan: &CutInPlan, Braking { takes_s, less_mps }: Braking, elapsed_s: f64) -> f64 {
         let since_s = (elapsed_s - plan.time_s).max(0.0);
         self.own_mps * elapsed_s - less_mps * (changed_s(since_s, takes_s) + (since_s - takes_s).max(0.0))
     }
 
-    /// Where the ego is by the plan, `elapsed_s` after the present.
+    /// The place of the ego under the plan, `elapsed_s` after the present.
     fn own_place(&self, plan: &CutInPlan, braking: Braking, elapsed_s: f64) -> Option<Vec2> {
         self.lane.beside(self.own_station_m + self.own_driven_m(plan, braking, elapsed_s), self.own_offset_m)
     }
 
     /// When the other moves over so that its box enters the ego's path at the time of the plan and its center is in the
-    /// lane before the scene ends: as comfortably as that allows. `None` if it takes too much acceleration.
+    /// lane before the scene ends, as comfortably as that allows. `None` if it takes too much acceleration.
     fn coming_over(&self, plan: &CutInPlan, style: Style) -> Option<ComingOver> {
         let aside_m = self.aside_m(plan);
         if plan.aside_m.min(aside_m) < NOTHING_M {
@@ -229,7 +229,7 @@ impl Pair {
         (first.saturating_sub(N_FINE)..=first).map(at).find(|elapsed_s| is_in_path(*elapsed_s) == Some(true))
     }
 
-    /// Where the other is by the plan, `elapsed_s` after the present.
+    /// The place of the other under the plan, `elapsed_s` after the present.
     fn place(&self, plan: &CutInPlan, over: ComingOver, elapsed_s: f64) -> Option<Vec2> {
         // Its speed changes smoothly, by the same amount and over the same distance as at a constant rate.
         let until_s = elapsed_s.min(plan.time_s);

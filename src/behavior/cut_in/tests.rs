@@ -12,7 +12,7 @@ fn random_traffic(seed: u64, size_m: f64) -> Scene {
     Scene { lanes: spec.expect("valid").build("lanes").lanes, ..random_scene(seed, 9, size_m) }
 }
 
-/// Random traffic is no test of lanes, but of what pairs are looked at: each pair has at most one event, and pairs that
+/// Random traffic does not test lanes, but which pairs are examined: each pair has at most one event, and pairs that
 /// are near have one.
 #[test]
 fn every_near_pair_has_one_event() {

@@ -1,4 +1,4 @@
-//! Cut-in as defined by the DJINN paper: does one vehicle get into the path of another shortly before that one gets
+//! Cut-in as defined by the DJINN paper: does one vehicle get into the path of another shortly before the other gets
 //! there?
 
 #[cfg(test)]
@@ -143,7 +143,7 @@ impl CutInPaper {
 
     /// The largest number of timesteps that is strictly less than the longest delay.
     fn max_delay(dt_s: f64) -> usize {
-        // Delays that are a whole number of timesteps but for rounding, such as 30 of 0.1 s, are excluded.
+        // Delays that are a whole number of timesteps up to rounding, such as 30 of 0.1 s, are excluded.
         (MAX_DELAY_S / dt_s - 1e-6).floor().max(0.0) as usize
     }
 

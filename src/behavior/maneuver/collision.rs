@@ -9,21 +9,21 @@ use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_2;
 
-/// Accelerations of the two, m/s², and how far they drift to the left, meters.
+/// Accelerations of the two agents, m/s², and how far they drift to the left, meters.
 const ACCELERATIONS_MPS2: [f64; 3] = [-2.5, -1.0, 0.0];
 const DRIFTS_M: [f64; 3] = [0.0, 1.2, -1.2];
-/// Who drifts aside does so at an angle below this, radians: at walking pace that is steering into the other.
+/// An agent drifts aside at an angle below this, radians: at walking pace, more would be steering into the other.
 const MOST_DRIFT_RAD: f64 = 0.15;
-/// Deceleration, m/s², of whoever sees the other, and how long before they would meet it begins, seconds.
+/// Deceleration of an agent that sees the other, m/s², and how long before they would meet it begins, seconds.
 const BRAKES_MPS2: f64 = 7.0;
 const BRAKES_BEFORE_S: [f64; 3] = [0.8, 0.5, 0.2];
-/// Who is hit from behind, within this angle, does not brake, radians.
+/// An agent that is hit from behind, within this angle, does not brake, radians.
 const FROM_BEHIND_RAD: f64 = 0.5;
 /// The least relative speed, m/s: at walking pace boxes touch and nothing happens.
 const LEAST_RELATIVE_MPS: f64 = 2.0;
-/// Bodies give way by so much at most, meters: there is no model of what a collision does to them.
+/// Bodies overlap by this at most, meters: there is no model of what a collision does to them.
 const MOST_CRUSH_M: f64 = 0.5;
-/// Spacing of relative speeds and of angles by which maneuvers are told apart, m/s and radians.
+/// Spacing of relative speeds and of angles by which maneuvers are distinguished, m/s and radians.
 const SPEED_SPACING_MPS: f64 = 2.0;
 const ANGLE_SPACING_RAD: f64 = 0.5;
 
@@ -50,13 +50,13 @@ impl Collision {
         let (ones, others) = (courses(&one, extents[0]), courses(&other, extents[1]));
         let mut maneuvers = Vec::new();
         for (a, b) in ones.iter().flat_map(|a| others.iter().map(move |b| (a, b))) {
-            // One who drifts into another is inattentive; two would aim at each other.
+            // An agent that drifts into another is inattentive; two that drift would aim at each other.
             let Some(step) = meet(a, b).filter(|_| a.drift_m == 0.0 || b.drift_m == 0.0) else { continue };
             let [own, theirs] = [a, b].map(|course| &course.boxes[step]);
             let turned_rad = angle_difference(own.forward.angle(), theirs.forward.angle()).abs();
             let is_ahead = |own: &Footprint, other: &Footprint| (own.center - other.center).dot(own.forward) > 0.0;
             let brakes = |own: &Footprint, other: &Footprint| turned_rad > FROM_BEHIND_RAD || !is_ahead(own, other);
-            // Whoever moves aside from behind has seen the one ahead.
+            // An agent that moves aside from behind has seen the one ahead.
             let drifts = [a, b].map(|course| course.drift_m != 0.0);
             if turned_rad <= FROM_BEHIND_RAD && drifts.contains(&true) && !are_beside(scene, agents, extents) {
                 continue;
@@ -120,7 +120,8 @@ impl RailDrive {
     }
 }
 
-/// Courses along each way of an agent, with each acceleration and each drift. Who brakes does not let go of the brake.
+/// Courses along each way of an agent, with each acceleration and each drift. An agent that brakes does not let go of
+/// the brake.
 fn courses(driver: &Driver, extent: Extent) -> Vec<RailDrive> {
     let tried =
         (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2.min(driver.braking_mps2()))));

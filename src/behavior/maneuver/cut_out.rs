@@ -10,7 +10,7 @@ use crate::behavior::limits::effort;
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
-/// Accelerations of the ego and of the revealed vehicle, m/s²; nobody brakes hard for nothing.
+/// Accelerations of the ego and of the revealed vehicle, m/s²; neither brakes hard for no reason.
 const EGO_MPS2: [f64; 2] = [0.0, -1.0];
 const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
@@ -84,7 +84,7 @@ impl CutOut {
     }
 }
 
-/// Whether the ego comes down to the other's speed before the gap is gone, braking on at this rate after the scene.
+/// Whether the ego slows down to the other's speed before the gap is gone, braking on at this rate after the scene.
 /// Both drive along the same way, so the difference of their distances closes the gap.
 fn keeps_distance(own: &Travel, theirs: &Travel, gap_m: f64, mps2: f64) -> bool {
     let closed_m = |step: usize| own.driven_m[step] - theirs.driven_m[step];

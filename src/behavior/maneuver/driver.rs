@@ -46,7 +46,7 @@ pub(in crate::behavior) struct Pace {
 pub(in crate::behavior) struct Driver {
     pub(in crate::behavior) state: State,
     pub(in crate::behavior) rails: Vec<Rail>,
-    /// Its acceleration at present along its motion, m/s², from which it goes over to that of its pace.
+    /// Its acceleration at present along its motion, m/s², from which it changes over to that of its pace.
     observed_mps2: f64,
     dt_s: f64,
     n_steps: usize,
@@ -91,7 +91,7 @@ impl Pace {
         Self { briskness, ..self }
     }
 
-    /// The share of the limits of driving that the first acceleration takes.
+    /// The share of the limits of driving that the first acceleration uses.
     pub(in crate::behavior) fn effort(&self) -> f64 {
         effort(self.first_mps2)
     }
@@ -124,12 +124,12 @@ impl Driver {
         Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 
-    /// Its acceleration at present if it brakes, m/s²; else infinite.
+    /// Its acceleration at present if it brakes, m/s²; otherwise infinite.
     pub(in crate::behavior) fn braking_mps2(&self) -> f64 {
         if self.observed_mps2 < -COASTS_MPS2 { self.observed_mps2 } else { f64::INFINITY }
     }
 
-    /// Its travel along a rail at this pace, which it takes up from the observed acceleration: quickly to brake, slowly
+    /// Its travel along a rail at this pace, which it adopts from the observed acceleration: quickly to brake, slowly
     /// to let go of the brake. It never reverses, gives no gas toward a bend, and brakes for it.
     pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
@@ -166,7 +166,7 @@ impl Driver {
         std::iter::once(&0.0).chain(driven_m).map(|driven_m| self.rails[rail].at(*driven_m)).collect()
     }
 
-    /// Its boxes, of this size, along a rail at each timestep after the present.
+    /// Its boxes with this size along a rail, at each timestep after the present.
     pub(in crate::behavior) fn boxes(&self, rail: usize, driven_m: &[f64], extent: Extent) -> Vec<Footprint> {
         let footprint = |driven_m: &f64| {
             let (center, along) = self.rails[rail].at(*driven_m);

@@ -1,4 +1,5 @@
-//! Entering ahead of who has the right of way: one passes the place where the ways meet shortly before the other.
+//! Entering ahead of a vehicle with the right of way: one passes the place where the ways meet shortly before the
+//! other.
 
 use super::Maneuver;
 use super::passing_ahead::passing_ahead;

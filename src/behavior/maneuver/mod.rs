@@ -47,11 +47,11 @@ const STRIDE: f64 = 0.618;
 pub struct Maneuver {
     /// Maneuvers of one kind resemble each other.
     pub(super) kind: [usize; 2],
-    /// The share of the limits of driving that it takes, from 0 to 1.
+    /// The share of the limits of driving that it uses, from 0 to 1.
     pub(super) effort: f64,
     /// The parameters of the event that its outcome names.
     pub(super) parameters: &'static [&'static str],
-    /// Which others may be in the way; `None` if it is known that nobody is.
+    /// Which other agents may be in the way; `None` if it is known that none are.
     pub(super) in_the_way: Option<InTheWay>,
     /// The positions of each agent, in the order of the roles: at present, and at each timestep after it.
     pub(super) positions: Vec<Vec<Vec2>>,
@@ -145,7 +145,7 @@ struct Trial<'a> {
     scene: &'a Scene,
     agents: &'a [usize],
     lanes: SceneLanes<'a>,
-    /// The scene without anybody else.
+    /// The scene without any other agents.
     alone: Scene,
     /// Whether the agents are to touch.
     touches: bool,

@@ -1,4 +1,4 @@
-//! Moving over to the lane beside, as lane changes and cut-outs do, or to the oncoming one.
+//! Moving over to the lane beside, as in lane changes and cut-outs, or to the oncoming one.
 
 use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
@@ -20,14 +20,14 @@ const TAKES_S: [f64; 4] = [2.4, 3.0, 3.8, 4.6];
 const MOST_ACROSS_MPS2: f64 = 3.0;
 const LONG_ACROSS_MPS2: f64 = 1.5;
 const LONG_M: f64 = 6.5;
-/// The least headway in the new lane, seconds; how hard whoever is faster slows down there, m/s²; and the least
+/// The least headway in the new lane, seconds; how hard the faster of two agents slows down there, m/s²; and the least
 /// distance between two bodies on the way, meters.
 const ROOM_S: f64 = 0.7;
 const ORDINARY_BRAKING_MPS2: f64 = 2.0;
 const CLEARANCE_M: f64 = 0.6;
 /// Accelerations along the lane, m/s².
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -0.6];
-/// Nobody moves over who moves to the other side at present faster than this, m/s.
+/// An agent that moves to the other side at present faster than this does not move over, m/s.
 const AWAY_MPS: f64 = 0.3;
 
 /// One way to move over.
@@ -36,7 +36,7 @@ pub(super) struct MovingOver {
     pub(super) side: f64,
     /// When the center is midway between the lanes, seconds after the present.
     pub(super) midway_s: f64,
-    /// The share of the limits of driving that it takes.
+    /// The share of the limits of driving that it uses.
     pub(super) effort: f64,
     /// The positions at present and at each timestep after it.
     pub(super) positions: Vec<Vec2>,
@@ -71,16 +71,16 @@ fn most_across_mps2(scene: &Scene, agent_idx: usize) -> f64 {
 }
 
 impl MovingOver {
-    /// Whether an agent that moves over has room beside everybody but `others`: see [`has_room`].
+    /// Whether an agent that moves over has room beside all agents but `others`: see [`has_room`].
     pub(super) fn has_room(&self, scene: &Scene, agent_idx: usize, others: &[usize]) -> bool {
         has_room(scene, agent_idx, (self.midway_s, &self.positions), others)
     }
 }
 
-/// Whether an agent that is midway between two lanes after so many seconds, and at these positions at present and at
-/// each timestep after it, has room beside everybody but `others`, if they keep their speeds: nobody closer than
-/// [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to whoever is ahead or behind, beyond the way in which
-/// the faster one slows down to the other.
+/// Whether an agent that is midway between two lanes after this many seconds, and at these positions at present and at
+/// each timestep after it, has room beside all agents but `others`, if they keep their speeds: none closer than
+/// [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to the agents ahead and behind, beyond the distance in
+/// which the faster one slows down to the other.
 pub(in crate::behavior) fn has_room(
     scene: &Scene,
     agent_idx: usize,
@@ -134,7 +134,7 @@ pub(super) fn is_clear_of(scene: &Scene, agents: [usize; 2], positions: [&[Vec2]
     })
 }
 
-/// The ways in which a driver can move over to a lane that lies to this side. Empty if it is too slow.
+/// The ways in which a driver can move over to a lane on this side. Empty if it is too slow.
 fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mps2: f64) -> Vec<MovingOver> {
     let now = driver.state;
     let Some(there) = target.project(now.position) else { return Vec::new() };

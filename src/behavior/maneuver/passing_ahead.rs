@@ -1,5 +1,5 @@
-//! Passing a place shortly before another gets there, as in left turns across oncoming traffic: both continue along
-//! their ways, and the other gives no more gas as it sees the first coming, eases off, or brakes if it has to.
+//! Passing a place shortly before another agent gets there, as in left turns across oncoming traffic: both continue
+//! along their ways, and the other gives no more gas once it sees the first coming, eases off, or brakes if it has to.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::footprint::{Bounds, Footprint};
@@ -9,20 +9,20 @@ use crate::behavior::template::InTheWay;
 use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_6;
 
-/// Accelerations of the one that goes first, and of the other until it brakes, m/s².
+/// Accelerations of the agent that goes first, and of the other until it brakes, m/s².
 const FIRST_MPS2: [f64; 4] = [0.0, 0.8, 1.6, 2.4];
 const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 /// How long before the first gets into its way the other sees it coming and gives no more gas, seconds.
 const NOTICES_S: f64 = 1.5;
 /// How hard the other brakes, m/s², if it would follow by at least this, seconds; how long after the first gets into
-/// its way; and how hard it accelerates once it can, or so long after the first has left its way; if it has braked for
-/// this long.
+/// its way; and how hard it accelerates once it can, or this long after the first has left its way; if it has braked
+/// for this long.
 const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
 const FOLLOWS_S: [f64; 3] = [1.0, 0.5, 0.0];
 const REACTION_S: f64 = 0.4;
 const GOES_ON_MPS2: f64 = 0.5;
 const LEAST_BRAKING_S: f64 = 0.5;
-/// Nobody brakes so hard without need that it would stop within this time, seconds.
+/// No agent brakes so hard without need that it would stop within this time, seconds.
 const LEAST_STOPPING_S: f64 = 1.5;
 /// Spacing of the times at which the other is tried to let go of the brake, seconds.
 const GOES_ON_SPACING_S: f64 = 0.3;
@@ -30,7 +30,8 @@ const GOES_ON_SPACING_S: f64 = 0.3;
 const APART_M: f64 = 0.4;
 /// Agents that head along the way of the other within this do not cross it, radians.
 const FOLLOWING_RAD: f64 = FRAC_PI_6;
-/// The longest time from one to the other being in a place, seconds, and the spacing by which maneuvers are told apart.
+/// The longest time between the two agents being in a place, seconds, and the spacing by which maneuvers are
+/// distinguished.
 const MOST_DELAY_S: f64 = 2.5;
 const DELAY_SPACING_S: f64 = 0.4;
 
@@ -43,7 +44,7 @@ struct RailDrive {
     bounds: Bounds,
 }
 
-/// Two agents by their ways, of which the first passes ahead of the other.
+/// Two agents by their ways, the first of which passes ahead of the other.
 struct Pair<'a> {
     first: &'a Driver,
     other: &'a Driver,
@@ -72,7 +73,7 @@ pub(super) fn passing_ahead(scene: &Scene, agents: [usize; 2], parameters: &'sta
 }
 
 impl Pair<'_> {
-    /// The maneuvers in which the first drives as it is said, and the other does so until it sees the first coming.
+    /// The maneuvers in which the first agent drives as given, and the other does so until it sees the first coming.
     fn maneuvers(&self, own: &RailDrive, theirs: &RailDrive, parameters: &'static [&'static str]) -> Vec<Maneuver> {
         let Some((enters, delay)) = own.passes_ahead_of(theirs, (MOST_DELAY_S / self.dt_s) as usize) else {
             return Vec::new();
@@ -106,7 +107,7 @@ impl Pair<'_> {
                 ],
             })
         };
-        // No harder than it has to, but as somebody who sees how close it is.
+        // No harder than it has to, but like a driver who sees how close it is.
         BRAKES_MPS2.iter().enumerate().skip(hard_enough.min(ordinary)).find_map(maneuver).into_iter().collect()
     }
 }

@@ -13,8 +13,8 @@ use crate::scene::Scene;
 const WALKS_MPS: [f64; 3] = [1.0, 1.4, 1.8];
 const STARTING_S: f64 = 0.8;
 const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
-/// How far inside the lane the pedestrian is when the vehicle notices it, meters, and how long after the pedestrian has
-/// begun to walk toward it at the latest, seconds.
+/// How far inside the lane the pedestrian is when the vehicle notices it, meters, and the latest this may be after the
+/// pedestrian has begun to walk toward it, seconds.
 const INSIDE_M: f64 = 0.1;
 const NOTICED_S: f64 = 1.0;
 /// Accelerations of the vehicle until the pedestrian turns to the lane, m/s²; how long after it has noticed that it
@@ -70,7 +70,7 @@ impl PedestrianStepsOut {
                 let walked: Vec<Vec2> =
                     (0..=n_steps).map(|step| theirs.position + walked(step as f64 * scene.dt_s)).collect();
                 for (rail, own_mps2) in (0..driver.rails.len()).flat_map(|rail| EGO_MPS2.map(|mps2| (rail, mps2))) {
-                    // As gently as it stops before the pedestrian, if not before the scene ends.
+                    // As gently as suffices to stop before the pedestrian, if not before the scene ends.
                     let stopping = BRAKES_MPS2.into_iter().find_map(|mps2| {
                         let pace = Pace::steady(own_mps2).then(begins_s, own_mps2.min(0.0));
                         let pace = pace.then(seen_s + REACTION_S, -mps2);

@@ -10,7 +10,7 @@ use crate::scene::Scene;
 
 /// Final headways, as shares of the longest one that counts as tailgating.
 const SHARES: [f64; 5] = [0.4, 0.55, 0.7, 0.8, 0.9];
-/// How long the follower takes to reach it, seconds, and how fast it still closes in then, m/s.
+/// How long the follower takes to reach its place, seconds, and how fast it still closes in then, m/s.
 const COMES_S: [f64; 5] = [0.8, 1.2, 1.6, 2.0, 2.6];
 const CLOSES_MPS: [f64; 2] = [0.0, 0.5];
 /// Accelerations of the leader, m/s².
@@ -85,7 +85,7 @@ impl Cubic {
         self.from + (self.to - self.from) * smooth + self.within * slopes + self.then * (time - self.within).max(0.0)
     }
 
-    /// Its second derivatives at both ends, the larger of which is the largest in between.
+    /// The second derivatives at both ends; the larger one is the largest in between, too.
     fn second_derivatives(&self) -> [f64; 2] {
         let (change, start, end) =
             ((self.to - self.from) / self.within.powi(2), self.slope / self.within, self.then / self.within);

@@ -95,7 +95,7 @@ fn who_cannot_show_a_behavior_has_no_template() {
     let impossible = [
         ("hard_brake", going_on(&[drive(0.0, 0.0, 2.0)], LaneGraph::default()), vec![0]),
         ("lane_change", going_on(&[drive(0.0, 0.0, 10.0)], LaneGraph::default()), vec![0]),
-        // Somebody drives beside.
+        // Another vehicle drives beside.
         ("lane_change", going_on(&[drive(0.0, 0.0, 10.0), drive(0.0, 3.5, 10.0)], two_lanes()), vec![0]),
         ("left_turn", going_on(&[drive(8.0, 0.0, 22.0)], fork()), vec![0]),
         ("right_turn", going_on(&[drive(8.0, 0.0, 7.0)], fork()), vec![0]),
@@ -109,7 +109,7 @@ fn who_cannot_show_a_behavior_has_no_template() {
         // There is no oncoming lane, or the agent is too slow.
         ("wrong_way", going_on(&[drive(0.0, 0.0, 10.0)], two_lanes()), vec![0]),
         ("wrong_way", going_on(&[drive(0.0, 0.0, 1.0)], fork_with_oncoming()), vec![0]),
-        // Who is on the main road has passed, or both have the right of way.
+        // The vehicle on the main road has passed, or both have the right of way.
         ("failure_to_yield", going_on(&from_the_side(5.0, 8.0), side_road("yield")), vec![0, 1]),
         ("failure_to_yield", going_on(&from_the_side(-24.0, 8.0), side_road("right_of_way")), vec![0, 1]),
         // The oncoming vehicle has passed, or is far away; nobody turns.
@@ -272,7 +272,7 @@ fn who_follows_closely_brakes_hard() {
 
 #[test]
 fn nobody_stops_behind_who_drives_on_ahead() {
-    // It turns into the main road, and the one that it cut off could stop within the scene.
+    // It turns into the main road, and the vehicle that it cut off could stop within the scene.
     let behavior = BehaviorConfig::from_id("failure_to_yield").unwrap().build();
     let mut n_plans = 0;
     for (x, speed_mps) in [(-18.0, 6.0), (-22.0, 6.0), (-28.0, 8.0)] {
@@ -321,7 +321,7 @@ fn who_is_over_the_line_comes_back_or_goes_on_to_the_lane_beside() {
 
 #[test]
 fn who_is_in_a_bend_does_not_straighten_before_it_goes_on() {
-    // It turns left already where its lane does not yet, at .6 m/s².
+    // It turns left already where its lane does not yet, at 0.6 m/s².
     let mut scene = going_on(&[Drive::straight(0.0, 0.0, 0.0, 8.0)], two_lanes());
     let now = *scene.state(0, scene.current_timestep()).unwrap();
     let past = (0..scene.n_timesteps).map(|t| {
@@ -363,7 +363,7 @@ fn who_brakes_already_does_not_let_go_before_it_brakes_hard() {
     }
 }
 
-/// Lets an agent arrive at its present place with this acceleration, m/s², along its heading.
+/// Makes an agent arrive at its present place with this acceleration, m/s², along its heading.
 fn accelerating(scene: &mut Scene, agent_idx: usize, mps2: f64) {
     let present = scene.current_timestep();
     let now = *scene.state(agent_idx, present).unwrap();
@@ -404,7 +404,7 @@ fn who_brakes_before_a_collision_does_not_let_go_of_the_brake() {
 #[test]
 fn drivers_brake_for_pedestrians_who_turn_to_the_lane_and_these_walk_on_until_then() {
     let (id, mut scene, agents) = possible().into_iter().find(|(id, ..)| *id == "pedestrian_steps_out").unwrap();
-    // Along the road, farther from it than it stood.
+    // Along the road, farther from it than at the start.
     let present = scene.current_timestep();
     let walker = *scene.state(1, present).unwrap();
     let walking = (0..scene.n_timesteps).map(|t| {

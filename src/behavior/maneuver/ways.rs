@@ -11,12 +11,12 @@ const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 /// The length of ways, meters: farther than any agent drives in a scene. And the largest number of ways.
 const AHEAD_M: f64 = 150.0;
 const N_WAYS: usize = 12;
-/// An agent that heads off its lane, or is off its middle, comes along it within the way that it drives in this time,
-/// seconds, and not tighter than over this distance, unless it would drift farther aside than this, meters.
+/// An agent that heads off its lane, or is off its middle, comes along it within the distance that it drives in this
+/// time, seconds, but over no shorter distance than this, unless it would drift farther aside than this, meters.
 const SETTLES_S: f64 = 0.8;
 const LEAST_SETTLING_M: f64 = 4.0;
 const MOST_DRIFT_M: f64 = 1.0;
-/// The largest offset from the middle of its lane that it keeps, meters. Who is about to be farther off than
+/// The largest offset from the middle of its lane that an agent keeps, meters. One that is about to be farther off than
 /// [`LEAVES_M`], and than now by [`DRIFTS_M`], moves over to the lane beside, if there is one.
 const KEPT_M: f64 = 0.7;
 const LEAVES_M: f64 = 1.3;
@@ -28,8 +28,8 @@ const BEND_M: f64 = 3.0;
 pub(super) struct Way {
     line: Polyline,
     station_m: f64,
-    /// The offset from the line after d meters is kept + (a + b d + c d²) exp(-d / L): it goes on from the present
-    /// offset, heading and curvature to the one that is kept.
+    /// The offset from the line after d meters is kept + (a + b d + c d²) exp(-d / L): it goes from the present offset,
+    /// heading and curvature to the kept offset.
     kept_m: f64,
     fading: [f64; 3],
     settles_m: f64,
@@ -70,8 +70,8 @@ fn settling_m(state: &State) -> f64 {
     (state.speed_mps() * SETTLES_S).max(LEAST_SETTLING_M)
 }
 
-/// The ways ahead of an agent, which drives this curvature, 1/m: along its lanes, or those beside to which it moves
-/// over, with every choice at a fork; straight on if it is in no lane.
+/// The ways ahead of an agent that drives this curvature, 1/m: along its lanes, or those beside to which it moves over,
+/// with every choice at a fork; straight on if it is in no lane.
 pub(super) fn ways(lanes: &SceneLanes<'_>, state: &State, curvature_1pm: f64) -> Vec<Way> {
     let own = lanes
         .lanes_at(state.position)

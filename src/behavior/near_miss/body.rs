@@ -10,14 +10,14 @@ use std::f64::consts::FRAC_PI_6;
 
 /// Step of the motion of agents along their paths, seconds.
 const PATH_STEP_S: f64 = 0.1;
-/// An agent that is where another was, with a heading within this of it, follows it, radians.
+/// An agent that is where another was, with a heading within this of the other's, follows it, radians.
 pub(super) const FOLLOWING_RAD: f64 = FRAC_PI_6;
 
 /// One road user.
 pub(super) struct Body<'a> {
     pub(super) agent_idx: usize,
     pub(super) track: &'a Track,
-    /// Its boxes; of half the nominal size where none is recorded, because whole ones overlap where no agents touch.
+    /// Its boxes; of half the nominal size if none is recorded, because whole ones overlap where no agents touch.
     pub(super) outer: SweptBoxes,
     /// The inner parts of the boxes: if these overlap, the agents do more than graze.
     pub(super) inner: SweptBoxes,
@@ -55,7 +55,7 @@ impl<'a> Body<'a> {
         self.track.trajectory.valid().next_back().map(|(timestep, _)| timestep)
     }
 
-    /// Its inner part if it continues from `timestep` along the path that it drives, at its speed of that time.
+    /// Its inner part if it continues from `timestep` along the path that it drives, at its speed at that time.
     fn moved_on(&self, timestep: usize) -> Option<impl Fn(f64) -> OrientedBox> {
         let speed_mps = self.state(timestep)?.speed_mps();
         let path = DrivenPath::from(self.track, timestep)?;
@@ -66,7 +66,7 @@ impl<'a> Body<'a> {
         })
     }
 
-    /// When the inner parts of the two first touch if both continue along the paths that they drive, at their speeds of
+    /// When the inner parts of the two first touch if both continue along the paths that they drive, at their speeds at
     /// `timestep`, seconds; `None` if they do not within `limit_s`.
     pub(super) fn time_along_paths_s(&self, other: &Self, timestep: usize, limit_s: f64) -> Option<f64> {
         let (own, others) = (self.moved_on(timestep)?, other.moved_on(timestep)?);
@@ -92,7 +92,7 @@ impl<'a> Body<'a> {
     }
 }
 
-/// The box of an agent, of half the nominal size where none is recorded, and its inner part.
+/// The box of an agent, of half the nominal size if none is recorded, and its inner part.
 pub(super) fn extents(track: &Track) -> [Extent; 2] {
     let nominal = track.extent_or_nominal();
     let half = Extent { length_m: nominal.length_m / 2.0, width_m: nominal.width_m / 2.0 };

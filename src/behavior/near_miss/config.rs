@@ -16,7 +16,7 @@ const NEGATIVE_DISTANCE_M: f64 = 2.0;
 /// Boxes on a collision course are a hard negative up to this multiple of the time to collision of a near miss.
 const NEGATIVE_TTC_FACTOR: f64 = 2.0;
 
-/// Who is slower than this stands, m/s: errors of tracks reach it.
+/// An agent slower than this stands, m/s: errors of tracks reach this speed.
 pub(super) const MIN_SPEED_MPS: f64 = 1.0;
 
 /// Two road users (`first` and `second`) barely avoid each other.

@@ -7,7 +7,7 @@ use crate::scene::Extent;
 
 /// A drive along a rail; one entry per timestep after the present.
 pub(super) struct Drive {
-    /// The share of the limits of driving that it takes before anybody brakes.
+    /// The share of the limits of driving that it uses before anybody brakes.
     pub(super) effort: f64,
     /// Distances driven, meters, and speeds, m/s.
     pub(super) driven_m: Vec<f64>,

@@ -33,7 +33,7 @@ pub(super) const PARAMETERS: &[&str] = &[
     "heading_difference_rad",
 ];
 
-/// Times to collision beyond this are meaningless, seconds: nobody keeps course and speed for so long.
+/// Times to collision beyond this are meaningless, seconds: nobody keeps course and speed for that long.
 const MAX_TTC_S: f64 = 10.0;
 /// One timestep at which two agents are close by the limits of hard negatives.
 struct Encounter {
@@ -41,7 +41,7 @@ struct Encounter {
     distance_m: f64,
     relative_mps: f64,
     ttc_s: Option<f64>,
-    /// The longer of the time to collision and that along the paths. `None` if either exceeds all limits.
+    /// The longer of the time to collision and the one along the paths. `None` if either exceeds all limits.
     conflict_s: Option<f64>,
 }
 
@@ -127,7 +127,7 @@ impl NearMiss {
         let moves = |body: &Body<'_>, timestep: usize| {
             body.state(timestep).is_some_and(|state| state.speed_mps() >= config::MIN_SPEED_MPS)
         };
-        // Delays that are a whole number of timesteps but for rounding are excluded.
+        // Delays that are a whole number of timesteps up to rounding are excluded.
         let max_delay = (self.max_pet_s / scene.dt_s - 1e-6).floor().max(0.0) as usize;
         let found = |t: usize, u: usize| {
             [(first, second), (second, first)]
@@ -156,7 +156,7 @@ impl Behavior for NearMiss {
         class.is_road_user()
     }
 
-    /// Events name the two in the order of tracks, so requests must do the same.
+    /// Events name the two agents in the order of tracks, so requests must do the same.
     fn completed(&self, _scene: &Scene, pair: [usize; 2]) -> Option<Vec<usize>> {
         (pair[0] < pair[1]).then(|| pair.to_vec())
     }
@@ -208,8 +208,7 @@ mod tests {
     use super::*;
     use crate::behavior::testing::SceneSpec;
 
-    /// Events found with sizes, without them by the default definition, and without them where sizes need not be
-    /// recorded.
+    /// Events found with sizes, without them by the default definition, and without them if sizes need not be recorded.
     fn events(second: &str) -> [Vec<EventLabel>; 3] {
         let spec: Result<SceneSpec, _> = toml::from_str(&format!(
             "agents = [{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", {second} }}]"
@@ -217,7 +216,7 @@ mod tests {
         let sized = spec.expect("valid").build("near");
         let mut unsized_ = sized.clone();
         unsized_.tracks.iter_mut().for_each(|track| track.extent = None);
-        // Where boxes are half as large, gaps are longer.
+        // With boxes half as large, gaps are longer.
         let lenient = NearMiss { recorded_sizes: false, max_pet_s: 1.0, ..NearMiss::default() };
         let labels = |behavior: &NearMiss, scene| behavior.detect(scene).iter().map(|event| event.label).collect();
         let strict = NearMiss::default();
@@ -227,7 +226,7 @@ mod tests {
     #[test]
     fn whose_size_is_not_recorded_takes_part_only_where_asked() {
         use EventLabel::{Negative, Positive};
-        // A car that stands 0.1 m beside the way of the other.
+        // A car stands 0.1 m beside the way of the other.
         let parked = events("start = { x_m = 20, y_m = 1.9, speed_mps = 0 }");
         assert_eq!(parked, [vec![Positive], vec![], vec![Negative]]);
         // Crossing closely behind each other.
@@ -237,7 +236,7 @@ mod tests {
 
     #[test]
     fn what_would_come_after_the_last_state_is_not_known() {
-        // At the end of the scene, after 3.9 s, the first is at 39 m, 7.5 m or 0.75 s from one who stands there.
+        // At the end of the scene, after 3.9 s, the first is at 39 m, 7.5 m or 0.75 s from a standing one.
         let at_the_end = events("start = { x_m = 51, y_m = 0, speed_mps = 0 }");
         assert_eq!(at_the_end[0], [EventLabel::Negative]);
     }

@@ -1,5 +1,5 @@
 //! Near misses of two agents that continue along their lanes: solved for the time at which they would meet, and for the
-//! one that avoids it.
+//! agent that avoids it.
 
 use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
@@ -21,10 +21,10 @@ const SOONEST_S: f64 = 0.3;
 const SPARE_S: f64 = 0.1;
 /// How far apart the boxes stay, whether one brakes or they cross, meters.
 const APART_M: f64 = 0.4;
-/// The kind of maneuvers in which nobody brakes. The kind of all others is the one that brakes (0 or 1), and how many
+/// The kind of maneuvers in which nobody brakes. The kind of all others is the agent that brakes (0 or 1), and how many
 /// timesteps before they would meet.
 const NOBODY_BRAKES: [usize; 2] = [2, 0];
-/// Spacing of the timesteps at which others in the way are looked for.
+/// Spacing of the timesteps that are searched for other agents in the way.
 const STRIDE: usize = 2;
 
 /// A pair, known from the past and the map.
@@ -33,13 +33,13 @@ struct Search<'a> {
     drivers: [Driver; 2],
     /// The box of each, and the inner part of it.
     extents: [[Extent; 2]; 2],
-    /// All others that may be in the way of each of the two: their boxes if they continue straight, one list per
+    /// Other agents that may be in the way of each of the two: their boxes if they continue straight, one list per
     /// timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
 }
 
-/// A drive, the rail that it follows, and the first step at which somebody else is in the way.
+/// A drive, its rail, and the first step at which another agent is in the way.
 struct PlannedDrive {
     rail: usize,
     acceleration_mps2: f64,
@@ -50,7 +50,7 @@ struct PlannedDrive {
 impl NearMiss {
     /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then
     /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
-    /// accelerate with at most half of -4 to 2.5 m/s², and nobody else is in the way.
+    /// accelerate with at most half of -4 to 2.5 m/s², and no other agent is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
@@ -154,8 +154,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The boxes of all others at each timestep after the present, if they continue straight. Agents behind `driver` are
-/// left out, because they react to it.
+/// The boxes of all other agents at each timestep after the present, if they continue straight. Agents behind `driver`
+/// are left out, because they react to it.
 fn others(scene: &Scene, agents: [usize; 2], driver: &Driver) -> Vec<Vec<Footprint>> {
     let now = &driver.state;
     let tracks = scene.tracks.iter().enumerate().filter(|(idx, _)| !agents.contains(idx));

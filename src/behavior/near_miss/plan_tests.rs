@@ -63,7 +63,7 @@ fn who_cannot_meet_has_none() {
     assert_eq!(with(Drive::straight(60.0, 0.0, 0.0, 20.0)), 0);
     assert_eq!(with(Drive::straight(0.0, 3.5, 0.0, 10.0)), 0);
     assert_eq!(with(Drive::straight(20.0, 30.0, FRAC_PI_2, 10.0)), 0);
-    // Two who close in on each other by 3 m/s at most stop in good time, or do not stop at all.
+    // Two agents that close in on each other by 3 m/s at most stop in good time, or do not stop at all.
     assert_eq!(with(Drive::straight(10.0, 0.0, 0.0, 9.5)), 0);
 }
 

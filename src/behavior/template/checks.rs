@@ -1,4 +1,4 @@
-//! Checks of a template: nobody in the way, on the road, within the limits of vehicles, and unlike the others.
+//! Checks of a template: nobody in the way, on the road, within the limits of vehicles, and different from the others.
 
 use super::{Motion, Template};
 use crate::behavior::lane_relation::SceneLanes;
@@ -9,9 +9,8 @@ use std::f64::consts::FRAC_PI_4;
 /// The largest accelerations of vehicles along and across their way, m/s².
 const MOST_ALONG_MPS2: f64 = 8.0;
 const MOST_ACROSS_MPS2: f64 = 3.6;
-/// The tightest curve of a vehicle: with its wheels at 35 degrees, and axles .6 of its length apart (bicycle model).
-/// In units of one over its length. And the lateral acceleration that noise of positions makes of a straight line,
-/// m/s².
+/// The tightest curve of a vehicle: with its wheels at 35 degrees, and axles 0.6 of its length apart (bicycle model),
+/// in units of one over its length. And the lateral acceleration that noise of positions gives a straight line, m/s².
 const TIGHTEST: f64 = 1.167;
 const NOISE_MPS2: f64 = 0.3;
 /// The largest change of acceleration within two timesteps after the present, m/s²: as validity checks it.
@@ -28,9 +27,9 @@ const STRIDE: usize = 2;
 /// Which of the other agents can be in the way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::behavior) enum InTheWay {
-    /// All of them.
+    /// All agents.
     Everybody,
-    /// All but those behind, which react to the agent that they follow.
+    /// All agents but those behind, which react to the agent that they follow.
     Ahead,
 }
 
@@ -53,8 +52,8 @@ impl Template {
         })
     }
 
-    /// Whether nobody is in the way of the agents, if all others continue straight at their speed, nor will be at once
-    /// after the end where both head the same way.
+    /// Whether no other agent is in the way of the agents if all others continue straight at their speed, nor will be
+    /// right after the end if both head the same way.
     pub(in crate::behavior) fn is_clear(&self, scene: &Scene, in_the_way: InTheWay) -> bool {
         let present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
         let others = (0..scene.tracks.len()).filter(|idx| self.agents().all(|agent_idx| agent_idx != *idx));
@@ -125,7 +124,7 @@ impl Template {
 }
 
 /// How much the acceleration of a vehicle changes from the last three observed positions to the first positions after
-/// them, m/s². `None` if it was not observed so long.
+/// them, m/s². `None` if it was not observed for that long.
 fn jolt_mps2(scene: &Scene, agent_idx: usize, states: &[State]) -> Option<f64> {
     let first = scene.n_history.checked_sub(3).filter(|_| scene.tracks[agent_idx].class.is_motorized())?;
     let observed: Option<Vec<Vec2>> =

@@ -10,22 +10,22 @@ pub(super) use checks::{InTheWay, distinct, follows};
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory, velocity_at};
 
-/// Within this time an agent comes from its observed motion over to the template, seconds.
+/// The time within which an agent comes from its observed motion over to the template, seconds.
 const FADE_S: f64 = 1.5;
 /// Corners of center lines are rounded off: motion above this frequency is damped, Hz.
 const CUTOFF_HZ: f64 = 1.0;
-/// How much stiffer a course is where it goes on from the observed motion, and how long that lasts, seconds.
+/// How much stiffer a course is where it continues the observed motion, and for how long, seconds.
 const SEAM_STIFFNESS: f64 = 20.0;
 const SEAM_S: f64 = 0.4;
-/// The largest observed acceleration that is gone on from, m/s²: beyond, it is no motion of a vehicle.
+/// The largest observed acceleration from which to continue, m/s²: beyond it, it is no motion of a vehicle.
 const MOST_OBSERVED_MPS2: f64 = 5.0;
-/// The observed acceleration is taken over at most, and at least, so many timesteps.
+/// The most and the fewest timesteps over which the observed acceleration is measured.
 const N_OBSERVED: usize = 6;
 const LEAST_OBSERVED: usize = 4;
 /// Within this time pedals are let go of, seconds, from accelerations up to this, m/s².
 const SETTLING_S: f64 = 1.0;
 const SETTLED_MPS2: f64 = 3.0;
-/// The largest angle to the lane of who moves over to the lane beside, radians.
+/// The largest angle to the lane of a vehicle that moves over to the lane beside, radians.
 pub(super) const MOST_ANGLE_RAD: f64 = 0.35;
 /// Agents below this speed stand, m/s.
 const STANDING_MPS: f64 = 0.5;
@@ -39,7 +39,7 @@ pub struct Template {
 /// The future of one agent.
 #[derive(Debug, Clone, PartialEq)]
 struct Motion {
-    /// Whose.
+    /// The agent.
     agent_idx: usize,
     /// Its state at each timestep after the present, in the scene frame.
     states: Vec<State>,
@@ -64,7 +64,7 @@ impl Template {
             let (elapsed_s, at) = (step as f64 * scene.dt_s, place(step as f64 * scene.dt_s)?);
             driven_m += at.distance(before);
             before = at;
-            // What is missing fades over the way, so that an agent that stops does not slide aside.
+            // The remaining difference fades with distance, so that an agent that stops does not slide aside.
             let moved_s = if speed_mps > STANDING_MPS { elapsed_s.min(driven_m / speed_mps) } else { elapsed_s };
             Some(at + missing * (1.0 + moved_s / FADE_S) * (-moved_s / FADE_S).exp())
         };
@@ -108,7 +108,7 @@ impl Template {
     }
 }
 
-/// Who has stopped stands, where coming over to a plan would push it back.
+/// Keeps an agent that has stopped where it is: coming over to a plan would push it back.
 fn hold_who_stops(now: &State, positions: &mut [Vec2]) {
     let (mut before, mut forward) = (now.position, Vec2::from_angle(now.heading_rad));
     for position in positions {
@@ -128,7 +128,7 @@ pub(super) fn observed_acceleration(scene: &Scene, agent_idx: usize) -> Option<V
     acceleration(&past(scene, agent_idx), scene.dt_s).filter(|_| is_moving)
 }
 
-/// The speed to which an agent comes that lets go of its pedals within a second, m/s: v + a / 2 s.
+/// The speed that an agent reaches if it lets go of its pedals within a second, m/s: v + a / 2 s.
 pub(super) fn settled_mps(scene: &Scene, agent_idx: usize, speed_mps: f64) -> f64 {
     let state = scene.state(agent_idx, scene.current_timestep());
     let observed = state.zip(observed_acceleration(scene, agent_idx));
@@ -142,7 +142,7 @@ fn past(scene: &Scene, agent_idx: usize) -> Vec<Vec2> {
     past.map(|state| state.position).collect()
 }
 
-/// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if they are
+/// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if there are
 /// too few.
 fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
     let last = &past[past.len().saturating_sub(N_OBSERVED)..];
@@ -157,9 +157,9 @@ fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
     (last.len() >= LEAST_OBSERVED).then(|| bend * (2.0 / (norm * dt_s * dt_s)))
 }
 
-/// The states of an agent that was at the positions of its `past`, is `now` somewhere and then at `positions`.
-/// Velocities are slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while
-/// the agent stands.
+/// The states of an agent with the positions `past`, the present state `now` and the later `positions`. Velocities are
+/// slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while the agent
+/// stands.
 fn states(now: &State, dt_s: f64, past: &[Vec2], positions: &[Vec2]) -> Vec<State> {
     // A vehicle may be recorded with a heading that differs from its motion.
     let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
@@ -202,9 +202,10 @@ pub(super) fn quintic_inverse(value: f64) -> f64 {
     high
 }
 
-/// The positions, at as many timesteps after the present as are `planned`, of an agent that is `now` somewhere, with an
-/// `observed` acceleration, m/s², and comes over to the `planned` ones: x minimizes Σ w (x - planned)² + Σ λ (Δ³x)²,
-/// where w grows to 1 within [`FADE_S`], λ is largest at the start, and what is before x is the observed motion.
+/// The positions of an agent at as many timesteps after the present as are `planned`. From its state `now`, with an
+/// `observed` acceleration, m/s², it comes over to the `planned` positions: x minimizes Σ w (x - planned)² + Σ λ
+/// (Δ³x)², where w grows to 1 within [`FADE_S`], λ is largest at the start, and the values before x are the observed
+/// motion.
 fn joined(now: &State, observed: Vec2, planned: &[Vec2], dt_s: f64) -> Vec<Vec2> {
     const THIRD: [f64; 4] = [-1.0, 3.0, -3.0, 1.0];
     let n = planned.len();
@@ -221,7 +222,7 @@ fn joined(now: &State, observed: Vec2, planned: &[Vec2], dt_s: f64) -> Vec<Vec2>
         matrix[i][0] += weight;
         values[i] = values[i] + (*at - now.position) * weight;
     }
-    // The difference that ends at x[last] takes x[last - 3] to x[last], of which the first may be before the present.
+    // The difference that ends at x[last] takes x[last - 3] to x[last], the first of which may be before the present.
     for last in 0..n {
         let stiffness = stiffness * (1.0 + SEAM_STIFFNESS * (-(last as f64) * dt_s / SEAM_S).exp());
         for (a, of_a) in THIRD.iter().enumerate() {
@@ -294,7 +295,7 @@ mod tests {
         let planned: Vec<Vec2> = (1..=25).map(|i| steady(f64::from(i) * dt_s)).collect();
         let found = joined(&now, observed, &planned, dt_s);
         assert!(found.iter().zip(&planned).all(|(a, b)| a.distance(*b) < 1e-9));
-        // Toward a plan that is aside and slower, no small change lowers what is minimized.
+        // With a plan that is aside and slower, no small change lowers the minimized sum.
         let planned: Vec<Vec2> = (1..=25).map(|i| Vec2::new(3.0 + 0.6 * f64::from(i), 0.5)).collect();
         let found = joined(&now, observed, &planned, dt_s);
         let cost = |course: &[Vec2]| {
@@ -325,7 +326,7 @@ mod tests {
         let mut positions = [1.2, 1.3, 1.28, 1.25, 1.29, 1.4].map(|x| Vec2::new(x, 0.0));
         hold_who_stops(&now, &mut positions);
         assert_eq!(positions.map(|at| at.x), [1.2, 1.3, 1.3, 1.3, 1.3, 1.4]);
-        // To a stop at once, which takes some way that the plan does not have.
+        // To a stop at once, which takes some distance that the plan does not have.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 4.0)]);
         let now = *scene.state(0, scene.current_timestep()).unwrap();
         let stops = |_: f64| Some(now.position);
@@ -356,7 +357,7 @@ mod tests {
             let steps = state(timestep + 1).position - state(timestep - 1).position;
             assert!((steps * (0.5 / scene.dt_s) - state(timestep).velocity).norm() < 1e-9);
         }
-        // Who brakes goes on braking for a moment.
+        // An agent that brakes keeps braking for a moment.
         let mut braking = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
         let entries = braking.tracks[0].trajectory.entries().iter().enumerate().map(|(i, state)| {
             let t = (i as f64 - braking.current_timestep() as f64) * braking.dt_s;
@@ -377,7 +378,7 @@ mod tests {
         let t_s = (braking.n_timesteps - n) as f64 * braking.dt_s;
         let behind_m = 10.0 * t_s - x(braking.n_timesteps - 1);
         assert!(behind_m > 0.0 && behind_m < 0.5 * 1.5 * t_s * t_s, "{behind_m} after {t_s}");
-        // Who comes over to where another drives is in its way, unless that one takes part and makes room.
+        // An agent that comes over to where another drives is in its way, unless the other takes part and makes room.
         let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 2.5, 0.0, 10.0)]);
         let over = |t: f64| Some(now.position + Vec2::new(10.0 * t, 2.5 * quintic(t / 0.6)));
         let over = Template::empty().with(&scene, 0, over).unwrap();

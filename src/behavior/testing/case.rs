@@ -56,7 +56,7 @@ pub(crate) struct SceneSpec {
     n_timesteps: usize,
     #[serde(default = "default_dataset")]
     dataset: Dataset,
-    /// The first one is the ego of the scene.
+    /// The first agent is the ego of the scene.
     agents: Vec<AgentSpec>,
     #[serde(default)]
     lanes: Vec<LaneSpec>,
@@ -78,7 +78,7 @@ const fn default_dataset() -> Dataset {
     Dataset::Interaction
 }
 
-/// An agent: where it starts and what it does.
+/// An agent: its start and its motion.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AgentSpec {

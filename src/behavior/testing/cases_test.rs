@@ -61,7 +61,7 @@ fn every_example_scene_holds_exactly_its_events() {
             if !differences.is_empty() {
                 failures.push(format!("{}/{name}: {}\n    found {found:#?}", entry.id, differences.join("; ")));
             }
-            // Neither where the frame lies nor which way it faces matters.
+            // Neither the place nor the direction of the frame matters.
             let moved = transformed(&scene, &Transform2::from_pose(Vec2::new(-431.0, 77.0), 2.1));
             let outline = |events: &[BehaviorEvent]| -> Vec<_> {
                 events.iter().map(|e| (e.label, e.roles.clone(), e.start_timestep, e.end_timestep)).collect()

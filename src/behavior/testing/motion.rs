@@ -1,4 +1,4 @@
-//! How a written-down agent moves: from a start pose through segments of steady acceleration, turning and shifting.
+//! The motion of a written-down agent: from a start pose through segments of steady acceleration, turning and shifting.
 
 use crate::geometry::{Vec2, wrap_angle};
 use crate::scene::State;
@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 /// Steps of integration within a timestep.
 const SUBSTEPS: usize = 20;
 
-/// Where an agent is at timestep 0.
+/// The state of an agent at timestep 0.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Start {
@@ -23,7 +23,7 @@ pub(crate) struct Start {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Segment {
-    /// How long.
+    /// Its duration, seconds.
     duration_s: f64,
     /// Along the motion; a stopped agent stays stopped.
     #[serde(default)]

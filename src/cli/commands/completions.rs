@@ -1,4 +1,4 @@
-//! `djinn completions`: what a shell has to know of the commands.
+//! `djinn completions`: completions of the commands for a shell.
 
 use crate::cli::args::Args;
 use crate::cli::printer::Printer;

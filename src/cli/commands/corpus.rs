@@ -77,7 +77,7 @@ fn filter_options(args: &CorpusFilterArgs) -> Result<FilterOptions> {
     })
 }
 
-/// A corpus, wherever it is.
+/// The place of a corpus, on disk or in an object store.
 fn read(corpus: &Path) -> Result<Place> {
     Ok(Place::open(corpus, Access::Read)?)
 }
@@ -92,7 +92,7 @@ fn print<T: Serialize>(printer: &Printer, json: bool, value: &T, text: fn(&T) ->
     }
 }
 
-/// Says what was written.
+/// Prints a summary of the written corpus.
 fn tell(printer: &Printer, outcome: &CopyOutcome, out: &Path) {
     let CopyOutcome { manifest, n_duplicates, n_differing_recordings, n_aggregates_left_out } = outcome;
     printer.message(format_args!(

@@ -1,4 +1,4 @@
-//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer to it, or
+//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer to it or
 //! do not.
 
 use super::{begins_anew, use_threads};
@@ -57,7 +57,7 @@ pub(in crate::cli) fn score(args: &ScoreArgs, output: &OutputArgs, printer: &Pri
     tell(&report, &args.gates, &args.out, printer)
 }
 
-/// Prints the figures, and fails at a gate that is not met.
+/// Prints the figures, and fails if a gate is not met.
 fn tell(report: &DriveReport, gates: &DriveGates, out: &Path, printer: &Printer) -> Result<()> {
     for (why, n) in &report.left_out {
         printer.message(format_args!("{n} scenarios were left out: each {why}"));

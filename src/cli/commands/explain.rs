@@ -1,4 +1,4 @@
-//! `djinn ingest --explain`: what is understood of recordings.
+//! `djinn ingest --explain`: how recordings are understood.
 
 use super::use_threads;
 use crate::cli::args::{IngestArgs, OutputArgs};
@@ -13,7 +13,7 @@ use crate::report::drawing_of_recording;
 use std::io::Write;
 use std::path::Path;
 
-/// Scenes that are read.
+/// The most scenes to read.
 const MAX_SCENES: u64 = 100;
 
 pub(super) fn explain(

@@ -1,4 +1,4 @@
-//! `djinn export`: a corpus in a format that others read.
+//! `djinn export`: a corpus in a format of other programs.
 
 use crate::cli::args::{ExportArgs, OutputArgs};
 use crate::cli::printer::{Printer, stderr_line};
@@ -39,7 +39,7 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
     Ok(())
 }
 
-/// Adds advice where the corpus is none.
+/// Adds advice if the folder is not a corpus.
 fn hinted(failure: Failure, corpus: &Path) -> Failure {
     if corpus.join("manifest.json").is_file() {
         return failure;

@@ -1,4 +1,4 @@
-//! `djinn inspect`: what a file or folder of ours holds.
+//! `djinn inspect`: the content of a file or folder that djinn wrote.
 
 use crate::cli::args::InspectArgs;
 use crate::cli::printer::Printer;

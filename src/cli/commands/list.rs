@@ -26,7 +26,7 @@ fn described<'a>(rows: impl Iterator<Item = (&'a str, &'a str)>) -> Vec<(String,
     rows.map(|(name, text)| (name.to_owned(), text.to_owned())).collect()
 }
 
-/// The variants of an enum, each with the first sentence of its docstring, which only its schema has.
+/// The variants of an enum, each with the first sentence of its docstring, taken from its schema.
 fn of_schema(schema: &Schema) -> Vec<(String, String)> {
     let variants = schema.get("oneOf").and_then(Value::as_array).map(Vec::as_slice).unwrap_or_default();
     let row = |variant: &Value| {

@@ -1,4 +1,4 @@
-//! `djinn man`: what `--help` says, as manual pages.
+//! `djinn man`: the help texts as manual pages.
 
 use crate::cli::args::{Args, ManArgs};
 use crate::cli::printer::Printer;

@@ -46,24 +46,24 @@ use crate::pipeline::memory::{check_memory, estimate_memory, machine_memory};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Sets up the worker threads: as many as the command line says, or else as are `configured`; 0 for all cores. rayon
-/// keeps one pool for the process, so that every command calls this once, before it works.
+/// Sets up the worker threads: as many as the command line requests, or else as `configured`; 0 for all cores. rayon
+/// keeps one pool for the process, so every command calls this once, before it works.
 fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
     let n_threads = output.threads.unwrap_or(configured);
     rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
 }
 
-/// Ends the work in a folder: brings what it wrote to where the folder is, whatever its outcome.
+/// Finishes the work in a folder, whatever its outcome: uploads the results if the folder is in an object store.
 fn finish(place: Place, outcome: Result<()>) -> Result<()> {
     match (outcome, place.finish()) {
         (Ok(()), finished) => Ok(finished?),
-        // A missing result counts for more than its message.
+        // A failed upload matters more than the message of a gate or an interruption.
         (Err(failure), Err(error)) if matches!(failure.blame, Blame::Gate | Blame::Later) => Err(error.into()),
         (Err(failure), _) => Err(failure),
     }
 }
 
-/// Says what a signal leaves of work in a folder of stages.
+/// Sets the message for signals while stages work in a folder, whose work can be resumed.
 fn resumes_in(root: &Path) {
     signals::leaves_resumable(format!(
         "finished shards and saved training states are kept in {}; run the same command again to continue",
@@ -71,7 +71,7 @@ fn resumes_in(root: &Path) {
     ));
 }
 
-/// Says what a signal leaves of something that appears whole or not at all.
+/// Sets the message for signals while an output is written that appears whole or not at all.
 fn begins_anew(out: &Path) {
     signals::leaves(format!(
         "{} is unchanged; unfinished output is beside it under a name that ends in .partial, and can be removed",
@@ -79,7 +79,7 @@ fn begins_anew(out: &Path) {
     ));
 }
 
-/// Prints the configuration as TOML and the plan as comments, so that the whole is a pipeline file again.
+/// Prints the configuration as TOML and the plan as comments, so that the output is a pipeline file again.
 fn print_dry_run(
     config: &PipelineConfig,
     layout: &Layout,
@@ -99,7 +99,7 @@ fn print_dry_run(
     for memory in estimate_memory(config, layout, &stages)? {
         let _ = writeln!(text, "#   {:<18}{}", memory.stage.name(), memory.describe());
     }
-    // Costs are those of the whole section, whatever of it is done already.
+    // Costs are those of the whole section, whatever parts of it are done already.
     if planned.iter().any(|planned| planned.stage.kind() == StageId::Generate.kind()) {
         for line in estimate(config, layout)? {
             let _ = writeln!(text, "#   {line}");
@@ -108,12 +108,12 @@ fn print_dry_run(
     printer.data(&text)
 }
 
-/// Refuses planned stages that take more memory than the machine has.
+/// Rejects planned stages that need more memory than the machine has.
 fn refuse_too_large(config: &PipelineConfig, layout: &Layout, planned: &[PlannedStage<'_>]) -> Result<()> {
     check_memory(config, layout, planned, machine_memory())
 }
 
-/// Says what will be done with the stages; of results that are there, always.
+/// Prints the planned actions of the stages; without `--verbose`, only those on existing results.
 fn announce(planned: &[PlannedStage<'_>], output: &OutputArgs, printer: &Printer) {
     for redone in planned.iter().filter_map(PlannedStage::redone) {
         printer.message(redone);

@@ -1,4 +1,4 @@
-//! `djinn regenerate`: one scenario again, compared with its row.
+//! `djinn regenerate`: generates one scenario again and compares it with its row.
 
 use super::{begins_anew, use_threads};
 use crate::cli::args::{OutputArgs, RegenerateArgs};
@@ -53,7 +53,7 @@ pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, pri
         .with_hint("check whether another version of djinn or another kind of processor generated it"))
 }
 
-/// The file is new, and none of those that are read.
+/// Checks that the file is new and none of the inputs.
 fn check_new(path: &Path, layout: &Layout, corpus: Option<&Path>) -> Result<()> {
     let inputs = [
         ("scenes", &layout.scenes),

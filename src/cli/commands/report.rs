@@ -7,7 +7,7 @@ use crate::engine::Result;
 use crate::pipeline::compare::write_comparison;
 use std::path::Path;
 
-/// The page of a comparison where no other name is given.
+/// The default name of the page of a comparison.
 const COMPARISON_FILE: &str = "comparison.html";
 
 pub(in crate::cli) fn report(

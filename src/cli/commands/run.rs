@@ -58,7 +58,7 @@ fn run_in(
     let folder = RunFolder::open(root, &KINDS)?;
     let planned = plan()?;
     if args.part == Some(Part::Plan) {
-        // It is selected, and planning has found it.
+        // The stage is selected, and planning has found it.
         let selected = planned.iter().find(|planned| Some(planned.stage.kind()) == in_parts.map(StageId::kind));
         return selected.map_or(Ok(()), |planned| shards::plan(&folder, planned, compute, &progress));
     }
@@ -66,11 +66,11 @@ fn run_in(
     announce(&planned, output, printer);
     let records = run_stages(&folder, Some(&config.about(root)?), (compute, makers), planned, &progress)?;
     describe(&records, root, printer);
-    // Where a report comes later, the run ends with it.
+    // If a report comes later, the run ends with it.
     if in_parts.is_some() && config.report.is_some() { Ok(()) } else { stages::check_gates(&records) }
 }
 
-/// Says what came of the run, and where it lies.
+/// Prints the outcome of the run, and where its results are.
 fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
     let record = |stage: StageId| records.iter().find(|record| record.stage == stage.name());
     if let Some(evaluated) = record(StageId::Evaluate) {
@@ -94,7 +94,7 @@ fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
     }
 }
 
-/// The stage that is run in parts, if the arguments are valid for that.
+/// The stage to run in parts, if the arguments are valid for that.
 fn check_part(args: &RunArgs, part: Part) -> Result<StageId> {
     let &[stage] = args.stage.as_slice() else {
         return Err(Failure::input_message(format_args!("--part {part} goes with one --stage, not with several")));
@@ -116,8 +116,8 @@ fn check_part(args: &RunArgs, part: Part) -> Result<StageId> {
     Ok(stage)
 }
 
-/// The file of a pipeline: a bundled one may be called by its name, and is written below the current directory before
-/// it runs for the first time.
+/// The file of a pipeline. A bundled one may be given by its name, and is written below the current directory before it
+/// runs for the first time.
 fn file_of(pipeline: &Path, printer: &Printer) -> Result<PathBuf> {
     let is_meant = |(name, _): &&(&str, &str)| pipeline == Path::new(name) && !pipeline.is_file();
     let Some((name, _)) = PIPELINES.iter().find(is_meant) else { return Ok(pipeline.to_owned()) };
@@ -128,7 +128,7 @@ fn file_of(pipeline: &Path, printer: &Printer) -> Result<PathBuf> {
     Ok(file)
 }
 
-/// The configuration and the run folder.
+/// Loads the configuration and finds the run folder.
 pub(super) fn load(pipeline: &Path, overrides: &[String], place: &RunPlace) -> Result<(PipelineConfig, PathBuf)> {
     let mut config = PipelineConfig::load(Some(pipeline), overrides)?;
     if let Some(folder) = &place.output {

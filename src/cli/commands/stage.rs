@@ -72,11 +72,11 @@ struct Request<'a> {
     id: StageId,
     args: &'a StageArgs,
     layout: Layout,
-    /// The command's own arguments, as overrides of the configuration.
+    /// Overrides of the configuration by the command's own arguments.
     overrides: Vec<String>,
-    /// The recordings that it names, of which the overrides have the text alone.
+    /// The recordings given to the command; the overrides have them as text only.
     inputs: &'a [PathBuf],
-    /// A run folder that it reads, other than the one it writes.
+    /// A run folder to read, other than the one to write.
     reads: Option<&'a Path>,
 }
 
@@ -174,7 +174,7 @@ fn replace(place: &mut PathBuf, path: &Option<PathBuf>) {
     }
 }
 
-/// Paths as settings hold them, once each. Settings are UTF-8, and a path need not be.
+/// Paths as settings hold them, without duplicates. Settings are UTF-8, which paths need not be.
 fn in_text(paths: &[PathBuf]) -> Vec<PathBuf> {
     let texts: BTreeSet<_> = paths.iter().map(|path| path.to_string_lossy()).collect();
     texts.into_iter().map(|text| PathBuf::from(text.into_owned())).collect()

@@ -1,4 +1,4 @@
-//! `djinn status`: how far a run is.
+//! `djinn status`: the progress of a run.
 
 use crate::cli::args::StatusArgs;
 use crate::cli::printer::Printer;

@@ -14,7 +14,7 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
     overrides.extend(args.workers.map(|n_workers| format!("cluster.workers={n_workers}")));
     let (config, root) = load(&args.pipeline, &overrides, &args.place)?;
     let cluster = config.cluster.clone().unwrap_or_default();
-    // A pipeline that cannot work is refused now and not by each of the jobs.
+    // An impossible pipeline is rejected now instead of by every job.
     stages::of_pipeline(&config, &Layout::below(&root))?.iter().try_for_each(|stage| stage.check())?;
     if args.engine != Engine::Json && ObjectUrl::is_meant(&root) {
         let message = format!("{} cannot hold the output of jobs: run.output is in an object store", root.display());

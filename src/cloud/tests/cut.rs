@@ -37,7 +37,7 @@ fn after() -> Folder {
     ])
 }
 
-/// Makes the files below `root` those of `wanted`, touching only what differs.
+/// Makes the files below `root` equal to `wanted`, touching only those that differ.
 fn make(root: &Path, wanted: &Folder) {
     let found = files(root);
     for name in found.keys().filter(|name| !wanted.contains_key(*name)) {

@@ -21,7 +21,7 @@ enum Fault {
     Busy,
     /// Everything was done, but the answer got lost.
     Reset,
-    /// Somebody else was writing the object at that moment.
+    /// Another client was writing the object at that moment.
     Conflict,
     /// The content ends early.
     Truncated,
@@ -32,11 +32,11 @@ enum Fault {
 /// When requests fail.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Failing {
-    /// This share of them, by chance.
+    /// This share of requests, at random.
     Sometimes(f64),
-    /// All of them, before anything is done.
+    /// All requests, before anything is done.
     Always,
-    /// Everything that writes, from the one of this number on: the client was killed.
+    /// All writing requests from this number on: the client was killed.
     WritesFrom(u64),
 }
 

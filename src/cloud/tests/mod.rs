@@ -1,5 +1,5 @@
-//! What is lost when stores fail, processes are killed, and others write, too? Nothing, in a store that can be looked
-//! at.
+//! What is lost when stores fail, processes are killed, and others write, too? Nothing, in a store that can be
+//! inspected.
 
 mod cut;
 mod flaky;
@@ -41,7 +41,7 @@ fn machine(bucket: Bucket, access: Access) -> (tempfile::TempDir, Mirrored) {
     (cache, shown)
 }
 
-/// Everything in a folder of a store, but for empty names.
+/// Everything in a folder of a store, except empty names.
 fn objects(bucket: &Bucket) -> BTreeMap<String, Vec<u8>> {
     let read = |name: String| {
         let bytes = bucket.read(&name).unwrap().unwrap();

@@ -69,7 +69,7 @@ fn a_damaged_object_is_no_answer() {
     let store = Arc::new(InMemory::new());
     let bucket = run_of(&store);
     let good = bucket.write("x", b"good").unwrap();
-    // Somebody copies other bytes of the same length over it, and leaves the hash beside it.
+    // Another program copies other bytes of the same length over it, and leaves the hash beside it.
     let patience = Patience { n_attempts: 2, first_wait: Duration::ZERO };
     let hash = crate::files::FileStamp::of(b"good").checksum;
     let attributes =
@@ -102,7 +102,7 @@ fn recordings_keep_their_names_and_are_downloaded_once() {
     };
     at("s3://bucket/rec").write("train/a.csv", b"one").unwrap();
     at("s3://bucket/rec").write("train/sub/b.csv", b"two").unwrap();
-    // Folder markers as some tools make them, and a neighbor that only begins with the same name.
+    // Folder markers as made by some tools, and a neighbor whose name only begins with the same letters.
     at("s3://bucket/rec").write("train/sub", b"").unwrap();
     at("s3://bucket").write("rec/training.csv", b"no").unwrap();
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Several machines on one run folder: what does each see, and what do they refuse?
+//! Several machines on one run folder: what does each see, and what does it refuse?
 
 use super::super::error::Error;
 use super::super::journal::{JOURNAL, Journal};
@@ -49,7 +49,7 @@ fn workers_see_the_shards_of_other_machines_and_do_not_download_them() {
     assert!(!shard.exists());
     assert_eq!(b.view.n_bytes_elsewhere(&shard), Some(7));
 
-    // Whoever seals sees everything, and removes it; workers then find no plan.
+    // The machine that seals sees everything, and removes it; workers then find no plan.
     let (_cache_c, c) = machine(run_of(&store), Access::Write);
     assert_eq!(fs_err::read(c.path().join("generate.parts/0a/samples-00000.parquet")).unwrap(), b"a shard");
     for name in files(&c.path().join("generate.parts")).keys() {
@@ -134,7 +134,7 @@ fn a_stage_at_work_pushes_its_commits_in_their_order() {
     assert_eq!(pushed["train_denoiser.partial/state"], b"step 2");
     assert_eq!(pushed.len(), 3, "with the list of what is ours, and no journal");
 
-    // The process is killed. Another machine has what was pushed, and may write into it.
+    // The process is killed. Another machine has the pushed files, and may write into them.
     let (_cache, next) = machine(run_of(&store), Access::Read);
     assert_eq!(files(next.path())["train_denoiser.partial/state"], b"step 2");
     let listed = crate::files::listed(&next.path().join("train_denoiser.partial")).unwrap().unwrap();

@@ -1,4 +1,4 @@
-//! Is every file there, whole, of the schema it should have, and are there others?
+//! Checks that every file exists, is whole, has its schema, and that there are no others.
 
 use super::{Known, ValidationReport};
 use crate::corpus::Result;
@@ -10,7 +10,7 @@ use fs_err as fs;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Checks all files by themselves, and gives back those that can be read.
+/// Checks each file by itself, and returns those that can be read.
 pub(super) fn check(
     scan: &CorpusScan,
     report: &mut ValidationReport,
@@ -132,7 +132,7 @@ pub(super) fn check_metrics(
     Ok(())
 }
 
-/// Finds numbers that are none. Missing values are no numbers and not wrong.
+/// Finds values that are NaN or infinite. Missing values are allowed.
 pub(super) fn non_finite(batch: &RecordBatch, file: &str, first_row: usize, report: &mut ValidationReport) {
     for (field, column) in batch.schema_ref().fields().iter().zip(batch.columns()) {
         let any = column.as_any();

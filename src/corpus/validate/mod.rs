@@ -1,6 +1,6 @@
-//! `djinn corpus validate`: is a corpus whole, does it fit together, and is what it says possible?
+//! `djinn corpus validate`: is a corpus whole, consistent, and possible?
 //!
-//! Unlike the readers, which stop at the first damage, this goes on as far as it can and lists what it finds.
+//! Unlike the readers, which stop at the first damage, this continues as far as it can and lists its findings.
 
 mod files;
 mod scenarios;
@@ -20,26 +20,26 @@ use std::path::Path;
 /// Findings of one kind that are kept; all are counted.
 const MAX_PER_CHECK: u64 = 10;
 
-/// How bad a finding is.
+/// The severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// The corpus is not what was written, or contradicts itself.
+    /// The corpus is not as it was written, or contradicts itself.
     Damage,
-    /// It is possible, and worth a look.
+    /// Possible, but worth a look.
     Remark,
 }
 
 /// Something that is wrong, or worth a look.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
     /// The check that found it, in a word.
     pub check: &'static str,
     /// The file, within the corpus.
     pub file: String,
-    /// The row of the file, from 0; `None` where it is about the file as a whole.
+    /// The row of the file, from 0; `None` if it concerns the file as a whole.
     pub row: Option<u64>,
     /// The value found and the value expected.
     pub detail: String,
@@ -58,7 +58,7 @@ pub struct ValidationReport {
     pub n_damages: u64,
     /// Everything that is merely worth a look.
     pub n_remarks: u64,
-    /// How often each check found something.
+    /// The number of findings of each check.
     pub by_check: BTreeMap<&'static str, u64>,
     /// The first findings of each check, in the order in which they were found.
     pub findings: Vec<Finding>,
@@ -115,8 +115,7 @@ struct Known {
 /// Checks the corpus in `dir`.
 ///
 /// # Errors
-/// When there is no manifest that can be read: then nothing can be checked; those of the system. Everything else is a
-/// finding.
+/// When there is no readable manifest: then nothing can be checked; errors of the system. Everything else is a finding.
 pub fn validate(dir: &Path, progress: &dyn Progress) -> Result<ValidationReport> {
     let scan = CorpusScan::open_unverified(dir)?;
     let (mut report, mut known) = (ValidationReport::default(), Known::default());
@@ -144,7 +143,7 @@ pub fn validate(dir: &Path, progress: &dyn Progress) -> Result<ValidationReport>
     Ok(report)
 }
 
-/// Does the manifest count what is there, and does the card say what the manifest says?
+/// Checks that the manifest has the right counts, and that the card agrees with the manifest.
 fn check_totals(scan: &CorpusScan, known: &Known, report: &mut ValidationReport) {
     let manifest = scan.manifest();
     let counts = [

@@ -1,4 +1,4 @@
-//! Do the rows of scenarios say what can be, once each, and do their states, lanes and partitions fit?
+//! Checks that the rows of scenarios are possible and unique, and that their states, lanes and partitions fit.
 
 use super::files::non_finite;
 use super::{Known, ValidationReport, states};
@@ -30,7 +30,7 @@ pub(super) fn check(
         if !readable.contains(&file.path) {
             continue;
         }
-        // First the rows of scenarios alone: where states are damaged, they can still be checked.
+        // First the rows of scenarios alone: they can still be checked if states are damaged.
         let checked = check_rows(scan, part, file, known, report, progress);
         let checked = checked.and_then(|()| match readable.contains(&tracks_file.path) {
             true => check_states(scan, part, [file, tracks_file], report),

@@ -1,4 +1,4 @@
-//! Do states follow each other in time, agree in both frames, and stay within what is physically possible?
+//! Checks that states are in order of time, agree in both frames, and are physically possible.
 
 use super::{Known, ValidationReport};
 use crate::corpus::Result;
@@ -17,7 +17,8 @@ const MAX_SPEED_MPS: f64 = 100.0;
 const MAX_SIZE_M: f32 = 40.0;
 /// The farthest that a state can be from its scene's origin, meters.
 const MAX_DISTANCE_M: f64 = 5000.0;
-/// How well both frames must agree, meters: single precision within [`MAX_DISTANCE_M`] is good to half of a millimeter.
+/// The required agreement of both frames, meters: single precision within [`MAX_DISTANCE_M`] is good to half a
+/// millimeter.
 const FRAME_TOLERANCE_M: f64 = 0.01;
 
 /// The columns of states.
@@ -55,7 +56,7 @@ impl<'a> States<'a> {
     }
 }
 
-/// Where findings are reported.
+/// The place at which findings are reported.
 struct Location<'r> {
     file: &'r str,
     /// Position in the file of the first row of the batch.
@@ -181,7 +182,7 @@ fn check_state(states: &States<'_>, row: usize, place: &mut Location<'_>) {
             format!("it is {:.0} m from the origin of its scene, expected at most {MAX_DISTANCE_M}", position.norm());
         place.damage("range", row, detail);
     }
-    // Recorded tracks jump, and what is generated from them may too: worth a look, no damage.
+    // Recorded tracks jump, and tracks generated from them may do so, too: worth a look, no damage.
     let speed_mps = Vec2::new(states.number(3, row), states.number(4, row)).norm();
     if speed_mps > MAX_SPEED_MPS {
         let detail = format!("the speed is {speed_mps:.1} m/s, more than {MAX_SPEED_MPS}");

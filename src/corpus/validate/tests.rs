@@ -130,7 +130,7 @@ fn a_wrong_row_is_found_at_its_row() {
     }
 }
 
-/// Writes the scenarios of a corpus as another version of their table would have.
+/// Rewrites the scenarios of a corpus as another version of their table.
 fn rewrite_scenarios(corpus: &mut Corpus, version: u32, without: &str) {
     let mut table = CorpusTable::Scenarios.schema();
     table.version = version;

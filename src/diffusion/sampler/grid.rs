@@ -1,4 +1,4 @@
-//! Through which noise levels does a sampler step, where they are not the denoiser's own?
+//! The noise levels of a sampler's steps, if they are not the denoiser's own.
 
 use crate::diffusion::Edm;
 use crate::settings::{self, Issue};
@@ -41,7 +41,7 @@ impl StepGrid {
         }
     }
 
-    /// The suffix of a sampler's name; empty where the denoiser's own grid is kept.
+    /// The suffix of a sampler's name; empty if the denoiser's own grid is kept.
     pub(super) fn suffix(self) -> String {
         let part = |word: &str, value: Option<f64>| value.map_or_else(String::new, |value| format!("-{word}-{value}"));
         [part("from", self.sigma_max), part("to", self.sigma_min)].concat()

@@ -1,4 +1,4 @@
-//! Turns noise into samples: the list of samplers, and what they have in common.
+//! Turns noise into samples: the list of samplers, and their common interface.
 
 mod dpmpp_2m;
 mod euler;
@@ -165,7 +165,7 @@ impl SamplerConfig {
     }
 
     /// Integrates from `x` (B, …), a state at noise level `sigmas[0]`, along the decreasing `sigmas` to the last of
-    /// them. The number of steps is that of `sigmas`.
+    /// them, in one step between each two.
     pub fn integrate(
         &self,
         sigmas: &[f64],
@@ -181,8 +181,8 @@ impl SamplerConfig {
     }
 }
 
-/// D(x; σ) with the same noise level in every row, without the graph of a trainable network behind it: over many steps
-/// that graph would keep the activations of every evaluation alive.
+/// D(x; σ) with the same noise level in every row, detached from the graph of a trainable network: over many steps that
+/// graph would keep the activations of every evaluation alive.
 fn denoise_at(denoiser: &dyn Denoiser, x: &Tensor, sigma: f64) -> Result<Tensor> {
     let sigma = Tensor::full(sigma, x.dim(0)?, x.device())?.to_dtype(x.dtype())?;
     Ok(denoiser.denoise(x, &sigma)?.detach())

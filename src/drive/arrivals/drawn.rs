@@ -1,9 +1,8 @@
-//! Arrivals as many and as fast as a place has: drawn from the traffic that the corpus' scenes of it have where it
-//! comes into sight.
+//! Draws arrivals as frequent and as fast as in the scenes of the corpus at this place.
 //!
-//! The flow through the first meters of an entry is the speeds of those that the scenes have there, over length and
-//! number of scenes (Edie 1963); an arrival has the size, speed and offset of one of them, drawn in proportion to its
-//! speed, since the fast pass more often.
+//! The flow through the first meters of an entry is the sum of the speeds of the vehicles seen there, divided by length
+//! and number of scenes (Edie 1963). An arrival has the size, speed and offset of one of these vehicles, drawn in
+//! proportion to its speed, since fast ones pass more often.
 
 use super::Arrival;
 use super::ends::{Ends, Seen};
@@ -11,7 +10,7 @@ use crate::scene::{Scene, Track, TrackId};
 use crate::seed::Seed;
 
 impl Ends {
-    /// How many arrive in a second.
+    /// Expected arrivals per second.
     pub(super) fn rate_per_s(&self) -> f64 {
         self.seen().map(|(_, seen)| seen.rate_per_s).sum()
     }
@@ -21,7 +20,7 @@ impl Ends {
         entries.flat_map(|(entry_idx, entry)| entry.seen.iter().map(move |seen| (entry_idx, seen)))
     }
 
-    /// Who arrives by chance after the present of this scenario, in the order of time, without end.
+    /// Endless random arrivals after the present of this scenario, in order of time.
     pub(super) fn drawn(&self, scene: &Scene, name: &str, seed: u64) -> impl Iterator<Item = (Arrival, Track)> {
         let (rate_per_s, mut rng) = (self.rate_per_s(), Seed(seed).derive_named("arrivals", name).rng());
         let (present, dt_s, mut after_s, mut number) = (scene.current_timestep(), scene.dt_s, 0.0, 0);

@@ -1,5 +1,5 @@
-//! Where traffic enters and leaves a place: at the ends of its map, or where it comes into sight in the corpus' scenes
-//! and goes out of it, for maps are mostly larger than what is recorded.
+//! Where traffic enters and leaves a place: at the ends of its map, or where scenes of the corpus first and last see
+//! it, since maps mostly reach farther than recordings.
 
 use super::{LEAST_MPS, without_states};
 use crate::geometry::{Polyline, Vec2, angle_difference};
@@ -8,14 +8,14 @@ use crate::scene::{Lane, LaneGraph, LaneId, Scene, State, Track};
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
-/// How far from the end of the map traffic may first or last be seen on a lane, and how long the stretch is whose flow
-/// is measured, meters; shorter ones say too little.
+/// The distance from the end of the map within which traffic must first or last be seen on a lane, and the length of
+/// the stretch on which flow is measured, meters; stretches shorter than the last say too little.
 const IN_SIGHT_M: f64 = 100.0;
 const STRETCH_M: f64 = 30.0;
 const LEAST_STRETCH_M: f64 = 5.0;
-/// Who is farther than this from the middle of a lane, meters, is not in it.
+/// Vehicles farther than this from the middle of a lane, meters, are not in it.
 const IN_LANE_M: f64 = 2.0;
-/// With fewer on the last stretch it is not known where traffic goes out of sight.
+/// With fewer vehicles on the last stretch, it is unknown where traffic goes out of sight.
 const LEAST_SEEN: usize = 10;
 
 /// The ends of a place, in the frame of its recordings.
@@ -25,21 +25,21 @@ pub(in crate::drive) struct Ends {
     exits: Vec<End>,
 }
 
-/// A lane at the end of the map, which no other leads to, nor to those beside it: where lanes are added or end, traffic
-/// changes lanes. An exit is seen against the direction of traffic.
+/// A lane at the end of the map. No lane leads to it or to its neighbors: where lanes are added or end, traffic changes
+/// lanes. An exit is an entry seen against the direction of traffic.
 #[derive(Debug)]
 pub(super) struct End {
-    /// It and the lanes that follow before others join, each with its distance from the beginning.
+    /// The lane and those that follow it up to where others join, each with its distance from the beginning.
     lanes: Vec<(Polyline, f64)>,
     /// Where traffic is first seen.
     pub(super) starts_at_m: f64,
-    /// The median speed of those who are seen to come into sight, m/s.
+    /// The median speed of vehicles that come into sight, m/s.
     enters_at_mps: Option<f64>,
-    /// Those behind that point.
+    /// The vehicles on the stretch behind that point.
     pub(super) seen: Vec<Seen>,
 }
 
-/// One that the scenes have just behind the end, and how many such a second pass.
+/// A vehicle that a scene has just behind the end, and how many vehicles like it pass per second.
 #[derive(Debug, Clone)]
 pub(super) struct Seen {
     pub(super) track: Track,
@@ -49,7 +49,7 @@ pub(super) struct Seen {
 }
 
 impl Ends {
-    /// The ends of a map with these scenes of it, each another.
+    /// The ends of a map, estimated from different scenes on it.
     pub(in crate::drive) fn of(map: &LaneGraph, scenes: &[Scene]) -> Self {
         let backwards = |lane: &Lane| Lane {
             centerline: Polyline(lane.centerline.0.iter().rev().copied().collect()),
@@ -65,14 +65,14 @@ impl Ends {
         self.entries.get(entry_idx)
     }
 
-    /// The entry in which somebody is.
+    /// The entry in which a vehicle is.
     pub(super) fn entry_at(&self, state: &State) -> Option<usize> {
         at(&self.entries, state).map(|(entry_idx, _)| entry_idx)
     }
 
-    /// Where somebody in an entry was before: so many timesteps ago, at most `n_most`, but not before traffic is first
-    /// seen. Many brake for what is ahead: it is taken to have come as fast as others, and to have braked evenly since
-    /// then, or later if there was no time for that.
+    /// An earlier place of a vehicle in an entry, and how many timesteps ago: at most `n_most`, and not before traffic
+    /// is first seen. Since many brake for the traffic ahead, it is assumed to have entered as fast as others and to
+    /// have braked evenly since, or later if there was no time for that.
     pub(super) fn before(&self, state: &State, n_most: usize, dt_s: f64) -> Option<(usize, State)> {
         let (entry_idx, [station_m, offset_m]) = at(&self.entries, state)?;
         let entry = self.entries.get(entry_idx).filter(|entry| entry.is_in_use())?;
@@ -85,30 +85,30 @@ impl Ends {
         (n_back > 0).then_some((n_back, state))
     }
 
-    /// Whether somebody is farther out than traffic is seen to go.
+    /// Whether a vehicle is farther out than traffic is seen.
     pub(super) fn is_out_of_sight(&self, state: &State) -> bool {
         let Some((exit_idx, [station_m, _])) = at(&self.exits, &turned(*state)) else { return false };
         self.exits.get(exit_idx).is_some_and(|exit| {
-            // One more would be seen about so much farther out.
+            // One more vehicle would be seen about this much farther out.
             let spacing_m = STRETCH_M / exit.seen.len() as f64;
             exit.seen.len() >= LEAST_SEEN && station_m < exit.starts_at_m - spacing_m
         })
     }
 }
 
-/// The same, facing backwards.
+/// The state with the opposite heading.
 fn turned(state: State) -> State {
     State { heading_rad: state.heading_rad + PI, ..state }
 }
 
-/// The end in which somebody is, with its place there as of [`End::place`].
+/// The end in which a vehicle is, with its place there as defined by [`End::place`].
 fn at(ends: &[End], state: &State) -> Option<(usize, [f64; 2])> {
     let places = ends.iter().map(|end| end.place(state)).enumerate();
     let places = places.filter_map(|(end_idx, place)| Some((end_idx, place?)));
     places.min_by(|(_, a), (_, b)| a[1].abs().total_cmp(&b[1].abs()))
 }
 
-/// The lanes of the map that no other leads to, and who is seen there if they are `faced` so.
+/// The lanes of the map without a predecessor, with the vehicles seen there after their states are `faced`.
 fn ends(map: &LaneGraph, scenes: &[Scene], faced: impl Fn(State) -> State) -> Vec<End> {
     let begins = |lane: &Lane| lane.predecessors.is_empty();
     let begins_beside = |id: &LaneId| map.get(*id).is_none_or(begins);
@@ -160,12 +160,12 @@ impl End {
         self.lanes.iter().map(|(lane, start_m)| start_m + lane.length_m()).fold(0.0, f64::max)
     }
 
-    /// Whether traffic comes along it, and not out of houses farther on.
+    /// Whether traffic comes along the lane, rather than out of houses farther on.
     const fn is_in_use(&self) -> bool {
         self.starts_at_m <= IN_SIGHT_M
     }
 
-    /// How far from the beginning somebody is in the lane, and how far to the left of its middle, meters.
+    /// The distance of a vehicle from the beginning of the lane, and to the left of its middle, meters.
     pub(super) fn place(&self, state: &State) -> Option<[f64; 2]> {
         let places = self.lanes.iter().filter_map(|(lane, start_m)| {
             let place = lane.project(state.position)?;
@@ -176,7 +176,7 @@ impl End {
         places.min_by(|a, b| a[1].abs().total_cmp(&b[1].abs()))
     }
 
-    /// The state of somebody in this place who keeps to the lane.
+    /// The state of a vehicle at this place that drives along the lane.
     pub(super) fn state(&self, station_m: f64, speed_mps: f64, offset_m: f64) -> Option<State> {
         let holds = |(lane, start_m): &&(Polyline, f64)| start_m + lane.length_m() > station_m;
         let (lane, start_m) = self.lanes.iter().find(holds)?;
@@ -187,7 +187,7 @@ impl End {
     }
 }
 
-/// A lane and those that follow before others join, each with its distance from the beginning of the first.
+/// A lane and those that follow it up to where others join, each with its distance from the beginning of the first.
 fn lanes_from(map: &LaneGraph, first: LaneId) -> Vec<(Polyline, f64)> {
     let (mut lanes, mut known, mut open) = (Vec::new(), BTreeSet::from([first]), vec![(first, 0.0)]);
     while let Some((id, start_m)) = open.pop() {

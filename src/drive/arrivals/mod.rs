@@ -1,8 +1,8 @@
-//! Who enters, and who leaves? Those enter who did so in the recording, where the corpus tells, and at other times as
-//! many as the place has; those leave who go on to where the place's traffic is not seen any more.
+//! Who enters, and who leaves? Arrivals are those of the recording at times that the corpus covers, and random at
+//! others, at the rate of the place; vehicles leave where scenes of the place see no traffic any more.
 //!
-//! Arrivals are expected at a time, in a place and with a speed. They come at the first replanning from then on at
-//! which there is a gap for them, and not at all if there is none for some seconds.
+//! An arrival is expected at a time, in a place and with a speed. It comes at the first replanning from then on at
+//! which there is a gap for it, and not at all if there is none for some seconds.
 
 mod drawn;
 mod ends;
@@ -18,37 +18,37 @@ pub(super) use ends::Ends;
 pub(super) use recorded::{Recorded, Window};
 use std::sync::Arc;
 
-/// Slower ones, m/s, do not arrive by chance, nor for want of a gap: they wait already.
+/// Slower agents, m/s, are waiting already: none is drawn as an arrival, and no arrival slows down further for a gap.
 const LEAST_MPS: f64 = 1.0;
-/// An arrival keeps this gap, meters, and this time, seconds, and brakes with at most this, m/s².
+/// The gap, meters, the headway, seconds, and the hardest braking, m/s², of an arrival.
 const GAP_M: f64 = 2.0;
 const HEADWAY_S: f64 = 1.0;
 const BRAKES_MPS2: f64 = 3.0;
-/// Who finds no gap for so long, seconds, does not come.
+/// An arrival that finds no gap within this time, seconds, does not come.
 pub(super) const WAITS_S: f64 = 5.0;
-/// No more arrivals a drive than this, with those outside the part of the map that is driven.
+/// The most arrivals of a drive, including those outside the part of the map that is driven.
 const MOST_ARRIVALS: usize = 1000;
 
-/// Who arrives when, and how.
+/// When, where and how somebody arrives.
 #[derive(Debug, Clone, Copy)]
 struct Arrival {
-    /// From the beginning of the past of the scenario.
+    /// Counted from the beginning of the past of the scenario.
     timestep: usize,
     /// In the frame of the recording.
     state: State,
-    /// The entry that it takes, if it takes one.
+    /// The entry through which it comes, if any.
     entry_idx: Option<usize>,
     is_recorded: bool,
 }
 
-/// Who arrives in a drive: the last tracks of its scene, in the order of time.
+/// The arrivals of a drive: the last tracks of its scene, in order of time.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Arrivals {
     ends: Arc<Ends>,
     expected: Vec<Arrival>,
 }
 
-/// The same road user, whose states are yet to come.
+/// The track without its states, which are yet to come.
 fn without_states(track: &Track) -> Track {
     Track {
         id: track.id.clone(),
@@ -60,8 +60,8 @@ fn without_states(track: &Track) -> Track {
 }
 
 impl Arrivals {
-    /// Those who arrive within `n_steps` after the present of this scenario where it `has_map`, and at least so many
-    /// tracks of them.
+    /// The arrivals within `n_steps` after the present of this scenario where it `has_map`, with their tracks: at least
+    /// `n_least`.
     pub(super) fn expect(
         ends: &Arc<Ends>,
         recorded: &Recorded,
@@ -92,27 +92,27 @@ impl Arrivals {
         (arrivals, tracks)
     }
 
-    /// How many may arrive.
+    /// The number of expected arrivals.
     pub(super) fn n_expected(&self) -> usize {
         self.expected.len()
     }
 
-    /// How many were to arrive before a timestep.
+    /// The number of arrivals that are expected before a timestep.
     pub(super) fn n_until(&self, timestep: usize) -> usize {
         self.expected.iter().take_while(|arrival| arrival.timestep < timestep).count()
     }
 
-    /// Whether the arrival of this number, in the order of time, did so in the recording.
+    /// Whether the arrival with this number, in order of time, comes from the recording.
     pub(super) fn is_recorded(&self, number: usize) -> bool {
         self.expected.get(number).is_some_and(|arrival| arrival.is_recorded)
     }
 
-    /// Whether somebody is farther out than traffic of the place is seen to go.
+    /// Whether a vehicle is farther out than traffic of the place is seen.
     pub(super) fn is_out_of_sight(&self, situation: &Situation, state: &State) -> bool {
         self.ends.is_out_of_sight(&state.transformed(&situation.scene.world_from_scene))
     }
 
-    /// Lets those in who are due now and find a gap: at their own speed, or else at that of whoever is ahead.
+    /// Lets in the arrivals that are due and find a gap: at their own speed, or else at that of the vehicle ahead.
     pub(super) fn enter(&self, situation: &Situation, world: &mut World) {
         let (now, dt_s) = (world.now(), situation.scene.dt_s);
         let first_idx = world.n_tracks() - self.expected.len();
@@ -140,7 +140,7 @@ impl Arrivals {
         let others: Vec<(usize, State)> =
             (0..world.n_tracks()).filter_map(|idx| Some((idx, world.present(idx)?))).collect();
         let length_m = |idx: usize| situation.scene.tracks[idx].extent_or_nominal().length_m;
-        // The one ahead in the lane: its gap and speed.
+        // The vehicle ahead in the lane: its gap and speed.
         let entry = arrival.entry_idx.and_then(|idx| self.ends.entry(idx));
         let lane = entry.and_then(|entry| Some((entry, entry.place(&arrival.state)?[0])));
         let ahead = lane.and_then(|(entry, own_m)| {
@@ -151,7 +151,7 @@ impl Arrivals {
             });
             ahead.min_by(|a, b| a.0.total_cmp(&b.0))
         });
-        // What somebody needs for itself: its place, and a way ahead.
+        // The space an arrival needs for itself: its place, and a way ahead.
         let needed = |idx: usize, state: &State| {
             let (body, clear_m) = (situation.body(idx, state), GAP_M + HEADWAY_S * state.speed_mps());
             let center = body.center + Vec2::from_angle(state.heading_rad) * (clear_m / 2.0);

@@ -1,51 +1,52 @@
 //! Who came into sight in the recording of a scenario, after its present?
 //!
-//! Scenes of a long recording are windows of it. A window holds those who are there at its present, in all of its
-//! frames in which they are tracked, and nobody else: who comes into sight in its future is missing, and so is who left
-//! before its present. So its future says nothing of arrivals, and its past names everybody who came and stayed until
-//! its present. Who is there in its first frame came then or earlier: then, or since the present of the window before,
-//! if that one does not have them.
+//! Scenes of a long recording are windows of it. A window holds the agents at its present, in all of its frames in
+//! which they are tracked, and no others: agents that come into sight in its future or left before its present are
+//! missing. So its future says nothing of arrivals, and its past names everybody who came and stayed until its present.
+//! An agent that is there in its first frame came in that frame or earlier, but after the present of the previous
+//! window if it is missing there.
 //!
-//! So the time between the presents of two windows is *covered*, if they are so close that hardly anybody came and left
-//! in between; else the past of the later one alone is. The present of the scenario is the first of these: whoever it
-//! has has come already. In covered times those arrive who did, in others as many as the place has.
+//! So the time between the presents of two windows is *covered* if they are so close that hardly anybody came and left
+//! in between; else only the past of the later one is. The present of the scenario is the first of these presents: the
+//! agents of the scenario have come already. Arrivals at covered times are the recorded ones; at others they are drawn
+//! at the rate of the place.
 //!
-//! Who came between a window's present and the next one's first frame was on its way in that frame. It is put back on
-//! its lane towards where traffic is first seen, for no longer than since that present; who is in no lane that begins
-//! at the end of the map comes in that frame.
+//! An agent that came between a window's present and the first frame of the next one was on its way in that frame. It
+//! is put back on its lane toward where traffic is first seen, for no longer than since that present; an agent in no
+//! lane that begins at the end of the map comes in that frame.
 //!
-//! Windows of the other split are another recording. Whom ingest left out because a scene had too many agents may seem
+//! Windows of the other split are another recording. Agents that ingest left out because a scene had too many may seem
 //! to arrive once there is room.
 
 use super::{Arrival, Ends};
 use crate::scene::{Scene, State, Track, TrackId};
 use std::collections::BTreeSet;
 
-/// Between presents this far apart, seconds, hardly anybody comes and leaves: crossing a place takes longer.
+/// Hardly anybody comes and leaves between presents this far apart, seconds: crossing a place takes longer.
 const KNOWN_WITHIN_S: f64 = 5.0;
 
 /// A window of a recording.
 #[derive(Debug, Clone)]
 pub(in crate::drive) struct Window {
-    /// Its first frame, and that of its present.
+    /// The first frame, and that of the present.
     frames: [i64; 2],
     /// Time between frames, seconds.
     dt_s: f64,
-    /// Those at its present: the first frame in which it has them, and their state there in the frame of the recording.
+    /// The agents at its present: the first frame that has them, and their state there in the frame of the recording.
     seen: Vec<(Track, i64, State)>,
 }
 
-/// Who arrived in the recording of a scenario.
+/// The arrivals in the recording of a scenario.
 #[derive(Debug, Clone, Default)]
 pub(in crate::drive) struct Recorded {
-    /// By time.
+    /// In order of time.
     arrivals: Vec<(Arrival, Track)>,
-    /// The times that are covered: from one timestep, without it, to another.
+    /// The covered times: from one timestep (exclusive) to another (inclusive).
     covered: Vec<[usize; 2]>,
 }
 
 impl Window {
-    /// The window that this scene, or any scenario that continues it, is of its recording, from its first frame on.
+    /// The window of the recording that this scene, or any scenario that continues it, is; it begins at `first_frame`.
     pub(in crate::drive) fn of(scene: &Scene, first_frame: i64) -> Self {
         let n_history = scene.n_history;
         let seen = scene.tracks.iter().filter_map(|track| {
@@ -59,8 +60,8 @@ impl Window {
 }
 
 impl Recorded {
-    /// Who arrived after the present of this scene, whose first frame is given, by other windows of its recording in
-    /// the order of time.
+    /// The arrivals after the present of this scene, whose first frame is given, according to other windows of its
+    /// recording in order of time.
     pub(in crate::drive) fn of<'w>(
         (scene, first_frame): (&Scene, i64),
         windows: impl IntoIterator<Item = &'w Window>,
@@ -75,7 +76,7 @@ impl Recorded {
             if *present <= known_at || (dt_s - scene.dt_s).abs() > 1e-6 {
                 continue;
             }
-            // Who was not there in this frame has come since.
+            // Agents that were not there in this frame have come since.
             let since = if known_at >= present - n_within { known_at } else { (*first).max(present - n_within) };
             recorded.covered.push([since, *present].map(timestep));
             for (track, frame, state) in seen {
@@ -83,7 +84,7 @@ impl Recorded {
                 if !is_new {
                     continue;
                 }
-                // Who is there in the first frame came in it, or was on its way.
+                // An agent in the first frame came in it, or was on its way.
                 let n_most = if frame == first { timestep(first_frame + frame - since - 1) } else { 0 };
                 let drives = track.class.is_motorized();
                 let before = drives.then(|| ends.before(state, n_most, *dt_s)).flatten();
@@ -94,17 +95,17 @@ impl Recorded {
             }
             known_at = *present;
         }
-        // Among those of one time, in the order of their windows.
+        // Arrivals of one time stay in the order of their windows.
         recorded.arrivals.sort_by_key(|(arrival, _)| arrival.timestep);
         recorded
     }
 
-    /// Whether the recording says who arrived at a timestep.
+    /// Whether the recording tells the arrivals of a timestep.
     pub(super) fn covers(&self, timestep: usize) -> bool {
         self.covered.iter().any(|[since, until]| (since + 1..=*until).contains(&timestep))
     }
 
-    /// Who arrived, by time.
+    /// The arrivals, in order of time.
     pub(super) fn arrivals(&self) -> impl Iterator<Item = &(Arrival, Track)> {
         self.arrivals.iter()
     }

@@ -41,9 +41,10 @@ fn scene(vehicles: &[[f64; 2]]) -> Scene {
     scene
 }
 
-/// Those of the road with two scenes: traffic is first seen at 11 m, at 15 m/s.
+/// The ends of the road with two scenes: traffic is first seen at 11 m, at 15 m/s.
 fn ends() -> Arc<Ends> {
-    // In 30 m: 15 m/s in the first scene, 5 m/s and one that stands in the second; those farther on do not count.
+    // Within 30 m: 15 m/s in the first scene, 5 m/s and a standing vehicle in the second; vehicles farther on do not
+    // count.
     let scenes = [scene(&[[11.0, 15.0], [60.0, 15.0], [150.0, 9.0]]), scene(&[[39.0, 5.0], [20.0, 0.0]])];
     Arc::new(Ends::of(&map(), &scenes))
 }
@@ -59,19 +60,19 @@ fn arrivals_are_as_many_and_as_fast_as_the_flow_behind_the_end_of_the_map() {
     assert!((all.n_expected() as f64 - n_wanted).abs() < 4.0 * n_wanted.sqrt(), "{}", all.n_expected());
     let n_fast = all.expected.iter().filter(|arrival| arrival.state.speed_mps() > 10.0).count();
     assert!((n_fast as f64 / all.n_expected() as f64 - 0.75).abs() < 0.07, "{n_fast} of {}", all.n_expected());
-    // Longer drives have the same arrivals and some more, others scenarios have others.
+    // Longer drives have the same arrivals and some more; other scenarios have others.
     let (few, first) = draw("a", [100, 0]);
     assert!(first.len() < tracks.len() && tracks.starts_with(&first) && all.n_until(110) == few.n_expected());
     let times = |arrivals: &Arrivals| arrivals.expected.iter().take(5).map(|a| a.timestep).collect::<Vec<_>>();
     assert!(times(&all) != times(&draw("b", [20_000, 0]).0) && draw("a", [0, 9]).0.n_expected() == 9);
     assert_eq!(draw("a", [0, 9]).1[..first.len().min(9)], first[..first.len().min(9)]);
-    // Who would come where the drive has no map does not.
+    // There are no arrivals where the drive has no map.
     let nowhere = Arrivals::expect(&ends, &Recorded::default(), (&scene, "a", 7), |_| false, [100, 0]);
     assert_eq!(nowhere.0.n_expected(), 0);
 }
 
-/// A window of a recording that has these at its present, each with its name, the frame in which it is first seen and
-/// its place and speed along x there; each window has a frame of its own.
+/// A window of a recording with these agents at its present, each with its name, the frame in which it is first seen
+/// and its place and speed along x there; each window has a frame of its own.
 fn window(first_frame: i64, tracks: &[(&str, i64, [f64; 3])]) -> Window {
     let mut scene = scene(&[]);
     let vehicle = situation(&record()).scene.tracks[0].clone();
@@ -103,7 +104,7 @@ fn recorded() -> (Scene, Recorded) {
         track.id = TrackId(id.to_owned());
     }
     let windows = [
-        // Its past overlaps the scenario's: who came before its present did not arrive after it.
+        // Its past overlaps the scenario's: an agent that came before the scenario's present did not arrive after it.
         window(105, &[("missed", 107, [60.0, 0.0, 10.0]), ("overlapping", 112, [10.0, 0.0, 10.0])]),
         window(
             144,
@@ -120,7 +121,7 @@ fn recorded() -> (Scene, Recorded) {
                 ("parked", 144, [50.0, 9.0, 0.0]),
             ],
         ),
-        // Too late for those in its first frame to have come since the window before.
+        // Too late for agents in its first frame to have come since the window before.
         window(
             300,
             &[("unknown", 300, [30.0, 0.0, 10.0]), ("exact", 300, [90.0, 0.0, 8.0]), ("late", 301, [10.0, 0.0, 9.0])],
@@ -170,7 +171,7 @@ fn in_times_that_the_recording_covers_nobody_else_arrives_and_longer_drives_have
     let n_recorded = (0..tracks.len()).filter(|number| arrivals.is_recorded(*number)).count();
     assert!(n_recorded == 7 && tracks.len() > 20, "{n_recorded} of {}", tracks.len());
     let alone = Arrivals::expect(&ends, &Recorded::default(), (&scene, "a", 7), |_| true, [1000, 0]);
-    // Those that are drawn are the same as without a recording.
+    // Drawn arrivals are those without a recording.
     let drawn =
         |tracks: &[Track]| tracks.iter().filter(|t| t.id.0.starts_with("arrival_")).cloned().collect::<Vec<_>>();
     let kept = drawn(&tracks);
@@ -190,7 +191,7 @@ fn on_the_road(mut scene: Scene) -> Situation {
     Situation::new(&record, 0, Some(&map())).unwrap()
 }
 
-/// Who is there besides the first, which stands at `x` or drives there, after so many timesteps.
+/// The agents other than the first, which stands at `x` or drives there, after `n_steps` timesteps.
 fn who_enters(situation: &Situation, x: f64, speed_mps: f64, n_steps: usize) -> Vec<(usize, State)> {
     let scene_from_world = situation.scene.world_from_scene.inverse();
     let state = State { position: Vec2::new(x, 0.0), velocity: Vec2::new(speed_mps, 0.0), ..State::default() };
@@ -210,13 +211,13 @@ fn who_finds_no_gap_waits_and_then_does_not_come() {
     situation.expect(&ends, &Recorded::default(), 1, [50, 0]);
     let n_expected = situation.arrivals.n_expected();
     assert!(n_expected > 5, "{n_expected}");
-    // Somebody stands 5 m behind the beginning until he goes on.
+    // A vehicle stands 5 m behind the beginning until it goes on.
     let entered = |x: f64, n_steps: usize| -> Vec<usize> {
         who_enters(&situation, x, 0.0, n_steps).into_iter().map(|(idx, _)| idx).collect()
     };
     let first = situation.arrivals.expected[0].timestep - situation.scene.current_timestep();
     assert_eq!((entered(15.0, first), entered(90.0, first), entered(90.0, first - 1)), (vec![], vec![1], vec![]));
-    // One at a time, and none that is more than 5 s late.
+    // One at a time, and none more than 5 s late.
     let found = entered(90.0, first + 51);
     assert!(found.len() == 1 && found[0] > 1, "{found:?}");
 }
@@ -237,13 +238,13 @@ fn who_was_recorded_enters_as_it_was_where_neither_it_nor_another_has_to_brake_f
     let state = state.transformed(&situation.scene.world_from_scene);
     let is_as_recorded = state.position.distance(Vec2::new(10.0, 0.0)) < 1e-9 && (state.velocity.x - 10.0).abs() < 1e-9;
     assert!(is_as_recorded, "{state:?}");
-    // One that comes up at 15 m/s from 13 m behind the second would have to brake; one that stands there would not.
+    // An arrival at 15 m/s from 13 m behind the second vehicle would have to brake; a standing one would not.
     assert_eq!([enters(19.0, 15.0, 6), enters(19.0, 0.0, 6)], [vec![], vec![2]]);
 }
 
 #[test]
 fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
-    // Of 200 m of road 160 are in sight, and on their last 30 m there are ten, or nine.
+    // Of 200 m of road 160 are in sight, and their last 30 m hold ten vehicles, or nine.
     let vehicles: Vec<[f64; 2]> = (0..10).map(|i| [160.0 - 3.1 * f64::from(i), 10.0]).collect();
     let ends_with = |n: usize| Arc::new(Ends::of(&map(), &[scene(&vehicles[..n])]));
     let state = |x: f64, heading_rad: f64| State { position: Vec2::new(x, 0.5), heading_rad, velocity: Vec2::ZERO };
@@ -264,7 +265,7 @@ fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
         xs.iter().for_each(|x| world.push([Some(state(*x, 0.0).transformed(&scene_from_world))]));
         situation.goes_out_of_sight(&world, 0)
     };
-    // Who was there already may have been for good, and an event is not left.
+    // Agents that were there already may stay for good, and an event is not left.
     assert_eq!(
         [&[162.0, 162.9], &[162.0, 163.1], &[163.1, 164.0]].map(|xs| goes(&situation, xs)),
         [false, true, false]

@@ -1,7 +1,8 @@
 //! The careful driver of UN Regulation No. 157 in a closed loop.
 //!
-//! It keeps its way and its distance as an ordinary driver does, by the intelligent driver model, with at most 2 m/s²,
-//! for those that it has perceived; and it brakes hard when, and as, the regulation's driver does ([`CarefulWatch`]).
+//! It keeps its path and its distance as an ordinary driver does, by the intelligent driver model with at most 2 m/s²,
+//! considering agents that it has perceived; and it brakes hard when, and as, the regulation's driver does
+//! ([`CarefulWatch`]).
 
 use super::idm::{acceleration, leaders};
 use super::way::{advanced, ego, seen};
@@ -20,7 +21,7 @@ pub(in crate::drive) struct Careful {
 }
 
 impl Careful {
-    /// Looks around; returns whom it sees.
+    /// Looks around; returns the agents that it sees.
     fn look(&mut self, situation: &Situation, world: &World, timestep: usize) -> Vec<Option<Seen>> {
         let dt_s = situation.scene.dt_s;
         let all = seen(situation, world, timestep);
@@ -33,7 +34,7 @@ impl Careful {
 }
 
 impl Driver for Careful {
-    /// Looks at all that has happened: what it knows is a function of the world.
+    /// Looks at all that has happened: its knowledge is a function of the world.
     fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed> {
         self.watches = vec![CarefulWatch::default(); world.n_tracks()];
         (0..world.now()).for_each(|timestep| drop(self.look(situation, world, timestep)));

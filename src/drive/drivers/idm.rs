@@ -13,10 +13,10 @@ const ACCELERATES_MPS2: f64 = 1.5;
 const BRAKES_MPS2: f64 = 2.0;
 /// Full braking, m/s².
 const MOST_MPS2: f64 = 8.0;
-/// Who comes this close to the flank of the ego, meters, is in its way.
+/// An agent this close to the flank of the ego, meters, is in its way.
 const MARGIN_M: f64 = 0.2;
 
-/// The driver. It knows no rules of right of way, and sees the nearest in its way and nobody else.
+/// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct Idm;
 
@@ -31,8 +31,8 @@ impl Driver for Idm {
     }
 }
 
-/// The states of the ego at the next `n_steps` timesteps if it drives so among others that are somewhere `then`, by
-/// track and timestep.
+/// The states of the ego at the next `n_steps` timesteps if this model drives it; `then` gives the state of another
+/// agent by track and timestep.
 pub(in crate::drive) fn reacting(
     situation: &Situation,
     world: &World,
@@ -54,13 +54,13 @@ pub(in crate::drive) fn reacting(
     (0..n_steps).map_while(next).collect()
 }
 
-/// The model's acceleration behind the nearest of those that are in the way, m/s².
+/// The model's acceleration behind the nearest agent in the way of the ego, m/s².
 fn behind_nearest(situation: &Situation, ego: &State, seen: &[Option<Seen>]) -> f64 {
     let nearest = leaders(situation, seen).map(|(_, seen)| seen).min_by(|a, b| a.gap_m.total_cmp(&b.gap_m));
     acceleration(situation, ego, nearest.into_iter())
 }
 
-/// Those that are in the way of the ego, ahead of it, of the others as it sees them now.
+/// The agents ahead in the way of the ego, with their present states as seen from it.
 pub(super) fn leaders(situation: &Situation, seen: &[Option<Seen>]) -> impl Iterator<Item = (usize, Seen)> {
     let half_width_m = situation.scene.tracks[situation.ego_idx].extent_or_nominal().width_m / 2.0;
     let all = seen.iter().enumerate().filter_map(|(agent_idx, seen)| Some((agent_idx, (*seen)?)));
@@ -68,7 +68,7 @@ pub(super) fn leaders(situation: &Situation, seen: &[Option<Seen>]) -> impl Iter
         .filter(move |(_, seen)| seen.flank_m < half_width_m + MARGIN_M && seen.gap_m > -seen.lengths_m / 2.0)
 }
 
-/// The distance to the nearest that is in the way of the ego at now, meters; infinite if nobody is.
+/// The distance to the nearest agent in the way of the ego now, meters; infinite if there is none.
 pub(in crate::drive) fn free_m(situation: &Situation, world: &World) -> f64 {
     leaders(situation, &seen(situation, world, world.now())).map(|(_, seen)| seen.gap_m).fold(f64::INFINITY, f64::min)
 }

@@ -1,4 +1,4 @@
-//! Drivers that answer to nobody: the scenario's own states, a constant speed; and the model, which is sampled.
+//! Drivers that do not react: the scenario's own states, and a constant speed; and the model, which is sampled.
 
 use super::way::{advanced, ego};
 use crate::drive::driver::{Driver, Failed};
@@ -6,15 +6,15 @@ use crate::drive::{Situation, World};
 use crate::geometry::Vec2;
 use crate::scene::State;
 
-/// The ego as the model has it.
+/// The ego as the model samples it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct Model;
 
-/// The ego as the scenario has it; after that, along its way at the last speed.
+/// The ego as in the scenario; after its end, along its route at the last speed.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct Log;
 
-/// The ego along its way at the present speed.
+/// The ego along its route at the present speed.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct AtConstantVelocity;
 

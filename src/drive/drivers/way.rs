@@ -1,4 +1,4 @@
-//! Motion along the way of the ego, and others as seen from it.
+//! Motion along the route of the ego, and other agents as seen from it.
 
 use crate::behavior::footprint::Footprint;
 use crate::drive::Situation;
@@ -9,10 +9,10 @@ use crate::metrics::Seen;
 use crate::scene::State;
 use std::f64::consts::FRAC_PI_2;
 
-/// Who is beside the way comes over to it within some distance, meters.
+/// The distance over which an ego beside its route comes over to it, meters.
 const COMES_OVER_M: f64 = 7.0;
 
-/// The last moment, seconds.
+/// The last moment, over which braking is judged, seconds.
 const LAST_MOMENT_S: f64 = 0.3;
 
 /// The present state of the ego.
@@ -20,7 +20,7 @@ pub(super) fn ego(situation: &Situation, world: &World) -> Result<State, Failed>
     world.present(situation.ego_idx).ok_or_else(|| Failed::because("the ego is not there"))
 }
 
-/// The ego a timestep later along its way, with this acceleration until then, m/s²; it does not reverse.
+/// The ego a timestep later along its route, with this acceleration until then, m/s²; it does not reverse.
 pub(super) fn advanced(situation: &Situation, state: &State, acceleration_mps2: f64) -> State {
     let (route, dt_s) = (&situation.route, situation.scene.dt_s);
     let speed_mps = state.speed_mps();
@@ -37,8 +37,8 @@ pub(super) fn advanced(situation: &Situation, state: &State, acceleration_mps2: 
     State { position, heading_rad, velocity: Vec2::from_angle(heading_rad) * then_mps }
 }
 
-/// What others expect of the ego at the next `n_steps` timesteps: that it goes on along its way at its speed, or brakes
-/// on as in the last moment until it stands.
+/// The states of the ego that others expect at the next `n_steps` timesteps: it goes on along its route at its speed,
+/// or keeps braking as in the last moment until it stands.
 pub(in crate::drive) fn expected(situation: &Situation, world: &World, n_steps: usize) -> Vec<State> {
     let (now, ego_idx) = (world.now(), situation.ego_idx);
     let Some(state) = world.state(ego_idx, now) else { return Vec::new() };
@@ -54,7 +54,7 @@ pub(in crate::drive) fn expected(situation: &Situation, world: &World, n_steps: 
     (0..n_steps).map(next).collect()
 }
 
-/// The others, at a timestep, as seen from the ego of then on its way, by track; `None` who is not there.
+/// The other agents at a timestep, by track, as seen from the ego's route; `None` for absent ones.
 pub(super) fn seen(situation: &Situation, world: &World, timestep: usize) -> Vec<Option<Seen>> {
     let route = &situation.route;
     let ego = world.state(situation.ego_idx, timestep);

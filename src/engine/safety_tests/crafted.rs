@@ -1,4 +1,4 @@
-//! Does a run folder that somebody else made cost files outside of it, whatever its records and lists say?
+//! Does a run folder made by somebody else cost files outside of it, whatever its records and lists contain?
 
 use super::toy::{FOREIGN, Toy, put, run, snapshot, toy};
 use crate::engine::record::StageRecord;
@@ -12,7 +12,7 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Somebody's files, beside the folder that holds the run folder.
+/// Foreign files, beside the folder that holds the run folder.
 const THEIRS: [&str; 4] =
     ["victim.txt", "theirs/victim.txt", "theirs/deep/model.safetensors", "theirs/state.safetensors"];
 /// Stands for the folder of these files.
@@ -48,12 +48,12 @@ struct Crafted {
     outputs: Vec<String>,
     files: Vec<String>,
     fingerprint: Option<String>,
-    /// Names in the list of the work folder, if there is one; whether its work is whole, and what is to be kept as
-    /// what.
+    /// Names in the list of the work folder, if there is one; whether its work is whole, and which outputs to keep
+    /// under which names.
     list: Option<Vec<String>>,
     is_done: bool,
     keep: Vec<(String, String)>,
-    /// Where a link to somebody's folder stands.
+    /// The place of a link to a foreign folder.
     link: Option<&'static str>,
 }
 
@@ -102,8 +102,7 @@ fn crafted() -> impl Strategy<Value = Crafted> {
 }
 
 impl Crafted {
-    /// Writes it into the finished run folder `root` below `outside`. Whether any name leads out of the place where it
-    /// stands.
+    /// Writes it into the finished run folder `root` below `outside`. Returns whether any name leads out of its place.
     fn write(&self, root: &Path, outside: &Path, stage: &'static StageKind) -> bool {
         let named = |name: &String| name.replace(ABSOLUTE, &outside.to_string_lossy());
         let mut record = StageRecord::done(root, stage).unwrap().unwrap();
@@ -175,7 +174,7 @@ proptest! {
                 let failure = outcome.err().unwrap();
                 let said = format!("{failure:?}");
                 prop_assert!(said.contains("nothing was changed"), "{said}");
-                // A link in the place of ours is somebody's, and may be found first.
+                // A link in the place of ours is foreign, and may be found first.
                 let is_damage =
                     failure.blame == Blame::Fault && said.contains(" is damaged: ") && said.contains(" away");
                 prop_assert!(is_damage || crafted.link.is_some(), "{said}");

@@ -1,4 +1,4 @@
-//! A stage that writes a few lines, and what can be done to its run folder.
+//! A stage that writes a few lines, and ways to change its run folder.
 
 use crate::engine::execute::execute;
 use crate::engine::plan::{Action, PlannedStage, plan};
@@ -21,7 +21,7 @@ pub(super) struct Toy {
     pub(super) text: String,
     pub(super) inputs: Vec<StageInput>,
     pub(super) fails: bool,
-    /// A file that somebody puts somewhere while the stage is at work.
+    /// A foreign file that appears while the stage is at work.
     pub(super) put_meanwhile: Option<PathBuf>,
     pub(super) is_cheap: bool,
 }

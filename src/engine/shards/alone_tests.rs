@@ -1,4 +1,4 @@
-//! Does a process that runs a stage alone go on with what it had begun? On three shards of a byte.
+//! Does a process that runs a stage alone resume what it had begun? On three shards of a byte.
 
 use super::folder::ShardFolder;
 use super::gathering::Gathering;

@@ -33,10 +33,11 @@ struct About {
     identity: Identity,
     /// Number of its shards.
     n_shards: usize,
-    /// Whether it was made for several workers. Nobody else knows of a plan that a process made for itself, and that is
-    /// discarded without asking.
+    /// Whether it was made for several workers. No other process knows of a plan that a process made for itself, so
+    /// that one is discarded without asking.
     is_shared: bool,
-    /// Whether the stage was requested to be done again: what is done with the same settings does not make it needless.
+    /// Whether the stage was requested to be done again, so that finished work with the same settings does not make the
+    /// plan needless.
     redoes: bool,
 }
 
@@ -45,7 +46,7 @@ struct About {
 pub(super) struct FinishedShard<S> {
     pub(super) plan_id: String,
     pub(super) worker: String,
-    /// How long it took, seconds.
+    /// The time it took, seconds.
     pub(super) seconds: f64,
     /// Size and hash of its file.
     pub(super) stamp: FileStamp,
@@ -57,7 +58,7 @@ impl ShardFolder {
     /// The plans of a stage in a run folder; incomplete plans do not count.
     ///
     /// # Errors
-    /// When the record of a plan is damaged; those of the file system.
+    /// When the record of a plan is damaged; errors of the file system.
     pub(in crate::engine) fn all(root: &Path, kind: &'static StageKind) -> Result<Vec<Self>> {
         let Some(names) = kind.shards else { return Ok(Vec::new()) };
         let mut found = Vec::new();
@@ -80,8 +81,7 @@ impl ShardFolder {
 
     /// The plan for processes of this `identity`, if there is one.
     ///
-    /// # Errors
-    /// When there are only plans of other identities; those of the file system.
+    /// When there are only plans of other identities; errors of the file system.
     pub(super) fn of(root: &Path, kind: &'static StageKind, identity: &Identity) -> Result<Option<Self>> {
         let mut differs = None;
         for folder in Self::all(root, kind)? {
@@ -93,10 +93,10 @@ impl ShardFolder {
         differs.map_or(Ok(None), Err)
     }
 
-    /// Keeps a plan, which nobody else may use yet.
+    /// Keeps a plan, which no other process may use yet.
     ///
     /// # Errors
-    /// When other people's files are in its place; those of the file system.
+    /// When foreign files are in its place; errors of the file system.
     pub(super) fn write(
         root: &Path,
         kind: &'static StageKind,
@@ -120,7 +120,7 @@ impl ShardFolder {
         Ok(folder)
     }
 
-    /// Lets several workers use the plan, to do the stage again if it was requested so, now or before.
+    /// Lets several workers use the plan. `redoes` is whether the stage was requested to be done again, now or before.
     pub(super) fn shared(mut self, redoes: bool) -> Result<Self> {
         self.about.is_shared = true;
         self.about.redoes |= redoes;
@@ -145,14 +145,14 @@ impl ShardFolder {
         plan.ok_or_else(|| Failure::fault(anyhow::anyhow!("{} is missing", path.display())))
     }
 
-    /// Whether the plan is still there: nobody has sealed or discarded it.
+    /// Whether the plan still exists: nobody has sealed or discarded it.
     pub(super) fn is_there(&self) -> bool {
         self.refresh();
         self.dir.join(ABOUT_FILE).exists()
     }
 
-    /// Shows what other workers have done, where the folder has a mirror. If that fails, what is known already stays
-    /// true: the next shard that is written reports the failure.
+    /// Shows the work of other workers, if the folder has a mirror. A failure leaves what is known already: the next
+    /// shard that is written reports it.
     pub(super) fn refresh(&self) {
         if let Some(mirror) = mirror_above(&self.dir) {
             drop(mirror.refresh(&self.dir));
@@ -199,7 +199,7 @@ impl ShardFolder {
         self.identity().refusal(self.kind, difference, (n_finished, n_shards))
     }
 
-    /// Where it is.
+    /// The path of the folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }
@@ -224,7 +224,7 @@ impl ShardFolder {
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
     }
 
-    /// How long shard `idx` took, if it is finished, seconds.
+    /// The time that shard `idx` took, if it is finished, seconds.
     pub(super) fn seconds(&self, idx: usize) -> Option<f64> {
         self.finished::<IgnoredAny>(idx).map(|shard| shard.seconds)
     }
@@ -245,7 +245,7 @@ impl ShardFolder {
     /// Compares the content of a finished shard with its checksum. A damaged shard no longer counts as finished.
     ///
     /// # Errors
-    /// On I/O errors: a shard that cannot be read now is none that is damaged.
+    /// On I/O errors: a shard that cannot be read now is not considered damaged.
     pub(super) fn verified<S: DeserializeOwned>(&self, idx: usize) -> Result<Option<FinishedShard<S>>> {
         let Some(shard) = self.finished::<S>(idx) else { return Ok(None) };
         if shard.stamp.is_of(&self.dir.join(self.file_name(idx)))? {
@@ -255,8 +255,8 @@ impl ShardFolder {
         Ok(None)
     }
 
-    /// Makes sure that shards are made again that were damaged, or failed: removes the marks of tries that failed, and
-    /// where nobody else can be at work, all marks.
+    /// Makes sure that damaged or failed shards are made again: removes the marks of failed tries and, if nobody else
+    /// can be at work, all marks.
     pub(super) fn forget_failures(&self) -> Result<()> {
         for idx in 0..self.n_shards()? {
             self.verified::<IgnoredAny>(idx)?;
@@ -276,7 +276,7 @@ impl ShardFolder {
     /// Removes the plan and everything that workers wrote for it. Workers that are still running find no plan.
     ///
     /// # Errors
-    /// When other people's files are in the folder; those of the file system.
+    /// When foreign files are in the folder; errors of the file system.
     pub(super) fn discard(&self) -> Result<()> {
         discard(&self.dir, self.names)
     }
@@ -306,12 +306,12 @@ impl ShardFolder {
         self.dir.join(format!("{}.json", self.shard_name(idx)))
     }
 
-    /// Where the `number`-th try at a shard is marked.
+    /// The path of the mark of the `number`-th try at a shard.
     pub(super) fn try_path(&self, idx: usize, number: usize) -> PathBuf {
         self.dir.join(format!("{}.try-{number}", self.shard_name(idx)))
     }
 
-    /// Where all tries at a shard are marked.
+    /// The paths of the marks of all tries at a shard.
     pub(super) fn try_paths(&self, idx: usize) -> impl Iterator<Item = PathBuf> + Clone {
         (1..=MAX_TRIES).map(move |number| self.try_path(idx, number))
     }

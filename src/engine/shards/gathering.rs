@@ -1,4 +1,4 @@
-//! Which shards are finished, and what does the message say of the others?
+//! Collects the finished shards, and reports the missing ones.
 
 use super::folder::ShardFolder;
 use crate::engine::{Failure, Result};
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 /// The most shards that a message names.
 const SHOWN: usize = 5;
 
-/// The shards of a plan that were examined so far.
+/// The shards of a plan, as far as they were examined.
 pub struct Gathering<'a> {
     folder: &'a ShardFolder,
     missing: Vec<String>,
@@ -40,22 +40,22 @@ impl<'a> Gathering<'a> {
         Ok(None)
     }
 
-    /// Where the shards are.
+    /// The folder of the shards.
     pub fn dir(&self) -> &Path {
         self.folder.dir()
     }
 
-    /// Where the file of shard `idx` is.
+    /// The path of the file of shard `idx`.
     pub fn file(&self, idx: usize) -> PathBuf {
         self.dir().join(self.folder.file_name(idx))
     }
 
-    /// Adds shards that the plan did not know of.
+    /// Adds shards that were not in the plan.
     pub fn expect_more(&mut self, n_shards: usize) {
         self.n_shards += n_shards;
     }
 
-    /// Refuses to go on while one of the examined shards is missing.
+    /// Fails if one of the examined shards is missing.
     ///
     /// # Errors
     /// When shards are missing: [`Blame::Later`](crate::engine::Blame::Later) while they may still come, a fault once

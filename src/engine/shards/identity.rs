@@ -52,7 +52,7 @@ impl Identity {
         (!differences.is_empty()).then(|| differences.join("; "))
     }
 
-    /// The error of a process that differs from this plan in this way; it says how many shards would be lost.
+    /// The error of a process that differs from this plan in this way; it states how many shards would be lost.
     pub(super) fn refusal(
         &self,
         stage: &StageKind,

@@ -1,4 +1,4 @@
-//! Any number of processes make shards.
+//! Makes shards, in any number of processes.
 
 use super::folder::ShardFolder;
 use super::identity::Identity;
@@ -26,15 +26,15 @@ use std::time::{Duration, Instant};
 /// The shortest wait for shards of other workers, and the wait while no time of a shard is known.
 const LEAST_PATIENCE: Duration = Duration::from_secs(2);
 const UNKNOWN: Duration = Duration::from_secs(10);
-/// How often workers look for them.
+/// The time between looking for shards of other workers.
 const POLL: Duration = Duration::from_millis(200);
 
-/// Which of the workers this is. Several may share a number: it only decides where they begin.
+/// The number of a worker. Several may share one: it only decides where they begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Worker {
     /// Its number, from 1.
     number: usize,
-    /// How many there are.
+    /// The number of all workers.
     of: usize,
 }
 
@@ -60,7 +60,7 @@ impl fmt::Display for Worker {
 }
 
 impl Worker {
-    /// The only one.
+    /// The only worker.
     pub(super) const ALONE: Self = Self { number: 1, of: 1 };
 
     /// The order in which this worker takes the shards: its own first, then those of other workers from the end
@@ -77,7 +77,7 @@ impl Worker {
 ///
 /// # Errors
 /// When there is no plan yet ([`Blame::Later`]), or the plan belongs to another configuration, program or kind of
-/// device; those of the work.
+/// device; errors of the work.
 pub fn work(
     stage: &dyn Stage,
     root: &Path,
@@ -119,7 +119,7 @@ pub struct Shards<'a> {
     worker: Worker,
     /// Receives the progress.
     pub progress: &'a dyn Progress,
-    /// How long the shards took that are known to be finished, seconds.
+    /// The times of shards that are known to be finished, seconds.
     seconds: RefCell<BTreeMap<usize, f64>>,
 }
 
@@ -144,7 +144,7 @@ impl<'a> Shards<'a> {
         self.folder.dir()
     }
 
-    /// Where the file of shard `idx` is to be.
+    /// The path for the file of shard `idx`.
     pub fn file(&self, idx: usize) -> PathBuf {
         self.dir().join(self.folder.file_name(idx))
     }
@@ -169,7 +169,7 @@ impl<'a> Shards<'a> {
     /// that the stage needs later.
     ///
     /// # Errors
-    /// When the process must stop; those of making a shard, which its mark then records.
+    /// When the process must stop; errors of making a shard, which its mark then records.
     pub fn go_about<S: Serialize>(
         &self,
         range: Range<usize>,

@@ -47,7 +47,7 @@ use std::str::FromStr;
 /// The work of a stage that is divided into shards. Its kind names their files
 /// ([`ShardNames`](super::ShardNames)).
 pub trait Sharded {
-    /// Decides what shards there are.
+    /// Decides which shards there are.
     fn plan(&self, compute: &Compute, progress: &dyn Progress) -> Result<Division>;
     /// Makes shards until each is finished, not needed or given up.
     fn make(&self, shards: &Shards<'_>, compute: &Compute) -> Result<()>;
@@ -63,16 +63,16 @@ pub struct Division {
 }
 
 impl Division {
-    /// Number of shards that are known from the start, and whatever making and finishing them needs.
+    /// Number of shards that are known from the start, and the decisions that making and finishing them need.
     pub fn new(n_shards: usize, decisions: &impl Serialize) -> Result<Self> {
         Ok(Self { n_shards, decisions: serde_json::to_value(decisions).map_err(Failure::fault)? })
     }
 }
 
-/// The makers of the shards that a stage is finished from.
+/// Who makes the shards of a stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Makers {
-    /// This process makes what is missing.
+    /// This process makes the missing ones.
     Alone,
     /// Workers have made them.
     Workers,
@@ -81,7 +81,7 @@ pub enum Makers {
 /// Plans the stage that is `planned` for any number of workers. An existing plan for the same work stays.
 ///
 /// # Errors
-/// When the folder has another plan for workers, unless the stage was requested to be done again; those of planning.
+/// When the folder has another plan for workers, unless the stage was requested to be done again; errors of planning.
 pub fn plan(
     folder: &RunFolder,
     planned: &PlannedStage<'_>,
@@ -108,7 +108,7 @@ pub fn plan(
     plan.shared(planned.is_requested).map(drop)
 }
 
-/// The shards from which a stage is finished: those of workers, or else whatever this process makes of them.
+/// The shards from which a stage is finished: those of workers, or otherwise those that this process makes.
 pub(super) fn ready(
     planned: &PlannedStage<'_>,
     sharded: &dyn Sharded,
@@ -125,7 +125,7 @@ pub(super) fn ready(
     }
 }
 
-/// Plans the stage, unless that is done, and makes the shards that are missing.
+/// Plans the stage, unless that is done, and makes the missing shards.
 fn alone(
     planned: &PlannedStage<'_>,
     sharded: &dyn Sharded,
@@ -144,7 +144,7 @@ fn alone(
                  discard them with --stage {kind} --part plan --redo {kind}"
             )),
             difference => {
-                // The plan said that it resumes.
+                // The plan announced that it resumes.
                 if let Some(difference) = difference.filter(|_| planned.action == Action::Resume) {
                     progress.warn(&format!("{kind}: the shards of the interrupted run are made again: {difference}"));
                 }
@@ -163,7 +163,7 @@ fn alone(
     Ok(folder)
 }
 
-/// The record of the work on `stage` in `root` that was planned and not finished.
+/// The record of planned but unfinished work on `stage` in `root`.
 pub(super) fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
     Ok(ShardFolder::all(root, stage)?.pop().map(|folder| folder.identity().stage.clone()))
 }
@@ -177,7 +177,7 @@ pub(super) fn is_redone(root: &Path, stage: &'static StageKind) -> Result<bool> 
 /// logs are appended to the log of the run.
 ///
 /// # Errors
-/// On I/O errors, or if somebody else put files there.
+/// On I/O errors, or if there are foreign files.
 pub(super) fn clean_up(root: &Path, stage: &'static StageKind, done: &StageRecord) -> Result<()> {
     for folder in ShardFolder::all(root, stage)? {
         if folder.identity().is_work_of(done) {
@@ -196,7 +196,7 @@ fn open(stage: &dyn Stage, compute: ComputeChoice) -> Result<Compute> {
 /// A part of a stage in shards.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// Decides what is done: one process.
+    /// Plans the work: one process.
     Plan,
     /// Makes shards: any number of processes.
     Work,

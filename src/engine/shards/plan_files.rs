@@ -10,7 +10,7 @@ pub(super) const PLAN_FILE: &str = "plan.json";
 /// Written after the plan: its presence means that workers may begin.
 pub(super) const ABOUT_FILE: &str = "parts.json";
 
-/// Before the name of a worker in that of its log.
+/// The prefix of the names of workers' logs, before that of the worker.
 pub(super) const LOG: &str = "worker-";
 
 /// The folders of the plans of a stage, in order, complete or not.
@@ -38,7 +38,7 @@ pub(super) fn plan_dirs(root: &Path, kind: &'static StageKind) -> Result<Vec<Pat
 /// Removes a plan and everything that workers wrote for it.
 ///
 /// # Errors
-/// When other people's files are in the folder; those of the file system.
+/// When foreign files are in the folder; errors of the file system.
 pub(super) fn discard(dir: &Path, names: ShardNames) -> Result<()> {
     let found = files_below(dir)?;
     let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, names)).collect();
@@ -56,7 +56,7 @@ pub(super) fn discard(dir: &Path, names: ShardNames) -> Result<()> {
     Ok(())
 }
 
-/// Whether plans or workers write files of this name, or temporary files for them.
+/// Whether plans or workers write files with this name, or temporary files for them.
 fn is_ours(name: &Path, names: ShardNames) -> bool {
     let name = name.to_string_lossy();
     let whole = name.strip_suffix(crate::files::PARTIAL_SUFFIX).and_then(|rest| rest.rsplit_once('.'));
@@ -72,7 +72,7 @@ fn is_ours(name: &Path, names: ShardNames) -> bool {
     [PLAN_FILE, ABOUT_FILE].contains(&name) || is_log() || is_shard().is_some() || (names.is_other)(name)
 }
 
-/// Where the plans of a stage are, in the run folder.
+/// The folder of the plans of a stage, in the run folder.
 pub(super) fn plans_of(root: &Path, kind: &'static StageKind) -> PathBuf {
     root.join(format!("{kind}.parts"))
 }

@@ -1,4 +1,4 @@
-//! How many shards are done, running, missing, and how long will the rest take?
+//! How many shards are done, running and missing, and how long will the rest take?
 
 use super::folder::ShardFolder;
 use super::tries::Tries;
@@ -23,9 +23,9 @@ pub struct ShardStatus {
     pub n_shards: usize,
     /// Finished ones among them.
     pub n_done: usize,
-    /// Begun not long ago.
+    /// Shards that were begun recently.
     pub n_running: usize,
-    /// Neither done nor running. A sweep that stops early never makes some of them.
+    /// Shards that are neither done nor running. A sweep that stops early never makes some of them.
     pub n_missing: usize,
     /// Names of the shards that no worker will try again, with the reason.
     pub given_up: Vec<String>,

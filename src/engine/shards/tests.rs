@@ -137,7 +137,7 @@ fn a_shard_that_crashes_is_given_up_by_name_and_the_others_are_made() {
         said.contains("1 of 6 shards were given up: samples-00001 (failed 3 times, last: a bug: scene x has no lanes)")
     );
     assert!(said.contains("marks *.try-*"), "{said}");
-    // Mended, and its marks removed, it is made like any other.
+    // Once repaired and its marks removed, it is made like any other.
     for number in 1..=3 {
         fs_err::remove_file(planned.folder.try_path(1, number)).unwrap();
     }
@@ -182,7 +182,7 @@ fn a_process_that_goes_on_alone_tries_again_what_failed_or_was_killed() {
         fs_err::write(planned.folder.try_path(0, 1), "").unwrap();
         tries::fail(&planned.folder.try_path(1, 2), "1/1", "disk full").unwrap();
         planned.folder.forget_failures().unwrap();
-        // Whether somebody else is at work on the first one is not known where there may be somebody else.
+        // Where there may be other processes, it is unknown whether one is at work on the first shard.
         assert_eq!(planned.folder.tried().unwrap().len(), n_left);
         assert!(planned.folder.seconds(2).is_none());
     }
@@ -200,7 +200,7 @@ fn what_others_are_at_is_left_to_them_for_a_while() {
     };
     assert!(shards.complete(0..3, &|_| 0, &mut make).unwrap());
     assert_eq!(*made.borrow(), [0, 2, 1]);
-    // A shard that failed often enough is not waited for.
+    // A shard that failed often enough is not awaited.
     (1..=3).for_each(|number| tries::fail(&planned.folder.try_path(3, number), "1/1", "disk full").unwrap());
     assert!(!shards.complete(2..4, &|_| 0, &mut make).unwrap());
     assert_eq!(made.borrow().len(), 3);
@@ -292,7 +292,7 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
         planned.finish(idx, seconds);
     }
     assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
-    // Two are at work; one died long ago, in another ten did.
+    // Two shards are at work; one try died long ago, and ten tries of another shard.
     for mark in [planned.folder.try_path(1, 1), planned.folder.try_path(2, 2), planned.folder.try_path(3, 1)] {
         fs_err::write(mark, "").unwrap();
     }

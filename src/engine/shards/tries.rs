@@ -15,10 +15,10 @@ use std::time::{Duration, SystemTime};
 
 /// After this many failures with a reason, a shard would fail again.
 pub(super) const MAX_FAILED: usize = 3;
-/// Tries that died without a reason may have been killed from outside, so more of them are allowed.
+/// More tries that died without a reason are allowed, since they may have been killed from outside.
 pub(super) const MAX_TRIES: usize = 10;
 
-/// After this long, a worker in its last try is presumed dead.
+/// A worker in its last try is presumed dead after this long.
 const LONG: Duration = Duration::from_secs(600);
 
 /// The content of a mark.
@@ -27,7 +27,7 @@ pub(super) struct Try {
     pub(super) worker: String,
     /// When it began, UTC.
     pub(super) started: String,
-    /// Why the last one failed; `None` if it is at work or died.
+    /// Why it failed; `None` if it is at work or died.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) failed: Option<String>,
 }
@@ -35,9 +35,9 @@ pub(super) struct Try {
 /// The marks of a shard.
 #[derive(Debug, Default)]
 pub(super) struct Tries {
-    /// How many there are.
+    /// The number of marks.
     pub(super) n_tries: usize,
-    /// Why those failed that say so.
+    /// The reasons of failed tries.
     pub(super) failed: Vec<String>,
     /// Age of the youngest mark without a reason.
     pub(super) age: Option<Duration>,
@@ -50,7 +50,7 @@ impl Tries {
         for path in marks {
             let Ok(metadata) = fs_err::metadata(&path) else { continue };
             tries.n_tries += 1;
-            // The process may not have written the mark yet, or may have died while doing so.
+            // The process may not have written the mark yet, or died while doing so.
             match read_json::<Try>(&path).ok().and_then(|mark| mark.failed) {
                 Some(failed) => tries.failed.push(failed),
                 None => {
@@ -104,14 +104,14 @@ pub(super) fn begin(marks: impl Iterator<Item = PathBuf> + Clone, worker: &str) 
     Ok(None)
 }
 
-/// Writes into the mark why the try failed.
+/// Writes the reason of a failed try into its mark.
 pub(super) fn fail(path: &Path, worker: &str, why: &str) -> Result<()> {
     let mark = Try { worker: worker.to_owned(), started: utc_now(), failed: Some(why.to_owned()) };
     write_json_atomically(path, &mark)?;
     Ok(())
 }
 
-/// Whether `name` is that of a try at the shard called `shard`.
+/// Whether `name` is that of a try at the shard named `shard`.
 pub(super) fn is_try_of(name: &str, shard: &str) -> bool {
     let number = name.strip_prefix(shard).and_then(|rest| rest.strip_prefix(".try-"));
     number.and_then(|number| number.parse().ok()).is_some_and(|number: usize| (1..=MAX_TRIES).contains(&number))

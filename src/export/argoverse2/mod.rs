@@ -22,9 +22,9 @@ pub(super) const NOTES: &str = "<split>/<id>/scenario_<id>.parquet and log_map_a
     the scenario, without heights and crossings; drivable areas are the lanes, one area each, so that shoulders and \
     parking lots are not in them.";
 
-/// Kinds of lanes that the format knows; others become `VEHICLE`.
+/// Kinds of lanes in the format; others become `VEHICLE`.
 const LANE_TYPES: [&str; 3] = ["VEHICLE", "BIKE", "BUS"];
-/// Kinds of marks that the format knows; others become `UNKNOWN`.
+/// Kinds of marks in the format; others become `UNKNOWN`.
 const MARK_TYPES: [&str; 15] = [
     "DASH_SOLID_YELLOW",
     "DASH_SOLID_WHITE",
@@ -152,10 +152,10 @@ fn category(item: &Item<'_>, agent_idx: usize) -> i64 {
     }
 }
 
-/// Counts of what is assumed about a map, by code.
+/// Counts of assumptions about a map, by code.
 type Assumed = Vec<(&'static str, u64)>;
 
-/// The lanes and the areas that they cover, both by the lanes' ids, and what was assumed about them.
+/// The lanes and the areas that they cover, both by the lanes' ids, and the assumptions about them.
 fn lanes_and_areas(map: &LaneGraph) -> (Map<String, Value>, Map<String, Value>, Assumed) {
     let (mut n_nominal, mut n_left_out) = (0, 0);
     let (mut segments, mut areas) = (Map::new(), Map::new());

@@ -1,4 +1,5 @@
-//! Argoverse 2: are rows and maps those that the dataset's readers expect, and does our own find what was written?
+//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and does our own reader read them
+//! back?
 
 use super::*;
 use crate::export::testing::{self, add_all, read};
@@ -87,7 +88,7 @@ fn maps_hold_the_lanes_in_the_recordings_frame() {
     let expected = json!([{ "x": 998.0, "y": 2000.0, "z": 0.0 }, { "x": 998.0, "y": 2040.0, "z": 0.0 }]);
     assert_eq!(lane["left_lane_boundary"], expected);
     assert_eq!(lane["right_neighbor_id"], Value::Null);
-    // All the way round: up the left boundary, down the right one.
+    // All the way around: up the left boundary, down the right one.
     let area = &map["drivable_areas"]["-5"];
     let corner = |i: usize| (area["area_boundary"][i]["x"].as_f64(), area["area_boundary"][i]["y"].as_f64());
     let at = |x: f64, y: f64| (Some(x), Some(y));

@@ -7,7 +7,7 @@ use crate::geometry::Vec2;
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::BTreeMap;
 
-/// Lanelets and what was assumed about them.
+/// Lanelets and the assumptions about them.
 pub(super) struct Lanelets {
     /// Numbered from 1, in the order of the lanes.
     pub(super) elements: Vec<Element>,

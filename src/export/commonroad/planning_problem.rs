@@ -9,8 +9,8 @@ use crate::geometry::wrap_angle;
 /// The goal may be reached this long before the scenario ends, seconds.
 const GOAL_DURATION_S: f64 = 1.0;
 
-/// The planning problem of a scenario. The goal is to come through: to drive on in the last second, wherever. Where the
-/// ego of the scenario ends is no goal, because a planner that brakes for what happens would miss it; nor are the lanes
+/// The planning problem of a scenario. The goal is to come through: to drive in the last second, anywhere. The end of
+/// the scenario's ego is not a goal, because a planner that brakes for the event would miss it; nor are the lanes
 /// ahead, because planners lead their paths only to the first of them. `None` if the ego has no state at present, or
 /// none after it.
 pub(super) fn of(item: &Item<'_>) -> Option<Element> {

@@ -1,4 +1,4 @@
-//! CommonRoad: are the numbers in the files those that follow from a scene by hand?
+//! CommonRoad: do the numbers in the files follow from a scene by hand?
 
 use super::*;
 use crate::export::testing::{self, Node, add_all};
@@ -42,7 +42,7 @@ fn lanelets_are_connected_and_lie_where_the_lanes_lie() {
     assert_eq!((lanelets[0].at("successor").attr("ref"), lanelets[0].all("predecessor").len()), ("2", 0));
     assert_eq!(lanelets[1].at("predecessor").attr("ref"), "1");
     let points = |bound: &str| lanelets[0].at(bound).all("point").into_iter().map(xy).collect::<Vec<_>>();
-    // The lane runs north; its left boundary lies 2 m in the west.
+    // The lane runs north; its left boundary is 2 m to the west.
     assert_eq!(points("leftBound"), [(998.0, 2000.0), (998.0, 2040.0)]);
     assert_eq!(points("rightBound"), [(1002.0, 2000.0), (1002.0, 2040.0)]);
     assert_eq!(
@@ -103,7 +103,7 @@ fn the_planning_problem_leads_from_the_present_into_the_last_second() {
     let goal = problem.at("goalState");
     // Eight steps remain; all but none of them are within the last second.
     assert_eq!((goal.at("time").number("intervalStart"), goal.at("time").number("intervalEnd")), (1.0, 8.0));
-    // Who brakes for what happens comes through, too.
+    // A planner that brakes for the event comes through, too.
     assert!(goal.all("position").is_empty());
 }
 

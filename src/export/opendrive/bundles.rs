@@ -1,14 +1,14 @@
-//! Lanes that run side by side from one cross-section to another: those of one road.
+//! Lanes that run side by side from one cross-section to another: the lanes of one road.
 
 use crate::export::lane_bounds::LaneBounds;
 use crate::geometry::{Polyline, Vec2};
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The edges of neighbors are one line if they are nowhere farther apart than this, meters.
+/// The edges of neighbors are one line if they are never farther apart than this, meters.
 const SAME_EDGE_M: f64 = 0.05;
-/// The lanes of a road end in one cross-section: the ends of their edges lie this close to a line, meters. Where one
-/// lane ends alone, its edges must still meet those of the next road.
+/// The lanes of a road end in one cross-section: the ends of their edges are this close to a line, meters. If one lane
+/// ends alone, its edges must still meet those of the next road.
 const SAME_END_M: f64 = 0.005;
 
 /// The lanes of a road, from left to right, with the lines between and beside them: one more than lanes.
@@ -20,14 +20,14 @@ pub(super) struct Bundle<'l> {
 }
 
 impl<'l> Bundle<'l> {
-    /// The roads of a map, each in the place of its leftmost lane, and each lane in one. Lanes without extent are in
-    /// none.
+    /// The roads of a map, each in the place of its leftmost lane, and each lane in one road. Lanes without extent are
+    /// left out.
     pub(super) fn all(map: &'l LaneGraph) -> Vec<Self> {
         let bounds: BTreeMap<LaneId, LaneBounds> =
             map.lanes().iter().filter_map(|lane| Some((lane.id, LaneBounds::of(lane)?))).collect();
         let mut taken: BTreeSet<LaneId> = BTreeSet::new();
         let mut bundles = Vec::new();
-        // Those that nobody runs beside on the left come first; the others only remain where neighbors do not fit.
+        // Lanes without a left neighbor come first; others only remain if neighbors do not fit.
         let (mut leftmost, others): (Vec<&Lane>, Vec<&Lane>) =
             map.lanes().iter().partition(|lane| lane.left_neighbor.is_none());
         leftmost.extend(others);

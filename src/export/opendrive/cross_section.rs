@@ -63,7 +63,7 @@ fn offset_m(point: Vec2, heading_rad: f64, boundary: &Polyline) -> Option<f64> {
         (step.abs() > 1e-9 && is_within).then(|| share.mul_add(to.y - from.y, from.y))
     });
     let nearest = across.filter(|offset_m| offset_m.abs() < MAX_OFFSET_M).min_by(|a, b| a.abs().total_cmp(&b.abs()));
-    // If no boundary lies across, the distance of its nearest point counts.
+    // If no boundary crosses, the distance of its nearest point counts.
     nearest.or_else(|| {
         let beside = boundary.0.iter().min_by(|a, b| a.distance(point).total_cmp(&b.distance(point)))?;
         Some(ahead.cross(*beside - point))

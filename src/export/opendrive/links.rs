@@ -114,7 +114,7 @@ impl Links {
                 }
             }
             let n_to = |road: usize| connections.iter().filter(|((_, to), _)| *to == road).count();
-            // For readers without direct junctions, such as SUMO's. Only one connection may name a road so.
+            // For readers without direct junctions, such as SUMO's. Only one connection may name a road in this way.
             let connecting: Vec<bool> = connections.iter().map(|((_, to), _)| n_to(*to) == 1).collect();
             let connection = |(i, ((from, to), links)): (usize, ((usize, usize), Vec<Element>))| {
                 let of_roads = element("connection").attr("id", i).attr("incomingRoad", from).attr("linkedRoad", to);

@@ -20,12 +20,12 @@ use links::{Links, Spot};
 use reference_line::{Piece, ReferenceLine, Shape};
 use std::collections::BTreeMap;
 
-/// A value that the record before foretells to within this needs none of its own, meters.
+/// A value that the previous record predicts to within this needs no record of its own, meters.
 const FORETOLD_M: f64 = 1e-4;
 /// A fixed date, because the format requires one.
 const DATE: &str = "1970-01-01T00:00:00";
 
-/// A map as a document, and what was assumed about it.
+/// A map as a document, and the assumptions about it.
 pub(super) struct RoadNetwork {
     pub(super) root: Element,
     pub(super) assumed: Vec<(&'static str, u64)>,
@@ -143,10 +143,11 @@ fn geometry(piece: &Piece) -> Element {
         .child(shape)
 }
 
-/// The records of a value that is linear between the places of its edges; none repeats what the one before says.
+/// The records of a value that is linear between the places of its edges; no record repeats the prediction of the
+/// previous one.
 fn records(name: &'static str, place: &'static str, edges: &[Edges], of: impl Fn(&Edges) -> f64) -> Vec<Element> {
     let mut found = Vec::new();
-    // Where the last record begins, its value there, and its slope.
+    // The start of the last record, its value there, and its slope.
     let mut last: Option<(f64, f64, f64)> = None;
     for pair in edges.windows(2) {
         let (from, to) = (&pair[0], &pair[1]);

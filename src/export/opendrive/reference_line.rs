@@ -115,7 +115,7 @@ impl ReferenceLine {
     }
 }
 
-/// Lets the line begin square to its start, which extends `across`, to the left.
+/// Makes the line begin square to its start, which extends `across`, to the left.
 fn square(line: &mut Vec<Vec2>, across: Vec2) {
     let &[start, .., end] = &line[..] else { return };
     let ahead = Vec2::new(across.y, -across.x) * (1.0 / across.norm());
@@ -157,7 +157,7 @@ fn corners(points: &[Vec2]) -> Option<Vec<Vec2>> {
     (kept.len() >= 2 && kept[0].distance(kept[1]) >= MIN_SPACING_M).then_some(kept)
 }
 
-/// The length of the parabola that rounds a corner from `cut_m` before it to `cut_m` behind it, by Simpson's rule.
+/// The length of the parabola that rounds a corner from `cut_m` before it to `cut_m` after it, by Simpson's rule.
 fn arc_length_m(cut_m: f64, turn_rad: f64) -> f64 {
     const N_PANELS: usize = 16;
     let (sin, cos) = turn_rad.sin_cos();

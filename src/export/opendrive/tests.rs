@@ -1,4 +1,4 @@
-//! OpenDRIVE: does who evaluates a file by the standard's formulas find the lanes where they were?
+//! OpenDRIVE: does an evaluation of a file by the standard's formulas find the lanes in their places?
 
 use super::*;
 use crate::export::testing::{self, Node};
@@ -135,7 +135,7 @@ fn roads_follow_each_other_and_fork_in_junctions() {
     let connections = |junction: &Node| -> Vec<(String, String)> {
         assert_eq!(junction.attr("type"), "direct");
         let pair = |node: &&Node| {
-            // Where several lead into one road, none may be its only connection.
+            // If several roads lead into one, none may be its only connection.
             let named = node.attributes.iter().find(|(name, _)| name == "connectingRoad");
             assert!(named.is_none_or(|(_, road)| road == node.attr("linkedRoad")));
             (node.attr("incomingRoad").to_owned(), node.attr("linkedRoad").to_owned())
@@ -164,7 +164,7 @@ fn lanes_of_no_length_are_left_out_and_told() {
     assert_eq!(network.assumed, [("nominal_lane_width", 1), ("lane_without_extent", 1)]);
 }
 
-/// Two lanes between three lines, from left to right, of which each is the neighbor of the other.
+/// Two lanes between three lines, from left to right, each the neighbor of the other.
 fn side_by_side(ids: [i64; 2], lines: [Vec<Vec2>; 3]) -> Vec<Lane> {
     let [left, middle, right] = lines;
     let mut lanes = vec![lane(ids[0], left, middle.clone()), lane(ids[1], middle, right)];
@@ -202,7 +202,7 @@ fn lanes_side_by_side_are_one_road_in_which_lanes_can_be_changed() {
     let root = document(lanes.drain(..4).collect());
     let next = root.all("road")[0].at("lanes").at("laneSection").at("right").all("lane")[1].at("link").at("successor");
     assert_eq!(next.attr("id"), "-2");
-    // Where one lane ends earlier, each is a road of its own.
+    // If one lane ends earlier, each is a road of its own.
     let short = vec![Vec2::new(0.0, -3.0), Vec2::new(30.0, -3.0)];
     let root = document(side_by_side([1, 2], [line(0.0, 3.5), line(0.0, 0.0), short]));
     assert_eq!(root.all("road").len(), 2);

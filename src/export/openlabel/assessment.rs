@@ -130,7 +130,7 @@ pub(super) mod tests {
     use crate::export::testing;
     use crate::metrics::{CutInJudgment, PairCriticality, SceneCriticality, Violation};
 
-    /// A judgment of which every part is there but the time headway.
+    /// A judgment with every part except the time headway.
     pub(in crate::export::openlabel) fn judgment() -> Assessment {
         let pair = PairCriticality {
             min_ttc_s: Some(1.25),

@@ -41,7 +41,7 @@ pub(super) struct OpenScenario {
 /// The roads of a scene.
 #[derive(Debug, Clone, Default)]
 struct Roads {
-    /// Relative to the export's folder; `None` if the scene has no lanes.
+    /// The path relative to the export's folder; `None` if the scene has no lanes.
     file: Option<String>,
     assumed: Vec<(&'static str, u64)>,
 }

@@ -38,7 +38,7 @@ fn begin(actor: &Actor) -> Element {
     element("Private").attr("entityRef", &actor.name).child(teleport).child(speed)
 }
 
-/// The actions of an actor: it is added if it comes later, follows its trajectory, and is deleted if it leaves before
+/// The actions of an actor: it is added if it appears later, follows its trajectory, and is deleted if it leaves before
 /// the end, unless a driving function takes it over. `None` if it is taken over from the start.
 fn maneuver_group(actor: &Actor, n_timesteps: usize, dt_s: f64) -> Option<Element> {
     let name = &actor.name;

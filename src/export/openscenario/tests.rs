@@ -1,4 +1,4 @@
-//! OpenSCENARIO: who is where when, by the numbers in the file?
+//! OpenSCENARIO: the positions of entities over time, by the numbers in the file.
 
 use super::*;
 use crate::export::testing::{self, Node, add_all};
@@ -100,7 +100,7 @@ fn who_comes_later_is_added_and_who_leaves_is_deleted() {
     let entity = later[0].2.below("EntityAction")[0];
     assert_eq!(entity.attr("entityRef"), again);
     let (x, y, _) = place(entity.at("AddEntityAction").at("Position"));
-    // Who walks is placed by the center: 0.3 m to the west after 0.3 s.
+    // A pedestrian is placed by the center: 0.3 m to the west after 0.3 s.
     assert_eq!((x, y), (999.7, 2005.0));
     let vertices = later[1].2.below("Vertex");
     let times = (vertices[0].attr_number("time"), vertices[8].attr_number("time"));
@@ -140,7 +140,7 @@ fn a_free_ego_moves_as_recorded_until_the_present() {
     let (root, _) = written(&gap, EgoMotion::Free);
     let names: Vec<String> = events(&root, "Ego").into_iter().map(|(name, ..)| name).collect();
     assert_eq!((names, root.below("ScenarioObject").len()), (vec!["add_Ego".to_owned(), "follow_Ego".to_owned()], 4));
-    // Without a past there is a start alone; without a present there is nobody to take over.
+    // Without a past there is only a start; without a present there is no agent to take over.
     let start = Scene { n_history: 1, ..scene.clone() };
     let (root, _) = written(&start, EgoMotion::Free);
     assert_eq!((root.below("Private")[0].attr("entityRef"), events(&root, "Ego").len()), ("Ego", 0));

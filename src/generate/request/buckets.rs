@@ -23,7 +23,7 @@ pub struct Buckets {
 pub struct BucketPart {
     /// The parameter.
     pub parameter: String,
-    /// `0..5` for an interval from 0 (included) to 5 (not included); else the text.
+    /// `0..5` for an interval from 0 (included) to 5 (excluded); otherwise the text.
     pub range: String,
 }
 
@@ -64,7 +64,7 @@ impl Divisions {
 }
 
 impl Buckets {
-    /// The buckets of a request that has been checked.
+    /// The buckets of a checked request.
     pub(super) fn new(request: &RequestConfig) -> Self {
         let dimensions: Vec<(String, Divisions)> =
             request.buckets.iter().map(|(name, divisions)| (name.clone(), divisions.clone())).collect();
@@ -110,7 +110,7 @@ impl Buckets {
         parts.collect::<Vec<_>>().join(", ")
     }
 
-    /// The bucket of an event. `None` if it falls into none, or lacks one of the parameters.
+    /// The bucket of an event. `None` if it falls into none or lacks a parameter.
     pub(super) fn place(&self, facts: &Facts<'_>) -> Option<usize> {
         self.dimensions
             .iter()
@@ -139,7 +139,7 @@ impl Buckets {
         (0..self.wanted().len()).find(|bucket| self.target(*bucket) == *target)
     }
 
-    /// Whether an outcome can lie in a bucket: all of the bucket's parameters that it names do.
+    /// Whether an outcome can lie in a bucket, judged by the parameters of the bucket that it has.
     pub(super) fn allows(&self, bucket: usize, outcome: &Outcome) -> bool {
         self.dimensions.iter().zip(self.part_indices(bucket)).all(|((name, divisions), part)| {
             let Some(value) = outcome.get(name) else { return true };
@@ -168,8 +168,8 @@ impl Buckets {
     }
 }
 
-/// Distributes `n` in proportion to weights: the whole numbers first, the rest to the largest fractions, and to the
-/// first of equal ones.
+/// Distributes `n` in proportion to weights: whole numbers first, the rest to the largest fractions, the first among
+/// equal ones.
 fn apportion(n: u64, weights: &[f64]) -> Vec<u64> {
     let sum: f64 = weights.iter().sum();
     let exact: Vec<f64> = weights.iter().map(|weight| n as f64 * weight / sum).collect();

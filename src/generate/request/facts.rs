@@ -79,7 +79,7 @@ impl Facts<'_> {
         }
     }
 
-    /// Whether the event satisfies a condition; an event without the parameter does not.
+    /// Whether the event satisfies a condition; false if the event lacks the parameter.
     pub(super) fn satisfies(&self, name: &str, condition: &Requirement) -> bool {
         match condition {
             Requirement::Range([least, most]) => {

@@ -22,8 +22,7 @@ enum Placement {
     Hit(usize),
 }
 
-/// The bucket of a scenario of a shard, whether or not it has room: enough to decide on the scenario later, in its
-/// turn.
+/// The bucket of a scenario of a shard, with or without room: enough to decide on the scenario later, in its turn.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PlacedScenario {
     /// The place of its cell within the shard.
@@ -145,7 +144,7 @@ impl ResolvedRequest {
 struct Accepted<'a> {
     /// Their number by bucket.
     by_bucket: Vec<u64>,
-    /// The paths of those in the same shard; the ledger has those of earlier ones.
+    /// The paths of accepted ones in the same shard; the ledger has those of earlier shards.
     paths: Vec<&'a PairPath>,
 }
 
@@ -217,7 +216,7 @@ mod tests {
         per_bucket = 9
         budget = { n_samples = 9 }";
 
-    /// A scenario of the scene in which those in the roles show a cut-in with this gap.
+    /// A scenario of the scene in which the agents in the roles show a cut-in with this gap.
     fn record(scene: &Scene, roles: &Roles, gap_m: f64) -> ScenarioRecord {
         let mut record = crate::store::testing::record(scene, 0);
         record.scenario.provenance.scene_id = scene.id.clone();
@@ -235,7 +234,7 @@ mod tests {
         record
     }
 
-    /// The scene with the second agent in the place of the third from the present on.
+    /// The scene with the second agent in place of the third from the present on.
     fn collided(idx: usize) -> Scene {
         let mut scene = scene(idx);
         let [other, own] = [1, 2].map(|agent| scene.tracks[agent].trajectory.entries().to_vec());
@@ -244,7 +243,7 @@ mod tests {
         scene
     }
 
-    /// Judges records as those of one shard with these cells; says their outcomes, and the tallies of the cells.
+    /// Judges records as those of one shard with these cells; returns their outcomes, and the tallies of the cells.
     fn judged(
         more: &str,
         cells: &[Cell],
@@ -312,7 +311,7 @@ mod tests {
             scene.tracks[1].trajectory = Trajectory::new(states.collect());
             record(&scene, &roles, 2.0)
         };
-        // The mean over two agents, of which one is moved: 0.2 and 0.3 m.
+        // The mean over two agents, one of which is moved: 0.2 and 0.3 m.
         let (outcomes, tallies) = judged("", &[cell(1, &roles)], vec![moved(0.0), moved(0.4), moved(0.6)]).unwrap();
         assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::NearDuplicate, RequestOutcome::Accepted]);
         let hits = tallies[0].hits[&0];

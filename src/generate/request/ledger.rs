@@ -7,7 +7,7 @@ use crate::metrics::{PairPath, PathIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A bucket is given up after this many samples in a row that aimed at it without an accepted one. At a rate of one in
+/// A bucket is given up after this many samples in a row that aimed at it and were not accepted. At a rate of one in
 /// fifty, this happens in 2 of 100 cases.
 const N_FRUITLESS: u64 = 200;
 
@@ -44,7 +44,7 @@ pub struct CellTally {
     pub n_beyond_limits: u64,
     /// Found, and in a bucket, by bucket.
     pub hits: BTreeMap<usize, Hits>,
-    /// The motion of the requested agents in the accepted ones.
+    /// The motion of the requested agents in accepted scenarios.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub accepted_paths: Vec<PairPath>,
 }
@@ -58,12 +58,12 @@ pub struct Hits {
     pub n_surplus: u64,
     /// Not accepted, because the bucket had enough from the same scene and agents.
     pub n_repeated: u64,
-    /// Not accepted, because they move almost as an accepted one.
+    /// Not accepted, because the agents move almost as in an accepted one.
     pub n_near_duplicates: u64,
 }
 
 impl Hits {
-    /// All but near-duplicates, which more samples of the same kind would bring, too.
+    /// All but near-duplicates, which more samples of the kind would bring, too.
     pub const fn n(&self) -> u64 {
         self.n_accepted + self.n_surplus + self.n_repeated
     }
@@ -92,7 +92,7 @@ pub(super) struct ArmCounts {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Aimed {
     pub(super) n_samples: u64,
-    /// Hits among them: samples that fell into the bucket.
+    /// Samples that fell into the bucket at which they aimed.
     pub(super) n_hits: u64,
 }
 
@@ -109,7 +109,7 @@ pub(super) struct CellCounts {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ledger {
     pub(super) wanted: Vec<u64>,
-    /// How many scenarios the cells that can reach a bucket have room for.
+    /// By bucket: the number of scenarios for which the cells that can reach it have room.
     pub(super) room: Vec<u64>,
     pub(super) max_per_scene: u64,
     pub(super) accepted: Vec<u64>,

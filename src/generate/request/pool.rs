@@ -15,7 +15,7 @@ pub struct Pool {
     pub request: String,
     /// Its cells: pairs of scenes.
     pub cells: Vec<Cell>,
-    /// How many scenes they are of.
+    /// The number of their scenes.
     pub n_scenes: usize,
     /// The buckets that each cell can still reach given its past, at least one, and the effort of each, from 0 to 1.
     pub feasible: Vec<BTreeMap<usize, f64>>,
@@ -24,7 +24,7 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// How many cells can reach a bucket.
+    /// The number of cells that can reach a bucket.
     pub fn n_feasible(&self, bucket: usize) -> usize {
         self.feasible.iter().filter(|buckets| buckets.contains_key(&bucket)).count()
     }
@@ -32,7 +32,7 @@ impl Pool {
 
 impl Generator<'_> {
     /// The cells of a request, from scenes in random order that have a suitable pair, or from the scenes with the best
-    /// pairs, as its `pairs` say. Places and classes that `where` rules out are excluded.
+    /// pairs, depending on its `pairs`. Places and classes that `where` rules out are excluded.
     ///
     /// # Errors
     /// When there are none, when none can reach a bucket, or a scene cannot be loaded.

@@ -1,7 +1,7 @@
 //! Evidence from earlier runs about the arms of a request.
 //!
-//! Hit rates of an arm depend on the behavior, the buckets and the models, so those of an earlier run are evidence, but
-//! no more than some samples' worth of it: a request that differs overrules them soon.
+//! Hit rates of an arm depend on the behavior, the buckets and the models, so rates of an earlier run are evidence, but
+//! worth some samples at most: a request that differs soon overrules them.
 
 use super::resolve::{ArmPrior, ResolvedRequest};
 use super::summary::RequestSummary;
@@ -18,10 +18,10 @@ impl ArmPrior {
 }
 
 impl ResolvedRequest {
-    /// Takes over how often the arms hit buckets in `earlier` requests for the same behavior. Arms are known by name.
+    /// Adopts how often the arms hit buckets in `earlier` requests for the same behavior. Arms are identified by name.
     ///
     /// # Errors
-    /// When no arm occurs there.
+    /// When none of the arms occurs there.
     pub fn learn(&mut self, earlier: &[RequestSummary]) -> Result<(), Issue> {
         let alike: Vec<&RequestSummary> =
             earlier.iter().filter(|request| request.behavior == self.config.behavior).collect();

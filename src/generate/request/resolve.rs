@@ -1,4 +1,4 @@
-//! How do requests become sweeps? One for each request, arm and strength, after the configured sweeps.
+//! Resolves requests into sweeps: one for each request, arm and strength, after the configured sweeps.
 
 use super::buckets::Buckets;
 use super::config::{Divisions, PlanKind, RequestConfig, Requirement};
@@ -26,7 +26,7 @@ pub struct ResolvedGeneration {
     pub seed: u64,
     /// The configured sweeps first, then those of requests.
     pub sweeps: Vec<ResolvedSweep>,
-    /// How many sweeps were written.
+    /// The number of configured sweeps.
     pub n_sweeps: usize,
     /// The requests.
     pub requests: Vec<ResolvedRequest>,
@@ -43,7 +43,7 @@ pub struct ResolvedRequest {
     pub buckets: Buckets,
     /// The ways of sampling that may be tried.
     pub arms: Vec<Arm>,
-    /// Scenarios in which the requested agents move nearer to an accepted one than this are near-duplicates of it,
+    /// A scenario in which the requested agents move closer to an accepted one than this is a near-duplicate of it,
     /// meters.
     pub duplicate_distance_m: f64,
 }
@@ -59,9 +59,9 @@ pub struct Arm {
     pub n_samples: usize,
     /// Evaluations of the network for a sample.
     pub n_evaluations: u64,
-    /// How strongly its samples are guided.
+    /// The level of guidance of its samples.
     pub level: GuidanceLevel,
-    /// Whether one of its objectives aims at the open bucket.
+    /// Whether its template or one of its objectives aims at the open bucket.
     pub aims: bool,
     /// Results of earlier runs.
     pub prior: Option<ArmPrior>,
@@ -70,9 +70,9 @@ pub struct Arm {
 /// Earlier results of an arm, as samples of this request.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ArmPrior {
-    /// Samples; of an arm that aims, those that aimed at a bucket.
+    /// Samples; for an arm that aims, those that aimed at a bucket.
     pub n_samples: f64,
-    /// Samples among them that fell into a bucket; for an arm that aims, into the one at which they aimed.
+    /// Samples among them that fell into a bucket; for an arm that aims, into the bucket at which they aimed.
     pub n_hits: f64,
 }
 

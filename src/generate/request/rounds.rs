@@ -1,4 +1,4 @@
-//! The next things to try: rounds of shards, each decided from the results of finished rounds alone.
+//! Decides what to try next: rounds of shards, each planned from the results of finished rounds alone.
 
 use super::config::PlanKind;
 use super::draws::{beta, gamma};
@@ -16,7 +16,7 @@ const CELL_SHAPE: f64 = 0.5;
 /// The prior of the hit rate of an arm before it is tried: half a hit and one miss.
 const PRIOR_HITS: f64 = 0.5;
 const PRIOR_MISSES: f64 = 1.0;
-/// How many samples the prior of an arm that aims is worth.
+/// The number of samples that the prior of an arm that aims is worth.
 const AIMED_PRIOR_SAMPLES: f64 = 2.0;
 /// The mean rate of an arm, by which cells are compared, starts from [`PRIOR_HITS`] in this many samples.
 const PRIOR_SAMPLES: f64 = 1.0;
@@ -82,7 +82,7 @@ impl ResolvedRequest {
         }
         let mut spent = ledger.spent();
         let mut shards: Vec<RoundShard> = Vec::new();
-        // The cells of earlier shards of the round, each with the number after that of its last sample there.
+        // The cells of earlier shards of the round, each with the number after that of its last sample.
         let mut planned: BTreeMap<usize, usize> = BTreeMap::new();
         for slot in 0..self.n_slots(round) {
             let arm_idx = self.choose_arm(context, slot);
@@ -111,7 +111,7 @@ impl ResolvedRequest {
         (!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards })
     }
 
-    /// Whether a round tries every arm that no earlier run knows, once, all on the same cells.
+    /// Whether a round tries every arm without a prior once, all on the same cells.
     pub(super) fn is_trial(&self, round: usize) -> bool {
         round == 0 && self.arms.iter().any(|arm| arm.prior.is_none())
     }
@@ -139,13 +139,13 @@ impl ResolvedRequest {
             rate / self.config.budget.cost(self.arms[arm].n_evaluations)
         };
         let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
-        // The first of equal ones.
+        // The first among equal ones.
         (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
     }
 
     /// The posterior of how often a sample of an arm falls into an open bucket: Beta of these hits and misses,
-    /// pseudo-counts included. An arm that aims has a prior of its own: it is expected to hit the buckets at which it
-    /// has not aimed as often as the others.
+    /// pseudo-counts included. An arm that aims has a prior of its own: it is expected to hit buckets at which it has
+    /// not aimed as often as the others.
     fn open_hit_rate(&self, ledger: &Ledger, arm: usize) -> (f64, f64) {
         let earlier = self.arms[arm].prior.unwrap_or_default();
         if self.arms[arm].aims {
@@ -205,7 +205,7 @@ impl ResolvedRequest {
         members
     }
 
-    /// Which shard of an even plan this is, over all rounds.
+    /// The index of this shard of an even plan, over all rounds.
     fn even_shard(&self, round: usize, slot: usize) -> usize {
         if round == 0 { slot } else { self.arms.len() + (round - 1) * self.config.shards_per_round + slot }
     }
@@ -237,7 +237,7 @@ impl ResolvedRequest {
     }
 
     /// The bucket at which the samples of a cell aim: an open one that the cell reaches easily, that lacks many
-    /// scenarios, and at which few others of this shard aim.
+    /// scenarios, and at which few other cells of this shard aim.
     fn aim(&self, context: &RoundContext<'_>, (shard, cell): (usize, usize), aimed: &[u64]) -> Option<usize> {
         let RoundContext { ledger, .. } = *context;
         let lack = |bucket: usize| (ledger.wanted[bucket] - ledger.accepted[bucket]) as f64;

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub enum Ended {
     /// Every bucket that any pair can reach is full.
     Full,
-    /// The others were given up: many samples aimed at them, and none was accepted.
+    /// The remaining buckets were given up: many samples aimed at them, and none was accepted.
     GivenUp,
     /// The budget is spent; some buckets stayed short.
     Budget,
@@ -29,9 +29,9 @@ pub struct RequestSummary {
     pub behavior: String,
     /// Why it was ended.
     pub ended: Ended,
-    /// The budget that it had.
+    /// Its budget.
     pub budget: BudgetConfig,
-    /// Rounds, samples and evaluations that it took.
+    /// The number of rounds.
     pub n_rounds: usize,
     /// Samples drawn.
     pub n_samples: u64,
@@ -41,7 +41,7 @@ pub struct RequestSummary {
     pub n_scenes: usize,
     /// Pairs of agents (or single agents) in them that can reach a bucket.
     pub n_cells: usize,
-    /// Pairs that cannot and were not tried.
+    /// Pairs that cannot reach a bucket and were not tried.
     pub n_infeasible: usize,
     /// Scenarios requested in all.
     pub n_wanted: u64,
@@ -58,16 +58,16 @@ pub struct RequestSummary {
 pub struct ArmSummary {
     /// Its name.
     pub name: String,
-    /// How strongly its samples are guided.
+    /// The level of guidance of its samples.
     #[serde(flatten)]
     pub level: GuidanceLevel,
     /// Evaluations of the denoiser for one sample.
     pub n_evaluations_per_sample: u64,
     /// Samples that aimed at a bucket, over all rounds.
     pub n_aimed: u64,
-    /// Samples among them that fell into it.
+    /// Samples among them that fell into the bucket at which they aimed.
     pub n_aimed_hits: u64,
-    /// Over all rounds; arms and scenes with a higher yield are tried more often.
+    /// Yield of all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
     /// Yield of the first round, in which every arm without a prior continues the same scenes from the same noise.
     pub first_round: Yield,
@@ -107,9 +107,9 @@ pub struct BucketSummary {
     pub n_accepted: u64,
     /// Not accepted, because the bucket had enough.
     pub n_surplus: u64,
-    /// Not accepted, because it had enough of the same scene and agents.
+    /// Not accepted, because it had enough from the same scene and agents.
     pub n_repeated: u64,
-    /// Not accepted, because it moves almost as an accepted one.
+    /// Not accepted, because the agents move almost as in an accepted one.
     pub n_near_duplicates: u64,
     /// Accepted scenarios by arm.
     pub accepted_by_arm: Vec<u64>,

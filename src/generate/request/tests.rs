@@ -57,7 +57,7 @@ pub(super) fn pool(n: usize) -> Pool {
     }
 }
 
-/// Fulfils a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls.
+/// Fulfills a request in a world in which `hit` decides into which bucket sample `sample` of an arm in a cell falls.
 /// Returns the rounds and their tallies.
 pub(super) fn fulfil(
     request: &ResolvedRequest,
@@ -211,7 +211,7 @@ fn decisions_follow_from_the_seed_and_the_finished_shards() {
     let (rounds, tallies, _) = fulfil(&request, &pool, 1, world);
     assert_eq!(rounds, fulfil(&request, &pool, 1, world).0);
     assert_ne!(rounds, fulfil(&request, &pool, 2, world).0);
-    // Taken up after any number of rounds, as after an interruption, the next round is the same.
+    // Resumed after any number of rounds, as after an interruption, the next round is the same.
     for n_done in 0..rounds.len() {
         let mut ledger = Ledger::new(&request, &pool);
         tallies.iter().filter(|tally| tally.round < n_done).for_each(|tally| ledger.add(tally));
@@ -290,7 +290,7 @@ fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at(
         let cell = CellTally { n_samples, aimed: Some(aimed), hits, ..CellTally::default() };
         ledger.add(&ShardTally { request: "tight".to_owned(), round: 0, arm, cells: vec![cell] });
     };
-    // One arm has hit what is still open now and then, the other has not been tried on it.
+    // One arm has now and then hit the open bucket, the other has not been tried on it.
     add(0, 3, 1000, Hits { n_accepted: 2, ..Hits::default() });
     (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, ..Hits::default() }));
     let context =
@@ -318,7 +318,7 @@ fn buckets_that_nobody_can_reach_cost_nothing_and_the_others_decide_the_end() {
 
 #[test]
 fn a_bucket_of_which_nothing_comes_is_given_up() {
-    // Bucket 3 seems to be in reach of every cell, and is never hit; the others are.
+    // Bucket 3 seems to be within reach of every cell, and is never hit; the others are.
     let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 30000 }");
     let pool = pool(12);
     let (_, _, ledger) = fulfil(&request, &pool, 1, |_, cell, sample| Some((cell + sample) % 3));
@@ -328,7 +328,7 @@ fn a_bucket_of_which_nothing_comes_is_given_up() {
     let summary = RequestSummary::new(&request, &pool, &ledger, 1);
     assert_eq!(summary.ended, Ended::GivenUp);
     assert_eq!(summary.given_up().map(|bucket| bucket.idx).collect::<Vec<_>>(), [3]);
-    // A grid spends what it may.
+    // A grid spends its whole budget.
     let even = tight("arms = ['plain', 'aimed']\nplan = 'even'\nper_bucket = 2\nbudget = { n_samples = 3000 }");
     let (_, _, ledger) = fulfil(&even, &pool, 1, |_, cell, sample| Some((cell + sample) % 3));
     assert!(!ledger.is_closed() && ledger.spent().0 > 2900, "{:?}", ledger.spent());
@@ -338,8 +338,8 @@ fn a_bucket_of_which_nothing_comes_is_given_up() {
 fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_reach() {
     let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 300 }");
     assert_eq!(request.arms.iter().map(|arm| arm.aims).collect::<Vec<_>>(), [false, true]);
-    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket, which is never
-    // hit, but for bucket 0.
+    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket; none but
+    // bucket 0 is ever hit.
     let pool = Pool { feasible: (0..12).map(|cell| std::iter::once((cell % 4, 0.5)).collect()).collect(), ..pool(12) };
     let (rounds, tallies, _) = fulfil(&request, &pool, 1, |_, cell, _| (cell % 4 == 0).then_some(0));
     let mut n_aimed = 0;
@@ -379,14 +379,14 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     assert_eq!((empty.n_evaluations_per_accepted(), one.n_evaluations_per_accepted()), (None, Some(6.0 * each as f64)));
     assert_eq!(BucketSummary { n_accepted: 4, ..one }.n_evaluations_per_accepted(), Some(1.5 * each as f64));
 
-    // A scene that has given a bucket all that it may is not drawn for it.
+    // A scene that has given a bucket as many scenarios as it may is not drawn for it.
     let request = tight("per_bucket = 5\nmax_per_scene = 1\nbudget = { n_samples = 1000 }");
     let mut ledger = Ledger::new(&request, &pool(2));
     ledger.add(&tally(0, 0));
     assert_eq!(ledger.open_hits_of_cell(0), 2);
     ledger.add(&tally(1, 1));
     assert_eq!(ledger.open_hits_of_cell(0), 0);
-    // When all who can fall into it have, it is closed, although it is not full.
+    // When all cells that can fall into it have done so, it is closed, although it is not full.
     let narrow = Pool { feasible: vec![BTreeMap::from([(1, 0.0)]), BTreeMap::from([(2, 0.0)])], ..pool(2) };
     let mut ledger = Ledger::new(&request, &narrow);
     assert_eq!([0, 1, 2, 3].map(|bucket| ledger.is_open(bucket)), [false, true, true, false]);

@@ -1,4 +1,4 @@
-//! A sweep or an arm as TOML has it: one flat table.
+//! A sweep or an arm as written in TOML: one flat table.
 
 use crate::diffusion::SamplerConfig;
 use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-/// Keys that an arm does not have, because the request that names the arm decides them.
+/// Keys that an arm does not have, because they are up to the request that names the arm.
 const OF_REQUESTS: &[&str] = &["n_scenes", "behavior", "pairs", "aim", "select", "stop_after_verified"];
 /// Keys that the baseline does not have.
 const OF_DIFFUSION: &[&str] = &[
@@ -114,19 +114,19 @@ pub struct SweepConfig {
 }
 
 impl SweepConfig {
-    /// Refuses what a request decides in an arm.
+    /// Rejects keys of an arm that are up to the request.
     pub(super) fn check_arm(&self) -> Result {
         self.refuse(OF_REQUESTS, "cannot be set in an arm: the request decides it")
     }
 
-    /// Refuses what the baseline does not have.
+    /// Rejects keys that the baseline does not have.
     pub(super) fn check_baseline(&self) -> Result {
         let why = "model = \"baseline\" has no such key, because Scene Transformer predicts in one pass and cannot be \
                    guided or edited; remove it, or set model = \"denoiser\"";
         self.refuse(OF_DIFFUSION, why)
     }
 
-    /// Refuses the first of these keys with another value than its default.
+    /// Rejects the first of these keys that does not have its default value.
     fn refuse(&self, keys: &[&str], why: &str) -> Result {
         // A table of plain values can always be converted to JSON.
         let of = |sweep: &Self| serde_json::to_value(sweep).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! The settings of a sweep: as written ([`SweepConfig`], of which an arm lacks what a request decides), and resolved
+//! The settings of a sweep: as written ([`SweepConfig`]; arms lack the keys that are up to a request), and resolved
 //! into what can be sampled ([`ResolvedSweep`]).
 
 mod config;

@@ -128,7 +128,7 @@ impl SweepConfig {
     }
 }
 
-/// The mined behavior of this name.
+/// The mined behavior with this name.
 ///
 /// # Errors
 /// Names the key `behavior`.

@@ -9,7 +9,7 @@ use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
 use std::collections::BTreeSet;
 
-/// A sweep that was checked. Only `GenerateConfig::resolve` makes one.
+/// A checked sweep. Only `GenerateConfig::resolve` makes one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedSweep {
     /// Its name. A sweep of a request is named `request/arm`, with the level if the arm has several: `tight/guided@10`.
@@ -132,8 +132,8 @@ impl ResolvedSweep {
         BehaviorEntry::is_collision(self.behavior.as_deref())
     }
 
-    /// Evaluations of the network for one sample, as many as at its most expensive level. Classifier-free guidance
-    /// doubles them at weights that mix two estimates, and the baseline needs one.
+    /// Evaluations of the network for one sample at the most expensive level. Classifier-free guidance doubles them at
+    /// weights that mix two estimates, and the baseline needs one.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
             let mixes = |level: &GuidanceLevel| ![0.0, 1.0].contains(&level.weight);

@@ -62,7 +62,7 @@ fn a_classifier_guides_under_other_masks_by_clean_estimates() {
         let records = run(&format!("observe = {observe}\nclassifier_input = 'clean_estimate'"));
         assert_eq!(kinds(&records), ["classifier:drift", "none"]);
         assert!(apart_m(&at(&records, 0.0, 0.0), &at(&records, 3.0, 0.0)) > 1e-3, "{observe}");
-        // Observed states stay, whatever guides.
+        // Observed states stay under any guidance.
         for (unguided, guided) in at(&records, 0.0, 0.0).iter().zip(at(&records, 3.0, 0.0)) {
             assert_eq!(unguided.scenario.observed, guided.scenario.observed);
             for (agent_idx, track) in guided.scenario.scene.tracks.iter().enumerate() {

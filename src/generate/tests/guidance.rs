@@ -1,4 +1,4 @@
-//! Do classifier and objectives act as the sweep says, alone and together, and does the provenance record it?
+//! Do classifier and objectives act as the sweep configures, alone and together, and does the provenance record it?
 
 use super::*;
 use crate::behavior::BehaviorConfig;
@@ -92,8 +92,8 @@ fn classifier_and_objectives_act_together() {
     assert!(guided.iter().zip(&classified).any(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3));
 }
 
-/// An untrained classifier prefers something or other; log odds pull harder than log p, which is all that is
-/// distinguished here.
+/// An untrained classifier prefers something or other; log odds pull harder than log p, and only this difference is
+/// tested here.
 #[test]
 fn a_classifier_guides_the_pair_by_either_potential() {
     for input in ["noisy_states", "clean_estimate"] {
@@ -173,7 +173,7 @@ fn who_follows_a_template_is_observed_and_each_sample_has_its_own_whatever_the_b
             let idx = scenario.scene.track_idx(performer).unwrap();
             let n_timesteps = scenario.scene.n_timesteps;
             let velocity_mps = |timestep: usize| scenario.scene.state(idx, timestep).unwrap().velocity;
-            // It follows its template, which drifts to the right, and what was made is judged like what was sampled.
+            // It follows its template, which drifts to the right, and is judged like samples.
             let n_history = scenario.scene.n_history;
             let is_observed = |agent: usize| (n_history..n_timesteps).any(|t| scenario.observed.is_observed(agent, t));
             assert!(record.verified && !(0..3).any(is_observed));

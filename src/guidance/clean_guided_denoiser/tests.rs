@@ -1,4 +1,4 @@
-//! Do wishes of clean samples shift estimates as the closed forms of Gaussian data and mixtures say?
+//! Do objectives of clean samples shift estimates by the closed forms for Gaussian data and mixtures?
 
 use super::*;
 use crate::diffusion::analytic::{Component, GaussianMixture, MixtureDenoiser};

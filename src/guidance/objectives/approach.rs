@@ -1,4 +1,4 @@
-//! How fast two agents move relative to each other.
+//! The speed of two agents relative to each other.
 
 use super::box_separation::separation_m;
 use super::motion::{norm, positions};
@@ -10,13 +10,13 @@ use candle_core::{Result, Tensor};
 pub(super) struct Approach {
     /// The relative speed, m/s.
     pub(super) relative_mps: Tensor,
-    /// 1 where both timesteps have states of both, of which one is generated.
+    /// 1 if both timesteps have states of both agents, one of which is generated.
     pub(super) counts: Tensor,
 }
 
 impl Approach {
-    /// The approach of the pair of `one` and `other` in each row, with the pairs and the separation of their boxes,
-    /// (P, T). `None` where there is no such pair, or only one timestep.
+    /// The approach of the pair of `one` and `other` in each row, with the pairs and the separation of their boxes, (P,
+    /// T). `None` if there is no such pair, or only one timestep.
     pub(super) fn between(
         states: &Tensor,
         context: &SceneContext,

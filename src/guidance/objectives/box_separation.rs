@@ -1,4 +1,4 @@
-//! How far apart are two boxes? The separating-axis theorem, made smooth.
+//! The separation of two boxes: the separating-axis theorem, made smooth.
 
 use super::pairs::{Agents, Pairs};
 use candle_core::{D, Result, Tensor};
@@ -18,7 +18,7 @@ pub(super) fn separation_m(pairs: &Pairs) -> Result<Tensor> {
     separation_between_m(&pairs.first, &pairs.second)
 }
 
-/// [`separation_m`] between places of one agent and of another that need not be of the same time.
+/// [`separation_m`] between places of one agent and of another, at times that may differ.
 pub(super) fn separation_between_m(one: &Agents, other: &Agents) -> Result<Tensor> {
     let of = |states: &Tensor, dim: usize| states.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
     let between = (&other.states - &one.states)?;
@@ -87,8 +87,8 @@ mod tests {
             for (t, separation_m) in separations_m[0].iter().enumerate() {
                 let [a, b] = [0, 1].map(|agent| footprint(&states[0], agent, t));
                 assert!(*separation_m <= a.distance(&b) + 0.02, "{separation_m} above {}", a.distance(&b));
-                // Boxes that are apart by more than the smoothing are seen to be apart: their nearest points span an
-                // axis, or a corner faces a corner, where the separation is at least 1 / √2 of the distance.
+                // Boxes that are farther apart than the smoothing have a positive separation: their nearest points span
+                // an axis, or a corner faces a corner, where the separation is at least 1 / √2 of the distance.
                 if a.distance(&b) > 0.4 {
                     assert!(*separation_m > a.distance(&b) / 2f64.sqrt() - 0.25);
                     n_apart += 1;

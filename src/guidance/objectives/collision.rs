@@ -31,7 +31,7 @@ const TOLERANCE_M: f64 = 0.5;
 const RELATIVE_SPEED: &str = "relative_speed_mps";
 /// The relative speed without a target, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [2.0, 30.0];
-/// How much the boxes are to overlap, meters; their separation is up to 0.2 m less than it is for the smoothing.
+/// How much the boxes must overlap, meters; smoothing makes their separation up to 0.2 m less than it is.
 const OVERLAP_M: f64 = 0.4;
 
 impl SceneObjective for Collision {

@@ -78,7 +78,7 @@ mod tests {
         CrossAhead { to: second() }
     }
 
-    /// The ego and one from the right that would pass behind it, `late_m` meters later than it would meet it.
+    /// The ego and a car from the right that would pass behind it, `late_m` meters later than it would meet it.
     fn crossing(late_m: f64) -> Traffic {
         Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (9.6, -9.6 - late_m, std::f64::consts::FRAC_PI_2, 8.0)])
     }

@@ -158,7 +158,7 @@ mod tests {
         let value = |range| slower().aiming_at(RELATIVE_SPEED, range).potential(&objective())[0];
         let (right, wrong) = (value([1.5, 2.5]), value([-2.5, -1.5]));
         assert!(right > -0.1, "{right}");
-        // 3.5 tolerances off at every moment, of which there are nine: together between 6.1 / 9^(1/4) and 6.1.
+        // 3.5 tolerances off at each of nine moments: together between 6.1 / 9^(1/4) and 6.1.
         assert!((-6.2..-6.1 / 9f64.powf(0.25)).contains(&(wrong - right)), "{wrong}");
     }
 
@@ -173,15 +173,14 @@ mod tests {
         done.states = candle_core::Var::from_tensor(&states).unwrap();
         let (met, missed) = (done.potential(&objective())[0], beside().potential(&objective())[0]);
         assert!(met > -0.1 && missed < -2.0, "{met}, {missed}");
-        // From behind nobody cuts in: the gap is negative at the same offset.
+        // There is no cut-in from behind: the gap is negative at the same offset.
         let behind = Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (-9.0, 1.0, 0.0, 8.0)]);
         assert!(behind.potential(&objective())[0] < -10.0);
     }
 
     #[test]
     fn a_bend_is_no_shift() {
-        // Both on circles around (0, 50), the other 3.5 m further in and ahead: across the ego's path it stays where it
-        // is.
+        // Both on circles around (0, 50), the other 3.5 m further in and ahead: across the ego's path it does not move.
         let arc = |radius_m: f64, ahead_m: f64, t: usize| {
             let angle = (1.6 * t as f64 + ahead_m) / 50.0;
             [radius_m * angle.sin(), 50.0 - radius_m * angle.cos(), angle]
@@ -192,7 +191,7 @@ mod tests {
         let states = Tensor::from_vec(states, traffic.states.shape(), &candle_core::Device::Cpu).unwrap();
         traffic.states = candle_core::Var::from_tensor(&states).unwrap();
         let (bend, straight) = (traffic.potential(&objective())[0], beside().potential(&objective())[0]);
-        // The path is carried on straight where its owner's way ends, which adds 10² / (2 · 50) = 1 m there.
+        // The path continues straight after its owner's last state, which adds 10² / (2 · 50) = 1 m there.
         assert!((bend - straight).abs() < 0.5 * straight.abs(), "{bend}, {straight}");
     }
 

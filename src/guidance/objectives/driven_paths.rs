@@ -1,4 +1,4 @@
-//! Where is one agent relative to the path that another drives in the sample?
+//! The place of an agent relative to the path that another drives in the sample.
 
 use super::pairs::Agents;
 use super::{AgentSelector, SceneContext};
@@ -7,15 +7,15 @@ use candle_core::{D, DType, Result, Tensor};
 
 /// The step below which a heading does not follow from a motion, meters.
 const LEAST_STEP_M: f64 = 0.05;
-/// Rounding of the way beside a path at zero, meters.
+/// Rounding of the distance beside a path at zero, meters.
 const ROUNDING_M: f64 = 0.05;
 
-/// An agent relative to the path of another, from the pose of it that is nearest, (B, T) each. The path is taken as it
-/// is: nothing pulls at it.
+/// An agent relative to the path of another, from its nearest pose, (B, T) each. The path is held: no gradient pulls at
+/// it.
 pub(super) struct PathFrame {
-    /// Way along the path from where its owner is at this timestep, less half of both lengths, meters.
+    /// Distance along the path from its owner at this timestep, less half of both lengths, meters.
     pub(super) gap_m: Tensor,
-    /// Way beside the path, to either side, rounded at zero, meters.
+    /// Distance beside the path, to either side, rounded at zero, meters.
     pub(super) beside_m: Tensor,
     /// Half of both widths together, (B, 1), meters.
     pub(super) half_widths_m: Tensor,
@@ -23,7 +23,7 @@ pub(super) struct PathFrame {
     pub(super) agent_mps: Tensor,
     /// The owner's speed, m/s.
     pub(super) owner_mps: Tensor,
-    /// 1 where both have a state, and that of the agent is generated.
+    /// 1 if both have a state, and that of the agent is generated.
     pub(super) counts: Tensor,
 }
 
@@ -77,11 +77,11 @@ struct Paths {
     /// Direction of that pose.
     cos: Vec<f64>,
     sin: Vec<f64>,
-    /// Way from where the path's owner is at this timestep to that pose, negative where it lies behind, meters.
+    /// Distance along the path from its owner at this timestep to that pose, negative if it is behind, meters.
     station_m: Vec<f64>,
     /// The owner's speed, m/s.
     speed_mps: Vec<f64>,
-    /// 1 where the owner has a state.
+    /// 1 if the owner has a state.
     is_known: Vec<f64>,
 }
 

@@ -5,16 +5,16 @@ use super::motion::{norm, penalty, positions};
 use super::pairs::{self, Agents};
 use candle_core::{D, DType, Result, Tensor};
 
-/// How much the boxes are to overlap, at their two times, meters; their separation is up to 0.2 m less than it is for
-/// the smoothing.
+/// How much the boxes must overlap, at their two times, meters; smoothing makes their separation up to 0.2 m less than
+/// it is.
 const OVERLAP_M: f64 = 0.7;
 /// The distance to overlapping that costs ½, meters.
 const DISTANCE_TOLERANCE_M: f64 = 0.5;
-/// Courses cross where their headings differ by more than this: cos 45°.
+/// Courses cross if their headings differ by more than this: cos 45°.
 const CROSSING_COS: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// The excess of the cosine that costs ½.
 const COS_TOLERANCE: f64 = 0.15;
-/// Both move at least this fast, m/s, and what is missing that costs ½.
+/// Both move at least this fast, m/s; falling short by this costs ½.
 const LEAST_SPEED_MPS: f64 = 2.0;
 const SPEED_TOLERANCE_MPS: f64 = 1.0;
 
@@ -25,13 +25,13 @@ const SPEED_TOLERANCE_MPS: f64 = 1.0;
 pub(super) struct Encroachment {
     /// (P, N).
     pub(super) costs: Tensor,
-    /// 1 where both have a state, of which one is generated, and the time between them is in the target, (P, N).
+    /// 1 if both have a state, one of which is generated, and the time between them is in the target, (P, N).
     pub(super) counts: Tensor,
 }
 
 impl Encroachment {
-    /// From pairs (who is earlier, who is later), for post-encroachment times between the least and the most `wanted_s`
-    /// of each pair, (P, 2). Each of `orders` has the same pairs. `None` where no two timesteps are so far apart.
+    /// From pairs (earlier agent, later agent), for post-encroachment times between the least and the most `wanted_s`
+    /// of each pair, (P, 2). Each of `orders` has the same pairs. `None` if no two timesteps are that far apart.
     pub(super) fn new(orders: &[[&Agents; 2]], wanted_s: &Tensor, dt_s: f64) -> Result<Option<Self>> {
         let n_timesteps = orders[0][0].valid.dim(1)?;
         let wanted = wanted_s.to_dtype(DType::F64)?.to_vec2::<f64>()?;

@@ -42,7 +42,7 @@ impl SceneObjective for HardBrake {
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
         let n_window = (WINDOW_S / context.dt_s).round().max(1.0) as usize;
-        // Speeds lie between timesteps: there is one less, and a moment needs two of them, a window apart.
+        // Speeds are between timesteps: there is one less, and a moment needs two of them, a window apart.
         let Some(n_moments) = n_timesteps.checked_sub(n_window + 1).filter(|n| *n > 0) else {
             return nothing(states);
         };
@@ -96,14 +96,14 @@ mod tests {
     fn the_cost_is_that_of_the_missing_deceleration_whoever_asks_for_it() {
         // At a constant 12 m/s every one of the moments lacks 5 m/s²: 12.5 each, over the fourth root of their number.
         let mut traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 12.0)]);
-        // Moments end at generated timesteps, of which there are as many as moments that hold one.
+        // Moments that count end at generated timesteps.
         let n_moments = 12.0 - 4.0;
         let value = traffic.potential(&HardBrake {})[0];
         assert!((value + 12.51 / f64::powf(n_moments, 0.25)).abs() < 1e-3, "{value}");
         traffic.context.targets[0] = [(MAX_DECELERATION.to_owned(), [3.0, 4.0])].into();
         let aimed = traffic.potential(&HardBrake {})[0];
         assert!((aimed + 4.51 / f64::powf(n_moments, 0.25)).abs() < 1e-3, "{aimed}");
-        // Who crawls cannot brake hard.
+        // A crawling car cannot brake hard.
         let crawling = Traffic::straight(&[(0.0, 0.0, 0.0, 1.0)]).potential(&HardBrake {})[0];
         assert!(crawling < value - 1.0, "{crawling}");
     }

@@ -98,12 +98,12 @@ mod tests {
 
     #[test]
     fn the_cost_is_that_of_the_offset_and_nothing_without_a_lane_there() {
-        // 3.2 m from the other center line, of which 0.7 m are free: 2.5 m are five tolerances.
+        // 3.2 m from the other center line, 0.7 m of which are free: 2.5 m are five tolerances.
         let found = traffic().potential(&objective(None))[0];
         assert!((found + 12.5).abs() < 1e-5, "{found}");
         assert_eq!(traffic().potential(&objective(Some(Side::Right))), [0.0]);
         assert_eq!(Traffic::straight(&[(0.0, 0.3, 0.0, 8.0)]).potential(&objective(None)), [0.0]);
-        // The target decides what the configuration leaves open.
+        // The target decides if the configuration does not.
         let mut asked = traffic();
         asked.context.targets[0] = [(SIDE.to_owned(), [-1.5, -0.5])].into();
         assert_eq!(asked.potential(&objective(None)), [0.0]);

@@ -63,7 +63,7 @@ use serde::{Deserialize, Serialize};
 
 /// An objective for the trajectories of a scene.
 pub trait SceneObjective {
-    /// Whose motion it judges if its settings do not say.
+    /// The agents whose motion it judges by default.
     fn whose(&self) -> Whose {
         Whose::Any(AgentSelector::ALL)
     }
@@ -88,12 +88,12 @@ pub trait SceneObjective {
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
 }
 
-/// Whose motion an objective judges if its settings do not say.
+/// The agents whose motion an objective judges by default.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Whose {
-    /// The agents of this name; settings may name others, several at once.
+    /// The agents with this name; settings may name others, several at once.
     Any(&'static str),
-    /// The agent of this name; settings may name another one.
+    /// The agent with this name; settings may name another one.
     One(&'static str),
 }
 
@@ -189,7 +189,7 @@ pub enum InvalidObjective {
     /// It names agents that do not exist.
     #[error("no agent has the role `{role}`, expected one of {known}")]
     Role {
-        /// As written.
+        /// The name as written.
         role: String,
         /// The values that can be written.
         known: String,
@@ -202,7 +202,7 @@ impl ObjectiveConfig {
         Self { weight, agents: None, kind: objective.into() }
     }
 
-    /// Whose motion it judges.
+    /// The agents whose motion it judges.
     pub fn agents(&self) -> AgentSelector {
         let (Whose::Any(usual) | Whose::One(usual)) = self.objective().whose();
         self.agents.clone().unwrap_or_else(|| AgentSelector::new(usual))
@@ -214,7 +214,7 @@ impl ObjectiveConfig {
         Self { agents: Some(self.agents()), ..self.clone() }
     }
 
-    /// Its log potential of each row, (B): [`SceneObjective::log_potential`].
+    /// The log potential of each row, (B): [`SceneObjective::log_potential`].
     ///
     /// # Errors
     /// When shapes do not fit, or no agent has a role.
@@ -246,12 +246,12 @@ fn ego() -> AgentSelector {
     AgentSelector::new(AgentSelector::EGO)
 }
 
-/// The second of two of whom neither is the ego.
+/// The second of two agents, neither of which is the ego.
 fn second() -> AgentSelector {
     AgentSelector::new("second")
 }
 
-/// How far `x` (B, N) lies outside of the interval of its row, (B, 2).
+/// How far `x` (B, N) is outside the interval of its row, (B, 2).
 fn beyond(x: &Tensor, interval: &Tensor) -> Result<Tensor> {
     let (least, most) = (interval.narrow(1, 0, 1)?, interval.narrow(1, 1, 1)?);
     x.broadcast_sub(&least)?.neg()?.relu()? + x.broadcast_sub(&most)?.relu()?

@@ -4,7 +4,7 @@ use candle_core::{D, Result, Tensor};
 
 /// Least value of a rounded norm: ‖v‖ has no gradient at zero.
 const ROUNDING: f64 = 0.05;
-/// The cost δ that is added to every moment's, lest the powers of none be infinite.
+/// The cost δ that is added to that of every moment, so that the power of a cost of 0 is finite.
 const LEAST_COST: f64 = 0.01;
 /// Less than the inverse fourth power of any cost.
 const NO_MOMENT: f64 = 1e-30;

@@ -58,7 +58,7 @@ impl SceneObjective for NoCollision {
     }
 }
 
-/// More than smoothing takes off a separation, meters.
+/// More than smoothing subtracts from a separation, meters.
 const SMOOTHING_M: f64 = 0.25;
 
 #[cfg(test)]

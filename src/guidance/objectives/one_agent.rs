@@ -1,4 +1,4 @@
-//! The one agent of each row that an objective is about, and how far it is from a line.
+//! The one agent of each row for an objective, and its distance from a line.
 
 use super::pairs::Agents;
 use super::{AgentSelector, SceneContext, Side};
@@ -7,14 +7,14 @@ use crate::guidance::lane_ways::WayPose;
 use candle_core::{D, DType, Result, Tensor};
 use std::ops::Range;
 
-/// The parameter that says to which side one goes, as events report it: +1 left, -1 right.
+/// The parameter for the side to which an agent goes, as events report it: +1 left, -1 right.
 pub(super) const SIDE: &str = "side";
 
-/// One agent a row.
+/// One agent per row.
 pub(super) struct OneAgent {
     /// Its states, (B, T, 3).
     states: Tensor,
-    /// 1 where they are generated and valid, (B, T).
+    /// 1 if they are generated and valid, (B, T).
     pub(super) counts: Tensor,
     /// The states on the host.
     at: Vec<f64>,
@@ -34,7 +34,7 @@ impl OneAgent {
         Ok(Self { states, counts, at, is_valid, n_timesteps, present: context.n_history.saturating_sub(1) })
     }
 
-    /// Where it is at a timestep.
+    /// Its position at a timestep.
     fn position(&self, row: usize, timestep: usize) -> Vec2 {
         let at = 3 * (row * self.n_timesteps + timestep);
         Vec2::new(self.at[at], self.at[at + 1])
@@ -52,7 +52,7 @@ impl OneAgent {
         Some(self.at[3 * (row * self.n_timesteps + first) + 2])
     }
 
-    /// Its speed at present, m/s: that of the last two states up to then. `None` if it is not seen at present.
+    /// Its speed at present, m/s: that of the last two states up to then. `None` if it has no state at present.
     pub(super) fn present_speed_mps(&self, row: usize, dt_s: f64) -> Option<f64> {
         let is_seen = |timestep: usize| self.is_valid[row * self.n_timesteps + timestep] > 0.0;
         let before = self.present.checked_sub(1).filter(|before| is_seen(*before) && is_seen(self.present));
@@ -67,7 +67,7 @@ impl OneAgent {
         self.present + 1..self.n_timesteps
     }
 
-    /// How far it drives up to each timestep after the present from the one before, meters; 0 where it is not there.
+    /// The distances that it drives from one timestep to the next after the present, meters; 0 if it is absent.
     pub(super) fn steps_m(&self, row: usize) -> Vec<f64> {
         let is_there = |t: usize| self.is_valid[row * self.n_timesteps + t] > 0.0;
         let step_m = |t: usize| match is_there(t - 1) && is_there(t) {
@@ -92,7 +92,7 @@ impl OneAgent {
     }
 
     /// The center line of a lane beside the agent's own on the `configured` side, or on that of the target, or on
-    /// either: the one that the agent is nearest to when it was last seen.
+    /// either: the line nearest to the agent's last observed place.
     pub(super) fn line_beside(&self, context: &SceneContext, row: usize, configured: Option<Side>) -> Option<Polyline> {
         let sides = match (configured, context.targets[row].get(SIDE)) {
             (Some(side), _) => vec![side.sign()],
@@ -103,8 +103,8 @@ impl OneAgent {
         self.nearest(row, lines)
     }
 
-    /// The center line of an oncoming lane beside the agent's own, in the agent's direction: the one that the agent is
-    /// nearest to when it was last seen.
+    /// The center line of an oncoming lane beside the agent's own, in the agent's direction: the line nearest to the
+    /// agent's last observed place.
     pub(super) fn oncoming_line(&self, context: &SceneContext, row: usize) -> Option<Polyline> {
         self.nearest(row, context.ways[row].oncoming(self.pose(row)).into_iter())
     }
@@ -115,8 +115,8 @@ impl OneAgent {
         lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
     }
 
-    /// The agents across one line a row; where there is none, they are 0 beside it. The nearest point of a line is
-    /// found on the host and held: by the envelope theorem the gradients are those of the offset.
+    /// The agents across one line per row; if there is none, their distance from it is 0. The nearest point of a line
+    /// is found on the host and held: by the envelope theorem the gradients are those of the offset.
     pub(super) fn across(&self, lines: &[Option<Polyline>]) -> Result<LineFrame> {
         let n_rows = lines.len();
         let list = || Vec::with_capacity(n_rows * self.n_timesteps);
@@ -147,7 +147,7 @@ impl OneAgent {
     }
 }
 
-/// Where agents are relative to one line a row.
+/// The places of agents relative to one line per row.
 pub(super) struct LineFrame {
     /// Way to the left of it, (B, T), meters.
     pub(super) across_m: Tensor,

@@ -1,4 +1,4 @@
-//! Which pairs of agents does an objective look at? Those near enough to matter, gathered from all rows into one list.
+//! The pairs of agents for an objective: those near enough to matter, gathered from all rows into one list.
 
 use super::{AgentSelector, SceneContext};
 use candle_core::{DType, Result, Tensor};
@@ -7,9 +7,9 @@ use candle_core::{DType, Result, Tensor};
 pub(super) struct Pairs {
     pub(super) first: Agents,
     pub(super) second: Agents,
-    /// 1 where both states are valid and at least one is generated, (P, T).
+    /// 1 if both states are valid and at least one is generated, (P, T).
     pub(super) counts: Tensor,
-    /// 1 where both states are valid, (P, T).
+    /// 1 if both states are valid, (P, T).
     pub(super) both_valid: Tensor,
     rows: Tensor,
     n_rows: usize,
@@ -21,9 +21,9 @@ pub(super) struct Agents {
     pub(super) states: Tensor,
     /// Lengths and widths, (P, 2).
     pub(super) extent_m: Tensor,
-    /// 1 where there is a state, (P, T).
+    /// 1 if there is a state, (P, T).
     pub(super) valid: Tensor,
-    /// 1 where the state is generated, (P, T).
+    /// 1 if the state is generated, (P, T).
     pub(super) latent: Tensor,
 }
 
@@ -39,7 +39,7 @@ impl Agents {
         Ok(Self { states: of(states)?, extent_m: of(&context.extent_m)?.to_dtype(states.dtype())?, valid, latent })
     }
 
-    /// These agents from timestep `start` on, `len` of them.
+    /// The agents in `len` timesteps from `start` on.
     pub(super) fn during(&self, start: usize, len: usize) -> Result<Self> {
         let narrow = |tensor: &Tensor| tensor.narrow(1, start, len);
         Ok(Self {
@@ -53,14 +53,14 @@ impl Agents {
 
 /// The agents between which pairs are looked for.
 pub(super) struct PairQuery<'a> {
-    /// One agent is of these,
+    /// The first agent is one of these.
     pub(super) one: &'a AgentSelector,
     /// and the other of these.
     pub(super) other: &'a AgentSelector,
-    /// Pairs that are never nearer than this count nothing: center distance, in sums of the radii around both boxes,
-    /// and meters beyond. `None` for all pairs.
+    /// Pairs that are never closer than this do not count: center distance, in sums of the radii around both boxes, and
+    /// meters beyond. `None` for all pairs.
     pub(super) reach: Option<Reach>,
-    /// One pair that is left out.
+    /// A pair to leave out.
     pub(super) except: Option<&'a [AgentSelector; 2]>,
 }
 
@@ -79,7 +79,7 @@ pub(super) struct Reach {
 }
 
 impl Pairs {
-    /// The pairs of `query`, each once; `None` when there are none.
+    /// The pairs of `query`, without repetitions; `None` if there are none.
     pub(super) fn gather(states: &Tensor, context: &SceneContext, query: &PairQuery<'_>) -> Result<Option<Self>> {
         let (n_rows, n_agents, n_timesteps, _) = states.dims4()?;
         let [first, second, rows] = Self::find(states, context, query)?;
@@ -154,12 +154,12 @@ impl Pairs {
     }
 }
 
-/// 1 where both have a state, (P, T).
+/// 1 if both have a state, (P, T).
 fn both_valid(first: &Agents, second: &Agents) -> Result<Tensor> {
     &first.valid * &second.valid
 }
 
-/// 1 where both have a state, of which one is generated, (P, T).
+/// 1 if both have a state, one of which is generated, (P, T).
 pub(super) fn counts(first: &Agents, second: &Agents) -> Result<Tensor> {
     both_valid(first, second)? * first.latent.maximum(&second.latent)?
 }

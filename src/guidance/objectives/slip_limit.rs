@@ -86,7 +86,7 @@ mod tests {
         for allowed in [0.0, 0.09, -0.09] {
             assert_eq!(turned(allowed).potential(&objective()), [0.0]);
         }
-        // The center of a car may move aside as far as it turns about an axle of its own.
+        // The center of a car may move aside as far as the car turns about an axle of its own.
         let (speed_mps, rate_radps, dt_s) = (10.0, 0.4, traffic.context.dt_s);
         let about = |axle_m: f64| {
             let mut traffic = turned(0.0);
@@ -103,7 +103,7 @@ mod tests {
             traffic.potential(&SlipLimit { limit_rad: 0.01 })[0]
         };
         assert!(about(1.5) == 0.0 && about(-1.5) == 0.0 && about(6.0) < 0.0);
-        // A turn that leads all the way around is none.
+        // A turn all the way around is none.
         assert!(turned(std::f64::consts::TAU).potential(&objective())[0].abs() < 1e-9);
         let mut walking = turned(0.3);
         walking.context.motorized = walking.context.motorized.zeros_like().unwrap();

@@ -40,7 +40,7 @@ impl SceneObjective for StayOnRoad {
     }
 }
 
-/// 1 at the timestep where each agent was last observed up to the present, or else first observed, (B, A, T).
+/// 1 at the timestep at which each agent was last observed up to the present, or otherwise first observed, (B, A, T).
 fn last_observed(context: &SceneContext) -> Result<Tensor> {
     let observed = (&context.valid * (1.0 - &context.latent)?)?;
     let n_timesteps = observed.dim(2)?;
@@ -57,8 +57,8 @@ fn last_observed(context: &SceneContext) -> Result<Tensor> {
     Tensor::from_vec(marks, observed.shape(), observed.device())?.to_dtype(observed.dtype())
 }
 
-/// How far `points` (B, A, T, 2) lie outside of the nearest corridor, (B, A, T); far inside where they do not count
-/// (`counts` (B, A, T) is 0) or there are no lanes.
+/// How far `points` (B, A, T, 2) are outside the nearest corridor, (B, A, T); far inside if they do not count (`counts`
+/// (B, A, T) is 0) or there are no lanes.
 fn outside_m(points: &Tensor, counts: &Tensor, context: &SceneContext) -> Result<Tensor> {
     let (n_rows, n_agents, n_timesteps, _) = points.dims4()?;
     let host = |tensor: &Tensor| tensor.detach().to_dtype(DType::F64)?.flatten_all()?.to_vec1::<f64>();
@@ -104,7 +104,7 @@ mod tests {
         SceneContext { roads: vec![Arc::new(road)], ..Traffic::straight(cars).context }
     }
 
-    /// The cost per second of a car along the lane that was observed at `observed_m` beside its middle and then is at
+    /// The cost per second of a car along the lane that was observed `observed_m` beside its middle and then is at
     /// `sampled_m`.
     fn cost(observed_m: f64, sampled_m: f64) -> f64 {
         let car = [(0.0, observed_m, 0.0, 5.0)];
@@ -122,7 +122,7 @@ mod tests {
         // 2 m outside, 4 tolerances; the norm's rounding is below 1 mm here.
         let found = cost(0.0, 3.75);
         assert!((found - expected(2.0)).abs() < 0.3, "{found}");
-        // Without lanes, or where the map lacks parts of the road, there is nothing to leave.
+        // Without lanes, or if the map lacks parts of the road, there is no road to leave.
         let mut traffic = traffic();
         assert!(traffic.potential(&on_road())[0] < 0.0);
         traffic.context = traffic.context.with_roads_where(|_| false);
@@ -145,7 +145,7 @@ mod tests {
         for (agent, own) in states[0].iter().enumerate() {
             assert!(own[traffic.generated()].iter().all(|state| state[1].abs() < 1.85), "agent {agent}: {own:?}");
         }
-        // Who is on the road already is left alone.
+        // An agent on the road is left alone.
         assert_eq!(states[0][0][4], traffic.states_vec()[0][0][4]);
     }
 

@@ -1,5 +1,5 @@
-//! Traffic for tests of objectives, in double precision: gradients against finite differences, and what following them
-//! does.
+//! Traffic for tests of objectives, in double precision: gradients against finite differences, and the effect of
+//! following them.
 
 use super::{SceneObjective, Whose};
 use crate::geometry::{OrientedBox, Polyline, Transform2, Vec2};
@@ -53,7 +53,7 @@ impl Traffic {
         Self { states: Var::from_tensor(&states).unwrap(), context }
     }
 
-    /// The same traffic, asked for a parameter of this range.
+    /// The traffic with a target range for a parameter.
     pub(super) fn aiming_at(mut self, parameter: &str, range: [f64; 2]) -> Self {
         self.context.targets[0].insert(parameter.to_owned(), range);
         self
@@ -107,7 +107,7 @@ pub(super) fn two_lanes() -> LaneWays {
     ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)]), (2, vec![(-50.0, 3.5), (100.0, 3.5)])])
 }
 
-/// A lane along x with its center line at y = 0, and one that comes toward it at y = 3.5 m.
+/// A lane along x with its center line at y = 0, and an oncoming one at y = 3.5 m.
 pub(super) fn two_way_street() -> LaneWays {
     ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)]), (2, vec![(100.0, 3.5), (-50.0, 3.5)])])
 }

@@ -8,7 +8,7 @@ use crate::scene::testing::{Drive, scene};
 use candle_core::{Device, Var};
 use std::sync::Arc;
 
-/// One of each kind, all of which cost something in [`busy`].
+/// One objective of each kind, all of which cost something in [`busy`].
 fn all() -> Vec<ObjectiveConfig> {
     let text = "
         objectives = [
@@ -34,7 +34,7 @@ fn posed(config: &ObjectiveConfig) -> Of<&dyn SceneObjective> {
     Of(config.agents().name().to_owned().leak(), config.objective())
 }
 
-/// Cars close to each other and beside the road, that accelerate.
+/// Accelerating cars close to each other and beside the road.
 fn busy() -> Traffic {
     let mut traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (6.0, 2.2, 0.0, 5.0), (3.0, -5.0, 0.2, 6.0)]);
     let mut states: Vec<f64> = traffic.states.flatten_all().unwrap().to_vec1().unwrap();
@@ -58,9 +58,9 @@ fn every_gradient_agrees_with_finite_differences_and_every_potential_is_negative
     for config in all() {
         let objective = posed(&config);
         match config.kind {
-            // Whose path is cut into is held as it is.
+            // The path that is cut into is held constant.
             ObjectiveKind::CutIn(_) => assert_gradients_of_match(&objective, &traffic, |agent, _| agent > 0),
-            // What turning allows is held as it is.
+            // The allowance for turning is held constant.
             ObjectiveKind::SlipLimit(_) => assert_gradients_of_match(&objective, &traffic, |_, i| i < 2),
             _ => assert_gradients_match(&objective, &traffic),
         }
@@ -114,7 +114,7 @@ fn rows_are_independent() {
         let expected = [one.potential(&objective)[0], second.potential(&objective)[0]];
         let found = both.potential(&objective);
         assert!((0..2).all(|row| (found[row] - expected[row]).abs() < 1e-9), "{}", config.kind());
-        // Swapping the role changes who is meant.
+        // Swapping the role changes the agent.
         second.context.roles.insert("other".to_owned(), vec![2]);
         let selected = second.context.selected(&AgentSelector::new("other")).unwrap();
         assert_eq!(selected.to_vec2::<f64>().unwrap(), [[0.0, 0.0, 1.0]]);

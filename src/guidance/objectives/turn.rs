@@ -79,8 +79,8 @@ impl SceneObjective for Turn {
 }
 
 impl Turn {
-    /// Where the agent of a row should be at each timestep after the present, and its heading there; `None` if no lane
-    /// turns so.
+    /// The place of the agent of a row at each timestep after the present by its target, and its heading there; `None`
+    /// if no lane turns in this way.
     fn wanted(&self, asked: &OneAgent, context: &SceneContext, row: usize) -> Option<Vec<(Vec2, f64)>> {
         let way = self.way(asked, context, row)?;
         let speed_mps = context.targets[row].get(MEAN_SPEED).copied().unwrap_or(ANY_SPEED_MPS);

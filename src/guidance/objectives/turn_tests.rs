@@ -1,4 +1,4 @@
-//! Gradients, the miner's view of what following them does, and cases without an effect.
+//! Gradients, the miner's judgment of samples that follow them, and cases without an effect.
 
 use super::super::testing::{Traffic, after_ascent};
 use super::*;
@@ -61,7 +61,7 @@ fn found(scene: &Scene, side: Side) -> [bool; 2] {
     if side == Side::Left { [left, right] } else { [right, left] }
 }
 
-/// Where the car is at its speed after it has driven for `t` timesteps along the left bend of the junction, and its
+/// The place of the car at its speed after driving for `t` timesteps along the left bend of the junction, and its
 /// heading.
 fn on_bend(t: usize) -> [f64; 3] {
     let way_m = 1.6 * t as f64;
@@ -122,7 +122,7 @@ fn nothing_is_asked_of_who_turns_already_or_nowhere() {
     assert_eq!(traffic(straight).potential(&objective(Side::Left)), [0.0]);
     let turned = with_states(traffic(junction()), (0..12).flat_map(on_bend).collect());
     assert_eq!(turned.potential(&objective(Side::Left))[0].abs(), 0.0);
-    // A turn to the other side is another matter, and so is a slower one.
+    // A turn to the other side costs more, and so does a slower one.
     assert!(turned.potential(&objective(Side::Right))[0] < -1.0);
     let slower = turned.aiming_at(MEAN_SPEED, [1.0, 2.0]).aiming_at(HEADING_CHANGE, [0.8, 2.6]);
     assert!(slower.potential(&objective(Side::Left))[0] < -0.3);
@@ -156,7 +156,7 @@ fn the_target_decides_what_is_left_open() {
     let mut asked = traffic(junction());
     let free = asked.potential(&objective(Side::Right))[0];
     asked.context.targets[0] = [(HEADING_CHANGE.to_owned(), [-1.5, -1.4])].into();
-    // The car, which goes straight on, is less far from where a smaller turn ends.
+    // The car, which goes straight on, is closer to where a smaller turn ends.
     assert!(asked.potential(&objective(Side::Right))[0] > free + 0.1);
     // No lane turns by half a circle.
     asked.context.targets[0] = [(HEADING_CHANGE.to_owned(), [-3.2, -3.0])].into();

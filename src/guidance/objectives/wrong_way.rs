@@ -19,7 +19,7 @@ pub struct WrongWay {}
 /// How long the agent must be in the oncoming lane at the end, seconds.
 const AGAINST_S: f64 = 1.7;
 
-/// How far from the center line of that lane it may be then, meters.
+/// How far from the center line of that lane it may be at the end, meters.
 const WITHIN_M: f64 = 1.2;
 
 /// The error τ of the offset that costs ½, meters.
@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn the_cost_is_that_of_the_way_to_the_oncoming_lane() {
-        // 3.2 m aside, of which 1.2 m may be missing: ½ (2 / 0.5)².
+        // 3.2 m aside, 1.2 m of which are free: ½ (2 / 0.5)².
         assert!((traffic().potential(&objective())[0] + 8.0).abs() < 1e-5);
         assert_gradients_match(&objective(), &traffic());
     }

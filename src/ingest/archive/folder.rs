@@ -1,4 +1,4 @@
-//! Which files lie in a folder and the folders below it, in order of their names?
+//! Lists the files in a folder and the folders below it, in order of their names.
 
 use super::{Entry, Unopened, Visitor, clean_name, is_hidden, visit_file};
 use crate::ingest::Error;
@@ -52,8 +52,8 @@ fn visit_folder(
     Ok(ControlFlow::Continue(()))
 }
 
-/// Visits a file. An archive that breaks off before anything that is wanted has come is a file that cannot be read, and
-/// that may be wanted by its name, as any other: it may be of something else.
+/// Visits a file. An archive that breaks off before any wanted entry counts as an unreadable file, which may be wanted
+/// by its name like any other: it may belong to something else.
 fn visit_file_or_pass(
     root: &Path,
     name: &str,

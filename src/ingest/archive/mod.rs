@@ -1,9 +1,9 @@
-//! Which files do the inputs hold, and what is in them, without unpacking anything?
+//! Reads the files of the inputs, without unpacking anything to disk.
 //!
 //! Inputs are folders, single files, and containers: `.zip`, `.tar`, `.tar.gz`, `.tgz`, and `.gz` around one file.
-//! Every file is handed on as a stream, one after the other, in an order that depends on the inputs alone: folders by
+//! Every file is passed on as a stream, one after the other, in an order that depends on the inputs alone: folders by
 //! name, archives in the order of their directory. Memory does not grow with the size of a file. Names inside an
-//! archive are names and nothing else: nothing is ever written, so `..` and absolute paths lead nowhere.
+//! archive are only names: nothing is ever written, so `..` and absolute paths lead nowhere.
 
 mod folder;
 mod tarball;
@@ -20,26 +20,25 @@ use std::path::{Path, PathBuf};
 pub struct Entry {
     /// Its path inside the container with `/` between parts, and without the `.gz` of a file that is compressed alone.
     pub path: String,
-    /// The archive, or the folder that was given as input (for an input that is a file: the folder around it).
+    /// The archive, or the input folder (for an input that is a file: its folder).
     pub container: PathBuf,
-    /// Size in bytes where the container says so before the file is read.
+    /// Size in bytes, if the container tells it before the file is read.
     pub size: Option<u64>,
 }
 
-/// Callback for every wanted entry: with the entry and its bytes, of which any number may be read.
+/// Callback for every wanted entry: with the entry and its bytes, any number of which may be read.
 ///
-/// An entry that cannot be opened is handed on all the same, as a stream whose first read fails, so that the caller
-/// decides whether a broken file among many is a reject or the end.
+/// An entry that cannot be opened is passed on, too, as a stream whose first read fails, so that the caller decides
+/// whether a broken file among many is a reject or the end.
 pub type Visitor<'a> = dyn FnMut(&Entry, &mut dyn BufRead) -> Result<ControlFlow<()>, Error> + 'a;
 
 /// Visits the entries of `inputs` whose path is `wanted`, until `visit` breaks off.
 ///
-/// Entries that are not wanted are not opened (in a `.tar.gz` they still have to be decompressed). Hidden files, links
-/// inside archives, and what macOS adds to archives are passed over.
+/// Other entries are not opened (in a `.tar.gz` they still have to be decompressed). Hidden files, links inside
+/// archives, and companion files of macOS are skipped.
 ///
 /// # Errors
-/// An input that does not exist or cannot be read, a container that is damaged or cut short, and whatever `visit`
-/// returns.
+/// An input that does not exist or cannot be read, a container that is damaged or cut short, and errors of `visit`.
 pub fn visit_entries(inputs: &[PathBuf], wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<'_>) -> Result<(), Error> {
     for input in inputs {
         if visit_input(input, wanted, visit)?.is_break() {
@@ -59,7 +58,7 @@ fn visit_input(input: &Path, wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<
     visit_file(folder, &name, input, wanted, visit)
 }
 
-/// Visits the file `path`, which is called `name` within `root`: itself, or its entries if it is an archive.
+/// Visits the file `path`, named `name` within `root`: itself, or its entries if it is an archive.
 fn visit_file(
     root: &Path,
     name: &str,
@@ -105,12 +104,12 @@ fn open(path: &Path) -> io::Result<io::BufReader<fs_err::File>> {
     Ok(io::BufReader::with_capacity(BUFFER_BYTES, fs_err::File::open(path)?))
 }
 
-/// Several gzip members in a row are one stream, as `gzip` itself has it.
+/// Decompresses consecutive gzip members as one stream, as `gzip` itself does.
 fn gunzip(reader: impl BufRead) -> impl Read {
     flate2::bufread::MultiGzDecoder::new(reader)
 }
 
-/// A name as messages may show it: `/` between parts, no empty, `.` or `..` parts, no control characters.
+/// A name for messages: `/` between parts, no empty, `.` or `..` parts, no control characters.
 fn clean_name(name: &str) -> String {
     let printable: String =
         name.chars().map(|c| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c }).collect();
@@ -123,7 +122,7 @@ fn is_hidden(clean_name: &str) -> bool {
     clean_name.split('/').any(|part| part.starts_with('.') || part == "__MACOSX")
 }
 
-/// The container itself is at fault; `after` is the last entry that could be read.
+/// The error for a damaged container; `after` is the last entry that could be read.
 fn damaged(container: &Path, after: Option<&str>, error: &io::Error) -> Error {
     let place = after.map_or(String::new(), |entry| format!(" after entry {entry}"));
     let detail = format!("{error}{place}; {DAMAGED}");
@@ -132,7 +131,7 @@ fn damaged(container: &Path, after: Option<&str>, error: &io::Error) -> Error {
 
 const DAMAGED: &str = "the file may be damaged or truncated, download it again";
 
-/// An entry of an archive, whose errors say what to do.
+/// An entry of an archive, with errors that tell what to do.
 struct Packed<R>(R);
 
 impl<R: Read> Read for Packed<R> {

@@ -1,4 +1,4 @@
-//! What does a `.tar` stream hold?
+//! Reads the entries of a `.tar` stream.
 //!
 //! Entries are taken raw, and the extension headers that carry long names are read here, because their size is up to
 //! the archive: a header that claims to be gigabytes long must not be read into memory.
@@ -14,8 +14,8 @@ const MAX_EXTENSION_BYTES: u64 = 64 * 1024;
 
 /// Visits the regular files of the tar stream `reader`, which is the file `path`.
 ///
-/// A stream cannot be entered again behind a damaged place, so damage between entries is an error. So is an end without
-/// the mark that ends archives, and a checksum of the compression, behind that mark, that does not agree.
+/// A stream cannot be entered again after a damaged place, so damage between entries is an error. So is an end without
+/// the mark that ends archives, and a wrong checksum of the compression after that mark.
 pub(super) fn visit(
     path: &Path,
     reader: impl Read,
@@ -65,16 +65,16 @@ pub(super) fn visit(
     }
 }
 
-/// Whether what stands behind a compressed stream, such as zeros or a signature, was taken for another one. `gzip`
-/// passes over it, too.
+/// Whether bytes after a compressed stream, such as zeros or a signature, were mistaken for another stream. `gzip`
+/// ignores them, too.
 fn is_of_what_follows(error: &io::Error) -> bool {
     error.to_string().contains("invalid gzip header")
 }
 
-/// Zeros behind the last entry, at least.
+/// The fewest zeros after the last entry.
 const END_BYTES: u64 = 512;
 
-/// A stream that knows with how many zeros it ends so far.
+/// A stream that counts the zeros at its end so far.
 struct Tail<R> {
     inner: R,
     n_zeros: u64,
@@ -105,7 +105,7 @@ fn pax_path(extension: &[u8]) -> io::Result<Option<String>> {
         let record = record?;
         match record.key_bytes() {
             b"path" => path = Some(String::from_utf8_lossy(record.value_bytes()).into_owned()),
-            // It overrides the size in the plain header, which raw entries go by.
+            // It overrides the size in the plain header, on which raw entries depend.
             b"size" => return Err(invalid("files over 8 GiB are not supported in pax archives; unpack them".into())),
             _ => {}
         }

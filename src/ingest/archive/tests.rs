@@ -182,7 +182,7 @@ fn the_end_of_an_archive_is_checked() {
     let mut wrong_checksum = gz(&tar);
     let at = wrong_checksum.len() - 8;
     wrong_checksum[at] ^= 1;
-    // Bytes after the mark, or after the compressed stream, are no part of the archive.
+    // Bytes after the mark, or after the compressed stream, do not belong to the archive.
     for (name, bytes) in [
         ("a.tar", [&tar[..], b"signed"].concat()),
         ("a.tar.gz", [gz(&tar), vec![0; 600]].concat()),
@@ -192,7 +192,7 @@ fn the_end_of_an_archive_is_checked() {
         assert_eq!(texts(folder.path()).len(), 2);
     }
     for (name, bytes, n_seen) in [
-        // Between two entries, where nothing of a file is missing.
+        // Between two entries, where no part of a file is missing.
         ("a.tar", tar[..1024].to_vec(), 1),
         ("a.tar", Vec::new(), 0),
         ("a.tar.gz", wrong_checksum, 2),
@@ -271,6 +271,6 @@ fn an_archive_of_something_else_does_not_hinder_the_folder() {
     result.unwrap();
     assert_eq!(seen, [("z.csv".to_owned(), Ok("2".to_owned()))]);
     assert_eq!(asked.into_inner(), ["broken.zip", "cut.tar.gz", "z.csv"], "they are files like any other");
-    // Whoever names the archive wants it.
+    // An archive that is an input itself is always wanted.
     assert!(visit_all(&[folder.path().join("broken.zip")], &|_| true).1.is_err());
 }

@@ -1,4 +1,4 @@
-//! What does a `.zip` archive hold?
+//! Reads the files of a `.zip` archive.
 
 use super::{BUFFER_BYTES, Entry, Packed, Unopened, Visitor, clean_name, damaged, is_hidden, open};
 use crate::ingest::Error;
@@ -6,7 +6,7 @@ use std::io;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-/// Visits the files of a zip archive in the order of its central directory. A damaged file does not hinder the others.
+/// Visits the files of a zip archive in the order of its central directory. A damaged file does not affect the others.
 pub(super) fn visit(
     path: &Path,
     wanted: &dyn Fn(&str) -> bool,

@@ -31,8 +31,7 @@ pub(super) struct TimedRow {
     pub(super) position: Vec2,
 }
 
-/// The states of one track at timesteps 0 to `n_timesteps`; `rows` by ascending time, of the `n_times` times of the
-/// file.
+/// The states of one track at timesteps 0 to `n_timesteps`. `rows` are by ascending time; the file has `n_times` times.
 pub(super) fn smoothed_states(rows: &[TimedRow], n_times: usize, n_timesteps: usize) -> DerivedStates {
     let n_past = rows.partition_point(|row| row.time_idx < RECORDED.n_history);
     let (past, future) = rows.split_at(n_past);
@@ -61,7 +60,7 @@ pub(super) fn smoothed_states(rows: &[TimedRow], n_times: usize, n_timesteps: us
     DerivedStates { states, held_headings, headings_from, recorded }
 }
 
-/// The rows, and those of `timesteps` at which the track exists, by the first `n_times` times of the file.
+/// The rows, and the `timesteps` at which the track exists, up to the first `n_times` times of the file.
 fn nodes(
     rows: &[TimedRow],
     known: &[TimedRow],
@@ -133,7 +132,7 @@ mod tests {
     use super::*;
     use crate::seed::Seed;
 
-    /// Rows of somebody who is at `path(time)`, at uneven times, with noise of this standard deviation.
+    /// Rows of an agent at `path(time)`, at uneven times, with noise of this standard deviation.
     fn rows(noise_m: f64, path: impl Fn(f64) -> Vec2) -> Vec<TimedRow> {
         let mut rng = Seed(11).rng();
         let times: Vec<f64> = (0..50).map(|i| 0.1 * f64::from(i - 19) + 0.03 * (rng.uniform() - 0.5)).collect();
@@ -163,7 +162,7 @@ mod tests {
         }
         let accelerations = states.windows(2).map(|pair| (pair[1].velocity - pair[0].velocity).norm() / 0.1);
         assert!(accelerations.fold(0.0, f64::max) < 6.0);
-        // Positions and velocities are of one motion.
+        // Positions and velocities belong to one motion.
         for pair in states.windows(2) {
             let mean = (pair[0].velocity + pair[1].velocity) * 0.5;
             assert!(((pair[1].position - pair[0].position) * 10.0).distance(mean) < 0.3);
@@ -189,7 +188,7 @@ mod tests {
         assert_eq!(standing.headings_from, 50);
         assert!(standing.held_headings.iter().all(|held| *held));
         assert!(standing.states.iter().flatten().all(|state| state.heading_rad == 0.0));
-        // Moves, and stands from half a second before the present on.
+        // Moves, then stands from half a second before the present on.
         let stopping = smoothed_states(&rows(0.1, |t| Vec2::new(0.0, 6.0 * t.min(-0.5))), 50, 50);
         let headings: Vec<f64> = stopping.states.iter().flatten().map(|state| state.heading_rad).collect();
         assert!(headings.iter().all(|heading| (heading - std::f64::consts::FRAC_PI_2).abs() < 0.2), "{headings:?}");

@@ -1,4 +1,4 @@
-//! Headings and velocities from positions, which are all that Argoverse 1 records.
+//! Headings and velocities from positions, since Argoverse 1 records nothing else.
 //!
 //! Observed states must not depend on the future: states up to the present are derived from observed positions alone.
 
@@ -15,15 +15,15 @@ pub(super) struct DerivedStates {
     pub(super) states: Vec<Option<State>>,
     /// Whether the heading is held because the agent moves too slowly, one entry a timestep.
     pub(super) held_headings: Vec<bool>,
-    /// The first timestep with a heading of its own: those before are placeholders because the track has not moved.
+    /// The first timestep with a heading of its own: earlier ones are placeholders because the track has not moved.
     pub(super) headings_from: usize,
     /// The recorded positions, if the states are smoothed.
     pub(super) recorded: Vec<RecordedPosition>,
 }
 
-/// The states of one track as it was recorded, without smoothing.
+/// The states of one track as recorded, without smoothing.
 ///
-/// `positions` and `timestamps_s` have one entry a timestep, of which the first `n_observed` are the past.
+/// `positions` and `timestamps_s` have one entry a timestep; the first `n_observed` are the past.
 ///
 /// - Velocity: backward difference over the actual time between tracked timesteps; forward difference for the first
 ///   one, 0 where that would look from the past into the future.

@@ -7,8 +7,8 @@
 
 use crate::geometry::Vec2;
 
-/// Spectral density of the acceleration, m²/s³: velocities change by about half a meter per second within a second. Of
-/// 0.3, 1, 3 and 10, this maximizes the likelihood of all tracks of the train split.
+/// Spectral density of the acceleration, m²/s³: velocities change by about half a meter per second within a second.
+/// Among 0.3, 1, 3 and 10, this maximizes the likelihood of all tracks of the train split.
 const ACCELERATION_DENSITY_M2PS3: f64 = 0.3;
 
 /// The possible standard deviations of a track's recorded positions, meters.
@@ -80,14 +80,14 @@ impl Estimate {
         (updated, -(std::f64::consts::TAU * variance).ln() - offset.dot(offset) / (2.0 * variance))
     }
 
-    /// The smoothed estimate here, `h_s` before `next`, the smoothed estimate of which `predicted` was the prediction.
+    /// The smoothed estimate here, `h_s` before the smoothed estimate `next`, for which the prediction was `predicted`.
     fn smoothed(&self, h_s: f64, predicted: &Self, next: &Self) -> Self {
         let ([pp, pv, vv], [app, apv, avv]) = (self.covariance, predicted.covariance);
         let determinant = app * avv - apv * apv;
         if determinant <= 0.0 {
             return *self;
         }
-        // The gain P Fᵀ A⁻¹ with F = [1 h; 0 1] and A the covariance that was predicted.
+        // The gain P Fᵀ A⁻¹ with F = [1 h; 0 1] and A the predicted covariance.
         let (c00, c01, c10, c11) = (pp + h_s * pv, pv, pv + h_s * vv, vv);
         let g00 = (c00 * avv - c01 * apv) / determinant;
         let g01 = (c01 * app - c00 * apv) / determinant;
@@ -109,7 +109,7 @@ impl Estimate {
 }
 
 /// The smoothed estimates at all `nodes`, by ascending time. They continue from `before`, an estimate with its time, or
-/// else begin with the first recorded position.
+/// otherwise begin with the first recorded position.
 pub(super) fn smooth(nodes: &[Node], noise_m: f64, before: Option<(f64, Estimate)>) -> Vec<Estimate> {
     let mut steps = Vec::with_capacity(nodes.len());
     filter(nodes, noise_m, before, &mut |predicted, updated| steps.push((predicted, updated)));

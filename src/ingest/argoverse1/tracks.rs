@@ -21,8 +21,8 @@ const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "C
 /// Maximum number of tracks of a file; real files have hundreds, and each track takes memory for all timesteps.
 const MAX_TRACKS: usize = 10_000;
 
-/// The scene of a file, cut to `horizon` around the present of the dataset, its tracks smoothed or as they were
-/// recorded. Unsmoothed tracks have one row a timestep, whatever its time.
+/// The scene of a file, cut to `horizon` around the present of the dataset, its tracks smoothed or as recorded.
+/// Unsmoothed tracks have one row a timestep, whatever its time.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<RawScene, Reject> {
     let table = TrackTable::read(unit)?;
     let split = match unit.split {

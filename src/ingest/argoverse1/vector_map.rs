@@ -23,7 +23,7 @@ const ASSUMED_LANE_WIDTH_M: f64 = 3.8;
 /// Larger than the map of any city; a longer file is not a map.
 const MAX_MAP_BYTES: u64 = 256 << 20;
 
-/// The city that a map file is named for: `pruned_argoverse_MIA_10316_vector_map.xml` is `MIA`.
+/// The city in the name of a map file: `pruned_argoverse_MIA_10316_vector_map.xml` is `MIA`.
 pub(super) fn city_of(file_name: &str) -> Option<&str> {
     let stem = file_name.strip_suffix("_vector_map.xml")?;
     stem.split('_').find(|word| word.len() >= 2 && word.bytes().all(|byte| byte.is_ascii_uppercase()))
@@ -72,7 +72,7 @@ struct VectorMap {
 #[derive(Default)]
 struct Way {
     id: i64,
-    /// The first fault in it, for which it is left out.
+    /// The first flaw, for which the lane is left out.
     flaw: Option<String>,
     points: Vec<Vec2>,
     left_neighbor: Option<LaneId>,

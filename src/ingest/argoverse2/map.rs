@@ -59,7 +59,7 @@ pub(super) fn parse(json: &[u8]) -> Result<(LaneGraph, MapReport), Malformed> {
     Ok((connect(lanes), report))
 }
 
-/// The lanes of all types. Those that are not whole are left out, one by one.
+/// The lanes of all types. Incomplete ones are left out, one by one.
 fn segments(json: &[u8], report: &mut MapReport) -> Result<Vec<LaneSegment>, Malformed> {
     if let Ok(map) = serde_json::from_slice::<MapJson<LaneSegment>>(json) {
         return Ok(map.lane_segments.into_values().collect());
@@ -76,7 +76,7 @@ fn segments(json: &[u8], report: &mut MapReport) -> Result<Vec<LaneSegment>, Mal
     Ok(whole)
 }
 
-/// The JSON without a byte order mark, and with `null` for what Python writes into it, `NaN` and `Infinity`.
+/// The JSON without a byte order mark, and with `null` in place of Python's `NaN` and `Infinity`.
 fn without_nan(json: &[u8]) -> Vec<u8> {
     let mut rest = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
     let mut plain = Vec::with_capacity(rest.len());
@@ -127,7 +127,7 @@ impl LaneSegment {
     }
 }
 
-/// The points of a line, each once.
+/// The points of a line, without repetitions.
 fn line(points: &[Point]) -> Polyline {
     let mut points: Vec<Vec2> = points.iter().map(|point| Vec2::new(point.x, point.y)).collect();
     points.dedup();

@@ -25,7 +25,7 @@ const COLUMNS: [&str; 12] = [
     "city",
 ];
 
-/// The time of the first row; not every file has it, as a number.
+/// The time of the first row; not every file has it as a number.
 const START: &str = "start_timestamp";
 
 const DT_S: f64 = 0.1;

@@ -190,7 +190,7 @@ fn lanes_that_anybody_can_reach_belong_to_the_scene() {
     assert_eq!(ids(context("far", 295.0, 0.0), 2), [1, 3]);
     assert_eq!(ids(context("far", 290.0, 0.0), 2), [1]);
     assert_eq!(ids(context("far", 295.0, 0.0), 1), [1], "who does not take part counts for nothing");
-    // Its motion after the present counts for nothing.
+    // Its motion after the present has no effect.
     let jumps = |timestep: usize| if timestep > PRESENT { 5.0 } else { 0.0 };
     let mut far = context("far", 290.0, 0.0);
     let moved = far
@@ -251,7 +251,7 @@ proptest! {
 
 #[test]
 fn impossible_states_are_rejected_before_they_are_stored() {
-    // Single precision holds neither; the first would be stored as it is, the second become infinite.
+    // Single precision holds neither; the first would be stored unchanged, the second would become infinite.
     for (x, reason) in [(1e7, "out_of_range"), (1e39, "out_of_range"), (f64::INFINITY, "non_finite")] {
         let reject = assemble(raw(vec![context("a", 0.0, 0.0), context("b", x, 0.0)]), None, &config()).unwrap_err();
         assert_eq!(reject.reason, reason);
@@ -270,7 +270,7 @@ fn impossible_states_are_rejected_before_they_are_stored() {
 
 #[test]
 fn velocities_follow_from_positions_whatever_the_columns_say() {
-    // Columns that are turned by three degrees, as a filter's are.
+    // Columns that are turned by three degrees, like those of a filter.
     let turned = |track: Track| {
         let turn = |state: &State| State { velocity: state.velocity.rotated(3f64.to_radians()), ..*state };
         let states = track.trajectory.entries().iter().map(|state| state.as_ref().map(turn)).collect();
@@ -287,7 +287,7 @@ fn velocities_follow_from_positions_whatever_the_columns_say() {
             assert!(found.velocity.distance(expected.velocity) < 1e-9, "{found:?}, expected {expected:?}");
         }
     }
-    // Argoverse 1 records none: what its reader derived stays.
+    // Argoverse 1 records none, so the ones that its reader derived stay.
     let mut own = raw(vec![turned(context("1", 0.0, 0.0))]);
     own.source.dataset = Dataset::Argoverse1;
     let (scene, _) = assemble(own, None, &config()).unwrap();

@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Types of lanelets that no motor vehicle drives on.
 const NOT_DRIVABLE: [&str; 4] = ["sidewalk", "crosswalk", "bicycleLane", "border"];
 
-/// Reads the lanelets, and reports those that are left out.
+/// Reads the lanelets, and reports the ones left out.
 pub(super) fn read(root: &Element) -> (LaneGraph, MapReport) {
     let mut report = MapReport::default();
     let turns = turns(root);
@@ -38,7 +38,7 @@ pub(super) fn read(root: &Element) -> (LaneGraph, MapReport) {
     (connect(lanes), report)
 }
 
-/// Reports links to lanelets that the file does not have.
+/// Reports links to lanelets that the file lacks.
 fn report_links(root: &Element, lanes: &[Lane], report: &mut MapReport) {
     let ids: BTreeSet<LaneId> = root.all("lanelet").filter_map(|lanelet| lanelet.id("id").ok().map(LaneId)).collect();
     for lane in lanes {
@@ -57,7 +57,7 @@ fn lane(lanelet: &Element, turns: &BTreeMap<i64, TurnDirection>, report: &mut Ma
     if turn_around(&mut left, &mut right, None) {
         report.warn("lanes_turned_around", format!("lanelet {id}: its bounds ran against one another"));
     }
-    // The points of both belong to each other, also those that repeat.
+    // The points of both bounds correspond, including repeated ones.
     let mut center = between(&left, &right);
     [&mut left, &mut right, &mut center].into_iter().for_each(|line| line.0.dedup());
     let links = |name| lanelet.all(name).map(|link| link.id("ref").map(LaneId)).collect::<Result<Vec<_>, _>>();
@@ -96,7 +96,7 @@ pub(super) fn point(element: &Element) -> Result<Vec2, Malformed> {
     }
 }
 
-/// The line midway between the bounds: between their points one by one, where there are as many.
+/// The line midway between the bounds: between their points one by one if they have equally many.
 fn between(left: &Polyline, right: &Polyline) -> Polyline {
     let n = left.0.len().max(right.0.len());
     let (left, right) = if left.0.len() == right.0.len() {

@@ -20,9 +20,9 @@ use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, Split};
 use std::sync::Arc;
 use tracks::Obstacle;
 
-/// One second of past and three to come, as INTERACTION has them.
+/// One second of past and three of future, as in INTERACTION.
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
-/// Time between timesteps, seconds; scenarios with another are left out.
+/// Time between timesteps, seconds; scenarios with another one are left out.
 const DT_S: f64 = 0.1;
 const VERSIONS: [&str; 3] = ["2018a", "2018b", "2020a"];
 /// Larger than any scenario.
@@ -69,9 +69,9 @@ impl RecordingSource for CommonRoad<'_> {
     }
 }
 
-/// A scenario as read.
+/// A scenario as read from its file.
 struct Scenario {
-    /// Where it comes from, without the text.
+    /// The unit it comes from, without the text.
     unit: RawUnit,
     place: String,
     version: String,
@@ -137,7 +137,7 @@ impl Scenario {
             return vec![Box::new(|| Err(reject))];
         }
         let first = tracks::time_steps(&self.obstacles).map_or(0, |(first, _)| first);
-        // They are of the file, and counted once.
+        // Findings belong to the file, and are counted once.
         let mut findings = std::mem::take(&mut self.findings);
         let scenario = Arc::new(self);
         let window = |index: i64| -> PendingScene<'static> {

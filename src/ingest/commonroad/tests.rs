@@ -73,7 +73,7 @@ fn windows_of_a_scenario_hold_its_obstacles_and_lanes() {
     assert_eq!(first.id.0, "commonroad/unsplit/USA_Some-3/USA_Some-3_2_T-1@0");
     assert_eq!((second.source.first_frame.as_str(), second.source.place.as_str()), ("40", "USA_Some-3"));
     assert_eq!((first.n_history, first.n_timesteps, first.dt_s), (10, 40, 0.1));
-    // The truck comes later than the present of the first window.
+    // The truck appears after the present of the first window.
     let classes = |scene: &Scene| scene.tracks.iter().map(|track| track.class).collect::<Vec<_>>();
     assert_eq!((classes(first), classes(second)), (vec![AgentClass::Vehicle], vec![AgentClass::Vehicle; 2]));
     let truck = second.tracks.iter().find(|track| track.id.0 == "8").unwrap();
@@ -132,7 +132,7 @@ fn one_bad_obstacle_or_lanelet_is_named_and_costs_nothing_else() {
         assert_ne!(text, whole(), "{good}");
         let (scenes, report) = read(&text).unwrap_or_else(|error| panic!("{bad}: {error}"));
         let found = format!("{report:?}");
-        // A lanelet that is left out may be one that others lead to.
+        // A lanelet that is left out may be the successor of others.
         let warnings = report.warnings.iter().filter(|(what, _)| **what != "links_to_nowhere");
         let n_warnings: u64 = warnings.map(|(_, warning)| warning.count).sum();
         assert_eq!(n_warnings, 1, "however many windows: {bad}: {found}");

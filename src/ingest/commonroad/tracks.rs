@@ -8,7 +8,7 @@ use crate::ingest::xml_tree::Element;
 use crate::scene::{AgentClass, Extent, State, Track, TrackId, TrackRole, Trajectory};
 use std::collections::BTreeSet;
 
-/// The longest scenario, timesteps: times further apart are a fault.
+/// The longest scenario, timesteps: times further apart are an error.
 const MAX_TIME_STEPS: i64 = 1_000_000;
 
 /// An obstacle with its states.
@@ -21,7 +21,7 @@ pub(super) struct Obstacle {
     is_static: bool,
 }
 
-/// The obstacles, and what is wrong with those that are left out.
+/// The obstacles, and the reasons for those that are left out.
 pub(super) fn read(root: &Element) -> (Vec<Obstacle>, Vec<String>) {
     let (mut obstacles, mut left_out): (Vec<Obstacle>, _) = (Vec::new(), Vec::new());
     let mut ids = BTreeSet::new();
@@ -47,7 +47,7 @@ pub(super) fn read(root: &Element) -> (Vec<Obstacle>, Vec<String>) {
     (obstacles, left_out)
 }
 
-/// First and last time step at which anybody moves.
+/// First and last time step at which any obstacle moves.
 pub(super) fn time_steps(obstacles: &[Obstacle]) -> Option<(i64, i64)> {
     let moving = obstacles.iter().filter(|obstacle| !obstacle.is_static);
     let ends = moving.filter_map(|obstacle| Some((obstacle.states.first()?.0, obstacle.states.last()?.0)));
@@ -55,7 +55,7 @@ pub(super) fn time_steps(obstacles: &[Obstacle]) -> Option<(i64, i64)> {
 }
 
 impl Obstacle {
-    /// Its track over `n_timesteps` from `first` on; `None` if it is not there.
+    /// Its track over `n_timesteps` from `first` on; `None` if it is absent throughout.
     pub(super) fn cut(&self, first: i64, n_timesteps: usize) -> Option<Track> {
         let mut states = vec![None; n_timesteps];
         if self.is_static {

@@ -1,4 +1,4 @@
-//! The driver end to end: order, resuming, limits, threads, and real recordings where they are at hand.
+//! The driver end to end: order, resuming, limits, threads, and real recordings if available.
 
 use super::*;
 use crate::ingest::argoverse1::csv_text;
@@ -10,7 +10,7 @@ use flate2::write::GzEncoder;
 use std::io::Write;
 use std::path::Path;
 
-/// Keeps what the user is told.
+/// Keeps the messages to the user.
 #[derive(Default)]
 struct Told(std::sync::Mutex<Vec<String>>);
 
@@ -23,7 +23,7 @@ impl Progress for Told {
 const MAP: &str = r#"<ArgoverseVectorMap><node id="0" x="900" y="2000"/><node id="1" x="1200" y="2000"/>
     <way lane_id="5"><nd ref="0"/><nd ref="1"/></way></ArgoverseVectorMap>"#;
 
-/// A folder with `n_scenes` recordings, of which every tenth has no AGENT, and a map of their city.
+/// A folder with `n_scenes` recordings, every tenth of which has no AGENT, and a map of their city.
 fn folder(n_scenes: usize) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("train/data");
@@ -171,7 +171,7 @@ fn what_is_not_read_is_counted_once() {
     assert_eq!(lanes.count, 1);
     assert!(lanes.examples[0].ends_with("vector_map.xml: way 6: refers to missing node 9"), "{lanes:?}");
     assert_eq!(run(&config, Some(&batches[0].report)).expect("whole").1, report);
-    // Archives among the maps alone are no recordings.
+    // Archives that are only among the maps are not recordings.
     let maps = tempfile::tempdir().expect("a temporary folder");
     fs_err::write(maps.path().join("more.rar"), "x").expect("writable");
     let map_inputs = vec![folder.path().to_owned(), maps.path().to_owned()];

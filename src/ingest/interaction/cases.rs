@@ -10,19 +10,19 @@ use std::ops::ControlFlow;
 /// Maximum size of a case; usual ones have 20 to 200 kB.
 pub(super) const MAX_CASE_BYTES: usize = 64 * 1024 * 1024;
 
-/// Most cases of nothing but rows that are not whole that may turn out to be parts of another one.
+/// The most consecutive cases with only incomplete rows that may turn out to be parts of another one.
 const MAX_HELD: usize = 16;
 
-/// Most bytes that are set aside for a case before it is read.
+/// The most bytes that are reserved for a case before it is read.
 const MAX_GUESSED_BYTES: usize = 1024 * 1024;
 
 /// The rows of consecutive lines with equal `case_id`: a case, or a part of one.
 #[derive(Debug)]
 pub(super) struct Case {
-    /// As written, such as `1.0`.
+    /// The id as written, such as `1.0`.
     pub(super) id: Vec<u8>,
     pub(super) first_line: u64,
-    /// Empty if rows are only counted, and if there are too many.
+    /// Empty if rows are only counted, or if there are too many.
     pub(super) rows: Vec<u8>,
     pub(super) n_bytes: usize,
     /// Number of headers before it, without the first.
@@ -30,7 +30,7 @@ pub(super) struct Case {
 }
 
 impl Case {
-    /// Whether a line is of this case at the first glance, as nearly all are: whole or not, it begins with the id.
+    /// Whether a line is recognizably of this case, as nearly all are: whether it begins with the id, complete or not.
     fn goes_on_with(&self, line: &[u8], columns: &TrackColumns) -> bool {
         columns.case_id == Some(0) && line.strip_prefix(self.id.as_slice()).is_some_and(|rest| rest.starts_with(b","))
     }
@@ -59,7 +59,7 @@ pub(super) enum End {
     OtherHeader(u64),
 }
 
-/// Cuts a table that has been read up to its header where the case id changes.
+/// Cuts a table, read up to its header, where the case id changes.
 pub(super) fn cut_cases(
     lines: &mut Lines<'_>,
     columns: &TrackColumns,
@@ -84,7 +84,7 @@ pub(super) fn cut_cases(
                 };
                 let detail =
                     format!("{error}; {rest} is left out, and earlier rows of a damaged file may be wrong too");
-                // A pass that only counts rows needs the rest of them all the same.
+                // A pass that only counts rows still needs the rest of them.
                 let is_stopped = !keeps_rows && cases.end_all(done).is_break();
                 return if is_stopped { End::Stopped } else { End::Unreadable(detail) };
             }
@@ -105,15 +105,15 @@ struct Cases<'a> {
     /// The ids that have begun.
     seen: BTreeSet<String>,
     current: Option<Case>,
-    /// While the current case has nothing but rows that are not whole: the case before all of these, which may go on,
-    /// and those of them that say they are of further cases.
+    /// While the current case has only incomplete rows: the case before them, which may continue, and those of them
+    /// whose ids are of further cases.
     held: Vec<Case>,
     section: usize,
     end: Option<End>,
 }
 
 impl Cases<'_> {
-    /// Adds a line. Cases that it ends are `done`.
+    /// Adds a line. Cases that it ends are passed to `done`.
     fn add(&mut self, number: u64, line: &[u8], done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         let goes_on = |case: Option<&Case>| case.is_some_and(|case| case.goes_on_with(line, self.columns));
         if !self.held.is_empty() || !goes_on(self.current.as_ref()) {
@@ -139,12 +139,12 @@ impl Cases<'_> {
         ControlFlow::Continue(())
     }
 
-    /// No case continues.
+    /// Ends all cases.
     fn end_all(&mut self, done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         self.held.drain(..).chain(self.current.take()).try_for_each(done)
     }
 
-    /// The rows that were not whole stood amid the case before, which goes on.
+    /// Adds the incomplete rows to the case before them, which continues.
     fn join_held(&mut self) {
         let mut held = self.held.drain(..).chain(self.current.take());
         self.current = held.next();
@@ -157,7 +157,7 @@ impl Cases<'_> {
         }
     }
 
-    /// Begins another case if the line is not of the current one.
+    /// Begins another case if the line does not belong to the current one.
     fn begin_with(
         &mut self,
         number: u64,
@@ -184,17 +184,17 @@ impl Cases<'_> {
             return before.map_or(ControlFlow::Continue(()), done);
         }
         self.held.extend(before);
-        // No longer a table.
+        // Not a table any more.
         let n_given_up = if self.held.len() > MAX_HELD { self.held.len() } else { 0 };
         self.held.drain(..n_given_up).try_for_each(done)
     }
 }
 
-/// The case that a row says it is of.
+/// The case id in a row.
 enum CaseId<'a> {
     Whole(&'a [u8]),
-    /// The row has too few or too many columns, so this is the case only if it looks like one: a number with more
-    /// behind it. Else the row stays with the case around it, which is found to be malformed.
+    /// The row has too few or too many columns, so this is its case only if it looks like one: a number followed by
+    /// more. Otherwise the row stays with the case around it, which is found to be malformed.
     Broken(Option<&'a [u8]>),
 }
 
@@ -218,7 +218,7 @@ impl<'a> CaseId<'a> {
         }
     }
 
-    /// Empty if the row has none.
+    /// The id; empty if the row has none.
     fn text(&self) -> &'a [u8] {
         match self {
             Self::Whole(id) | Self::Broken(Some(id)) => id,
@@ -227,12 +227,12 @@ impl<'a> CaseId<'a> {
     }
 }
 
-/// A case id as scenes are named by it: case ids are whole numbers printed as floats, `1.0` is `1`.
+/// A case id as in the names of scenes: case ids are whole numbers printed as floats, `1.0` is `1`.
 pub(super) fn plain_case_id(id: &[u8]) -> String {
     String::from_utf8_lossy(without_point(id)).into_owned()
 }
 
-/// An id without the point that it has where whole numbers are printed as floats.
+/// An id without the decimal point that it has if whole numbers are printed as floats.
 pub(super) fn without_point(id: &[u8]) -> &[u8] {
     id.strip_suffix(b".0").filter(|number| !number.is_empty() && number.iter().all(u8::is_ascii_digit)).unwrap_or(id)
 }

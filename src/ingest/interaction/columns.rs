@@ -4,7 +4,7 @@ use crate::ingest::error::Malformed;
 
 /// The columns of every table.
 const REQUIRED: [&str; 8] = ["track_id", "frame_id", "timestamp_ms", "agent_type", "x", "y", "vx", "vy"];
-/// Further columns of all tables but v1.1's tables of pedestrians.
+/// Further columns of all tables except v1.1's tables of pedestrians.
 const SHAPE: [&str; 3] = ["psi_rad", "length", "width"];
 
 /// Maximum number of columns of a table; real ones have at most 14.
@@ -36,7 +36,7 @@ pub(super) struct TrackColumns {
 impl TrackColumns {
     /// The columns in `header`.
     ///
-    /// A table without `case_id` is of v1.1, where pedestrians have a table of their own without `psi_rad`, `length`
+    /// A table without `case_id` belongs to v1.1, which has separate tables of pedestrians without `psi_rad`, `length`
     /// and `width`; all other tables must have these.
     pub(super) fn of(header: &[u8], is_pedestrians: bool) -> Result<Self, Malformed> {
         let names: Vec<&[u8]> = header.split(|byte| *byte == b',').map(<[u8]>::trim_ascii).collect();

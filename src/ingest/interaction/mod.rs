@@ -114,8 +114,7 @@ impl RecordingSource for Interaction<'_> {
 
     fn map_of(&self, path: &str) -> Option<MapId> {
         let file = TrackFile::of_path(path)?;
-        // A name without anything that tracks are named by may be of another table altogether, of which no map is to be
-        // missed.
+        // A name with nothing that names of tracks have may belong to a different kind of table, which needs no map.
         let is_certain = !file.place.is_empty() && (file.recording.is_some() || file.place != path::stem(path));
         is_certain.then(|| map_id(Dataset::Interaction, &file.place))
     }

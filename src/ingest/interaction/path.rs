@@ -9,7 +9,7 @@ use std::path::Path;
 pub(super) struct TrackFile {
     /// The location, such as `DR_CHN_Merging_ZS0`; empty if neither file nor folder names it.
     pub(super) place: String,
-    /// The split, where file or folder name it.
+    /// The split, if file or folder name it.
     pub(super) split: Option<Split>,
     /// The kind of test set after `test_`, such as `single-agent`, if it is not the usual `multi-agent`. Their cases
     /// have the same numbers.
@@ -55,7 +55,7 @@ impl TrackFile {
         })
     }
 
-    /// The information in the path of a table, or else in its folder or archive.
+    /// The information in the path of a table, or otherwise in its folder or archive.
     pub(super) fn of(container: &Path, path: &str) -> Option<Self> {
         let mut file = Self::of_path(path)?;
         let container = std::path::absolute(container).unwrap_or_else(|_| container.to_owned());
@@ -85,13 +85,13 @@ impl TrackFile {
     }
 }
 
-/// The name of a file without folders and what follows its last point.
+/// The name of a file without folders and last extension.
 pub(super) fn stem(path: &str) -> &str {
     let name = path.rsplit_once('/').map_or(path, |(_, name)| name);
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// The place whose map the file at `path` is, by its exact name: `<place>.osm` or `<place>.osm_xy`.
+/// The place of the map in the file at `path`, by its exact name: `<place>.osm` or `<place>.osm_xy`.
 pub(super) fn place_of_map(path: &str) -> Option<&str> {
     let name = path.rsplit_once('/').map_or(path, |(_, name)| name);
     strip_suffix_ignoring_case(name, ".osm").or_else(|| strip_suffix_ignoring_case(name, ".osm_xy"))

@@ -1,7 +1,7 @@
 //! Joins the two files of a v1.1 recording.
 //!
 //! `vehicle_tracks_NNN.csv` and `pedestrian_tracks_NNN.csv` of a folder belong together, and not every recording has
-//! both. A first pass finds out which do. The earlier file of a pair is held until the other one comes; pairs that do
+//! both. A first pass finds out which do. The earlier file of a pair is held until the other one arrives; pairs that do
 //! not fit into memory wait for further passes.
 
 use super::path::RecordingPart;
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// Maximum number of bytes held at a time, unless a single file has more.
 const MAX_HELD_BYTES: u64 = 16 * 1024 * 1024;
 
-/// The recordings of all inputs, and the files of them that wait for their counterpart.
+/// The recordings of all inputs, and their files that wait for their counterpart.
 #[derive(Debug, Default)]
 pub(super) struct Recordings {
     /// The first file of each recording that the first pass saw.
@@ -70,7 +70,7 @@ impl Recordings {
         if first.is_pedestrians == is_pedestrians || self.pairs.contains_key(&key) {
             return;
         }
-        // Those before it end before it does: they are held together with it if they end after it begins.
+        // Earlier pairs end before it does: they are held together with it if they end after it begins.
         let mut held_in: BTreeMap<usize, u64> = BTreeMap::new();
         for pair in self.pairs.values().filter(|pair| pair.until > first.position) {
             *held_in.entry(pair.pass).or_default() += pair.n_bytes;
@@ -122,8 +122,8 @@ impl Recordings {
         self.held.remove(key).map_or(ControlFlow::Continue(()), |unit| emit(Ok(unit)))
     }
 
-    /// Emits what is held, each file as a recording of its own: its counterpart was there in the first pass and has
-    /// gone.
+    /// Emits the held files, each as a recording of its own: its counterpart was there in the first pass and has
+    /// disappeared.
     pub(super) fn flush(&mut self, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         std::mem::take(&mut self.held).into_values().try_for_each(|unit| emit(Ok(unit)))
     }
@@ -134,8 +134,8 @@ mod tests {
     use super::super::path::TrackFile;
     use super::*;
 
-    /// Takes files of these sizes in and lists what comes out, pass by pass: `vehicles+pedestrians` of each unit, or
-    /// the reason of a reject. A file whose name has `!` cannot be read. Also the most bytes that were held.
+    /// Adds files of these sizes and lists the result, pass by pass: `vehicles+pedestrians` of each unit, or the reason
+    /// of a reject. A file with `!` in its name cannot be read. Also returns the most bytes that were held.
     fn add_all(files: &[(&str, u64)]) -> (Vec<Vec<String>>, u64) {
         let mut recordings = Recordings::default();
         let found: Vec<(RecordingKey, RecordingPart, RawUnit, u64)> = files
@@ -212,7 +212,7 @@ mod tests {
         let emitted: Vec<String> = passes.concat();
         let expected: Vec<String> = vehicles.iter().zip(&pedestrians).map(|(v, p)| format!("{v}+{p}")).collect();
         assert_eq!(emitted, expected);
-        // Pairs that stand together are never held together.
+        // Pairs of adjacent files are never held together.
         let by_number: Vec<(&str, u64)> =
             pedestrians.iter().zip(&vehicles).flat_map(|(p, v)| [(p.as_str(), 50 << 20), (v.as_str(), 1)]).collect();
         let (passes, most_held) = add_all(&by_number);

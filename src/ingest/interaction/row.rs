@@ -16,16 +16,16 @@ const MS_PER_FRAME: i64 = 100;
 const MAX_SPEED_MPS: f64 = 1e3;
 const MAX_FRAME: i64 = 100_000_000;
 const MAX_SIZE_M: f64 = 1e3;
-/// The least size.
+/// The smallest size.
 const MIN_SIZE_M: f64 = 1e-3;
 
 /// One agent at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TrackRow<'a> {
-    /// As written, but `1` for `1.0`.
+    /// The id as written, but `1` for `1.0`.
     pub(super) track_id: &'a [u8],
     pub(super) frame_id: i64,
-    /// As written.
+    /// The type as written.
     pub(super) agent_type: &'a [u8],
     pub(super) position: Vec2,
     pub(super) velocity: Vec2,
@@ -103,7 +103,7 @@ fn motion(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Vec2, Vec2), Flaw>
     Ok((position, velocity))
 }
 
-/// Heading and size, where the table has them.
+/// Heading and size, if the table has them.
 fn shape(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Option<f64>, Option<Extent>), Flaw> {
     let Some([psi, length, width]) = columns.shape else { return Ok((None, None)) };
     let heading_rad = optional(cells[psi], "psi_rad")?;
@@ -117,12 +117,12 @@ fn shape(cells: &[&[u8]], columns: &TrackColumns) -> Result<(Option<f64>, Option
     Ok((heading_rad, length_m.zip(width_m).map(|(length_m, width_m)| Extent { length_m, width_m })))
 }
 
-/// The number in a cell, or nothing where the cell is blank, or `nan` as Python writes a blank one. Marks may be
-/// `True` and `False`.
+/// The number in a cell; `None` if the cell is blank, or `nan`, as Python writes a blank one. Marks may be `True` and
+/// `False`.
 fn optional(cell: &[u8], column: &str) -> Result<Option<f64>, Flaw> {
     match cell.trim_ascii() {
         [] => Ok(None),
-        // Nearly all are numbers.
+        // Nearly all cells are numbers.
         [b'n' | b'N', rest @ ..] if rest.eq_ignore_ascii_case(b"an") => Ok(None),
         b"True" => Ok(Some(1.0)),
         b"False" => Ok(Some(0.0)),

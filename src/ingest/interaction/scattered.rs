@@ -23,7 +23,7 @@ pub(super) struct Survey {
     scattered: BTreeMap<String, Fate>,
     /// Passes in which cases are gathered.
     pub(super) n_gathering_passes: usize,
-    /// The cases that may be one with another, by their plain ids, and what is said of them.
+    /// The cases whose ids may be the same as others, by their plain ids, with the detail for the reject.
     ambiguous: BTreeMap<String, String>,
 }
 
@@ -207,7 +207,7 @@ mod tests {
         format!("{case},{track},1,100,car,0,0,0,0,0,4,2\n")
     }
 
-    /// The units and rejects of a table of which at most `max_bytes` are gathered at a time, and the number of passes.
+    /// The units and rejects of a table if at most `max_bytes` are gathered at a time, and the number of passes.
     fn split_within(text: &str, max_bytes: usize) -> (Vec<Result<RawUnit, Reject>>, usize) {
         let pass_over = |visit: &mut dyn FnMut(&mut Lines<'_>, &TrackColumns)| {
             let mut bytes = text.as_bytes();
@@ -321,7 +321,7 @@ mod tests {
     fn scattered_cases_of_a_table_that_breaks_off_are_rejects() {
         let units = split(&[HEADER, &row("1.0", 1), &row("2.0", 1), &row("1.0", 2), &"x".repeat(100_000)].concat());
         let reason = |index: usize| units[index].as_ref().unwrap_err().split(' ').next().unwrap_or_default().to_owned();
-        // The case at which it breaks off is not whole either, and the file says why.
+        // The case at which it breaks off is incomplete, too, and the file's reject tells why.
         assert_eq!(
             (reason(0), &units[1], reason(2)),
             ("case_not_contiguous".into(), &whole("2.0", 3, 1), "unreadable".into())
@@ -335,7 +335,7 @@ mod tests {
         let units =
             split(&[HEADER, &row("1.0", 1), &broken, &row("1.0", 2), "2.0,1,1\n", &row("2.0", 1), "1.0,1\n"].concat());
         assert_eq!(units, [Ok(("1.0".to_owned(), 2, 6)), Ok(("2.0".to_owned(), 8, 3))]);
-        // Amid a case with another number, which no case has, or has later.
+        // Amid a case with another number, which no other case has, or a later one has.
         let amid =
             [HEADER, &row("1.0", 1), "9.0,1,1\n9.0\n8.0,1\n", &row("1.0", 2), &row("9.0", 1), "3.0,1,\n4.0,2,\n"]
                 .concat();

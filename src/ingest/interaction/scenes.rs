@@ -1,4 +1,4 @@
-//! The scenes of a unit: the one of a case, or the windows of a recording.
+//! The scenes of a unit: the scene of a case, or the windows of a recording.
 
 use super::CASE_HORIZON;
 use super::cases::plain_case_id;
@@ -23,7 +23,7 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
     let Some((min_frame, max_frame)) = frames(&tracks) else {
         return Err(unit.reject_at("no_rows", unit.first_line, format!("case {} has no rows", unit.case_id)));
     };
-    // Frames are numbered from 1 in each case. Others, of tools that keep the numbers of the recording, begin with the
+    // Frames are numbered from 1 in each case. Tables of tools that keep the numbers of the recording begin with the
     // first agent.
     let n_case_frames = CASE_HORIZON.n_timesteps() as i64;
     let is_numbered_from_one = 1 <= min_frame && max_frame <= n_case_frames;
@@ -51,7 +51,7 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
     Ok(RawScene { findings: repeated(unit, &tracks), ..cut.scene(&tracks, 0..tracks.len()) })
 }
 
-/// The windows of a v1.1 recording. The text is dropped before the first of them is made.
+/// The windows of a v1.1 recording. The text is dropped before the first window is made.
 pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
     let tracks = match recording_tables(&unit).and_then(|tables| read_tracks(&tables)) {
         Ok(tracks) => tracks,
@@ -62,7 +62,7 @@ pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig
     Recording { dataset: Dataset::Interaction, unit, tracks, findings }.windows(horizon, config)
 }
 
-/// The rows that repeat others.
+/// The repeated rows.
 fn repeated(unit: &RawUnit, tracks: &[RecordedTrack]) -> Vec<Finding> {
     let n = tracks.iter().map(|track| track.n_repeated).sum();
     let detail = || format!("{}: rows that repeat others are left out", unit.file);
@@ -77,7 +77,7 @@ fn recording_tables(unit: &RawUnit) -> Result<Vec<TrackTable<'_>>, Reject> {
         .map(|(file, bytes)| {
             let end = bytes.iter().position(|byte| *byte == b'\n').map_or(bytes.len(), |at| at + 1);
             let (header, rows) = bytes.split_at(end);
-            // The headers were checked when the files were read, with the name of the file in mind.
+            // The headers were checked when the files were read, with the names of the files.
             let columns = TrackColumns::of(without_end(header), true)
                 .map_err(|detail| Reject { reason: "bad_header", detail: format!("{file}: {detail}") })?;
             Ok(TrackTable { file, columns, rows, first_line: 2, lines: &[] })

@@ -39,7 +39,7 @@ pub(super) fn read_tracks(tables: &[TrackTable<'_>]) -> Result<Vec<RecordedTrack
             }
             let reject = |flaw: Flaw| reject_at(table.file, number, flaw);
             let row = TrackRow::parse(line, &table.columns, &mut cells).map_err(reject)?;
-            // Rows of a track usually stand together.
+            // Rows of a track are usually adjacent.
             let index = match current.filter(|index| builders[*index].id == row.track_id) {
                 Some(index) => index,
                 None => *by_id.entry(row.track_id).or_insert(builders.len()),
@@ -206,8 +206,8 @@ mod tests {
         assert!(tracks[0].cut(6, 4, 1).is_none() && tracks[1].cut(3, 4, 1).is_none());
     }
 
-    /// Headings in degrees and whether they are held, of who moves with these velocities, in the frames from
-    /// `first_frame` on, of which `n_history` are observed.
+    /// Headings in degrees and whether they are held, for an agent with these velocities, in the frames from
+    /// `first_frame` on; the first `n_history` are observed.
     fn cut(rows: &[(f64, f64)], first_frame: i64, n_history: usize) -> (Vec<f64>, Vec<bool>) {
         // Positions whose backward differences are these velocities.
         let (mut at, mut step) = (Vec2::ZERO, Vec2::new(rows[0].0, rows[0].1) * DT_S);
@@ -232,9 +232,9 @@ mod tests {
         let rows = [(0.0, 0.0), (-0.1, 0.0), (0.0, 1.0), (0.3, 0.0), (2.0, 0.0)];
         // The first motion is observed.
         assert_eq!(cut(&rows, 1, 3), (vec![90.0, 90.0, 90.0, 90.0, 0.0], vec![true, true, false, true, false]));
-        // It is not: what there is of a velocity.
+        // It is not: the direction is that of any velocity there is.
         assert_eq!(cut(&rows, 1, 2), (vec![180.0, 180.0, 90.0, 90.0, 0.0], vec![true, true, false, true, false]));
-        // The past before a window is known in it.
+        // The past before a window is known within it.
         assert_eq!(cut(&rows, 4, 1), (vec![90.0, 0.0], vec![true, false]));
     }
 

@@ -64,7 +64,7 @@ impl TableReader<'_> {
         (entry_idx, is_due)
     }
 
-    /// Reads a table of v1.1 after its header: one recording, with its counterpart, if there is one.
+    /// Reads a table of v1.1 after its header: one recording, with its counterpart if it has one.
     fn read_recording(
         &mut self,
         mut unit: RawUnit,

@@ -8,11 +8,11 @@ use std::collections::BTreeMap;
 /// One side of a lanelet.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Bound {
-    /// The ways it consists of, in order, and whether each runs against the direction of the bound.
+    /// The ways that form it, in order, and whether each runs against the direction of the bound.
     pub(super) ways: Vec<(i64, bool)>,
-    /// The node it begins at.
+    /// The node at which it begins.
     pub(super) first_node: i64,
-    /// The node it ends at.
+    /// The node at which it ends.
     pub(super) last_node: i64,
     /// Its points, meters.
     pub(super) line: Polyline,

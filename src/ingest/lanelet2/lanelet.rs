@@ -12,7 +12,7 @@ const CENTERLINE_SPACING_M: f64 = 2.0;
 /// Maximum number of points of a centerline.
 const MAX_CENTERLINE_POINTS: usize = 500;
 
-/// Subtypes of lanelets that vehicles drive on. Lanelets without a subtype count, as maps drawn by hand lack it.
+/// Subtypes of lanelets for vehicles. Lanelets without a subtype count, as maps drawn by hand lack it.
 const DRIVABLE_SUBTYPES: [&str; 7] = ["", "road", "highway", "play_street", "bus_lane", "emergency_lane", "exit"];
 
 /// A lanelet with both bounds in driving direction.
@@ -74,7 +74,7 @@ fn attributes(relation: &Relation, id: i64, osm: &Osm, report: &mut MapReport) -
             "right" => TurnDirection::Right,
             _ => TurnDirection::None,
         },
-        // Lanes for vehicles are one-way unless the map says otherwise.
+        // Lanes for vehicles are one-way unless the map tags them otherwise.
         one_way: relation.tags.get("one_way").is_none_or(|value| is_true(value)),
         tags: relation
             .tags
@@ -96,7 +96,7 @@ fn attributes(relation: &Relation, id: i64, osm: &Osm, report: &mut MapReport) -
         };
         attributes.has_traffic_control |=
             matches!(tag(rule, "subtype"), "traffic_light" | "right_of_way" | "all_way_stop");
-        // Who has the right of way and who yields is said by the roles in the rule.
+        // The roles in the rule tell who has the right of way and who yields.
         let named = rule.members.iter().find(|named| named.kind == "relation" && named.id == id);
         let role = named.map(|named| format!("{}={}", LaneAttributes::ROLE, named.role));
         let tags = rule.tags.iter().map(|(key, value)| format!("{key}={value}"));

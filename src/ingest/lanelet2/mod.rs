@@ -38,8 +38,8 @@ const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
 /// Incomplete lanelets, and those that cannot be lanes, are left out and reported.
 ///
 /// # Errors
-/// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, is beyond all
-/// bounds, or when no lane remains.
+/// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, exceeds a limit,
+/// or when no lane remains.
 pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
     let error = |what: String| Error::map(file, "", what);
     let text = read_text(reader, MAX_MAP_BYTES, file)?;
@@ -67,7 +67,7 @@ pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapR
     Ok((LaneGraph::new(lanes), report))
 }
 
-/// The lanes of a map in the frame with its origin at `corner`, and the report so far with what is left out of them.
+/// The lanes of a map in the frame with its origin at `corner`; lanes left out of them are added to the report so far.
 fn lanes_within(
     osm: &Osm,
     corner: Option<GeoPoint>,
@@ -114,7 +114,7 @@ fn relations_of_lanelets(osm: &Osm) -> impl Iterator<Item = (&i64, &Relation)> {
     osm.relations.iter().filter(|(_, relation)| relation.tags.get("type").is_some_and(|kind| kind == "lanelet"))
 }
 
-/// Where the nodes lie in the frame of the map, meters.
+/// The positions of the nodes in the frame of the map, meters.
 fn positions(osm: &Osm, corner: Option<GeoPoint>, report: &mut MapReport) -> BTreeMap<i64, Vec2> {
     if osm.is_local {
         return osm.local.clone();
@@ -142,8 +142,8 @@ fn relations_of_lanes(osm: &Osm) -> impl Iterator<Item = (&i64, &Relation)> {
     relations_of_lanelets(osm).filter(|(_, relation)| lanelet::is_drivable(relation))
 }
 
-/// The southwest corner of the nodes that bound these lanes. Neither the order of a document nor what is no lane has a
-/// part in it: editors change both.
+/// The southwest corner of the nodes that bound these lanes. It depends neither on the order of a document nor on
+/// elements other than lanes: editors change both.
 fn corner_of<'a>(osm: &Osm, lanes: impl Iterator<Item = (&'a i64, &'a Relation)>) -> Option<GeoPoint> {
     let members = lanes.flat_map(|(_, relation)| &relation.members);
     let bounds = members.filter(|member| member.kind == "way" && matches!(member.role.as_str(), "left" | "right"));

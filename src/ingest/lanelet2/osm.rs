@@ -1,7 +1,7 @@
 //! The nodes, ways and relations of an OSM XML document.
 //!
-//! Only what Lanelet2 uses is read. Documents with a document type are refused, so there are no entities to expand, and
-//! size, depth and attributes are bounded, so that no document can exhaust memory or time.
+//! Only elements that Lanelet2 uses are read. Documents with a document type are refused, so there are no entities to
+//! expand, and size, depth and attributes are bounded, so that no document can exhaust memory or time.
 
 use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
 use crate::geometry::Vec2;
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 
 /// OSM documents are three elements deep: `osm`, `relation`, `member`.
 const MAX_DEPTH: usize = 16;
-/// No coordinate on the plane is greater, meters.
+/// The largest coordinate on the plane, meters.
 const EARTH_M: f64 = 2.1e7;
 /// OSM elements have about ten attributes.
 const MAX_ATTRIBUTES: usize = 64;
@@ -25,9 +25,9 @@ pub(super) struct Osm {
     pub(super) nodes: BTreeMap<i64, NodePosition>,
     /// Nodes without a usable position, and what is wrong with their coordinates.
     pub(super) misplaced: BTreeMap<i64, String>,
-    /// Where nodes lie by Autoware's `local_x` and `local_y`, meters.
+    /// Positions of nodes by Autoware's `local_x` and `local_y`, meters.
     pub(super) local: BTreeMap<i64, Vec2>,
-    /// Whether that is where they lie: a node has no other position.
+    /// Whether these are the positions of the nodes: whether a node has no other.
     pub(super) is_local: bool,
     /// Polylines: the nodes in order.
     pub(super) ways: BTreeMap<i64, Vec<i64>>,
@@ -187,7 +187,7 @@ impl Document<'_> {
         }
     }
 
-    /// Adds a node, and returns whether there is one of this id.
+    /// Adds a node, and returns whether there was one with this id.
     fn add_node(&mut self, id: i64, position: Result<NodePosition, Malformed>, local: [Option<f64>; 2]) -> bool {
         let is_nowhere = match &position {
             Ok(position) => *position == NodePosition::Geo(GeoPoint::NOWHERE),
@@ -224,7 +224,7 @@ struct Attributes(Vec<(String, String)>);
 impl Attributes {
     fn read(element: &BytesStart<'_>) -> Result<Self, Malformed> {
         let mut pairs = Vec::new();
-        // The library's check for duplicates takes quadratic time; here the first attribute of a name counts.
+        // The library's check for duplicates takes quadratic time; here the first attribute with a name counts.
         for attribute in element.attributes().with_checks(false) {
             let attribute = attribute?;
             if pairs.len() == MAX_ATTRIBUTES {
@@ -247,12 +247,12 @@ impl Attributes {
         text.parse().map_err(|_| format!("`<{element}>`: `{key}` is \"{text}\", expected a whole number").into())
     }
 
-    /// JOSM and Lanelet2 keep deleted elements in the file.
+    /// Whether the element is deleted: JOSM and Lanelet2 keep deleted elements in the file.
     fn is_deleted(&self) -> bool {
         self.get("action") == Some("delete")
     }
 
-    /// `x` and `y` where given, else `lat` and `lon`; or what is wrong with them.
+    /// `x` and `y` if given, otherwise `lat` and `lon`; or what is wrong with them.
     fn position(&self) -> Result<NodePosition, Malformed> {
         let is_number = |key| self.get(key).is_some_and(|text| text.trim().parse::<f64>().is_ok());
         let has = |key| self.get(key).is_some();
@@ -268,7 +268,7 @@ impl Attributes {
         Ok(NodePosition::Geo(GeoPoint { latitude_deg, longitude_deg }))
     }
 
-    /// The number in attribute `key`, which must lie within `limit` of 0.
+    /// The number in attribute `key`, whose absolute value must not exceed `limit`.
     fn coordinate(&self, key: &str, limit: f64, unit: &str) -> Result<f64, Malformed> {
         let text = self.get(key).unwrap_or_default();
         let number = text.trim().parse::<f64>().ok().filter(|number| number.abs() <= limit);

@@ -20,9 +20,9 @@ const FALSE_EASTING_M: f64 = 500_000.0;
 /// real coordinates cannot be mistaken for them.
 const DISGUISE_LIMIT_DEG: f64 = 0.5;
 
-/// Farthest from the equator, degrees.
+/// The largest distance from the equator, degrees.
 pub(super) const MAX_LATITUDE_DEG: f64 = 90.0;
-/// Farthest from Greenwich, degrees.
+/// The largest distance from Greenwich, degrees.
 pub(super) const MAX_LONGITUDE_DEG: f64 = 180.0;
 
 /// A point on the WGS84 ellipsoid.
@@ -35,7 +35,7 @@ pub(super) struct GeoPoint {
 }
 
 impl GeoPoint {
-    /// Where no road lies: the place of nodes whose position is unknown, and the origin of maps that encode meters.
+    /// A place without roads: that of nodes whose position is unknown, and the origin of maps that encode meters.
     pub(super) const NOWHERE: Self = Self { latitude_deg: 0.0, longitude_deg: 0.0 };
 
     /// The southwest corner of a box around points; `None` for no points.

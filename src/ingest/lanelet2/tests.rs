@@ -5,8 +5,8 @@ use crate::geometry::Polyline;
 use crate::ingest::test_data::{damaged, test_data};
 use crate::scene::{LaneDuty, LaneId};
 
-/// Two lanes side by side, 10 m long and 4 m wide, of which the right one (1) goes on into a third (3). Way 12 between
-/// the lanes is drawn against driving direction, and relation 1 comes before the regulatory element it names.
+/// Two lanes side by side, 10 m long and 4 m wide; the right one (1) continues in a third (3). Way 12 between the lanes
+/// is drawn against driving direction, and relation 1 comes before the regulatory element it names.
 const NODES: [(i64, f64, f64); 8] = [
     (1, 0.0, 0.0),
     (2, 10.0, 0.0),
@@ -224,7 +224,7 @@ fn positions_of_autoware_count_where_there_are_no_others() {
         let (graph, report) = read_valid(&[&nodes, WAYS, RELATIONS].concat());
         assert_eq!((graph, report.summary().as_str()), (expected.clone(), ""), "{geo}");
     }
-    // Where they have both, latitude and longitude count.
+    // If nodes have both, latitude and longitude count.
     let both: String = NODES
         .iter()
         .map(|(id, x, y)| {
@@ -262,7 +262,7 @@ fn the_frame_of_real_coordinates_is_that_of_the_lanes() {
         format!("{}{whole}", far.replace("<node", "<node action=\"delete\"")),
         format!("{far}{foot}{whole}"),
         format!("<node id=\"91\" lat=\"0\" lon=\"0\"/>{whole}"),
-        // A lane that is left out, as one of its nodes is in another country.
+        // A lane that is left out because one of its nodes is in another country.
         format!(
             "<node id=\"92\" lat=\"4.81\" lon=\"1.15\"/><way id=\"92\"><nd ref=\"92\"/><nd ref=\"2\"/></way>{}{whole}",
             r#"<relation id="92"><member type="way" role="left" ref="92"/><member type="way" role="right" ref="11"/>
@@ -315,7 +315,7 @@ fn hostile_and_malformed_documents_are_errors_with_their_line() {
 
 #[test]
 fn a_map_cannot_grow_beyond_its_file() {
-    // One long way, named by many lanelets; that it lacks a node keeps the test quick.
+    // One long way, named by many lanelets; it lacks a node, which keeps the test quick.
     let way: String = (0..50_000).map(|i| format!("<nd ref=\"{}\"/>", 1 + i % 2)).collect();
     let relations: String = (100..200)
         .map(|id| {

@@ -11,7 +11,7 @@ pub(super) struct Cubic {
 }
 
 impl Cubic {
-    /// The function of an element, whose distance stands in the attribute `start`.
+    /// The function of an element that has its start in the attribute `start`.
     pub(super) fn of(element: &Element, start: &str) -> Result<Self, Malformed> {
         let mut coefficients = [0.0; 4];
         for (coefficient, name) in coefficients.iter_mut().zip(["a", "b", "c", "d"]) {
@@ -26,7 +26,7 @@ pub(super) fn cubic([a, b, c, d]: [f64; 4], x: f64) -> f64 {
     a + x * (b + x * (c + x * d))
 }
 
-/// The slope of the same.
+/// The slope of `cubic`.
 pub(super) fn cubic_slope([_, b, c, d]: [f64; 4], x: f64) -> f64 {
     b + x * (2.0 * c + x * 3.0 * d)
 }
@@ -36,7 +36,7 @@ pub(super) fn value_at(functions: &[Cubic], s_m: f64) -> f64 {
     begun(functions, s_m).map_or(0.0, |function| cubic(function.coefficients, s_m - function.start_m))
 }
 
-/// The largest second derivative between two distances, of functions of which none begins between them.
+/// The largest second derivative between two distances, if no function begins between them.
 pub(super) fn bend_between(functions: &[Cubic], [from_m, to_m]: [f64; 2]) -> f64 {
     begun(functions, 0.5 * (from_m + to_m)).map_or(0.0, |function| {
         let [_, _, c, d] = function.coefficients;

@@ -1,4 +1,4 @@
-//! Which lane goes on in which: by the links of lanes and roads, and the connections of junctions.
+//! Which lanes continue in which: by the links of lanes and roads, and the connections of junctions.
 
 use super::road::{Road, RoadLink, end_of};
 use crate::ingest::error::Malformed;
@@ -11,7 +11,7 @@ pub(super) type LaneKey = (usize, usize, i64);
 /// An end of a lane in the direction of its road: the start (0) or the end (1).
 pub(super) type LaneEnd = (LaneKey, usize);
 
-/// Lanes of a road that go on in those of a road of a junction.
+/// Lanes of a road that continue in those of a road of a junction.
 #[derive(Debug)]
 pub(super) struct Connection {
     pub(super) junction: String,

@@ -31,11 +31,11 @@ use std::io::BufRead;
 const MAX_MAP_BYTES: u64 = 256 << 20;
 /// Maximum number of points in the edges of all lanes.
 const MAX_POINTS: usize = 10_000_000;
-/// Between two distances that are nearer, meters, there is no room for a lane.
+/// Distances closer than this are the same, meters: there is no room for a lane between them.
 const SAME_M: f64 = 1e-6;
-/// Widths that are less below zero are rounded, meters.
+/// Widths below zero by less than this are rounding errors, meters.
 const MAX_ROUNDING_M: f64 = 0.01;
-/// Lanes that are linked begin as near to where the other ends, meters.
+/// Linked lanes begin within this distance of the other's end, meters.
 const MAX_APART_M: f64 = 10.0;
 /// Longest road, meters: the size of a file does not bound it.
 const MAX_ROAD_M: f64 = 1e5;
@@ -43,7 +43,7 @@ const MAX_ROAD_M: f64 = 1e5;
 /// Reads a map: its vehicle lanes, and a report of its defects. Roads that cannot be read are left out and reported.
 ///
 /// # Errors
-/// [`Error::Map`], naming `file`, when the document is no OpenDRIVE, is beyond all bounds, or when no lane remains.
+/// [`Error::Map`], naming `file`, when the document is not OpenDRIVE, exceeds a limit, or when no lane remains.
 pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
     let error = |what: Malformed| Error::map(file, "", what);
     let text = read_text(reader, MAX_MAP_BYTES, file)?;
@@ -94,7 +94,7 @@ pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGrap
     Ok((connect(lanes), report))
 }
 
-/// Reports reference lines that break off, and links to what is not there.
+/// Reports reference lines that break off, and links to missing elements.
 fn report_gaps(
     roads: &[Road],
     connections: &[Connection],
@@ -158,7 +158,7 @@ struct Lanes {
 }
 
 impl Lanes {
-    /// Adds the lanes of a section, and makes those beside each other neighbors.
+    /// Adds the lanes of a section, and makes adjacent ones neighbors.
     fn add_section(
         &mut self,
         road: &Road,
@@ -210,7 +210,7 @@ impl Lanes {
         Ok(())
     }
 
-    /// Makes the lane that ends at an end precede the one that begins there.
+    /// Connects the lane that ends at one of these ends to the lane that begins at the other.
     fn join(&mut self, roads: &[Road], ends: [LaneEnd; 2], report: &mut MapReport) {
         let found = ends.map(|(key, end)| {
             let (road, section, lane) = key;
@@ -253,7 +253,7 @@ impl Lanes {
     }
 }
 
-/// What the file calls a lane.
+/// The name of a lane in the file.
 fn lane_name(lane: &Lane) -> String {
     let tag = |name: &str| lane.attributes.tags.get(name).map_or("", String::as_str);
     format!("lane {} of road {}", tag("lane"), tag("road"))

@@ -6,13 +6,14 @@ use super::plan_view::pose_at;
 use super::road::{Road, RoadLane};
 use crate::geometry::{Polyline, Vec2, angle_difference};
 
-/// Points are at most this far apart along the road, meters, and as near as a bend needs for an error of millimeters.
+/// Points are at most this far apart along the road, meters, and as close as a bend requires for an error of
+/// millimeters.
 const MAX_STEP_M: f64 = 2.0;
 const MIN_STEP_M: f64 = 0.1;
 const MAX_ERROR_M: f64 = 0.005;
 
 /// The edges of each lane of a section, from left to right in the direction of the road: the left edge of the first,
-/// the right one of the first, … Points of all edges belong together. `None` if the section has no length.
+/// the right one of the first, … Points of all edges correspond. `None` if the section has no length.
 pub(super) fn edges(road: &Road, section: usize) -> Option<Vec<Edges>> {
     let [start_m, end_m] = road.range_of(section);
     let distances_m = distances(road, section, [start_m, end_m])?;
@@ -64,7 +65,7 @@ impl Edges {
     }
 }
 
-/// The offset of the outer edge of a lane, whose side is 1 on the left.
+/// The offset of the outer edge of a lane; `side` is 1 on the left.
 fn outer_m(lane: &RoadLane, along_m: f64, inner_m: f64, side: f64) -> f64 {
     if lane.widths.is_empty() && !lane.borders.is_empty() {
         return value_at(&lane.borders, along_m);
@@ -89,7 +90,7 @@ fn distances(road: &Road, section: usize, [start_m, end_m]: [f64; 2]) -> Option<
     let mut distances_m = vec![start_m];
     for pair in knots_m.windows(2) {
         let [from_m, to_m] = [pair[0], pair[1]];
-        // The largest curvature at a few places, of which every lane is within a road's width.
+        // The largest curvature at a few places, with every lane within a road's width.
         let heading =
             |share: f64| pose_at(&road.plan_view, from_m + share * (to_m - from_m) * 0.999).map(|pose| pose.1);
         let turns = [0.0, 0.25, 0.5, 0.75].map(|share| {
@@ -107,7 +108,7 @@ fn distances(road: &Road, section: usize, [start_m, end_m]: [f64; 2]) -> Option<
         let n_steps = ((to_m - from_m) / step_m).ceil().max(1.0);
         distances_m.extend((1..=n_steps as usize).map(|step| from_m + (to_m - from_m) * step as f64 / n_steps));
     }
-    // Where the next section begins, the lanes may be shifted by a new offset, which is none of this section.
+    // Where the next section begins, the lanes may be shifted by a new offset, which does not belong to this section.
     if let Some(last_m) = distances_m.last_mut() {
         *last_m -= SAME_M;
     }

@@ -15,7 +15,7 @@ const GAUSS: [(f64, f64); 5] = [
 ];
 /// A spiral is integrated in pieces that turn by no more than this, radians.
 const PIECE_RAD: f64 = 0.5;
-/// Most pieces of one.
+/// The most pieces of a spiral.
 const MAX_PIECES: f64 = 10_000.0;
 /// Pieces in which the length of a polynomial is measured.
 const N_PIECES: usize = 16;
@@ -121,7 +121,7 @@ pub(super) fn pose_at(pieces: &[Piece], s_m: f64) -> Option<(Vec2, f64)> {
     Some(piece.at((s_m - piece.start_m).max(0.0)))
 }
 
-/// Where a line ends that has turned by `turned_rad` of the distance.
+/// The end of a line that has turned by `turned_rad` of the distance along it.
 fn spiral_point(length_m: f64, turned_rad: impl Fn(f64) -> f64) -> Vec2 {
     let most_rad = turned_rad(length_m).abs().max(turned_rad(length_m / 2.0).abs());
     let n_pieces = (most_rad / PIECE_RAD).ceil().clamp(1.0, MAX_PIECES);
@@ -169,7 +169,7 @@ mod tests {
     fn lines_and_arcs_are_closed_forms() {
         let line = piece("<line/>", 30.0);
         near(pose_at(&[line], 8.0).unwrap(), 10.0, 23.0, FRAC_PI_2);
-        // A half circle to the left of radius 4 from heading north.
+        // A half circle to the left of radius 4, starting north.
         let arc = piece("<arc curvature='0.25'/>", 4.0 * PI);
         near(pose_at(&[arc], 5.0 + 4.0 * PI).unwrap(), 2.0, 20.0, FRAC_PI_2 + PI);
         near(pose_at(&[arc], 5.0 + 2.0 * PI).unwrap(), 6.0, 24.0, PI);

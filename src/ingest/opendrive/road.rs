@@ -1,4 +1,4 @@
-//! Roads as their elements describe them.
+//! Roads as described by their elements.
 
 use super::cubic::Cubic;
 use super::plan_view::{Piece, pose_at};
@@ -22,7 +22,7 @@ const DRIVABLE: [&str; 13] = [
     "mwyEntry",
 ];
 
-/// Pieces of a reference line that are farther apart do not follow one another, meters.
+/// Pieces of a reference line that are farther apart than this are not consecutive, meters.
 const MAX_GAP_M: f64 = 1.0;
 
 /// A road.
@@ -34,16 +34,16 @@ pub(super) struct Road {
     pub(super) junction: Option<String>,
     /// Whether traffic keeps to the left.
     pub(super) is_left_hand: bool,
-    /// The limit of speed at its start, as tags have it.
+    /// The speed limit at its start, in the form of tags.
     pub(super) speed_limit_mps: Option<String>,
     pub(super) plan_view: Vec<Piece>,
     pub(super) lane_offset: Vec<Cubic>,
     pub(super) sections: Vec<Section>,
-    /// What it is linked to at its start and its end.
+    /// The links at its start and its end.
     pub(super) links: [Option<RoadLink>; 2],
 }
 
-/// What lies beyond an end of a road.
+/// The element beyond an end of a road.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum RoadLink {
     /// A road that touches it with its start (0) or its end (1).
@@ -67,7 +67,7 @@ pub(super) struct RoadLane {
     pub(super) kind: String,
     /// By ascending start within the section.
     pub(super) widths: Vec<Cubic>,
-    /// Where its outer edge lies, if no widths are given.
+    /// The position of its outer edge, if no widths are given.
     pub(super) borders: Vec<Cubic>,
     /// The lanes that it is linked to at the start and at the end of the section.
     pub(super) links: [Option<i64>; 2],
@@ -109,7 +109,7 @@ impl Road {
         })
     }
 
-    /// How the pieces of the reference line fail to follow one another, if they do.
+    /// The gap between pieces of the reference line, if there is one.
     pub(super) fn gap(&self) -> Option<String> {
         let mut pieces = self.plan_view.windows(2).filter_map(|pair| {
             let apart_m = pair[1].origin.distance(pose_at(&pair[..1], pair[1].start_m)?.0);
@@ -123,7 +123,7 @@ impl Road {
         pieces.next().or_else(|| is_short.then(taken_on))
     }
 
-    /// Where a section begins and ends along the road.
+    /// The start and end of a section along the road.
     pub(super) fn range_of(&self, section: usize) -> [f64; 2] {
         let end_m = self.sections.get(section + 1).map_or(self.length_m, |next| next.start_m);
         [self.sections[section].start_m, end_m]

@@ -91,7 +91,7 @@ fn bends_are_followed_to_millimeters() {
 
 #[test]
 fn widths_that_bend_are_followed_to_millimeters() {
-    // From nothing to 3.5 m in 14 m.
+    // From 0 to 3.5 m in 14 m.
     let width = |x: f64| 3.0 * 3.5 * (x / 14.0).powi(2) - 2.0 * 3.5 * (x / 14.0).powi(3);
     let (c, d) = (3.0 * 3.5 / 14f64.powi(2), -2.0 * 3.5 / 14f64.powi(3));
     let widths = format!("<width sOffset='0' a='0' b='0' c='{c}' d='{d}'/><width sOffset='14' a='3.5'/>");
@@ -113,7 +113,7 @@ fn sections_roads_and_junctions_connect_lanes() {
     let next = |id: i64| format!("<successor id='{id}'/>");
     let before = |id: i64| format!("<predecessor id='{id}'/>");
     let linked = |road: String, links: &str| road.replace("<planView>", &format!("<link>{links}</link><planView>"));
-    // Road 1 with two sections, then road 2 that is drawn the other way, then a junction with a turn to road 4.
+    // Road 1 with two sections, then road 2, which is drawn the other way, then a junction with a turn to road 4.
     let first = section(0.0, [&next(1), &next(-1)]);
     let second = section(40.0, [&(before(1) + &next(-1)), &(before(-1) + &next(1))]);
     let backward = STRAIGHT.replace("x='0' y='0' hdg='0'", "x='200' y='0' hdg='3.141592653589793'");

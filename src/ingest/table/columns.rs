@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// Limits of a Parquet file: ten hours of dense traffic have half as many rows.
 const LIMITS: Limits = Limits { n_rows: 1 << 27, n_bytes: 4 << 30 };
 
-/// What Parquet files begin with.
+/// The first bytes of Parquet files.
 pub(super) const PARQUET: &[u8] = b"PAR1";
 
 /// The kind of a column.
@@ -19,7 +19,7 @@ pub(super) enum Kind {
     Text,
 }
 
-/// Texts, each different one stored once.
+/// Texts, without duplicates.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Texts {
     pub(super) different: Vec<String>,
@@ -30,7 +30,7 @@ pub(super) struct Texts {
 
 impl Texts {
     fn push(&mut self, text: &str) {
-        // Rows of a track usually stand together.
+        // Rows of a track are usually adjacent.
         let last = self.of_row.last().filter(|last| self.different[**last as usize] == text).copied();
         let index = last.or_else(|| self.indices.get(text).copied()).unwrap_or_else(|| {
             let index = self.different.len() as u32;
@@ -48,18 +48,18 @@ pub(super) struct Table {
     pub(super) n_rows: usize,
     numbers: BTreeMap<String, Vec<f64>>,
     texts: BTreeMap<String, Texts>,
-    /// The line of each row; empty if the table is no text.
+    /// The line of each row; empty if the table is not text.
     lines: Vec<u32>,
-    /// What `lines` are called.
+    /// The unit of `lines`.
     pub(super) counted: &'static str,
     /// The names of all columns, for messages.
     names: Vec<String>,
 }
 
 impl Table {
-    /// Reads those of the `wanted` columns that the table has.
+    /// Reads the `wanted` columns that the table has.
     ///
-    /// `lines` are those of the rows in the file, if they are some of it.
+    /// `lines` are those of the rows in the file, if they are a part of it.
     pub(super) fn read(bytes: &[u8], lines: &[u64], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
         match bytes {
             [] => Err("is empty".into()),
@@ -84,7 +84,7 @@ impl Table {
         self.text(Some(name)).is_none_or(|texts| texts.different[text as usize].is_empty())
     }
 
-    /// Where a row is, as messages say it.
+    /// The place of a row, for messages.
     pub(super) fn place_of(&self, row: usize) -> String {
         self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("{} {line}", self.counted))
     }
@@ -172,7 +172,7 @@ impl Table {
     }
 }
 
-/// The separator of cells, by the header of a table.
+/// The separator of cells, found in the header of a table.
 pub(super) fn separator_of(header: &[u8]) -> u8 {
     let count = |separator: &u8| header.iter().filter(|byte| *byte == separator).count();
     *b",;\t".iter().max_by_key(|separator| count(separator)).unwrap_or(&b',')

@@ -1,8 +1,8 @@
-//! Tables in no format of their own, read as a mapping in the configuration says.
+//! Tables without a format of their own, read with a mapping in the configuration.
 //!
 //! A file has one recording or several, each with any number of tracks, whose rows may be in any order and at any
 //! times: they are resampled to 10 Hz. A long one is read in parts ([`parts`]). The scenes of a recording are windows
-//! of it. A map is a file in Lanelet2 or OpenDRIVE that has the name of the place.
+//! of it. A map is a file in Lanelet2 or OpenDRIVE with the name of the place.
 //!
 //! Reasons of rejects, of recordings or whole files:
 //!
@@ -41,7 +41,7 @@ use super::{
 use crate::scene::{Dataset, MapId, Split};
 use std::io::BufRead;
 
-/// One second of past and three to come.
+/// One second of past and three of future.
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
 
 /// Maximum size of a file that is held in memory while it is read.
@@ -93,7 +93,7 @@ impl RecordingSource for Tables<'_> {
         if unit.split == UnitSplit::All(Split::Unsplit) {
             unit.split = UnitSplit::Divided;
         }
-        // Files of one name in different folders are different recordings.
+        // Files with the same name in different folders are different recordings.
         unit.case_id = unit.file.rsplit_once('.').map_or(unit.file.as_str(), |(path, _)| path).replace('/', "-");
         let scenes = |recording: Result<Recording, Reject>| -> Vec<PendingScene<'static>> {
             match recording {
@@ -126,7 +126,7 @@ impl RecordingSource for Tables<'_> {
     }
 }
 
-/// The place that a map is named for.
+/// The place in the name of a map.
 fn place_of_map(path: &str) -> Option<&str> {
     [".osm", ".xodr"].iter().any(|suffix| path.ends_with(suffix)).then(|| file_stem(path))
 }

@@ -1,12 +1,11 @@
 //! Cuts long tables into parts of some minutes, so that memory does not grow with the length of a recording.
 //!
-//! A table that is larger than [`Sizes::whole_bytes`] is read several times: first for its times (in Parquet, for what
-//! its last bytes say before that), then for the rows of its parts, as many parts at a time as memory allows. Where
-//! rows are by ascending time, as simulators and fleets write them, one more time suffices, if no more than
-//! [`Sizes::n_at_a_time`] recordings of a file are under way at a time; where they are by track, each time gives a few
-//! parts.
-//! Scenes are those of the table read as a whole, but for a heading that is not recorded and held for longer than
-//! [`LEAD_S`]; class and size of an agent are those of its first row in the part.
+//! A table larger than [`Sizes::whole_bytes`] is read several times: first for its times (in Parquet, before that for
+//! its footer), then for the rows of its parts, as many parts at a time as memory allows. If rows are by ascending
+//! time, as simulators and fleets write them, one more time suffices, as long as no more than [`Sizes::n_at_a_time`]
+//! recordings of a file are in progress at a time; if they are by track, each time yields a few parts. Scenes are those
+//! of the table read as a whole, except for a heading that is not recorded and held for longer than [`LEAD_S`]; class
+//! and size of an agent are those of its first row in the part.
 
 use super::columns::PARQUET;
 use super::mapping::TableMapping;
@@ -31,9 +30,9 @@ use std::sync::Arc;
 
 /// Seconds before the first scene of a part whose rows are read with it, if headings are not recorded.
 const LEAD_S: f64 = 60.0;
-/// Seconds before its first and behind its last scene, for motion between rows.
+/// Seconds before the first and after the last scene of a part whose rows are read with it, for motion between rows.
 const NEAR_S: f64 = 1.0;
-/// The footers of the largest tables are smaller.
+/// The most bytes of a footer, more than in the largest tables.
 const MAX_FOOTER_BYTES: usize = 16 << 20;
 
 /// When and how tables are cut.
@@ -41,17 +40,17 @@ const MAX_FOOTER_BYTES: usize = 16 << 20;
 pub(super) struct Sizes {
     /// Smaller tables are read as a whole.
     pub(super) whole_bytes: u64,
-    /// About how much a part has, of the columns that are read.
+    /// The approximate size of a part, in the columns that are read.
     pub(super) part_bytes: u64,
-    /// But no less time, seconds.
+    /// The least duration of a part, seconds.
     pub(super) part_s: f64,
-    /// Parts that are gathered at a time where rows are not by time, if they are of that size.
+    /// Parts of that size that are gathered at a time if rows are not by time.
     pub(super) n_at_a_time: usize,
 }
 
 pub(super) const SIZES: Sizes = Sizes { whole_bytes: 32 << 20, part_bytes: 4 << 20, part_s: 120.0, n_at_a_time: 8 };
 
-/// Reads pairs as they are, and long tables in parts.
+/// Reads pairs unchanged, and long tables in parts.
 pub(super) struct PartReader<'a> {
     pairs: PairReader<'a>,
     mapping: &'a TableMapping,
@@ -59,7 +58,7 @@ pub(super) struct PartReader<'a> {
     horizon: Horizon,
     sizes: Sizes,
     n_passes: usize,
-    /// Entries that came in this pass.
+    /// Entries that arrived in this pass.
     n_entries: usize,
     long: Vec<Long>,
 }
@@ -69,40 +68,40 @@ struct Long {
     entry: usize,
     container: PathBuf,
     file: String,
-    /// Of a table in Parquet.
+    /// The footer of a table in Parquet.
     footer: Option<Arc<ParquetMetaData>>,
-    /// Everything but its rows, as soon as its counterpart has come.
+    /// Everything except its rows, as soon as its counterpart has arrived.
     unit: Option<RawUnit>,
     next: Next,
     n_parts_done: usize,
 }
 
-/// What a table is read for.
+/// The purpose of the next reading of a table.
 enum Next {
     Times,
     Parts(Plan),
-    /// It cannot be cut.
+    /// All of it, since it cannot be cut.
     Whole,
 }
 
 /// The parts of a table.
 struct Plan {
-    /// Whether it gives all of them when it is read once.
+    /// Whether one reading yields all parts.
     is_sorted: bool,
     recordings: BTreeMap<String, KeyedRows>,
-    /// With the number of the recording that each is of, recording by recording in the order of their first rows.
+    /// Each with the number of its recording, recording by recording in the order of their first rows.
     parts: Vec<(usize, Part)>,
-    /// About the bytes of each part.
+    /// The approximate size of each part, bytes.
     n_bytes: Vec<u64>,
 }
 
-/// What a look at its times says of one recording.
+/// The rows of one recording, found when the times of the table are read.
 struct KeyedRows {
     number: usize,
-    /// Of its rows, seconds.
+    /// Time of the first row, seconds.
     first_s: f64,
     last_s: f64,
-    /// Which rows of the table are its first and its last.
+    /// The range of its rows in the table.
     rows: Range<u64>,
     n_bytes: u64,
     is_sorted: bool,
@@ -120,7 +119,7 @@ impl<'a> PartReader<'a> {
         Self { pairs, mapping, config, horizon, sizes, n_passes: 0, n_entries: 0, long: Vec::new() }
     }
 
-    /// Reads an entry as it is; what becomes of one that is cut is kept.
+    /// Reads an entry as a whole; an entry that is to be cut is kept.
     fn read_whole(
         &mut self,
         entry: &Entry,
@@ -184,7 +183,7 @@ impl<'a> PartReader<'a> {
         Some(Plan { is_sorted, recordings, parts, n_bytes })
     }
 
-    /// The parts of a recording: one that is too short for a scene is a part without any.
+    /// The parts of a recording; one that is too short for a scene is a part without any.
     fn parts(&self, seen: &mut KeyedRows, counted: &'static str) -> Option<Vec<Part>> {
         let KeyedRows { first_s, last_s, n_bytes, .. } = *seen;
         let first_frame = first_frame_of(first_s);
@@ -224,7 +223,7 @@ impl<'a> PartReader<'a> {
         Some((0..n_windows.max(1)).step_by(n_each as usize).map(part).collect())
     }
 
-    /// The footer of a table in Parquet that begins with `head`, if it is large enough to be cut.
+    /// The footer of a table in Parquet that begins with `head`, if the table is large enough to be cut.
     fn footer(&self, head: &[u8], rest: &mut dyn BufRead) -> Option<ParquetMetaData> {
         let mut last: VecDeque<u8> = head.iter().copied().collect();
         let mut n_bytes = head.len() as u64;
@@ -274,7 +273,7 @@ impl UnitReader for PartReader<'_> {
                     let plan = self.plan(reader, self.long[index].footer.as_ref());
                     let next = &mut self.long[index].next;
                     *next = plan.map_or(Next::Whole, Next::Parts);
-                    // Its counterpart, if it needs one, has come by now.
+                    // Its counterpart, if it needs one, has arrived by now.
                     let is_cut = matches!(next, Next::Parts(_));
                     return if is_cut {
                         self.read_whole(entry, &mut &b""[..], emit)
@@ -306,7 +305,7 @@ impl UnitReader for PartReader<'_> {
         let is_cut = matches!(next, Next::Parts(_));
         let (container, file) = (entry.container.clone(), entry.path.clone());
         self.long.push(Long { entry: number, container, file, footer, unit: None, next, n_parts_done: 0 });
-        // Its counterpart, if it needs one, comes as that of any other.
+        // Its counterpart, if it needs one, arrives like that of any other.
         if is_cut { self.read_whole(entry, &mut &b""[..], emit) } else { Ok(ControlFlow::Continue(())) }
     }
 
@@ -314,7 +313,7 @@ impl UnitReader for PartReader<'_> {
         self.n_passes += 1;
         self.n_entries = 0;
         let is_done = |long: &Long| match &long.next {
-            // One without its counterpart is a reject at the end.
+            // A table without its counterpart is a reject at the end.
             Next::Parts(plan) => long.unit.is_none() || long.n_parts_done == plan.parts.len(),
             Next::Times | Next::Whole => false,
         };
@@ -328,7 +327,7 @@ impl UnitReader for PartReader<'_> {
 }
 
 impl Long {
-    /// Reads the table once more, and emits the parts that are next.
+    /// Reads the table once more, and emits the next parts.
     fn read(
         &mut self,
         table: &mut dyn BufRead,
@@ -350,7 +349,7 @@ impl Long {
         self.n_parts_done += n_parts;
         let changed = || Err(unit.reject("unreadable", "the table changed while it was read"));
         let Some(mut rows) = TimedRows::of(table, self.footer.as_ref(), mapping) else { return emit(changed()) };
-        // By recording: its parts to come and those that are open.
+        // By recording: its parts to come and its open ones.
         let mut of_recordings: BTreeMap<usize, (VecDeque<&Part>, VecDeque<Gathered<'_>>)> = BTreeMap::new();
         for (recording, part) in parts {
             of_recordings.entry(*recording).or_default().0.push_back(part);

@@ -1,4 +1,4 @@
-//! Are the scenes of a table that is read in parts those of the table as a whole?
+//! Are the scenes of a table that is read in parts those of the table read as a whole?
 
 use super::columns::csv_reader;
 use super::*;
@@ -12,8 +12,8 @@ use std::sync::Arc;
 
 const SMALL: Sizes = Sizes { whole_bytes: 1000, part_bytes: 4000, part_s: 12.0, n_at_a_time: 2 };
 
-/// Four minutes at 5 Hz of a truck that drives, a car that comes late, is not seen for a while and repeats a row, one
-/// that parks, and somebody without an id.
+/// Four minutes at 5 Hz of a truck that drives, a car that appears late, is not seen for a while and repeats a row, a
+/// car that parks, and an agent without an id.
 fn rows() -> Vec<(f64, String)> {
     let mut rows = Vec::new();
     for i in 0..1200 {
@@ -48,7 +48,7 @@ fn config(mapping: &str) -> IngestConfig {
     }
 }
 
-/// The units of files in as many passes as are wanted.
+/// The units of files, in as many passes as requested.
 fn units<T: AsRef<[u8]>>(tables: &Tables<'_>, sizes: Sizes, files: &[(&str, T)]) -> Vec<Result<RawUnit, Reject>> {
     let (mut reader, mut units) = (tables.part_reader(sizes), Vec::new());
     let mut emit = |unit| {
@@ -95,7 +95,7 @@ fn scenes(
     (scenes, counts)
 }
 
-/// The sums of findings, which are those of the whole as are the scenes.
+/// Compares the scenes and the sums of findings with those of the table read as a whole; returns the findings.
 fn compared(config: &IngestConfig, n_parts_above: usize, files: &[(&str, Vec<u8>)]) -> BTreeMap<String, u64> {
     let tables = Tables::new(config).unwrap();
     let (whole, parts) = (units(&tables, SIZES, files), units(&tables, SMALL, files));
@@ -137,7 +137,7 @@ fn parts_give_the_scenes_of_the_whole() {
     }
 }
 
-/// The same table in Parquet, in row groups of 100 rows.
+/// The table of `text` in Parquet, in row groups of 100 rows.
 fn parquet(text: &str) -> Vec<u8> {
     let mut reader = csv_reader(b',').from_reader(text.as_bytes());
     let names = reader.headers().unwrap().clone();
@@ -191,7 +191,7 @@ fn what_is_wrong_in_a_part_is_said_with_its_line_and_costs_that_part() {
     let at = rows.iter().position(|(t, row)| *t > 1080.0 && row.starts_with("truck")).unwrap();
     rows[at].1 = rows[at].1.replace(",3.5,", ",north,");
     let (found, _) = scenes(&tables, units(&tables, SMALL, &[("a.csv", &table(&rows))]));
-    // The parts beside it have its row, too, if it is near.
+    // Adjacent parts have its row, too, if it is near.
     let expected = format!("a.csv: line {}: column y is \"north\", expected a number", at + 2);
     assert!(found.keys().any(|detail| *detail == expected), "{:?}", found.keys());
     assert!(found.len() > whole / 3 && found.len() < whole, "{} of {whole}", found.len());

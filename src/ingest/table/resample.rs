@@ -13,13 +13,13 @@ pub(super) struct TimedState {
     pub(super) time_s: f64,
     /// Meters.
     pub(super) position: Vec2,
-    /// Radians, if it is recorded.
+    /// Radians, if recorded.
     pub(super) heading_rad: Option<f64>,
 }
 
 /// The states at all frames, [`DT_S`] apart, that have a row or lie between two rows at most `max_gap_s` apart.
 ///
-/// Positions between rows are on the cubic that has their velocities, each that of the parabola through a row and its
+/// Positions between rows are on the cubic with their velocities, each that of the parabola through a row and its
 /// neighbors; headings turn evenly. `rows` are by ascending time.
 pub(super) fn resampled(rows: &[TimedState], max_gap_s: f64) -> Vec<(i64, TimedState)> {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Vec::new() };

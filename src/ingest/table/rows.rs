@@ -10,7 +10,7 @@ use std::sync::Arc;
 pub(super) struct Rows<'a> {
     pub(super) mapping: &'a TableMapping,
     pub(super) file: String,
-    /// Which part of the file they are.
+    /// The part of the file that they are.
     pub(super) part: Option<Arc<Part>>,
     pub(super) table: Table,
     pub(super) of_tracks: Option<OfTracks>,
@@ -137,7 +137,7 @@ impl OfTracks {
     }
 }
 
-/// The columns that a mapping names, with what they hold.
+/// The columns that a mapping names, with their kinds.
 pub(super) fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
     let TableColumns { track, x, y, time, frame, heading, length, width, class, recording, place } = columns;
     let texts = [Some(track), class.as_ref(), recording.as_ref(), place.as_ref()];

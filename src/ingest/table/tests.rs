@@ -34,7 +34,7 @@ fn rejects(folder: &Path, mapping: &str) -> String {
     }
 }
 
-/// A folder with this file, all of it of the train split.
+/// A folder with this file, all of it in the train split.
 fn file(name: &str, text: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs_err::create_dir(folder.path().join("train")).unwrap();
@@ -66,7 +66,7 @@ fn tables_are_read_as_the_reader_of_their_format_reads_them() {
         classes = { car = 'vehicle' }";
     let table = IngestConfig { maps: own.maps, ..config(folder, mapping) };
     let [(own, _), (table, _)] = [own, table].map(|config| read(&config).unwrap());
-    // Scenes have other names, so that other egos are drawn.
+    // Scenes have other names, so other egos are drawn.
     let vehicles = |scene: &Scene| -> BTreeMap<String, Track> {
         let vehicles = scene.tracks.iter().filter(|track| track.class.is_motorized()).cloned();
         let in_world =
@@ -87,7 +87,7 @@ fn tables_are_read_as_the_reader_of_their_format_reads_them() {
                 assert_eq!(state.is_some(), own.is_some(), "{} {id}", scene.id);
                 let Some((state, own)) = state.zip(*own) else { continue };
                 assert!(state.position.distance(own.position) < 1e-9, "{} {id}: {state:?} {own:?}", scene.id);
-                // That of a first state may be recorded.
+                // The velocity of a first state may be recorded.
                 let is_same = (state.velocity - own.velocity).norm() < 1e-9;
                 assert!(is_same || !is_known_before, "{} {id}: {state:?} {own:?}", scene.id);
                 is_known_before = true;
@@ -204,7 +204,7 @@ fn a_file_may_have_several_recordings_and_places() {
     assert_eq!(ids, ["North/train-all:a@0", "North/train-all:a@40", "South/train-all:b@0", "South/train-all:b@40"]);
     let without = "columns = { track = 'id', x = 'x', y = 'y', time = 't', place = 'where' }";
     assert_eq!(read(&config(folder.path(), without)).unwrap().0.len(), 4);
-    // One recording that cannot be read leaves the others.
+    // A recording that cannot be read does not affect the others.
     let odd = text.replace("1,1,10,0,b,South", "1,1,,0,b,South");
     fs_err::write(folder.path().join("train/all.csv"), odd).unwrap();
     let (scenes, report) = read(&config(folder.path(), mapping)).unwrap();

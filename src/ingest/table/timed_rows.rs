@@ -21,7 +21,7 @@ pub(super) struct Gathered<'a> {
 }
 
 impl Gathered<'_> {
-    /// The unit, which is otherwise as that of the table.
+    /// The unit of the part, in other respects like that of the table.
     pub(super) fn unit(self, table: &RawUnit) -> Result<RawUnit, Reject> {
         let (first, last) = (self.part.windows.start, self.part.windows.end - 1);
         if self.lines.is_empty() {
@@ -38,9 +38,9 @@ pub(super) struct TimedRows<'r> {
     source: Source<'r>,
     mapping: &'r TableMapping,
     separator: u8,
-    /// The columns that are read.
+    /// The columns to read.
     columns: Vec<(&'r str, Kind)>,
-    /// Where among them the time is, the track, and what tells recordings of one file apart.
+    /// The indices among them of the time, the track, and the columns that distinguish recordings of one file.
     time: usize,
     position: [usize; 2],
     track: usize,
@@ -50,7 +50,7 @@ pub(super) struct TimedRows<'r> {
 }
 
 enum Source<'r> {
-    /// `places`: where in the table each of the columns is.
+    /// `places`: the index of each of the columns in the table.
     Text {
         reader: csv::Reader<Box<dyn Read + 'r>>,
         record: csv::ByteRecord,
@@ -58,18 +58,18 @@ enum Source<'r> {
         n_cells: usize,
         n_behind: u64,
     },
-    /// `cells`: some rows of the table, of which the first `n_done` were read.
+    /// `cells`: some rows of the table, the first `n_done` of which were read.
     Parquet { stream: Stream<'r>, cells: Vec<Cells>, n_rows: usize, n_done: usize },
 }
 
-/// Of one column.
+/// The cells of one column.
 enum Cells {
     Numbers(Vec<f64>),
     Texts(StringArray),
 }
 
 impl<'r> TimedRows<'r> {
-    /// `None` if the table is not one that may be cut. `footer` is that of a table in Parquet.
+    /// `None` if the table cannot be cut. `footer` is that of a table in Parquet.
     pub(super) fn of(
         table: &'r mut dyn BufRead,
         footer: Option<&Arc<ParquetMetaData>>,
@@ -88,7 +88,7 @@ impl<'r> TimedRows<'r> {
                 (Source::Parquet { stream, cells: Vec::new(), n_rows: 0, n_done: 0 }, b',', columns)
             }
         };
-        // Others are in the table of tracks.
+        // Other columns are in the table of tracks.
         if columns.len() < all.len() && mapping.track_files.is_none() {
             return None;
         }
@@ -101,7 +101,7 @@ impl<'r> TimedRows<'r> {
         Some(Self { source, mapping, separator, columns, time, position, track, key, place: u64::MAX })
     }
 
-    /// The time of the next row, seconds; `Some(None)` at the end, and `None` if the row is not as it should be.
+    /// The time of the next row, seconds; `Some(None)` at the end, and `None` if the row is malformed.
     #[expect(clippy::option_option, reason = "an end is no fault")]
     pub(super) fn next(&mut self) -> Option<Option<f64>> {
         match &mut self.source {
@@ -143,7 +143,7 @@ impl<'r> TimedRows<'r> {
         number.is_finite().then_some(number)
     }
 
-    /// Where the agent of the last row is, meters; NaN if that cannot be read, which is said when the part is.
+    /// The position of the agent of the last row, meters; NaN if it cannot be read, which is reported with the part.
     pub(super) fn position(&self) -> Vec2 {
         let [x, y] = self.position.map(|at| self.number(at).unwrap_or(f64::NAN));
         Vec2::new(x, y) * self.mapping.length_unit_m
@@ -167,7 +167,7 @@ impl<'r> TimedRows<'r> {
         self.cell(self.track)
     }
 
-    /// Puts what tells the recording of the last row from others of the file into `key`.
+    /// Writes the values that distinguish the recording of the last row from others of the file into `key`.
     pub(super) fn key(&self, key: &mut String) -> Option<()> {
         key.clear();
         for at in &self.key {
@@ -177,7 +177,7 @@ impl<'r> TimedRows<'r> {
         Some(())
     }
 
-    /// About the bytes of the last row in the columns that are read.
+    /// The approximate size of the last row in the columns that are read, bytes.
     pub(super) fn n_bytes(&self) -> u64 {
         match &self.source {
             Source::Text { record, places, .. } => places.iter().map(|place| record[*place].len() as u64 + 1).sum(),
@@ -194,7 +194,7 @@ impl<'r> TimedRows<'r> {
         gathered
     }
 
-    /// Puts the last row to the others of a part.
+    /// Adds the last row to a part.
     pub(super) fn put(&self, to: &mut Gathered<'_>) {
         let _ = match &self.source {
             Source::Text { record, places, .. } => to.text.write_record(places.iter().map(|place| &record[*place])),
@@ -206,7 +206,7 @@ impl<'r> TimedRows<'r> {
         to.lines.push(self.place);
     }
 
-    /// What the places of rows are called.
+    /// The unit of the places of rows.
     pub(super) const fn counted(&self) -> &'static str {
         match self.source {
             Source::Text { .. } => "line",
@@ -216,7 +216,7 @@ impl<'r> TimedRows<'r> {
 }
 
 impl<'r> Source<'r> {
-    /// The rows of a table in CSV with its separator and those of the `wanted` columns that it has.
+    /// The rows of a table in CSV with its separator and the `wanted` columns that it has.
     #[expect(clippy::type_complexity, reason = "the three are apart again at once")]
     fn text(table: &'r mut dyn BufRead, wanted: &[(&'r str, Kind)]) -> Option<(Self, u8, Vec<(&'r str, Kind)>)> {
         let mut header = Vec::new();

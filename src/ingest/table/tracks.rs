@@ -1,4 +1,4 @@
-//! The tracks of a table: what its rows say of each agent, at the frames of scenes.
+//! The tracks of a table: the states of each agent from its rows, at the frames of scenes.
 
 use super::columns::Table;
 use super::mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
@@ -13,19 +13,20 @@ use crate::ingest::{Finding, RawUnit, Reject};
 use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole, velocity_at};
 use std::f64::consts::FRAC_PI_2;
 
-/// Frames are numbered as the recording's times say unless these are further from 0, such as times of day, seconds.
+/// Frames are numbered by the times of the recording unless these are further than this from 0, as times of day are,
+/// seconds.
 const MAX_START_S: f64 = 1e6;
-/// No recording is longer, seconds; see [`windows`](crate::ingest::windows).
+/// The longest recording, seconds; see [`windows`](crate::ingest::windows).
 const MAX_RECORDING_S: f64 = 1e5;
-/// No agent is larger, meters.
+/// The largest agent, meters.
 const MAX_SIZE_M: f64 = 1e3;
-/// Rows of a track that are usually further apart are no motion, seconds.
+/// Rows of a track that are usually further apart than this do not show its motion, seconds.
 const MAX_USUAL_S: f64 = 1.0;
-/// So many rows of a track in a part tell how far they usually are apart.
+/// This many rows of a track in a part show their usual distance in time.
 const N_ROWS_OF_PART: usize = 20;
-/// A recording in which nobody goes as far is not in meters.
+/// A recording in which no agent moves as far as this is not in meters.
 const MAX_AT_REST_M: f64 = 0.5;
-/// Two rows of a track at one time are one if their positions are this near, meters.
+/// Two rows of a track at one time are the same if their positions are this close, meters.
 const SAME_M: f64 = 1e-6;
 
 /// The recordings of a file, in the order of their first rows, or why one cannot be read.
@@ -92,7 +93,7 @@ impl Rows<'_> {
         self.finite(name, row).map(|value| self.mapping.seconds_of(value))
     }
 
-    /// Whether what is at this time is counted here, and not with the part before or behind.
+    /// Whether findings at this time are counted here, and not with the previous or the next part.
     fn is_own(&self, time_s: f64) -> bool {
         self.part.as_ref().is_none_or(|part| part.own_s.contains(&time_s))
     }
@@ -115,7 +116,7 @@ impl Rows<'_> {
         Reject { reason, detail: format!("{}, {}: {detail}", self.file, self.table.place_of(row)) }
     }
 
-    /// The track of these rows; `None` if it is never at a frame.
+    /// The track of these rows; `None` if it is not at any frame.
     fn track(
         &self,
         id: &str,
@@ -169,7 +170,7 @@ impl Rows<'_> {
             heading_rad: state.heading_rad,
         };
         let mut observations: Vec<Observation> = resampled.iter().map(observation).collect();
-        // Scenes derive velocities anew, those of the past from the past alone; these are of states without neighbors.
+        // Scenes derive velocities anew, those of the past from the past alone; these are for states without neighbors.
         let velocities: Vec<Vec2> = (0..observations.len()).map(|index| velocity(&observations, index)).collect();
         for (observation, velocity) in observations.iter_mut().zip(velocities) {
             observation.velocity = velocity;
@@ -301,12 +302,12 @@ impl Rows<'_> {
     }
 }
 
-/// The frame at which a recording begins. Frames are counted so that rows at 10 Hz stay as they are.
+/// The frame at which a recording begins. Frames are counted so that rows at 10 Hz stay unchanged.
 pub(super) fn first_frame_of(first_s: f64) -> i64 {
     if first_s.abs() < MAX_START_S { (first_s / DT_S).round() as i64 } else { 0 }
 }
 
-/// The velocity that follows from the observations around one.
+/// The velocity derived from the observations around one.
 fn velocity(observations: &[Observation], index: usize) -> Vec2 {
     let position = |offset: isize| {
         let beside = observations.get(index.checked_add_signed(offset)?)?;
@@ -315,7 +316,7 @@ fn velocity(observations: &[Observation], index: usize) -> Vec2 {
     velocity_at(position, DT_S).unwrap_or(Vec2::ZERO)
 }
 
-/// How far the rows of a track are apart in time.
+/// The distances in time between the rows of a track.
 struct Gaps {
     usual_s: f64,
     /// The number of longer ones that are filled in.
@@ -335,13 +336,13 @@ impl Gaps {
     }
 }
 
-/// How far a track goes from where it begins, meters.
+/// The largest distance of a track from its beginning, meters.
 fn farthest_m(track: &RecordedTrack) -> f64 {
     let positions = || track.states.iter().map(|(_, state, _)| state.position);
     positions().next().map_or(0.0, |first| positions().map(|at| at.distance(first)).fold(0.0, f64::max))
 }
 
-/// What is remarkable in a recording.
+/// Remarkable facts about a recording.
 #[derive(Debug, Default)]
 struct Counts {
     n_without_track: usize,
@@ -349,7 +350,7 @@ struct Counts {
     n_gaps: usize,
     n_other_classes: usize,
     first_other_class: Option<String>,
-    /// How far anybody goes, if nobody does.
+    /// The largest distance that any agent moves, meters, if all are at rest.
     at_rest_m: Option<f64>,
 }
 

@@ -23,7 +23,7 @@ impl Braking {
     /// When the vehicle stands, seconds since the present. `None` if it never does.
     pub(super) fn stands_from_s(&self) -> Option<f64> {
         let (from_s, &Self { ramp_s, max_deceleration_mps2, .. }) = (self.from_s?, self);
-        // The ramp reduces the speed by half of what full braking would.
+        // The ramp reduces the speed by half as much as full braking would.
         let lost_mps = max_deceleration_mps2 * ramp_s / 2.0;
         Some(match self.speed_mps > lost_mps {
             true => from_s + ramp_s + (self.speed_mps - lost_mps) / max_deceleration_mps2,

@@ -49,7 +49,7 @@ pub(super) struct Intrusion {
 }
 
 /// Whether a vehicle `gap_m` ahead of the ego's front, along the path, is dangerous at this closing speed. The ego need
-/// not brake for one behind it, farther than `lengths_m` of both, but for one alongside.
+/// not brake for one behind it, by more than `lengths_m` of both, but for one alongside.
 pub(super) fn is_danger(gap_m: f64, closing_mps: f64, lengths_m: f64) -> bool {
     closing_mps > 0.0 && gap_m >= -lengths_m && gap_m <= DANGER_TTC_S * closing_mps
 }
@@ -98,8 +98,8 @@ impl<'a> Encounter<'a> {
         })
     }
 
-    /// When the driver perceives that the other cuts in, seconds since the present; negative before it. `None` for
-    /// never.
+    /// When the driver perceives that the other cuts in, seconds since the present; negative before it. `None` if it
+    /// never does.
     pub(super) fn perceived_s(&self) -> Option<f64> {
         let mut farthest_m = f64::NEG_INFINITY;
         for (timestep, place) in self.places.iter().enumerate() {
@@ -113,7 +113,7 @@ impl<'a> Encounter<'a> {
     }
 
     /// When, from `perceived_s` on, the time to collision along the path is dangerous, seconds since the present.
-    /// `None` for never.
+    /// `None` if it never is.
     pub(super) fn danger_s(&self, perceived_s: f64) -> Option<f64> {
         let is_danger = |(time_s, place): &(f64, RelativePosition)| {
             let gap_m = place.ahead_m - self.ego_speed_mps * time_s;

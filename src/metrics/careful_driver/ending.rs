@@ -1,5 +1,5 @@
-//! What follows the last state of a scenario: does the subject drive into somebody, and could a careful driver avoid
-//! it?
+//! The motion after the last state of a scenario: does the subject drive into another agent, and could a careful driver
+//! avoid it?
 
 use super::braking::Braking;
 use super::regulation::DELAY_S;
@@ -23,18 +23,17 @@ const MOST_MPS2: f64 = 20.0;
 
 /// How a scenario ends for its subject.
 ///
-/// After the last state everybody else keeps its velocity, and so does the subject until it brakes. Only those ahead of
-/// it count, since braking is no help against others.
+/// After the last state all other agents keep their velocity, and so does the subject until it brakes. Only agents
+/// ahead of it count, since braking is no help against others.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Ending {
-    /// When the subject touches somebody if it does not brake, seconds after the last state; `None` if it does not
+    /// When the subject touches another agent if it does not brake, seconds after the last state; `None` if it does not
     /// within a second.
     pub contact_s: Option<f64>,
-    /// The least steady deceleration from the last state on with which it does not, at most 20 m/s²; 0 if none is
-    /// needed.
+    /// The least steady deceleration from the last state on that avoids contact, at most 20 m/s²; 0 if none is needed.
     pub required_deceleration_mps2: f64,
-    /// The relative speed with which they touch although the careful driver takes over at the last state, m/s: 0.75 s
-    /// later it brakes, or at once if the subject brakes already. `None` if they do not touch.
+    /// The relative speed of the contact that remains if the careful driver takes over at the last state, m/s: it
+    /// brakes 0.75 s later, or at once if the subject brakes already. `None` if they do not touch.
     pub remaining_mps: Option<f64>,
     /// Whether the subject reacts: slows down by at least 1 m/s² over half a second, at some time since the event
     /// began.
@@ -42,8 +41,8 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// How a scene ends for this agent, the subject of an event that begins at `start_timestep`. `None` if it is not
-    /// tracked in the future.
+    /// The ending of a scene for this agent, the subject of an event that begins at `start_timestep`. `None` if it is
+    /// not tracked in the future.
     pub fn of(scene: &Scene, subject_idx: usize, start_timestep: usize) -> Option<Self> {
         let subject = &scene.tracks[subject_idx];
         let last = subject.trajectory.valid().next_back().map(|(timestep, _)| timestep)?;
@@ -85,7 +84,7 @@ impl Ending {
 }
 
 /// The agents ahead of the subject that it touches within a second after `last` if nobody brakes: when, and their state
-/// then.
+/// at that time.
 fn met(scene: &Scene, subject_idx: usize, last: usize) -> Vec<(f64, &Track, &State)> {
     let at = |agent_idx: usize| {
         let (track, state) = (&scene.tracks[agent_idx], scene.state(agent_idx, last)?);
@@ -163,20 +162,21 @@ mod tests {
         let near = ending(8.0, 0.0, false);
         assert!((near.contact_s.unwrap() - 0.8).abs() < 1e-6);
         assert!((near.required_deceleration_mps2 - 6.25).abs() < 0.1, "{near:?}");
-        // Its reaction takes until 0.5 m are left, so that hardly anything of 10 m/s is gone.
+        // Its reaction takes until 0.5 m are left, so hardly anything of 10 m/s is gone.
         assert!(near.remaining_mps.is_some_and(|mps| (9.5..10.0).contains(&mps)) && !near.subject_reacts, "{near:?}");
-        // Who brakes already goes on: 10 m/s take 1.6 s in all, in which 8.9 m are needed, and then 9.9 m are enough.
+        // A subject that brakes already continues: 10 m/s take 1.6 s in all, in which 8.9 m are needed, so 9.9 m are
+        // enough.
         let braking = ending(9.9, 0.0, true);
         assert!(
             braking.subject_reacts && braking.remaining_mps.is_none() && braking.contact_s.is_some(),
             "{braking:?}"
         );
         assert!(ending(8.0, 0.0, true).remaining_mps.is_some());
-        // Farther away, or beside it, nobody is met.
+        // Farther away, or beside it, nobody is touched.
         for clear in [ending(10.5, 0.0, false), ending(3.0, 3.0, false), ending(-9.5, 0.0, false)] {
             assert_eq!((clear.contact_s, clear.required_deceleration_mps2, clear.remaining_mps), (None, 0.0, None));
         }
-        // Where they touch already, nothing helps.
+        // If they touch already, nothing helps.
         assert!(ending(-1.0, 0.0, true).required_deceleration_mps2 > 19.9);
     }
 }

@@ -1,8 +1,8 @@
 //! Could a careful driver have prevented a collision after a cut-in? The performance model of UN Regulation No. 157.
 //!
 //! The driver of Annex 3 (guidance on traffic disturbance critical scenarios, cut-in) takes the place of the ego, with
-//! the ego's speed at present and on its future path. The other moves as it does in the scene, and after the end of the
-//! scene at its last velocity.
+//! the ego's speed at present and on its future path. The other moves as in the scene, and after the end of the scene
+//! at its last velocity.
 //!
 //! 1. *Perception.* Within 0.375 m of its place in its lane a vehicle only wanders. Once it has come closer to the path
 //!    than that, it takes 0.4 s to see that it cuts in. Maps need not show lanes, so its place is where it was farthest
@@ -16,7 +16,7 @@
 //! once both vehicles are in line.
 //!
 //! Paragraph 5.2.5.2 has a simple bound, too: a collision must be avoided if, when the other is 0.3 m beyond the lane
-//! marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s. The marking is taken to lie half a lane's
+//! marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s. The marking is assumed to be half a lane's
 //! width beside the path.
 
 mod braking;
@@ -53,8 +53,8 @@ pub struct CutInJudgment {
 }
 
 impl CutInJudgment {
-    /// Judges how `other` cuts in before `ego`, by their indices; `None` if either is not tracked at present, or the
-    /// other does not enter the ego's lane in the future.
+    /// Judges how `other` cuts in before `ego`, given by their indices; `None` if either is not tracked at present, or
+    /// the other does not enter the ego's lane in the future.
     pub fn of(scene: &Scene, [ego, other]: [usize; 2]) -> Option<Self> {
         let encounter = Encounter::of(scene, [ego, other])?;
         let intrusion = encounter.intrusion()?;

@@ -4,7 +4,7 @@ use super::CutInJudgment;
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
 
 /// Among samples in which the requested `other` enters the lane of the requested `ego`, the share in which the careful
-/// driver avoids a collision. Not defined if no such roles were requested, or no sample shows it.
+/// driver avoids a collision. Not defined if no such roles were requested, or no such sample exists.
 #[derive(Debug, Clone, Default)]
 pub struct PreventableRate;
 

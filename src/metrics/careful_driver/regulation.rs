@@ -12,7 +12,7 @@ pub(super) const DELAY_S: f64 = 0.75;
 pub(super) const RAMP_S: f64 = 0.6;
 /// The largest deceleration, m/s²: 0.774 g.
 pub(super) const MAX_DECELERATION_MPS2: f64 = 7.593;
-/// Width of a lane, meters: its markings lie half of that from the path.
+/// Width of a lane, meters: its markings are half of it from the path.
 pub(super) const LANE_WIDTH_M: f64 = 3.5;
 /// A vehicle this far beyond the marking intrudes, meters.
 pub(super) const INTRUSION_M: f64 = 0.3;

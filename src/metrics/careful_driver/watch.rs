@@ -1,8 +1,9 @@
-//! The careful driver in a closed loop: what it has seen of one other up to now, and how hard it brakes for it.
+//! The careful driver in a closed loop: what it has seen of another agent so far, and how hard it brakes for it.
 //!
-//! The same perception, danger, delay and ramp as in [`CutInJudgment`](super::CutInJudgment), timestep by timestep, so
-//! that the other may answer to the braking. Because it is not known beforehand who cuts in, a vehicle is in the way if
-//! its flank is in the lane of the path, or will be within the time that counts as danger at its present speed across.
+//! Perception, danger, delay and ramp are those of [`CutInJudgment`](super::CutInJudgment), but timestep by timestep,
+//! so that the other may answer to the braking. Because it is not known beforehand which vehicle cuts in, one is in the
+//! way if its flank is in the lane of the path, or will be within the time that counts as danger at its present lateral
+//! speed.
 
 use super::encounter::is_danger;
 use super::regulation::{
@@ -18,7 +19,7 @@ pub struct Seen {
     pub flank_m: f64,
     /// From the ego's front to the nearest part of it, meters along the path.
     pub gap_m: f64,
-    /// How fast the ego comes closer along the path, m/s.
+    /// The speed at which the ego approaches it along the path, m/s.
     pub closing_mps: f64,
     /// The length of both together, meters.
     pub lengths_m: f64,
@@ -34,7 +35,7 @@ pub struct CarefulWatch {
 }
 
 impl CarefulWatch {
-    /// Looks at the other at `now_s`, `dt_s` after the last look, or does not see it.
+    /// Looks at the other at `now_s`, `dt_s` after the last look; `None` if it is not visible.
     pub fn look(&mut self, now_s: f64, dt_s: f64, seen: Option<&Seen>) {
         let Some(seen) = seen else {
             *self = Self::default();
@@ -63,7 +64,7 @@ impl CarefulWatch {
         self.perceived_s.is_some_and(|perceived_s| now_s >= perceived_s - 1e-9)
     }
 
-    /// How hard it brakes for the other at `now_s`, m/s²; 0 before it does.
+    /// The deceleration for the other at `now_s`, m/s²; 0 before braking begins.
     pub fn braking_mps2(&self, now_s: f64) -> f64 {
         let ramp = self.danger_s.map_or(0.0, |danger_s| (now_s - danger_s - DELAY_S) / RAMP_S);
         MAX_DECELERATION_MPS2 * ramp.clamp(0.0, 1.0)
@@ -74,7 +75,7 @@ impl CarefulWatch {
 mod tests {
     use super::*;
 
-    /// A car of which both lengths are 9 m, 20 m ahead and 10 m/s slower, `offset_m` beside the path.
+    /// A car, with a total length of both of 9 m, 20 m ahead and 10 m/s slower, `offset_m` beside the path.
     fn seen(offset_m: f64, closing_mps: f64) -> Seen {
         Seen { offset_m, flank_m: offset_m - 0.9, gap_m: 19.9, closing_mps, lengths_m: 9.0 }
     }

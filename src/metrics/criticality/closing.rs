@@ -6,7 +6,7 @@ use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::Vec2;
 use std::ops::Range;
 
-/// Times to collision beyond this are meaningless, because nobody keeps course and speed for so long, seconds.
+/// Times to collision beyond this are meaningless, because nobody keeps course and speed for that long, seconds.
 const MAX_TTC_S: f64 = 10.0;
 /// Times to collision below this count as exposure, seconds.
 const EXPOSURE_TTC_S: f64 = 1.5;

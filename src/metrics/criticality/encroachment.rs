@@ -9,8 +9,8 @@ use crate::scene::{Scene, State};
 /// Halvings of a timestep by which an entry or exit is located: a thousandth of a timestep.
 const N_HALVINGS: usize = 10;
 
-/// Post-encroachment time of two agents, seconds: the entry of the second minus the exit of the first, in whichever
-/// order this is positive. The first may leave the area before the present, but the second must enter it in the future.
+/// Post-encroachment time of two agents, seconds: the entry of the second minus the exit of the first, in the order in
+/// which this is positive. The first may leave the area before the present, but the second must enter it in the future.
 /// Agents move at constant velocity between timesteps. `None` if the swept areas do not overlap, both are in the
 /// overlap at once, or the first never leaves it.
 pub(super) fn post_encroachment_s(scene: &Scene, [first, second]: [&MovingAgent; 2]) -> Option<f64> {
@@ -28,9 +28,9 @@ pub(super) fn post_encroachment_s(scene: &Scene, [first, second]: [&MovingAgent;
 
 /// When an agent is in the conflict area, in timesteps.
 struct Visit {
-    /// `None` if it is there from its first state on.
+    /// When it enters; `None` if it is there from its first state on.
     entry: Option<f64>,
-    /// `None` if it is still there in its last state.
+    /// When it leaves; `None` if it is still there in its last state.
     exit: Option<f64>,
 }
 

@@ -17,14 +17,14 @@ pub(super) fn min_headway_s(scene: &Scene, [first, second]: [&MovingAgent; 2]) -
     future(scene).flat_map(at).flatten().reduce(f64::min)
 }
 
-/// The time headway of `follower` behind `leader`, seconds; `None` if it does not follow it then.
+/// The time headway of `follower` behind `leader`, seconds; `None` if it does not follow it at that timestep.
 fn headway_s(scene: &Scene, follower: &MovingAgent, leader: &MovingAgent, timestep: usize) -> Option<f64> {
     let speed_mps = follower.velocity(timestep).map(Vec2::norm).filter(|speed_mps| *speed_mps > STANDING_MPS)?;
     let track = &scene.tracks[follower.agent_idx];
     let leading = &scene.tracks[leader.agent_idx];
     let state = leading.trajectory.get(timestep).filter(|state| state.is_finite())?;
     let own = track.trajectory.get(timestep)?;
-    // A cheap test of who is behind, before the projection onto a path.
+    // A cheap test of the order of the two, before the projection onto a path.
     if (state.position - own.position).dot(Vec2::from_angle(own.heading_rad)) <= 0.0 {
         return None;
     }

@@ -63,7 +63,7 @@ pub struct PairCriticality {
 /// The criticality of a scene: the worst of all pairs, measure by measure.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SceneCriticality {
-    /// Least time to collision, seconds; `None` if no two are on a course to collide within 10 s.
+    /// Least time to collision, seconds; `None` if no pair is on a course to collide within 10 s.
     pub min_ttc_s: Option<f64>,
     /// Largest deceleration rate to avoid a crash, m/s².
     pub max_drac_mps2: f64,
@@ -91,7 +91,7 @@ impl PairCriticality {
 }
 
 /// Time to collision (seconds) and distance between the boxes (meters) of two agents of a scene at each timestep of the
-/// future, each where it is defined. `None` if one of them is never tracked.
+/// future, each if it is defined. `None` if one of them is never tracked.
 pub fn closeness_over_time(scene: &Scene, pair: [usize; 2]) -> Option<Vec<[Option<f64>; 2]>> {
     let [first, second] = [MovingAgent::of(scene, pair[0])?, MovingAgent::of(scene, pair[1])?];
     let at = |timestep: usize| {

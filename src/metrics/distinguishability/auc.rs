@@ -9,7 +9,7 @@ const N_RESAMPLES: usize = 200;
 /// An item with its score.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scored {
-    /// The scene that it comes from.
+    /// The scene of the item.
     pub(super) scene: usize,
     /// Whether it was generated.
     pub(super) generated: bool,
@@ -96,8 +96,8 @@ mod tests {
 
     #[test]
     fn the_interval_is_that_of_scenes_not_of_tracks() {
-        // In half of the scenes all ten tracks are told apart, in the other half none: the scene decides, so that the
-        // area of n scenes drawn spreads as a binomial share does.
+        // In half of the scenes all ten tracks are told apart, in the other half none: the scene decides, so the area
+        // of n drawn scenes spreads like a binomial share.
         let n = 40;
         let of_scene = |scene: usize| {
             let told = if scene.is_multiple_of(2) { 1.0 } else { 0.0 };

@@ -1,4 +1,4 @@
-//! Gradient-boosted trees that tell two classes apart: histograms of binned features, leaves grown best first.
+//! Gradient-boosted trees that distinguish two classes: histograms of binned features, leaves grown best first.
 //!
 //! The algorithm is that of scikit-learn's `HistGradientBoostingClassifier` (after LightGBM, Ke et al. 2017), without
 //! early stopping, categories and constraints: `scripts/golden_boosting.py` writes the values that tests compare with.
@@ -30,7 +30,7 @@ struct BinnedFeature {
 }
 
 impl BinnedFeature {
-    /// Bins by quantiles; by each value where there are no more values than bins.
+    /// Bins by quantiles; one for each value if there are no more values than bins.
     fn new(column: &[f64]) -> Self {
         let mut sorted: Vec<f64> = column.iter().copied().filter(|x| !x.is_nan()).collect();
         sorted.sort_by(f64::total_cmp);
@@ -135,8 +135,8 @@ pub(super) struct BoostedTrees {
 }
 
 impl BoostedTrees {
-    /// Fits trees to `columns` (one for each feature, NaN where it is missing) of rows that are in the second class or
-    /// not. Minimizes the mean of -log p(class).
+    /// Fits trees to `columns` (one for each feature, NaN where it is missing) of rows; `is_second` tells which are in
+    /// the second class. Minimizes the mean of -log p(class).
     pub(super) fn fit(columns: &[Vec<f64>], is_second: &[bool]) -> Self {
         let features: Vec<BinnedFeature> = columns.iter().map(|column| BinnedFeature::new(column)).collect();
         let n = is_second.len();
@@ -160,7 +160,7 @@ impl BoostedTrees {
         Self { intercept, trees }
     }
 
-    /// The log odds of the second class for a row, whose features `feature` gives.
+    /// The log odds of the second class for a row with the features that `feature` gives.
     pub(super) fn log_odds(&self, feature: impl Fn(usize) -> f64) -> f64 {
         let of_tree = |nodes: &Vec<Node>| {
             let mut at = 0;
@@ -178,7 +178,7 @@ impl BoostedTrees {
     }
 }
 
-/// Grows a tree by splitting, again and again, the node whose split lowers the loss most. Adds its values to `scores`.
+/// Grows a tree by repeatedly splitting the node whose split lowers the loss most. Adds its values to `scores`.
 fn grow(features: &[BinnedFeature], derivatives: &[[f32; 2]], scores: &mut [f64]) -> Vec<Node> {
     let mut nodes = vec![Node::Leaf(0.0)];
     let (mut open, mut leaves): (Vec<Splittable>, Vec<Growing>) = (Vec::new(), Vec::new());
@@ -260,7 +260,7 @@ fn histograms_of(features: &[BinnedFeature], derivatives: &[[f32; 2]], rows: &[u
     features.iter().map(of_feature).collect()
 }
 
-/// The sums over the rows of two children: only those of the smaller child are counted, the others are what is left.
+/// The sums over the rows of two children: only the smaller child is counted, the other has the rest.
 fn histograms_of_children(
     features: &[BinnedFeature],
     derivatives: &[[f32; 2]],
@@ -275,7 +275,7 @@ fn histograms_of_children(
     if left_is_smaller { (smaller, parent) } else { (parent, smaller) }
 }
 
-/// The split that lowers the loss most, the first of several; `None` if none lowers it.
+/// The split that lowers the loss most, the first among equals; `None` if none lowers it.
 fn best_split(features: &[BinnedFeature], histograms: &Histograms, node: &Growing) -> Option<Split> {
     if node.rows.len() < 2 * MIN_LEAF_ROWS {
         return None;
@@ -296,7 +296,7 @@ fn best_split(features: &[BinnedFeature], histograms: &Histograms, node: &Growin
         let n_thresholds = feature.thresholds.len();
         let mut left = Sums::default();
         for (bin, sums) in bins.iter().enumerate().take(n_thresholds + usize::from(feature.has_missing)) {
-            // Behind an empty bin the split is the same.
+            // After an empty bin the split is the same.
             if sums.n > 0 {
                 left = left.plus(*sums);
                 offer(idx, bin, false, left);

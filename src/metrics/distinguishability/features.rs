@@ -1,4 +1,4 @@
-//! The features by which tracks are told apart: one track in one future, without tensors and without the column of
+//! The features that distinguish tracks: of one track in one future, without tensors and without the column of
 //! velocities.
 //!
 //! Positions p_t and headings θ_t are rounded to 1 mm and 1 mrad in the frame of the recording, as INTERACTION
@@ -19,7 +19,7 @@ use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{AgentClass, Scene, State, Track};
 use serde::{Deserialize, Serialize};
 
-/// Largest distance at which others are seen, meters.
+/// Largest distance at which other agents are seen, meters.
 const MAX_GAP_M: f64 = 30.0;
 
 /// A feature.
@@ -34,9 +34,9 @@ pub struct Feature {
 /// A part of the features that a classifier may see alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FeatureSet {
-    /// All.
+    /// All features.
     All,
-    /// None of fine differences: those of smoothed positions and of steps of .5 s, lanes, gaps and displacements.
+    /// Without fine differences: features of smoothed positions and of steps of 0.5 s, lanes, gaps and displacements.
     Smoothed,
     /// Steps of .5 s and displacements.
     HalfSeconds,
@@ -103,14 +103,14 @@ impl TrackFeatures {
     }
 }
 
-/// By bits: a value that is not defined equals itself.
+/// Compares bits: an undefined value equals itself.
 impl PartialEq for TrackFeatures {
     fn eq(&self, other: &Self) -> bool {
         self.0.iter().map(|value| value.to_bits()).eq(other.0.iter().map(|value| value.to_bits()))
     }
 }
 
-/// Everybody in a scene, as features see them.
+/// All agents of a scene, as features see them.
 pub struct Surroundings<'s> {
     scene: &'s Scene,
     /// Rounded poses of each track at each timestep.
@@ -162,7 +162,7 @@ impl<'s> Surroundings<'s> {
         TrackFeatures(values)
     }
 
-    /// The least distance between the boxes of the track and of anybody else whose center comes within 30 m in the
+    /// The least distance between the boxes of the track and of any other agent whose center comes within 30 m in the
     /// future, at most 30 m.
     fn gap_m(&self, track: usize) -> f64 {
         let future = |of: usize| self.poses[of].iter().enumerate().skip(self.scene.n_history);

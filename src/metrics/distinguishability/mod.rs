@@ -1,9 +1,9 @@
-//! Can generated traffic be told from recordings? A classifier that sees single tracks tries.
+//! Can generated traffic be told from recordings? Tests a classifier that sees single tracks.
 //!
 //! The classifier two-sample test (Lopez-Paz and Oquab 2017): gradient-boosted trees learn to tell the generated future
 //! of a vehicle from the recorded future of the same agent, by the features of [`features`], and are tested on scenes
-//! that they have not seen. The measure is the area under the ROC curve, which is the probability that of a recorded
-//! and a generated track the trees pick the generated one: .5 is indistinguishable.
+//! that they have not seen. The measure is the area under the ROC curve, which is the probability that the trees pick
+//! the generated one of a recorded and a generated track: 0.5 is indistinguishable.
 
 mod auc;
 mod boosting;

@@ -1,4 +1,4 @@
-//! The motion of one track, and what its features are: the definitions in [`super::features`] as differences.
+//! The motion of one track, and its features: the definitions in [`super::features`] as differences.
 
 use crate::geometry::{Vec2, wrap_angle};
 use crate::quantile::quantile;
@@ -204,8 +204,8 @@ fn nearest_lane(position: Vec2, heading_rad: f64, segments: &[Segment]) -> Optio
     best.map(|(penalized_m, _, angle_rad)| (if penalized_m > 100.0 { nearest_m } else { penalized_m }, angle_rad))
 }
 
-/// Quadratics fitted to each position and `half` on either side; at the ends, the first and last such quadratic
-/// continues. Empty for a track that is shorter than a window.
+/// Quadratics fitted to each position and `half` positions on either side; the first and last such quadratic continue
+/// to the ends. Empty for a track that is shorter than a window.
 fn smoothed(positions: &[Vec2], half: usize) -> Vec<Vec2> {
     let n = 2 * half + 1;
     if positions.len() < n {

@@ -1,4 +1,4 @@
-//! Features have the values of closed forms, and the test finds what is there and nothing else.
+//! Features have the values of closed forms, and the test finds differences that exist and no others.
 
 use super::*;
 use crate::geometry::{Transform2, Vec2};
@@ -89,7 +89,7 @@ fn features_of_a_constant_jerk_are_its_derivatives() {
     ];
     assert_all(&Surroundings::new(&scene).features_of(0), &expected);
 
-    // Seen from elsewhere, everything is the same.
+    // In another frame, everything is the same.
     let frame = Transform2 { translation: Vec2::new(1000.0, -500.0), rotation_rad: 0.5 };
     let moved = Scene {
         tracks: scene
@@ -238,7 +238,7 @@ fn half_a_millimeter_of_noise_is_found_in_the_jerk_and_not_in_steps_of_half_a_se
     assert!(["jerk", "acc_lat"].iter().any(|name| features[first.feature].name.starts_with(name)), "{first:?}");
     assert_eq!(test.telling.len(), 5);
 
-    // Scenes are told apart by more than their tracks are, and look recorded where they are.
+    // Scenes are easier to tell apart than their tracks, and look recorded if they are.
     let all = &test.by_set[0];
     assert!(all.scenes.expect("scenes").value >= all.tracks.value);
     let likeness = |of: fn(&TrackPair) -> &TrackFeatures| {

@@ -9,9 +9,9 @@ use rayon::prelude::*;
 
 /// Parts into which scenes are divided; each is judged by trees fitted to the others.
 const N_FOLDS: usize = 5;
-/// With fewer tracks than this, the test says nothing.
+/// The fewest tracks for a meaningful test.
 pub const MIN_TRACKS: usize = 50;
-/// How many features are tried for their share in telling tracks apart, the most telling ones first.
+/// The number of features that are tested for their share in the result, the most telling ones first.
 const N_TRIED: usize = 22;
 /// Features that are named.
 const N_NAMED: usize = 5;
@@ -21,7 +21,7 @@ const MOVING_MPS: f64 = 1.0;
 /// The features of one track in its recorded future and in a generated one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrackPair {
-    /// Its scene: pairs of a scene have the same number.
+    /// The number of its scene: pairs of a scene have the same one.
     pub scene: usize,
     /// Features of the recorded future.
     pub recorded: TrackFeatures,
@@ -29,7 +29,7 @@ pub struct TrackPair {
     pub generated: TrackFeatures,
 }
 
-/// How well a classifier tells tracks apart by a set of features.
+/// How well a classifier distinguishes tracks by a set of features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetAuc {
     /// The features.
@@ -51,13 +51,13 @@ pub struct TellingFeature {
     pub drop: f64,
     /// The area of its values alone.
     pub alone: f64,
-    /// Its median over recorded tracks and over generated ones.
+    /// Its medians over recorded and over generated tracks.
     pub medians: [f64; 2],
 }
 
 /// The result of the test.
 pub struct TwoSampleTest {
-    /// By each set of features.
+    /// The results by set of features.
     pub by_set: Vec<SetAuc>,
     /// The features that give most away, by the classifier of all.
     pub telling: Vec<TellingFeature>,
@@ -100,7 +100,8 @@ impl TwoSampleTest {
         Some(test)
     }
 
-    /// The number of pairs for which `is_meant` and the area by all features over them; `None` for too few of them.
+    /// The number of pairs for which `is_meant` holds, and the area by all features over them; `None` if there are too
+    /// few.
     pub fn of_part(&self, pairs: &[TrackPair], is_meant: impl Fn(usize) -> bool) -> Option<(usize, Auc)> {
         part(pairs, &self.log_odds, is_meant)
     }
@@ -163,7 +164,7 @@ impl TwoSampleTest {
     }
 }
 
-/// The fold of each scene, by increasing scene: a fifth of them each, drawn by their numbers alone.
+/// The fold of each scene, by increasing scene: a fifth of the scenes each, drawn by their numbers alone.
 fn folds(pairs: &[TrackPair]) -> Vec<(usize, usize)> {
     let mut scenes: Vec<usize> = pairs.iter().map(|pair| pair.scene).collect();
     scenes.sort_unstable();
@@ -180,7 +181,7 @@ fn fold_of(folds: &[(usize, usize)], scene: usize) -> usize {
     folds.binary_search_by_key(&scene, |(scene, _)| *scene).map_or(0, |at| folds[at].1)
 }
 
-/// Trees fitted to the tracks of all scenes but those of `fold`.
+/// Trees fitted to the tracks of all scenes except those of `fold`.
 fn fit(pairs: &[TrackPair], folds: &[(usize, usize)], fold: usize, features: &[usize]) -> BoostedTrees {
     let others = || pairs.iter().filter(|pair| fold_of(folds, pair.scene) != fold);
     let column = |feature: &usize| {
@@ -217,7 +218,7 @@ fn known(values: &[[f64; 2]]) -> Vec<[Option<f64>; 2]> {
     values.iter().map(|both| both.map(Some)).collect()
 }
 
-/// The tracks of the pairs for which `is_meant`, with those of these values that are known.
+/// The tracks of the pairs for which `is_meant` holds, with the values that are known.
 fn scored(pairs: &[TrackPair], values: &[[Option<f64>; 2]], is_meant: impl Fn(usize) -> bool) -> Vec<Scored> {
     let meant = pairs.iter().zip(values).enumerate().filter(|(i, _)| is_meant(*i));
     let both = meant.flat_map(|(_, (pair, values))| [false, true].into_iter().zip(*values).map(|of| (pair.scene, of)));

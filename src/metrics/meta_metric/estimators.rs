@@ -5,9 +5,9 @@
 pub(super) struct Bins {
     /// The lower end of the first one. Lower values count there.
     pub(super) min: f64,
-    /// The upper end of the last one. Higher values count there, and those that are not defined.
+    /// The upper end of the last bin. Higher and undefined values count there.
     pub(super) max: f64,
-    /// Their number.
+    /// Number of bins.
     pub(super) n_bins: usize,
     /// Added to the count of each.
     pub(super) pseudocount: f64,
@@ -24,7 +24,7 @@ impl Bins {
 
     fn bin(&self, value: f64) -> usize {
         let share = (value - self.min) / (self.max - self.min);
-        // A cast takes what is below 0 to 0.
+        // The cast turns values below 0 into 0.
         if share.is_nan() { self.n_bins - 1 } else { ((share * self.n_bins as f64) as usize).min(self.n_bins - 1) }
     }
 }

@@ -10,17 +10,17 @@ use crate::scene::{Scene, State, Track};
 pub(super) const N_SERIES: usize = 7;
 /// Longest time to collision, seconds.
 pub(super) const MAX_TTC_S: f64 = 5.0;
-/// How much of half of its shorter side the corners of a box are rounded by.
+/// The radius by which the corners of a box are rounded, as a share of half of its shorter side.
 const ROUNDING: f64 = 0.7;
-/// Who follows turns at most this far from who is ahead, radians.
+/// A follower's heading differs at most this much from that of the agent ahead, radians.
 const MAX_TURN_RAD: f64 = 75.0 * std::f64::consts::PI / 180.0;
 /// The limit of that turn if their paths overlap by little, radians.
 const MAX_TURN_AT_EDGE_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 /// A little overlap, meters.
 const EDGE_M: f64 = 0.5;
 
-/// The series of the judged agents over future timesteps; NaN where one is not defined: speed, acceleration, yaw rate,
-/// yaw acceleration, distance to the nearest, time to collision, distance to the road's edge.
+/// The series of the judged agents over future timesteps, NaN where undefined: speed, acceleration, yaw rate, yaw
+/// acceleration, distance to the nearest, time to collision, distance to the road's edge.
 pub(super) struct FutureFeatures {
     n_timesteps: usize,
     has_edges: bool,
@@ -29,7 +29,7 @@ pub(super) struct FutureFeatures {
 }
 
 impl FutureFeatures {
-    /// The features of the agents `judged` in the future of `scene`, in which those `present` are.
+    /// The features of the agents `judged` in the future of `scene`, which contains the agents `present`.
     pub(super) fn of(scene: &Scene, present: &[usize], judged: &[usize], mut edges: Option<&mut RoadEdges>) -> Self {
         let bodies: Vec<Body> = present.iter().map(|idx| Body::new(scene, &scene.tracks[*idx])).collect();
         let mut found =
@@ -58,7 +58,7 @@ impl FutureFeatures {
         found
     }
 
-    /// A series of the judged agent of this number; `None` if the map does not have what it needs.
+    /// A series of the judged agent with this number; `None` if the map lacks the data for it.
     pub(super) fn of_agent(&self, series: usize, agent: usize) -> Option<&[f64]> {
         let is_known = self.has_edges || series != N_SERIES - 1;
         is_known.then(|| self.series.get(series)?.chunks(self.n_timesteps).nth(agent))?
@@ -71,7 +71,7 @@ struct Body {
     accelerations: Vec<f64>,
     yaw_rates: Vec<f64>,
     yaw_accelerations: Vec<f64>,
-    /// Where it is at each future timestep.
+    /// Its place at each future timestep.
     places: Vec<Option<Place>>,
 }
 
@@ -102,11 +102,11 @@ impl Body {
     }
 }
 
-/// Where a road user is.
+/// The place of a road user.
 struct Place {
     heading_rad: f64,
     outline: Footprint,
-    /// The box of which the outline with rounded corners is everything within `rounding_m`.
+    /// The core of its box: everything within `rounding_m` of it is the box with rounded corners.
     core: Footprint,
     rounding_m: f64,
 }
@@ -120,7 +120,7 @@ impl Place {
         Self { heading_rad: state.heading_rad, outline: Footprint::new(&whole), core, rounding_m }
     }
 
-    /// The least distance from others with rounded corners, below 0 where they overlap; infinite if there are none.
+    /// The least distance from others with rounded corners, below 0 if they overlap; infinite if there are none.
     fn distance_to_nearest_m<'p>(&self, others: impl Iterator<Item = &'p Self>) -> f64 {
         others.fold(f64::INFINITY, |least_m, other| {
             let rounding_m = self.rounding_m + other.rounding_m;
@@ -158,7 +158,7 @@ impl Place {
     }
 }
 
-/// The distance between two boxes; where they overlap, minus the shortest way that takes them apart.
+/// The distance between two boxes; if they overlap, minus the shortest displacement that separates them.
 fn signed_distance_m(a: &Footprint, b: &Footprint) -> f64 {
     let between = b.center - a.center;
     let axes = [a, b].into_iter().flat_map(|body| [body.forward, Vec2::new(-body.forward.y, body.forward.x)]);

@@ -1,21 +1,21 @@
 //! How likely is a recorded future among the sampled ones? The realism meta-metric of the Waymo Open Sim Agents
 //! Challenge (Montali et al. 2023) in its configuration of 2025, on the horizon of the scene.
 //!
-//! Of each agent, the values of a feature in all samples and at all future timesteps fill one histogram, whose bins are
-//! smoothed by a pseudocount. The likelihood of a feature is exp(mean of ln p over the recorded values), over agents
-//! that are recorded at present and later. Collisions and departures from the road count once for an agent. The
+//! For each agent, the values of a feature in all samples and at all future timesteps fill one histogram, whose bins
+//! are smoothed by a pseudocount. The likelihood of a feature is exp(mean of ln p over the recorded values), over
+//! agents that are recorded at present and later. Collisions and departures from the road count once for an agent. The
 //! meta-metric is the mean of the likelihoods with the weights of `FEATURES`.
 //!
 //! As in the challenge, differences are central ones; a recorded difference counts only if its timesteps are in the
-//! future, a sampled one always, and where it is not defined, at the end, in the last bin. On a shorter horizon than
-//! the challenge's 8 s this costs every future more of its likelihood, the recorded one, too.
+//! future, a sampled one always, and an undefined one at the end counts in the last bin. On a shorter horizon than the
+//! challenge's 8 s this costs every future more of its likelihood, the recorded one, too.
 //!
-//! A reference such as the recording itself counts as copies of one sample. `scripts/golden_meta_metric.py` writes what
-//! the challenge's own program finds.
+//! A reference such as the recording itself counts as copies of one sample. `scripts/golden_meta_metric.py` writes the
+//! results of the challenge's own program.
 //!
-//! What differs: maps do not have traffic lights, and some have no boundaries of lanes. The weights of such features
-//! are distributed over the others. The road's edge follows from lanes (`road_edge`). All agents are judged.
-//! Differences of headings are wrapped where the challenge compares raw ones.
+//! Deviations: maps do not have traffic lights, and some have no boundaries of lanes. The weights of such features are
+//! distributed over the others. The road's edge follows from lanes (`road_edge`). All agents are judged. Differences of
+//! headings are wrapped where the challenge compares raw ones.
 
 mod estimators;
 mod features;
@@ -42,7 +42,7 @@ enum FeatureGroup {
 struct Feature {
     id: &'static str,
     group: FeatureGroup,
-    /// Its weight in the meta-metric; with the .05 of traffic lights they sum to 1.
+    /// Its weight in the meta-metric; with the 0.05 of traffic lights the weights sum to 1.
     weight: f64,
     description: &'static str,
     bins: Bins,
@@ -67,9 +67,9 @@ enum Of {
     States,
     /// At timesteps at which the vehicle is recorded.
     VehicleStates,
-    /// Whose neighbors in time are recorded and in the future.
+    /// Timesteps whose neighbors in time are recorded and in the future.
     FirstDifferences,
-    /// Whose first differences on either side count.
+    /// Timesteps with valid first differences on either side.
     SecondDifferences,
 }
 
@@ -161,7 +161,7 @@ static FEATURES: [Feature; 9] = {
     ]
 };
 
-/// Weighted means of features, before the features in tables; the first is of all of them.
+/// Weighted means of features, before the features in tables; the first is over all of them.
 const MEANS: [(&str, Option<FeatureGroup>, &str); 4] = [
     (
         Likelihoods::META_METRIC,
@@ -174,7 +174,7 @@ const MEANS: [(&str, Option<FeatureGroup>, &str); 4] = [
     ("realism_map_based", Some(FeatureGroup::MapBased), "the part of it about the road"),
 ];
 
-/// The likelihood of the recorded future by each feature; `None` where it is not defined.
+/// The likelihood of the recorded future by each feature; `None` if undefined.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Likelihoods([Option<f64>; FEATURES.len()]);
 
@@ -182,7 +182,7 @@ impl Likelihoods {
     /// The name of the meta-metric in tables.
     pub const META_METRIC: &str = "realism_meta_metric";
 
-    /// What [`Likelihoods::values`] are: the meta-metric, the means over groups of features, the features.
+    /// The specifications of [`Likelihoods::values`]: the meta-metric, the means over groups of features, the features.
     pub fn specs() -> impl Iterator<Item = MetricSpec> {
         let means = MEANS.iter().map(|(id, _, description)| (*id, *description));
         let all = means.chain(FEATURES.iter().map(|feature| (feature.id, feature.description)));
@@ -190,7 +190,7 @@ impl Likelihoods {
     }
 
     /// The likelihood of the recorded future by the samples of each of `groups`, which are repeated as often as needed
-    /// for `n_samples` of them. `has_road` says whether the map shows the whole road.
+    /// for `n_samples` of them. `has_road` is whether the map shows the whole road.
     pub fn of_groups<const N: usize>(
         recorded: &Scene,
         has_road: bool,

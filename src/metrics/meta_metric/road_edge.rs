@@ -1,4 +1,4 @@
-//! The edges of the road that lanes make up, and signed distances to them.
+//! The edges of the road that lanes form, and signed distances to them.
 //!
 //! Maps have lanes, not edges: an edge is the part of a lane's outline beyond which there is no other lane. It runs
 //! with the road on its left. Where the map ends there is no edge; the sides continue straight.
@@ -107,7 +107,7 @@ impl RoadEdges {
 }
 
 impl Segment {
-    /// Where the foot of `point` is, as a share of the segment.
+    /// The foot of `point`, as a share of the segment.
     fn share(&self, point: Vec2) -> f64 {
         let Vec2 { x, y } = point - self.start;
         (x * self.along.x + y * self.along.y) / self.length_squared
@@ -125,8 +125,8 @@ impl Segment {
     }
 }
 
-/// On which side of the edge `point` is whose nearest segment this is. Around a vertex, a point is on the road beside
-/// either segment where the edge turns right, and beside both where it turns left.
+/// The side of the edge on which `point` is, given its `nearest` segment. Around a vertex, a point is on the road
+/// beside either segment where the edge turns right, and beside both where it turns left.
 fn side(segments: &[Segment], nearest: usize, point: Vec2) -> f64 {
     let own = &segments[nearest];
     let share = own.share(point);

@@ -86,7 +86,7 @@ fn one_car_by_hand() {
     let groups = [std::slice::from_ref(&recorded), std::slice::from_ref(&faster)];
     let [own, other] = Likelihoods::of_groups(&recorded, true, groups, 2);
     let names: BTreeMap<&str, Option<f64>> = Likelihoods::specs().map(|spec| spec.id).zip(own.values()).collect();
-    // Of 16 sampled speeds the last of each sample is not defined and counts in the last bin; so do two accelerations.
+    // In the 16 samples, the last speed is undefined and counts in the last bin; so do two accelerations.
     for (name, expected) in [
         ("realism_linear_speed", 14.1 / 17.0),
         ("realism_linear_acceleration", 12.1 / 17.1),
@@ -116,7 +116,7 @@ fn features_without_values_leave_their_weights_to_others() {
     assert!((without.mean(None).unwrap() - weighted / 0.65).abs() < 1e-12);
     recorded.tracks.iter_mut().for_each(|track| track.class = AgentClass::Pedestrian);
     assert_eq!(of(&recorded, true).0[6], None, "times to collision are those of vehicles");
-    // Neither who appears later nor who is never recorded again counts.
+    // Agents that appear later or are never recorded again do not count.
     let gone = without_states(recorded.clone(), 1, |timestep| timestep > 3);
     let late = without_states(recorded.clone(), 1, |timestep| timestep < 5);
     let alone = Scene { tracks: vec![recorded.tracks[0].clone()], ..recorded };

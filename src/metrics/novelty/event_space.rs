@@ -102,8 +102,8 @@ mod tests {
 
     #[test]
     fn distances_are_in_spreads_of_what_was_recorded() {
-        // Gaps of 0, 10, …, 40 m: quartiles 10 and 30 m, spread 14.826 m. The speed never varies, the time says when,
-        // one lacks a TTC.
+        // Gaps of 0, 10, …, 40 m: quartiles 10 and 30 m, spread 14.826 m. The speed never varies, the time does not
+        // count, one event lacks a TTC.
         let recorded = |i: u32| {
             let gap = ("gap_m", 10.0 * f64::from(i));
             let mut all = vec![gap, ("ego_speed_mps", 5.0), ("t_other_s", f64::from(i)), ("side", 1.0), ("ttc_s", 1.0)];

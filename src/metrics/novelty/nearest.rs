@@ -45,7 +45,7 @@ impl<P> NearestIndex<P> {
         idx
     }
 
-    /// The number and distance of the nearest point, the first of equals; `None` without points.
+    /// The number and distance of the nearest point, the first among equals; `None` without points.
     pub(super) fn nearest(&self, point: &P, distance: impl Fn(&P, &P) -> f64) -> Option<(usize, f64)> {
         let pivot = self.points.first()?;
         let key = distance(pivot, point);

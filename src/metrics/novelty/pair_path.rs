@@ -7,7 +7,7 @@ use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Scenarios whose paths are nearer to each other are near-duplicates by default, meters.
+/// Scenarios whose paths are closer to each other than this are near-duplicates by default, meters.
 pub const DUPLICATE_DISTANCE_M: f64 = 0.25;
 /// Time between the positions of a path, seconds.
 const SPACING_S: f64 = 0.5;
@@ -29,7 +29,8 @@ pub struct PairPath {
 impl Eq for PairPath {}
 
 impl PairPath {
-    /// The path of the agents of these roles; `None` without roles, or if one of the agents is not tracked at present.
+    /// The path of the agents with these roles; `None` without roles, or if one of the agents is not tracked at
+    /// present.
     pub fn of(scene: &Scene, asked: &Roles) -> Option<Self> {
         let present = scene.current_timestep();
         let agents: Vec<usize> = asked.tracks().map(|track| scene.track_idx(track)).collect::<Option<_>>()?;
@@ -81,7 +82,7 @@ struct OfKind {
 }
 
 impl PathIndex {
-    /// The id of the nearest scenario of this kind so far, and its distance in meters; `None` if there is none.
+    /// The id of the nearest earlier scenario of this kind, and its distance in meters; `None` if there is none.
     pub fn nearest(&self, behavior: &str, path: &PairPath) -> Option<(&str, f64)> {
         let OfKind { ids, paths } = self.kinds.get(&kind(behavior, path))?;
         let (idx, distance_m) = paths.nearest(path, PairPath::distance_m)?;

@@ -7,7 +7,7 @@ use crate::scene::{Scene, Track};
 use std::borrow::Cow;
 
 /// The collision with the highest relative speed, as the collision rate counts them: boxes that overlap at a future
-/// timestep and did not at present, of two agents of which at least one moves. One of the two must be generated there.
+/// timestep and did not at present, of two agents at least one of which moves. One of the two must be generated there.
 /// The requested agents are excused if a collision was requested or the limits allow it. If the recording gives no
 /// size, an agent has the least size of its class ([`Track::extent_or_least`]), and two agents do not count if they
 /// overlap at present with one at its nominal size: trackers follow some vehicles twice. The metrics of collisions take

@@ -27,7 +27,7 @@ pub(super) struct Fitter {
 impl Fitter {
     /// Windows of at least `window_s`.
     pub(super) fn new(window_s: f64, dt_s: f64) -> Self {
-        // An odd number of states, 2 h + 1, of which each stands for a timestep: 0.7 s at 10 Hz are seven.
+        // An odd number of states, 2 h + 1, each of which stands for a timestep: 0.7 s at 10 Hz are seven.
         Self { half: (((window_s / dt_s - 1.0) / 2.0 - 1e-9).ceil() as usize).max(2), dt_s }
     }
 

@@ -1,11 +1,11 @@
-//! Does the map of a place show the whole road? Measured by where its recordings drive.
+//! Does the map of a place show the whole road? Measured by the positions of recorded vehicles.
 
 use super::{Check, Judged, ValidityConfig, offroad};
 use crate::metrics::road::Road;
 use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 
-/// Every so many timesteps are counted; neighboring timesteps are redundant.
+/// One timestep in this many is counted; neighboring timesteps are redundant.
 const STRIDE: usize = 5;
 
 /// How well the recorded vehicles of a place keep to its lanes.
@@ -60,8 +60,9 @@ impl MapFit {
 }
 
 impl Judged<'_> {
-    /// The checks that are not made of the scene: those that the configuration skips, those of motion if the dataset
-    /// does not allow them, and of departures from the road if there is no map, or the map lacks parts of the road.
+    /// The checks that are not made for the scene: those that the configuration skips, those of motion if the dataset
+    /// does not allow them, and that of departures from the road if there is no map, or the map lacks parts of the
+    /// road.
     pub fn not_checked(&self, config: &ValidityConfig) -> Vec<Check> {
         let is_made = |check: Check| match check {
             _ if config.skip.contains(&check) => false,

@@ -1,8 +1,8 @@
-//! Could it have happened? Checks of single scenarios that no recording of real traffic should fail.
+//! Is a scenario possible? Checks of single scenarios that no recording of real traffic should fail.
 //!
 //! Only generated states count: windows of time that contain a generated state, collisions of generated agents, the
-//! seams between given and generated states. The recording is judged beside it, as if it had been generated, and shows
-//! how strict the limits are.
+//! seams between observed and generated states. The recording is judged beside it, as if it had been generated, and
+//! shows how strict the limits are.
 //!
 //! Velocities, accelerations and jerks come from polynomials fitted to positions over 0.7 s ([`LocalFit`]), so that
 //! rounding and the noise of trackers do not count, but a step in position or speed does. Each check is a function;
@@ -39,7 +39,7 @@ pub struct Judged<'a> {
 }
 
 impl<'a> Judged<'a> {
-    /// A scene whose states are generated where `generated(agent_idx, timestep)` says so.
+    /// A scene whose state of an agent at a timestep is generated if `generated(agent_idx, timestep)` holds.
     pub fn new(scene: &'a Scene, asked: &'a Roles, generated: impl Fn(usize, usize) -> bool + 'a) -> Self {
         Self { scene, asked, may_collide: false, generated: Box::new(generated) }
     }
@@ -94,7 +94,7 @@ impl<'a> Judged<'a> {
     }
 }
 
-/// Keeps the violation that is farther beyond its limit; the first of equals.
+/// Keeps the violation that is farther beyond its limit; the first among equals.
 fn keep_worse(worst: &mut Option<Violation>, candidate: Violation) {
     if worst.as_ref().is_none_or(|known| candidate.excess() > known.excess()) {
         *worst = Some(candidate);

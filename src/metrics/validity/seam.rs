@@ -8,11 +8,11 @@ use crate::scene::State;
 /// Largest change of acceleration within two timesteps, m/s², beyond the largest one among the given states of the
 /// vehicle, which shows how smooth its recording is.
 const MAX_START_ACCELERATION_MPS2: f64 = 2.0;
-/// Motion is extrapolated from the mean velocity over at most so many timesteps.
+/// Motion is extrapolated from the mean velocity over at most this many timesteps.
 const N_BEFORE: usize = 3;
 
-/// Jumps in position and heading between a given state and a generated one, in either order, and in acceleration where
-/// generated states begin.
+/// Jumps in position and heading between an observed state and a generated one, in either order, and in acceleration
+/// where generated states begin.
 pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Violation> {
     let scene = judged.scene;
     let mut worst: [Option<Violation>; 3] = [const { None }; 3];
@@ -49,7 +49,7 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
 }
 
 /// The change of acceleration from before `timestep`, the first generated one, to the two timesteps after, beyond the
-/// largest such change among the given states before, m/s². `None` if there are too few states.
+/// largest such change among the observed states before, m/s². `None` if there are too few states.
 fn acceleration_step(judged: &Judged<'_>, agent_idx: usize, timestep: usize) -> Option<f64> {
     let (scene, first) = (judged.scene, timestep.checked_sub(N_BEFORE)?);
     let acceleration = |from: usize| -> Option<Vec2> {

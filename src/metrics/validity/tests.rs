@@ -8,7 +8,7 @@ use crate::settings::check_ranges;
 
 const ROAD: &str = "lanes = [{ id = 1, centerline = [[-60, 0], [300, 0]], width_m = 4.0 }]";
 
-/// A car on a straight road of 4 m that starts at (0, 0) along x, and does what `segments` say.
+/// A car on a straight road of 4 m that starts at (0, 0) along x, and moves through the given `segments`.
 fn scene(speed_mps: f64, segments: &str) -> Scene {
     built(&format!(
         "{{ id = \"a\", start = {{ x_m = 0, y_m = 0, speed_mps = {speed_mps:?} }}, segments = [{segments}] }}"
@@ -105,7 +105,7 @@ fn bends_are_limited_by_grip_yaw_rate_and_steering() {
     // 160 degrees in 2 s at 5 m/s: 1.396 rad/s, and 7 m/s² across.
     let (check, value, _) = only(&turning(5.0, 160.0), &loose);
     assert!(check == Check::YawRate && (value - 1.396).abs() < 1e-3, "{value}");
-    // 100 degrees in 2 s at 2 m/s: 0.873 rad/s, of which 0.3 · 2 + 0.2 are allowed.
+    // 100 degrees in 2 s at 2 m/s: 0.873 rad/s, with 0.3 · 2 + 0.2 allowed.
     let slow = turning(2.0, 100.0);
     let (check, value, _) = only(&slow, &loose);
     assert!(check == Check::Curvature && (value - 0.873).abs() < 1e-3, "{value}");
@@ -124,7 +124,7 @@ fn vehicles_point_where_they_go() {
             ..state
         })
     };
-    // By 0.1 more than in the given states, of which there are ten.
+    // By 0.1 more than in the ten observed states.
     let (check, value, timestep) = only(&drifting(10.0, 20), &defaults());
     assert!(check == Check::Heading && (value - 0.1).abs() < 1e-9 && timestep >= 20, "{value} at {timestep}");
     assert_eq!(checks(&drifting(1.5, 20), &defaults()), [""; 0], "slow maneuvers may go any way");
@@ -156,7 +156,7 @@ fn who_turns_about_the_rear_axle_does_not_slide() {
         ValidityConfig { skip: vec![Check::Offroad, Check::StartAcceleration, Check::StartPosition], ..defaults() };
     for side in [1.0, -1.0] {
         assert_eq!(checks(&turning(side), &config), [""; 0]);
-        // The same motion with headings along it turned the other way.
+        // The motion unchanged, with headings along it turned the other way.
         let wrong = changed(turning(side), |_, state| State { heading_rad: -state.heading_rad, ..state });
         assert!(checks(&wrong, &config).contains(&"heading"));
     }
@@ -181,7 +181,7 @@ fn the_future_begins_where_the_past_ends() {
         ..state
     });
     assert!(found(&turned, &defaults()).iter().any(|v| v.check == Check::StartHeading && v.timestep == 10));
-    // Where the end is given and the middle generated there are two seams.
+    // With an observed end and a generated middle there are two seams.
     let end_given = shifted(0.5);
     let judged = Judged::new(&end_given, Roles::none(), |_, timestep| (12..20).contains(&timestep));
     assert!(!judged.violations(&defaults()).iter().any(|v| v.check == Check::StartPosition), "the jump was given");
@@ -271,7 +271,7 @@ fn who_has_no_known_size_collides_as_the_smallest_of_its_kind_would() {
 
 #[test]
 fn nothing_is_claimed_of_two_tracks_that_may_be_of_one_vehicle() {
-    // One comes up from behind at 1 m/s more, from this distance at present, after 0.9 s.
+    // One comes up from behind, 1 m/s faster, from this distance at present, after 0.9 s.
     let catching_up = |present_m: f64| {
         let start_m = present_m + 0.9;
         let mut scene = built(&format!(
@@ -314,7 +314,7 @@ fn a_lane_that_ends_on_the_road_is_not_carried_on() {
     // It is beside the left lane, 2 m from its outline.
     let (check, value, _) = only(&lanes("3"), &defaults());
     assert!(check == Check::Offroad && (value - 2.0).abs() < 1e-6, "{value}");
-    // Where both lanes end, the map does.
+    // If both lanes end, the map does.
     assert_eq!(checks(&lanes(""), &defaults()), [""; 0]);
 }
 
@@ -343,7 +343,7 @@ fn what_is_no_number_is_never_valid() {
     assert_eq!(checks(&broken, &defaults()), ["offroad"]);
 }
 
-/// Four cars that drive side by side, of which `n_off` are beside the road, for the whole scene.
+/// Four cars that drive side by side, `n_off` of which are beside the road, for the whole scene.
 fn fit(n_off: usize) -> MapFit {
     let car = |i: usize| {
         let y_m = if i < n_off { 8.0 + 3.0 * i as f64 } else { 0.0 };
@@ -358,11 +358,11 @@ fn a_map_that_recordings_leave_does_not_allow_to_judge_departures() {
     assert_eq!(fit(1), MapFit { n_scenes: 1, n_scenes_leaving: 0, n_states: 32, n_states_off: 8 });
     assert!(fit(0).allows_offroad(&defaults()) && !fit(1).allows_offroad(&defaults()));
     assert!(fit(1).allows_offroad(&ValidityConfig { max_recorded_offroad: 1.0, ..defaults() }));
-    // Half of the lanes removed: whoever was in them is beside the road throughout, and "leaves" nothing. 1 of 40 cars
-    // is 2.5 %.
+    // With half of the lanes removed, cars that were in them are beside the road throughout, and "leave" nothing. 1 of
+    // 40 cars is 2.5 %.
     let many = (0..9).fold(fit(1), |all, _| all.with(fit(0)));
     assert!(many.allows_offroad(&defaults()) && !many.with(fit(1)).allows_offroad(&defaults()));
-    // A single recorded departure is that of a driver, several are those of the map.
+    // A single recorded departure is attributed to a driver, several to the map.
     let leaving = |n: u64| MapFit { n_scenes: 20, n_scenes_leaving: n, n_states: 1000, n_states_off: 5 };
     assert!(leaving(1).allows_offroad(&defaults()) && !leaving(2).allows_offroad(&defaults()));
 }

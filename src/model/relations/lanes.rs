@@ -1,4 +1,4 @@
-//! Which lanes are nearest to a noisy agent, and how does it lie to them?
+//! The lanes nearest to a noisy agent, and its pose relative to them.
 
 use super::{Pose, SPEED_MPS};
 use crate::tensor::{LanePoint, PIECE_POINTS, RowSurroundings};
@@ -6,12 +6,12 @@ use crate::tensor::{LanePoint, PIECE_POINTS, RowSurroundings};
 /// Features of a lane.
 pub(in crate::model) const LANE: usize = 13;
 
-/// A lane that points away counts as so many meters farther, per unit of 1 - cos of the angle.
+/// A lane that points away counts as this many meters farther, per unit of 1 - cos of the angle.
 const AWAY_M: f32 = 2.0;
 /// Points of a lane ahead, over which its turning is measured: about six meters.
 const PREVIEW_POINTS: usize = 3;
 
-/// The nearest piece of each of the `n` nearest lanes among those that the agent is shown.
+/// The nearest piece of each of the `n` nearest lanes among those that the agent sees.
 pub(super) fn nearest_lanes(pose: &Pose, row: &RowSurroundings, agent: usize, n: usize) -> Vec<[f32; LANE]> {
     let around = &row.agents[agent];
     // The best place of each lane: (cost, piece, point).
@@ -94,7 +94,7 @@ mod tests {
             length_m: 18.0,
             flags: [false; PIECE_FLAGS],
         };
-        // One that leads back 1 m to the left counts 5 m; two pieces of one lane count once.
+        // An oncoming lane 1 m to the left counts 5 m; two pieces of one lane count once.
         let pieces =
             vec![piece(7, 1.0, std::f32::consts::PI), piece(8, -3.0, 0.0), piece(8, -2.0, 0.0), piece(9, 4.5, 0.0)];
         let lanes = (0..4).map(|piece| SeenPiece { piece, reach_m: None }).collect();

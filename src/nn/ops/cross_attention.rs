@@ -26,7 +26,7 @@ pub(super) fn reference(
         return query.zeros_like();
     }
     let head_dim = width / (2 * n_heads);
-    // All states that read one map are its queries, whichever row of the batch they are in: (M, H, states, d).
+    // All states that read one map are its queries, in any row of the batch: (M, H, states, d).
     let heads = query.reshape((n_maps, (), n_heads, head_dim))?.transpose(1, 2)?.contiguous()?;
     let split = keys.reshape((n_maps, n_lanes, 2 * n_heads, head_dim))?.transpose(1, 2)?;
     let (key, value) = (split.narrow(1, 0, n_heads)?.contiguous()?, split.narrow(1, n_heads, n_heads)?.contiguous()?);
@@ -71,7 +71,7 @@ impl Map {
             rows[start..end].to_vec()
         };
         let lanes = of_map(lanes, n_lanes);
-        // Without lanes there is nothing to read: those states are not served.
+        // Without lanes there is nothing to read, so these states are skipped.
         let states = if lanes.is_empty() { Vec::new() } else { of_map(states, n_states) };
         Self { states, lanes }
     }

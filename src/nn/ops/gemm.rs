@@ -1,4 +1,4 @@
-//! Products of matrices that lie anywhere in slices.
+//! Products of matrices at any place in slices.
 
 use gemm::Parallelism;
 
@@ -36,7 +36,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// Whether a product replaces or adds to what was there.
+/// Whether a product replaces the destination or is added to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Into {
     /// dst = ..
@@ -45,8 +45,8 @@ pub(super) enum Into {
     Add,
 }
 
-/// dst = [dst +] `scale` · lhs · rhs, with `dst` row-major, on the calling thread: the same values whatever the number
-/// of threads.
+/// dst = [dst +] `scale` · lhs · rhs, with `dst` row-major, on the calling thread: the values do not depend on the
+/// number of threads.
 ///
 /// # Panics
 /// When the dimensions do not fit.

@@ -6,7 +6,7 @@
 use super::gemm::{Into, Matrix, matmul};
 use super::kernels::{softmax_rows, softmax_rows_backward};
 
-/// Some columns of a row-major matrix: those of one head.
+/// The columns of one head in a row-major matrix.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct HeadColumns<'a> {
     /// The whole matrix.
@@ -46,8 +46,8 @@ pub(super) fn attend(weights: &mut [f32], query: &[f32], key: &[f32], value: &[f
     mixed
 }
 
-/// The gradient at the scores, before their scaling, of [`attend`] with these `weights` (n, m) and values (m, d)
-/// where its result has the gradient `grad` (n, d). Fills `grad_scores` (n, m).
+/// The gradient at the scores, before their scaling, of [`attend`] with these `weights` (n, m) and values (m, d) if its
+/// result has the gradient `grad` (n, d). Fills `grad_scores` (n, m).
 pub(super) fn attend_backward(grad_scores: &mut [f32], weights: &[f32], value: &[f32], grad: &[f32], head_dim: usize) {
     let n_keys = value.len() / head_dim;
     matmul(grad_scores, Into::Replace, 1.0, Matrix::new(grad, head_dim), Matrix::new(value, head_dim).t());

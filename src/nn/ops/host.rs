@@ -40,7 +40,7 @@ impl<S: Deref<Target = Storage>> Deref for Values<S> {
     }
 }
 
-/// The gradient at `argument`, where one was computed and the argument is tracked.
+/// The gradient at `argument`, if one was computed and the argument is tracked.
 pub(super) fn gradient(values: Option<Vec<f32>>, argument: &Tensor) -> Result<Option<Tensor>> {
     let values = values.filter(|_| argument.track_op());
     values.map(|values| Tensor::from_vec(values, argument.shape(), argument.device())).transpose()

@@ -1,4 +1,4 @@
-//! Sums, exponentials and sines over slices, in loops that the compiler can vectorize, with the same result on every
+//! Sums, exponentials and sines over slices, in loops that the compiler can vectorize, with equal results on every
 //! machine.
 
 /// Compiles loops for the widest vectors of this processor, although the program itself runs on any. Each number comes
@@ -43,7 +43,7 @@ pub(super) fn sum_pairs(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f32) ->
     lanes.iter().sum()
 }
 
-/// The largest entry of `a`; -∞ when there is none.
+/// The largest entry of `a`; -∞ if there is none.
 #[inline(always)]
 fn max(a: &[f32]) -> f32 {
     let larger = |a: f32, b: f32| if a > b { a } else { b };
@@ -113,7 +113,7 @@ pub(super) fn softmax_rows_backward(grad: &mut [f32], weights: &[f32], n_keys: u
 /// (sin 2πx, cos 2πx) to 1e-7 for |x| < 2⁴⁹: the argument is reduced in double precision before it loses digits.
 #[inline(always)]
 pub(super) fn sin_cos_of_cycles(x: f64) -> (f32, f32) {
-    // Quarter turns q and what is left of the angle, in [-π/4, π/4].
+    // Quarter turns q and the rest of the angle, in [-π/4, π/4].
     let quarters = 4.0 * x;
     let rounded = quarters + ROUND_F64;
     let q = rounded.to_bits() as u32;

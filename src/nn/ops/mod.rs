@@ -113,8 +113,8 @@ pub fn cross_attention(
     }
 }
 
-/// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L): those that cross-attention
-/// serves.
+/// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L), for which cross-attention has
+/// keys.
 ///
 /// # Errors
 /// When M does not divide B.
@@ -153,7 +153,7 @@ pub fn mode_filter(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor>
     }
 }
 
-/// The largest positive of K entries in each feature, or 0 where none is: `x` (.., K, F) to (.., F).
+/// The largest positive one of K entries in each feature, or 0 if there is none: `x` (.., K, F) to (.., F).
 pub fn pool_positive(x: &Tensor) -> Result<Tensor> {
     match is_fused(x) {
         true => pool::fused(x),
@@ -201,7 +201,7 @@ pub(super) fn average_step(average: &mut Tensor, value: &Tensor, decay: f64) -> 
     Ok(())
 }
 
-/// Whether the fused implementation serves all of these tensors, the first of which is changed in place.
+/// Whether the fused implementation supports all of these tensors, the first of which is changed in place.
 fn are_fused(tensors: &[&Tensor]) -> bool {
     tensors.iter().all(|x| is_fused(x)) && tensors.first().is_some_and(|x| x.is_contiguous())
 }

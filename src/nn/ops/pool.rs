@@ -22,7 +22,7 @@ pub(super) fn fused(x: &Tensor) -> Result<Tensor> {
 
 /// (.., K, F) to (.., F).
 struct FusedPool {
-    /// Which entry each result was taken from, K where none was positive.
+    /// The entry from which each result was taken, K if none was positive.
     chosen: OnceLock<Vec<u8>>,
 }
 

@@ -28,7 +28,7 @@ pub(super) fn gather<'a>(data: &'a [f32], width: usize, rows: &[u32]) -> Cow<'a,
 pub(super) struct Span<'a, 'b> {
     /// Their numbers, ascending.
     pub(super) rows: &'a [u32],
-    /// The matrix from the first of them to the last.
+    /// The matrix from the first of these rows to the last.
     values: &'b mut [f32],
     width: usize,
 }

@@ -1,4 +1,4 @@
-//! The fused operations against the plain ones in double precision, and those against finite differences.
+//! The fused operations against the plain ones in double precision, and the plain ones against finite differences.
 
 mod geometric;
 
@@ -154,7 +154,7 @@ fn self_attention_agrees() {
 
 #[test]
 fn self_attention_reads_along_its_axis_only() {
-    // The result for one state moves with the values of those that it attends to: same agent, or same timestep.
+    // The result for one state depends on the values of those that it attends to: same agent, or same timestep.
     let valid = mask(&[1, 3, 4], 1.0, 0);
     for (axis, attended) in [(Axis::Time, [4, 5, 6, 7]), (Axis::Agent, [1, 5, 9, usize::MAX])] {
         let qkv = Var::from_tensor(&normal(&[1, 3, 4, 6], 1)).unwrap();
@@ -172,7 +172,7 @@ fn self_attention_reads_along_its_axis_only() {
 #[test]
 fn cross_attention_agrees() {
     let valid = padded_states().repeat((2, 1, 1)).unwrap();
-    // As many maps as batch rows, each shared by some of them, and one map for all.
+    // As many maps as batch rows, maps each shared by some of them, and one map for all.
     for n_maps in [6, 3, 2, 1] {
         for share in [0.6, 1.0, 0.0] {
             let mut lane_valid = mask(&[n_maps, 7], share, 6);

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How long before the end of its time a job is notified, seconds: enough for a step of training and saving its state.
+/// The notice that a job gets before the end of its time, seconds: enough for a step of training and saving its state.
 pub(super) const NOTICE_S: u32 = 120;
 
 /// How a pipeline is submitted to a cluster (`djinn submit`). Results do not depend on it.
@@ -62,7 +62,7 @@ impl Default for ClusterConfig {
 }
 
 impl ClusterConfig {
-    /// Refuses texts that would break the scripts.
+    /// Refuses texts that would break the scripts or manifests.
     pub fn validate(&self) -> settings::Result {
         let words =
             [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory), ("image", &self.image)];

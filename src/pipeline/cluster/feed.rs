@@ -1,4 +1,4 @@
-//! How does the command of an engine get its input?
+//! Feeds the command of an engine with its input.
 
 use crate::engine::{Classify, Failure, Result};
 use std::io::Write;

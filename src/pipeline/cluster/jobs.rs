@@ -1,4 +1,4 @@
-//! Which jobs does a pipeline need, and which of them waits for which?
+//! Which jobs does a pipeline need, and which of them wait for which?
 
 use super::{ClusterConfig, Engine};
 use crate::engine::{Failure, Result};
@@ -26,7 +26,7 @@ pub struct Submission<'a> {
     pub run: &'a str,
     /// The folder of the run.
     pub root: &'a Path,
-    /// The configuration, overrides among it.
+    /// The configuration, with the overrides applied.
     pub config: &'a PipelineConfig,
 }
 
@@ -185,7 +185,7 @@ impl Jobs {
         last.map(|job| Dependency { job: job.name, condition: Completion::Succeeded }).into_iter().collect()
     }
 
-    /// Adds a job that runs these stages; without any, all of the pipeline.
+    /// Adds a job that runs these stages, or all of the pipeline if there are none.
     fn add(
         &mut self,
         name: &'static str,

@@ -2,8 +2,7 @@
 //!
 //! djinn schedules nothing by itself. [`jobs`] defines the jobs and their dependencies, [`slurm`] and [`kubernetes`]
 //! submit them to their engines, and JSON serves any other engine. A job that is started too early or twice does no
-//! harm, because each job checks for itself that its inputs exist. A job that never ran is made up for by submitting
-//! again.
+//! harm, because each job checks for itself that its inputs exist. Submitting again makes up for jobs that never ran.
 
 mod config;
 mod feed;

@@ -24,7 +24,7 @@ const BODY: &str = include_str!("job.sh");
 pub struct Submitted {
     /// Its name.
     pub name: &'static str,
-    /// Slurm's number of it.
+    /// Its number in Slurm.
     pub id: String,
 }
 
@@ -129,7 +129,7 @@ pub fn describe(graph: &JobGraph, cluster: &ClusterConfig) -> String {
     text
 }
 
-/// A word of a command. The number of a worker is that of the job in its array.
+/// A word of a command. The number of a worker becomes the index of the job in its array.
 fn shell_word(word: &str) -> String {
     let with_number = word.split(WORKER).map(quoted).collect::<Vec<_>>().join("\"$SLURM_ARRAY_TASK_ID\"");
     if word.contains(WORKER) { with_number.replace("''", "") } else { with_number }
@@ -144,7 +144,7 @@ fn quoted(text: &str) -> String {
     }
 }
 
-/// Where the jobs' outputs are.
+/// The folder of the jobs' outputs.
 pub fn outputs(graph: &JobGraph) -> PathBuf {
     graph.run_folder.join(OUTPUTS)
 }

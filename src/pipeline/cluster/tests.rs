@@ -1,4 +1,4 @@
-//! Which jobs wait for which, what do the scripts say, and what do they do?
+//! Which jobs wait for which, what do the scripts contain, and what do they do?
 
 use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
 use crate::engine::Blame;
@@ -63,10 +63,10 @@ fn jobs_wait_for_what_they_read() {
     let of_evaluation = ["evaluate-plan", "evaluate-work", "evaluate-seal"];
     assert_eq!(names(PIPELINE), [&["prepare", "plan", "work", "seal"][..], &of_evaluation].concat());
     assert_eq!(names(&format!("{PIPELINE}[report]\n")).last(), Some(&"finish"));
-    // One worker measures no sooner than one process.
+    // One worker does not measure before one process would.
     let one = format!("{PIPELINE}[cluster]\nworkers = 1\n");
     assert_eq!(names(&one), ["prepare", "plan", "work", "seal", "finish"]);
-    // Without stages in parts one process does it all.
+    // Without stages in parts, one process runs all of them.
     assert_eq!(names("[ingest]\ndataset = 'interaction'\ninputs = ['a']\n[report]\n"), ["run"]);
     assert_eq!(names("[generate]\n[[generate.sweeps]]\nname = 'plain'\n"), ["plan", "work", "seal"]);
     assert_eq!(names("[mine]\n[evaluate]\n"), [&["prepare"][..], &of_evaluation].concat());
@@ -113,8 +113,8 @@ fn settings_that_would_break_a_script_apart_are_refused() {
     }
 }
 
-/// Runs the script of the workers with a program that ends so, and says what became of it: the exit code, and what was
-/// queued again.
+/// Runs the script of the workers with a program that ends in this way, and returns the exit code and what was queued
+/// again.
 #[cfg(unix)]
 fn run_script(program: &str, restarts: &str, signal: Option<&str>) -> (i32, String) {
     let (graph, cluster) = graph(&format!("{PIPELINE}[cluster]\nretries = 3\ncontainer = 'djinn'\n"), &[]);

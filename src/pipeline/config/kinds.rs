@@ -1,5 +1,5 @@
 //! Refuses values of kinds that settings do not have, before they are read as something else: TOML's dates, which the
-//! parser hands on as tables, and lists in the place of tables, whose items would become the settings of the table in
+//! parser passes on as tables, and lists in place of tables, whose items would become the settings of the table in
 //! their order.
 
 use super::PipelineConfig;
@@ -31,7 +31,7 @@ impl<'a> Kinds<'a> {
         })
     }
 
-    /// Checks a value that is as one of the schemas says.
+    /// Checks a value against one of the schemas.
     fn check(&self, schemas: &[&'a Schema], value: &DeValue<'_>, key: &str) -> Result<(), Issue> {
         let schemas: Vec<&Schema> = schemas.iter().flat_map(|schema| self.alternatives(schema)).collect();
         match value {
@@ -52,7 +52,7 @@ impl<'a> Kinds<'a> {
         }
     }
 
-    /// What a schema allows, without references and without null; nothing where it says nothing.
+    /// The alternatives that a schema allows, without references and null; empty if it does not restrict the value.
     fn alternatives(&self, schema: &'a Schema) -> Vec<&'a Schema> {
         let referred = schema["$ref"].as_str().and_then(|name| self.root.pointer(name.strip_prefix('#')?));
         let listed = ["oneOf", "anyOf", "allOf"].iter().filter_map(|name| schema[name].as_array()).flatten();

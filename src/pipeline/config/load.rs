@@ -1,5 +1,5 @@
-//! How does a TOML file, with the overrides of the command line, become a typed configuration, and what does the user
-//! read when it does not?
+//! How does a TOML file, with the overrides of the command line, become a typed configuration, and which error does the
+//! user read if it cannot?
 //!
 //! The file is parsed into a tree that knows the place of every value, the overrides are applied to the tree, and the
 //! tree is deserialized once; so both kinds of mistakes are reported by the same code, each with its place.
@@ -20,7 +20,7 @@ use toml::de::{DeTable, DeValue};
 pub struct ConfigError {
     /// Where the mistake is.
     pub place: ConfigPlace,
-    /// The fault.
+    /// The mistake.
     pub message: String,
     /// The name the user probably meant, if one is close.
     pub suggestion: Option<String>,
@@ -33,12 +33,12 @@ pub enum ConfigPlace {
     File {
         /// The file.
         path: PathBuf,
-        /// Line, column and text of the line, where known.
+        /// Line, column and text of the line, if known.
         at: Option<(usize, usize, String)>,
     },
     /// An override, as written.
     Override(String),
-    /// Not in one place.
+    /// Not in any single place.
     Nowhere,
 }
 
@@ -62,8 +62,8 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
         .iter()
         .map(|written| Override::parse(written).map_err(|why| source.override_error(written, why)))
         .collect::<Result<Vec<_>, _>>()?;
-    // Which override a mistake came with is seen by leaving out those after it: what is inside of some enums has no
-    // place of its own.
+    // An override with a mistake is found by leaving out later ones: values inside some enums have no place of their
+    // own.
     let table = |n_overrides: usize| -> Result<Spanned<DeTable<'_>>, ConfigError> {
         let root = DeTable::parse(text).map_err(|error| source.error(&error))?;
         let span = root.span();
@@ -102,7 +102,7 @@ pub fn parse(path: Option<&Path>, text: &str, overrides: &[String]) -> Result<Pi
     }
 }
 
-/// Gives the seed of the run to `[generate]` if it names none of its own.
+/// Passes the seed of the run to `[generate]` if that has none of its own.
 fn inherit_seed(table: &mut DeTable<'_>) {
     let Some(seed) = table.get("run").and_then(|run| run.get_ref().get("seed")).cloned() else { return };
     if let Some(DeValue::Table(section)) = table.get_mut("generate").map(Spanned::get_mut) {
@@ -118,7 +118,7 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// A span beyond the end of the file that stands for an override.
+    /// A span beyond the end of the file, which stands for an override.
     fn override_span(&self, idx: usize) -> Range<usize> {
         let at = self.text.len() + 1 + idx;
         at..at
@@ -131,7 +131,7 @@ impl Source<'_> {
             return ConfigPlace::Override(written.clone());
         }
         let Some(path) = self.path else { return ConfigPlace::Nowhere };
-        // A span of the whole document says nothing, for instance where a key is missing.
+        // A span of the whole document means nothing, for instance if a key is missing.
         let known = span.filter(|span| *span != (0..0) && *span != (0..self.text.len()));
         let at = known.and_then(|span| {
             let before = self.text.get(..span.start)?;
@@ -147,7 +147,7 @@ impl Source<'_> {
         ConfigError { place: self.place(error.span()), message, suggestion }
     }
 
-    /// The error for a setting that was read; `table` knows where it stands.
+    /// The error for an invalid setting; `table` knows its place.
     fn issue(&self, table: &DeTable<'_>, issue: &Issue) -> ConfigError {
         let mut parts = issue.key.split('.');
         let mut found = parts.next().and_then(|part| table.get(part));
@@ -167,7 +167,7 @@ impl Source<'_> {
     }
 }
 
-/// Turns serde's `unknown field` into our words and finds the known name that is nearest to what was written.
+/// Rewords serde's `unknown field`, and finds the known name that is nearest to the written one.
 fn explain(message: &str) -> (String, Option<String>) {
     let message = in_the_terms_of_users(&message.trim().replace('\n', " "));
     let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
@@ -186,7 +186,7 @@ fn explain(message: &str) -> (String, Option<String>) {
     (format!("unknown {kind} `{wrong}`; known here: {known}"), suggestion)
 }
 
-/// Puts what a value is in the place of the types of Rust and serde.
+/// Describes values in the terms of users instead of types of Rust and serde.
 fn in_the_terms_of_users(message: &str) -> String {
     const EXPECTED: [(&str, &str); 7] = [
         ("usize", "a whole number of at least 0"),

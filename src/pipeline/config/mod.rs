@@ -1,9 +1,9 @@
-//! What does a pipeline file say? One TOML table a stage, each with the type that is defined beside the code it
+//! The content of a pipeline file: one TOML table per stage, each with a type that is defined beside the code it
 //! configures.
 //!
-//! A stage is part of the pipeline if its section is there, be it empty. Unknown keys are errors, defaults are in the
-//! types, `--set` overrides single values, and relative paths are relative to the file, those of `--set` to the current
-//! directory.
+//! A stage is part of the pipeline if its section exists, even an empty one. Unknown keys are errors, defaults are in
+//! the types, `--set` overrides single values, and relative paths are relative to the file, those of `--set` to the
+//! current directory.
 
 mod kinds;
 mod load;
@@ -160,10 +160,10 @@ impl PipelineConfig {
         Ok(config)
     }
 
-    /// The folder of its run `run`.
+    /// The folder of run `run` of this pipeline.
     ///
     /// # Errors
-    /// If a name of the two does not become one folder, but leads elsewhere.
+    /// If one of the two names is not a single folder, but leads elsewhere.
     pub fn folder_of(&self, run: &str) -> Result<PathBuf> {
         for name in [self.run.name.as_str(), run] {
             settings::printable_name("the name of a run", name).map_err(Failure::input)?;
@@ -189,7 +189,7 @@ impl PipelineConfig {
         self.cluster.as_ref().map_or(Ok(()), ClusterConfig::validate).map_err(|issue| issue.within("cluster"))
     }
 
-    /// The description that a run of it writes into its folder.
+    /// The description that a run of the pipeline writes into its folder.
     pub fn about(&self, root: &Path) -> anyhow::Result<RunAbout> {
         Ok(RunAbout {
             pipeline: self.run.name.clone(),
@@ -199,7 +199,7 @@ impl PipelineConfig {
         })
     }
 
-    /// The configuration with the section of `stage`: its defaults where it is missing and has some.
+    /// The configuration with the section of `stage`: with its defaults if it is missing and has defaults.
     #[must_use]
     pub fn with_section(mut self, stage: StageId) -> Self {
         match stage {
@@ -222,8 +222,8 @@ impl PipelineConfig {
         Ok(toml::to_string(self)?)
     }
 
-    /// The configuration without what does not bear on results: the number of threads, the memory, the output folder
-    /// and the cluster. Two runs of one pipeline on two machines have the same.
+    /// The configuration without settings that do not affect results: the number of threads, the memory, the output
+    /// folder and the cluster. It is the same for runs of one pipeline on different machines.
     #[must_use]
     pub fn portable(&self) -> Self {
         let mut config = self.clone();
@@ -233,10 +233,11 @@ impl PipelineConfig {
         config
     }
 
-    /// The same as TOML in the folder `root` of a run: it runs again from there, into the same folder.
+    /// The portable configuration as TOML for the folder `root` of a run: it runs again from there, into the same
+    /// folder.
     pub fn saved_in(&self, root: &Path) -> anyhow::Result<String> {
         let mut config = self.portable();
-        // In a bucket there is no way from one to the other.
+        // There is no relative path between a bucket and a disk.
         if name_elsewhere(root).is_some() {
             return config.to_toml();
         }
@@ -244,7 +245,7 @@ impl PipelineConfig {
         Ok(paths::replaced(config.to_toml()?, |path| paths::seen_from(root, path)))
     }
 
-    /// The same as TOML without paths, which are other ones from another directory.
+    /// The portable configuration as TOML without paths, which differ from directory to directory.
     pub fn without_paths(&self) -> anyhow::Result<String> {
         Ok(paths::replaced(self.portable().to_toml()?, |_| Some(String::new())))
     }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeArray, DeString, DeTable, DeValue};
 
-/// No setting lies deeper; tables that do exhaust the stack.
+/// The deepest setting has fewer parts; tables of greater depth would exhaust the stack.
 const MAX_PARTS: usize = 32;
 
 /// One `key=value` given on the command line.
@@ -18,7 +18,7 @@ pub struct Override {
 }
 
 impl Override {
-    /// Reads `generate.sweeps.0.n_samples=2`. The error says what is wrong with the text.
+    /// Reads `generate.sweeps.0.n_samples=2`. The error tells what is wrong with the text.
     pub fn parse(text: &str) -> Result<Self, Unreadable> {
         let (key, value) = text.split_once('=').ok_or("missing `=`; write key=value")?;
         let key: Vec<String> = key.split('.').map(|part| part.trim().to_owned()).collect();
@@ -31,8 +31,8 @@ impl Override {
         Ok(Self { key, value: value.trim().to_owned() })
     }
 
-    /// Sets the value in `table`, making tables that are missing. Everything it adds gets `span`, so that a later error
-    /// about it can be distinguished from one about the file.
+    /// Sets the value in `table`, creating missing tables. Everything it adds gets `span`, so that a later error about
+    /// it can be distinguished from one about the file.
     pub fn apply<'i>(&'i self, table: &mut DeTable<'i>, span: &Range<usize>) -> Result<(), Unreadable> {
         let (last, parents) = self.key.split_last().ok_or("its key is empty")?;
         let mut place = Container::Table(table);

@@ -27,7 +27,7 @@ pub(super) fn take_from(folder: &Path, table: &mut DeTable<'_>) {
     });
 }
 
-/// A configuration with other paths but for the output; those for which there is none stay.
+/// A configuration with all paths except the output replaced; those without a replacement stay.
 pub(super) fn replaced(config: String, other: impl Fn(&Path) -> Option<String>) -> String {
     let mut places: Vec<(Range<usize>, String)> = Vec::new();
     if let Ok(mut table) = DeTable::parse(&config) {
@@ -75,8 +75,8 @@ fn is_relative(path: &Path) -> bool {
     !path.as_os_str().is_empty() && path.is_relative() && matches!(ObjectUrl::of(path), Ok(None))
 }
 
-/// A path that is relative to the current directory, from the folder, or absolute if they have nothing in common;
-/// `None` if it stays as it is.
+/// A path relative to the current directory as seen from the folder; absolute if they have nothing in common; `None` if
+/// it stays as it is.
 pub(super) fn seen_from(folder: &Path, path: &Path) -> Option<String> {
     if !is_relative(path) {
         return None;
@@ -104,7 +104,7 @@ pub(super) fn seen_from(folder: &Path, path: &Path) -> Option<String> {
     there.into_os_string().into_string().ok()
 }
 
-/// A path that is relative to the folder, from the current directory; `None` if it stays as it is.
+/// A path relative to the folder as seen from the current directory; `None` if it stays as it is.
 fn within(folder: &Path, path: &Path) -> Option<String> {
     if !is_relative(path) {
         return None;
@@ -114,7 +114,7 @@ fn within(folder: &Path, path: &Path) -> Option<String> {
         let is_named = matches!(there.components().next_back(), Some(Component::Normal(_)));
         match part {
             Component::CurDir => {}
-            // Behind a link, `..` is not where the link is.
+            // Behind a link, `..` is not the folder of the link.
             Component::ParentDir if is_named && !there.is_symlink() => drop(there.pop()),
             part => there.push(part),
         }
@@ -142,7 +142,7 @@ mod tests {
             let inputs = saved["ingest"]["inputs"].as_array().unwrap();
             inputs.iter().map(|path| path.as_str().unwrap().to_owned()).collect::<Vec<_>>()
         };
-        // Neither there yet nor anything that is read.
+        // Neither the folder nor the inputs exist.
         let beside = saved(Path::new("output/p/main"));
         assert_eq!(of(&beside), ["../../../r.zip", "../../../../x/r", "/abs", "../../../b", "../../.."]);
         assert_eq!(beside["run"]["output"].as_str(), Some("../.."));

@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 impl PipelineConfig {
-    /// What a user may have meant otherwise, although it can work.
+    /// Remarks on valid settings that the user may not have intended.
     pub fn remarks(&self) -> Vec<String> {
         let TrainConfig { denoiser, distill, classifier, baseline, .. } = &self.train;
         let sections = [

@@ -6,7 +6,7 @@ use crate::settings::{self, Issue};
 use serde_json::Value;
 use std::path::Path;
 
-/// The settings that may be one; the last two are lists.
+/// The settings that may be a URL; the last two are lists.
 const KEYS: [&str; 3] = ["run.output", "ingest.inputs", "ingest.map_inputs"];
 
 /// Refuses URLs where paths on disk are needed, and all of them in a build without object stores.

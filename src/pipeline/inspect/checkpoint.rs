@@ -1,4 +1,4 @@
-//! Checkpoints: what network, trained how, with which constants?
+//! Describes checkpoints: the network, its training and its constants.
 
 use super::Description;
 use crate::engine::Result;
@@ -45,7 +45,7 @@ pub(super) fn describe(path: &Path) -> Result<Option<Description>> {
     Ok(Some(if warnings.is_empty() { description } else { description.with("warnings", warnings) }))
 }
 
-/// Entries with a noise level as a table: a row for each value of `key`, with what `figure` is at each noise level.
+/// Entries with a noise level as a table: a row for each value of `key`, with the `figure` at each noise level.
 fn by_name(entries: &Value, key: &str, figure: &str) -> Value {
     let mut rows = Map::new();
     for entry in entries.as_array().into_iter().flatten() {
@@ -55,7 +55,7 @@ fn by_name(entries: &Value, key: &str, figure: &str) -> Value {
     Value::Object(rows)
 }
 
-/// The table of places: how many scenes, the loss, and the loss with the map turned.
+/// The table of places: the number of scenes, the loss, and the loss with the map turned.
 fn losses_by_place(entries: &Value) -> Value {
     let (mut rows, turned) = (by_name(entries, "place", "loss"), by_name(entries, "place", "map_turned"));
     for entry in entries.as_array().into_iter().flatten() {

@@ -50,7 +50,7 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
         stages.insert(record.stage.to_string(), state);
     }
     for record in started {
-        // A stage that was begun again still has its outputs as they were.
+        // A stage that was begun again still has its earlier outputs.
         stages.entry(record.stage.to_string()).or_insert_with(|| json!({ "status": "unfinished" }));
     }
     let requests = requests::describe(&path.join(SAMPLES))?;

@@ -1,7 +1,7 @@
 //! Describes files and folders that djinn wrote.
 //!
 //! Each kind of file has a describer; the first one that recognizes the path describes it. Descriptions are ordered
-//! names and values, from which the command line makes text or JSON.
+//! names and values, which the command line turns into text or JSON.
 
 mod checkpoint;
 mod folders;
@@ -40,7 +40,7 @@ const DESCRIBERS: [Describer; 11] = [
     tables::report_or_json,
 ];
 
-/// Says what the file or folder at `path` holds.
+/// Describes the content of the file or folder at `path`.
 ///
 /// # Errors
 /// When nothing is there, when djinn did not write it, or when it is damaged.
@@ -86,13 +86,12 @@ impl Description {
     }
 }
 
-/// From this depth on, what consists of single values is written on a line of its own: such things come in great
-/// numbers.
+/// From this depth on, entries that consist of single values take one line each: such entries come in great numbers.
 const DEPTH_OF_LINES: usize = 4;
 
 fn write_value(text: &mut String, depth: usize, name: &str, value: &Value) {
     let indent = "  ".repeat(depth);
-    // A deeper name may be one of the data, such as a place, and is given as it is.
+    // A deeper name may be one of the data, such as a place, and stays as it is.
     let name = if depth == 1 { name.replace('_', " ") } else { one_line(name) };
     match value {
         Value::Null => {}
@@ -134,7 +133,7 @@ fn plain(value: &Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), one_line)
 }
 
-/// A text of others, such as a place, on one line: its line breaks are no lines of ours.
+/// A text from elsewhere, such as a place, on one line, so that its line breaks cannot imitate lines of ours.
 fn one_line(text: &str) -> String {
     text.replace('\n', "\\n").replace('\t', "\\t")
 }

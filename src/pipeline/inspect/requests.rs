@@ -57,7 +57,7 @@ fn of_arm(arm: &ArmSummary) -> Value {
     })
 }
 
-/// `None` where nothing was accepted.
+/// Evaluations per accepted scenario; `None` if nothing was accepted.
 fn per_accepted(n_evaluations: u64, n_accepted: u64) -> Option<f64> {
     (n_accepted > 0).then(|| rounded(n_evaluations as f64 / n_accepted as f64))
 }
@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(tight["buckets"][1]["n_evaluations_per_accepted"], json!(1900.0));
         assert_eq!(tight["arms"][0]["n_evaluations_per_accepted"], json!(316.7));
         let text = Description::new("generated scenarios").with("requests", found).text();
-        // A bucket of which nothing was accepted has no cost.
+        // A bucket without accepted scenarios has no cost.
         assert!(text.contains("        3: bucket gap_m 10..20; n_accepted 0; n_short 5; n_wanted 5\n"), "{text}");
     }
 }

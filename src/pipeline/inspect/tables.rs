@@ -16,7 +16,7 @@ fn has_extension(path: &Path, extension: &str) -> bool {
     path.is_file() && path.extension().is_some_and(|found| found == extension)
 }
 
-/// The table, unless the file is a table of another kind.
+/// The table, or `None` if the file is a table of another kind.
 fn of_this_schema<T>(read: Result<T, Error>) -> Result<Option<T>> {
     match read {
         Ok(rows) => Ok(Some(rows)),
@@ -105,7 +105,7 @@ pub(super) fn verdicts(path: &Path) -> Result<Option<Description>> {
     Ok(Some(description))
 }
 
-/// Shards and other tables are described by the folder that they belong to and the note beside them.
+/// Shards and other tables are described by their folder and the note beside them.
 pub(super) fn part_of_folder(path: &Path) -> Result<Option<Description>> {
     if !path.is_dir() && !has_extension(path, "parquet") && !has_extension(path, "arrow") {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! Maps the errors of each layer to whoever can act on them, once for all stages.
+//! Maps the errors of each layer to who can act on them, once for all stages.
 
 use crate::engine::{Blame, Failure};
 use crate::{cloud, corpus, drive, evaluate, export, files, generate, ingest, nn, store, train};
@@ -8,7 +8,7 @@ impl From<ingest::Error> for Failure {
     fn from(error: ingest::Error) -> Self {
         match error {
             ingest::Error::Io(io) => of_named_path(io),
-            // Failures of the sink are ours: the store's errors, which say more than the wrapper.
+            // Failures of the sink are ours: errors of the store, which tell more than the wrapper.
             ingest::Error::Sink(source) => match source.downcast::<store::Error>() {
                 Ok(source) => Self::from(*source).context("failed to store ingested scenes"),
                 Err(source) => Self::fault(anyhow::anyhow!(source)),
@@ -34,7 +34,7 @@ impl From<store::Error> for Failure {
     }
 }
 
-/// A refusal to write is for the user to act on; damage is not the user's doing.
+/// The user can act on a refusal to write; damage is not the user's doing.
 impl From<files::Error> for Failure {
     fn from(error: files::Error) -> Self {
         match error {
@@ -114,14 +114,14 @@ impl From<train::Error> for Failure {
     }
 }
 
-/// For checkpoints that the user names or that another stage made: a missing or foreign file is the user's to mend.
+/// For checkpoints that the user names or another stage made: a missing or foreign file is for the user to fix.
 impl From<nn::Error> for Failure {
     fn from(error: nn::Error) -> Self {
         Self::input(error)
     }
 }
 
-/// An error at a path that the user named: where it leads is theirs, a full disk is not.
+/// An error at a path that the user named: the user can fix the path, but not a full disk.
 pub(in crate::pipeline) fn of_named_path(error: std::io::Error) -> Failure {
     match error.kind() {
         ErrorKind::NotFound

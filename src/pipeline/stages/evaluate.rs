@@ -25,13 +25,13 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Evaluate<'a> {
     /// Its section.
     pub config: &'a EvaluateConfig,
-    /// The definitions of the behaviors that are counted.
+    /// The definitions of the counted behaviors.
     pub mine: MineConfig,
     /// Name of the pipeline, for the corpus.
     pub pipeline: &'a str,
     /// Whether there are recorded events to compare scenarios with.
     pub has_events: bool,
-    /// The configuration that generates the scenarios, where the pipeline does that itself.
+    /// The configuration that generates the scenarios, if the pipeline does that itself.
     pub generated: Option<&'a GenerateConfig>,
     /// Where the scenes, events and samples are.
     pub layout: &'a Layout,
@@ -116,7 +116,7 @@ impl Sharded for Evaluate<'_> {
         Ok(())
     }
 
-    /// Tests how well the tracks of all shards can be told from recorded ones, decides about every scenario, and writes
+    /// Tests how well the tracks of all shards can be told from recorded ones, decides on every scenario, and writes
     /// the corpus.
     fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value> {
         let ready = self.ready(Some(shards.decisions()?))?;
@@ -186,12 +186,12 @@ struct EvaluationReady {
     behaviors: Vec<Box<dyn Behavior>>,
     /// How well the maps of places fit their recordings.
     maps: Vec<MapFitRow>,
-    /// The section, with the places whose maps allow no check of departures.
+    /// The section, with the places whose maps do not allow the check of departures.
     config: EvaluateConfig,
 }
 
 impl Evaluate<'_> {
-    /// Reads and checks everything that measuring needs. Determines how well maps fit, unless that is known already.
+    /// Reads and checks everything that measuring needs. Determines how well maps fit unless that is known already.
     fn ready(&self, plan: Option<EvaluationPlan>) -> Result<EvaluationReady> {
         self.check()?;
         let store = SceneStore::open(&self.layout.scenes)?;

@@ -28,7 +28,7 @@ impl Stage for Ingest<'_> {
 
     fn check(&self) -> Result<()> {
         self.config.validate()?;
-        // Those that are not there are found among the inputs.
+        // Missing ones are noticed among the inputs.
         let real: Vec<_> = self.config.inputs.iter().map(|path| fs_err::canonicalize(path).ok()).collect();
         match (1..real.len()).find(|i| real[*i].is_some() && real[..*i].contains(&real[*i])) {
             Some(i) => {
@@ -81,7 +81,7 @@ impl Whole for Ingest<'_> {
     }
 }
 
-/// The section with the places of its inputs on disk, where those of URLs are downloaded to.
+/// The section with the local paths of its inputs: for URLs, the places to which they are downloaded.
 pub(crate) fn on_disk(config: &IngestConfig) -> Result<IngestConfig> {
     let place = |path: &PathBuf| Ok(Recordings::at(path)?.map_or(Ok(path.clone()), |recordings| recordings.on_disk())?);
     let places = |paths: &[PathBuf]| paths.iter().map(place).collect::<Result<Vec<_>>>();

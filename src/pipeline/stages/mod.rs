@@ -123,7 +123,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
     })
 }
 
-/// The stage of generation, where the configuration has its section.
+/// The stage of generation, if the configuration has its section.
 pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Generate<'a>> {
     let PipelineConfig { run, mine, train, generate, evaluate, .. } = config;
     Some(Generate {
@@ -133,13 +133,13 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
         duplicate_distance_m: evaluate.as_ref().map_or(DUPLICATE_DISTANCE_M, |evaluate| evaluate.duplicate_distance_m),
         classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
-        // A folder of models that the command line names may hold one that was distilled otherwise.
+        // A folder of models that the command line names may hold one that was distilled with other settings.
         distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
         layout,
     })
 }
 
-/// The stage of evaluation, where the configuration has its section.
+/// The stage of evaluation, if the configuration has its section.
 pub fn evaluation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Evaluate<'a>> {
     let PipelineConfig { run, mine, generate, evaluate, .. } = config;
     Some(Evaluate {
@@ -162,7 +162,7 @@ fn with_precision(mut config: Value, precision: Option<Precision>) -> Value {
     config
 }
 
-/// Whether there are recorded events to compare scenarios with, or will be when the pipeline has mined them.
+/// Whether there are recorded events to compare scenarios with, or will be once the pipeline has mined them.
 fn has_events(config: &PipelineConfig, layout: &Layout) -> bool {
     layout.events.exists()
         || (layout.events.parent() == layout.scenes.parent() && config.ingest.is_some() && config.mine.is_some())
@@ -208,7 +208,7 @@ mod tests {
         }
         for (name, record) in records("", "run.precision=f32") {
             assert!(record.get("precision").is_none(), "{name}: records of earlier versions hold");
-            // What a preset comes to may change with the program.
+            // The values of a preset may change with the program.
             assert_eq!(steps_in_all(&record).is_some(), trained.contains(&name), "{name}");
         }
     }

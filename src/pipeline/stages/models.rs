@@ -1,4 +1,4 @@
-//! The trained models that sweeps sample with: which do they need, and where are these?
+//! The trained models from which sweeps sample: which are needed, and where are they?
 
 use super::train::checkpoint_file;
 use crate::engine::Result;
@@ -14,7 +14,7 @@ pub(in crate::pipeline) fn needed_models(sweeps: &[ResolvedSweep]) -> Vec<StageI
     let needed = [
         (StageId::TrainDenoiser, true),
         (StageId::TrainDistill, any(ResolvedSweep::uses_distilled)),
-        // Unguided sampling needs none, except to rank pairs: there it is used if some sweep is guided.
+        // Unguided sampling needs no classifier, except to rank pairs: it is used for that if some sweep is guided.
         (StageId::TrainClassifier, any(ResolvedSweep::needs_classifier)),
         (StageId::TrainBaseline, any(ResolvedSweep::uses_baseline)),
     ];
@@ -48,7 +48,7 @@ impl LoadedModels {
         })
     }
 
-    /// The models in the form that generation takes.
+    /// The models as generation takes them.
     pub(in crate::pipeline) fn borrowed(&self) -> Models<'_> {
         Models {
             denoiser: &self.denoiser,
@@ -58,7 +58,7 @@ impl LoadedModels {
         }
     }
 
-    /// The fingerprint of the model that a stage makes, where it was read.
+    /// The fingerprint of the model that a stage makes, if it was read.
     pub(in crate::pipeline) fn fingerprint(&self, stage: StageId) -> Option<String> {
         match stage {
             StageId::TrainDenoiser => Some(&self.denoiser.fingerprint),

@@ -1,4 +1,4 @@
-//! The training stages: what they have in common. What is particular to a model is its recipe.
+//! The common part of the training stages. The recipe of a model holds the rest.
 
 use super::training_scenes::check_folders;
 use super::with_precision;
@@ -25,7 +25,7 @@ pub struct Source<'a> {
     pub calibrates: bool,
     /// The checkpoint to start from.
     pub start_from: Option<&'a Path>,
-    /// The scenes to train on, where they may be those of several runs.
+    /// The scenes to train on, if they may come from several runs.
     pub scenes: Option<SceneChoice<'a>>,
 }
 
@@ -36,7 +36,7 @@ impl Source<'_> {
     }
 }
 
-/// How a model comes to be: the section of a training stage, and what is done with it.
+/// How to make a model: the section of a training stage, and its use.
 pub trait Recipe: Serialize {
     /// The description in its checkpoint.
     type Spec: ModelSpec;
@@ -47,17 +47,17 @@ pub trait Recipe: Serialize {
     /// The stages whose outputs it learns from.
     const LEARNS_FROM: &'static [StageId];
 
-    /// Its sources, `own` among them.
+    /// Its sources, including `own`.
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a>;
 
-    /// The resolved section, where presets decide a part of it: presets change from version to version, and the
-    /// resolved values count.
+    /// The resolved section, if presets decide a part of it: presets change from version to version, and the resolved
+    /// values count.
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error>;
 
     /// The summary of a model that was trained elsewhere.
     fn about(spec: &Self::Spec) -> Value;
 
-    /// Trains the model on `own` scenes, or others, and says what it came to.
+    /// Trains the model on `own` scenes, or others, and returns the summary of the result.
     ///
     /// # Errors
     /// When there is nothing to learn from, or training fails.
@@ -78,10 +78,10 @@ pub trait Recipe: Serialize {
         Ok(None)
     }
 
-    /// Whether a checkpoint of such a network is one of this stage.
+    /// Whether a checkpoint of such a network belongs to this stage.
     ///
     /// # Errors
-    /// Says what it is, and where it can be used.
+    /// Describes the checkpoint, and where it can be used.
     fn check_kind(_spec: &Self::Spec) -> std::result::Result<(), &'static str> {
         Ok(())
     }
@@ -89,7 +89,7 @@ pub trait Recipe: Serialize {
     /// Reads the checkpoint to start from.
     ///
     /// # Errors
-    /// When it is not one of such a model.
+    /// When it is not a checkpoint of such a model.
     fn read_start(&self, device: &Device) -> Result<Option<Checkpoint<Self::Spec>>> {
         Ok(self
             .source(OwnScenes::default())
@@ -103,11 +103,11 @@ pub trait Recipe: Serialize {
 pub struct Train<'a, R> {
     /// The recipe.
     pub recipe: &'a R,
-    /// Which of the run's scenes it is for.
+    /// The scenes of the run that it may use.
     pub own: OwnScenes<'a>,
     /// Seed of everything random.
     pub seed: u64,
-    /// How products of networks are rounded.
+    /// The precision of matrix products.
     pub precision: Precision,
     /// Where the outputs of earlier stages are.
     pub layout: &'a Layout,
@@ -128,7 +128,7 @@ impl<R: Recipe> Stage for Train<'_, R> {
         if let Some(choice) = source.scenes.filter(|_| source.learns()) {
             check_folders(choice, &self.layout.scenes)?;
         }
-        // One that is not there is found among the inputs.
+        // A missing one is noticed among the inputs.
         match source.checkpoint.map(checkpoint_file).filter(|file| file.exists()) {
             Some(file) => {
                 let checkpoint = read_checkpoint::<R::Spec>(&file, &Device::Cpu)?;
@@ -206,7 +206,7 @@ impl<R: Recipe> Whole for Train<'_, R> {
     }
 }
 
-/// A checkpoint is named by its file or by the folder of the model.
+/// The file of a checkpoint that is given by its file or by the folder of the model.
 pub(in crate::pipeline) fn checkpoint_file(path: &Path) -> PathBuf {
     if path.is_dir() { path.join(MODEL_FILE) } else { path.to_owned() }
 }

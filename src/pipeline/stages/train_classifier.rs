@@ -26,7 +26,7 @@ impl Recipe for ClassifierTrainingConfig {
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
-        // The section has no preset: it says all.
+        // The section has no preset, so it is complete.
         self.resolve()?;
         Ok(None)
     }
@@ -60,7 +60,7 @@ impl Recipe for ClassifierTrainingConfig {
     }
 }
 
-/// Which of the run's scenes it is for: those of its own places, if it names some.
+/// The run's scenes to use: those of the section's own places, if it names some.
 fn chosen<'a>(config: &'a ClassifierTrainingConfig, own: OwnScenes<'a>) -> OwnScenes<'a> {
     OwnScenes { places: if config.places.is_empty() { own.places } else { &config.places }, ..own }
 }
@@ -73,7 +73,7 @@ fn roles(behavior: &str, events: &[BehaviorEvent]) -> Result<Vec<String>> {
     Ok(event.roles.names().map(str::to_owned).collect())
 }
 
-/// The events that are in the given scenes, in the order of the event table.
+/// The events in the given scenes, in the order of the event table.
 fn mined<'e>(store: &SceneStore, events: &'e [BehaviorEvent], scenes: &[usize]) -> Vec<MinedEvent<'e>> {
     let scene_idx: BTreeMap<&str, usize> = scenes.iter().map(|idx| (store.index().get(*idx).id, *idx)).collect();
     let mined =

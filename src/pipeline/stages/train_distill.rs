@@ -33,7 +33,7 @@ impl Recipe for DistillTrainingConfig {
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
-        // The section has no preset: it says all.
+        // The section has no preset, so it is complete.
         self.resolve()?;
         Ok(None)
     }

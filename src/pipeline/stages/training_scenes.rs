@@ -11,7 +11,7 @@ use crate::train::{MoreScenes, OwnScenes, SceneChoice, SceneDataset, TrainOutcom
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Where the store has no `val` split, every so many-th scene is held out.
+/// If the store has no `val` split, one in this many scenes is held out.
 const HOLD_OUT_EVERY: usize = 20;
 
 impl SceneDataset for SceneStore {
@@ -29,7 +29,7 @@ pub(super) struct TrainingScenes {
 }
 
 impl TrainingScenes {
-    /// Trains on the given splits (none: `train`, or everything unsplit where there is no such split) and places (none:
+    /// Trains on the given splits (none: `train`, or everything unsplit if there is no such split) and places (none:
     /// all), and holds out the `val` scenes of these places.
     pub(super) fn new(index: &SceneIndex, OwnScenes { splits, places }: OwnScenes<'_>) -> Self {
         let here = |entry: &SceneIndexEntry<'_>| places.is_empty() || places.iter().any(|place| place == entry.place);
@@ -57,13 +57,13 @@ impl TrainingScenes {
     }
 }
 
-/// The scenes that a training draws from: those of the run, and of others.
+/// The scenes from which a training draws: those of the run, and of others.
 pub(super) struct OpenedScenes<'a> {
     section: &'static str,
     sources: Vec<OpenedSource<'a>>,
 }
 
-/// An ingest, and what of it is trained on.
+/// An ingest, and the part of it to train on.
 struct OpenedSource<'a> {
     /// Its name for the user: its key, or the run's own scenes.
     name: String,
@@ -82,7 +82,7 @@ impl SceneDataset for OpenedScenes<'_> {
 }
 
 impl<'a> OpenedScenes<'a> {
-    /// Opens the run's `own` scenes, unless they have no weight, and the others that were chosen.
+    /// Opens the run's `own` scenes, unless they have no weight, and the chosen others.
     pub(super) fn open(choice: SceneChoice<'a>, own: &Path) -> StageResult<Self> {
         let SceneChoice { section, own: chosen, own_weight, data } = choice;
         let own = (own_weight > 0.0).then(|| ("the ingest of this run".to_owned(), own, own_weight, chosen));
@@ -102,7 +102,7 @@ impl<'a> OpenedScenes<'a> {
         self.training_data(Some(denoiser.normalizer.state_dim), denoiser.network.geometry.is_some())
     }
 
-    /// The scenes to train on and those held out. Left out, `state_dim` is that of the datasets. Only a network that
+    /// The scenes to train on and the held-out ones. `state_dim` defaults to that of the datasets. Only a network that
     /// derives headings can learn from vehicles with recorded headings and from others at once.
     pub(super) fn training_data(
         &self,
@@ -122,7 +122,7 @@ impl<'a> OpenedScenes<'a> {
             sources.push(source.training_source(chosen, n_places));
         }
         self.check_shapes(&sources)?;
-        // Where headings are derived from the positions, so are those of samples.
+        // If headings are derived from positions, those of samples are, too.
         let state_dim = state_dim.unwrap_or(if has_headings.contains(&true) { 3 } else { 2 });
         let without = has_headings.iter().position(|has| !has).filter(|_| has_headings.contains(&true));
         if let Some(without) = without.filter(|_| state_dim == 3 && !derives_headings) {
@@ -137,7 +137,7 @@ impl<'a> OpenedScenes<'a> {
         Ok(TrainingData { fingerprint: self.fingerprint()?, dataset: self, sources, state_dim })
     }
 
-    /// Refuses sources whose scenes are of another shape than those of the first one.
+    /// Refuses sources whose scenes have another shape than those of the first one.
     fn check_shapes(&self, sources: &[TrainingSource]) -> StageResult<()> {
         let mut expected: Option<(usize, usize, f64)> = None;
         for (opened, source) in self.sources.iter().zip(sources) {
@@ -159,7 +159,7 @@ impl<'a> OpenedScenes<'a> {
         Ok(())
     }
 
-    /// Hash of the scenes, and of how they are mixed: that of the store where there is one.
+    /// Hash of the scenes and their mixture; that of the store if there is only one.
     fn fingerprint(&self) -> StageResult<String> {
         let mixed: Vec<_> = self.sources.iter().map(|source| (source.store.fingerprint(), source.weight)).collect();
         Ok(match mixed.as_slice() {
@@ -191,7 +191,7 @@ impl OpenedSource<'_> {
     }
 }
 
-/// Refuses splits without futures, folders of other runs that hold no ingested scenes, and the run's own among them.
+/// Refuses splits without futures, folders of other runs without ingested scenes, and the run's own folder among them.
 pub(super) fn check_folders(
     SceneChoice { section, own: OwnScenes { splits, .. }, own_weight, data }: SceneChoice<'_>,
     own: &Path,

@@ -73,7 +73,7 @@ impl DrawnLane {
 }
 
 impl DrawnSample {
-    /// The agents of `scene` that come into view. `observed` says which states were given.
+    /// The agents of `scene` that come into view. `observed` tells which states were observed.
     pub(super) fn of(name: &str, scene: &Scene, observed: &ObservationMask, roles: &Roles, view: &ViewRect) -> Self {
         let agent = |(agent_idx, track): (usize, &crate::scene::Track)| {
             let extent = track.extent_or_nominal();
@@ -102,7 +102,8 @@ impl DrawnSample {
 }
 
 impl DrawnAgent {
-    /// Runs of tracked states, all observed or none: whether they are, first timestep, one past the last.
+    /// Runs of tracked states that are either all observed or all generated: whether observed, first timestep, one past
+    /// the last.
     pub(in crate::report) fn stretches(&self) -> Vec<(bool, usize, usize)> {
         let mut stretches: Vec<(bool, usize, usize)> = Vec::new();
         for (timestep, state) in self.states.iter().enumerate() {
@@ -124,7 +125,7 @@ fn centi(value: f64) -> f64 {
     (value * 100.0).round() / 100.0
 }
 
-/// Leaves out points that lie on the line (Ramer 1972, Douglas and Peucker 1973), within [`LANE_TOLERANCE_M`].
+/// Leaves out points that lie on the line within [`LANE_TOLERANCE_M`] (Ramer 1972, Douglas and Peucker 1973).
 fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
     let off_line = |p: &[f64; 2]| {

@@ -15,7 +15,7 @@ use super::model::Fact;
 use crate::metrics::closeness_over_time;
 use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene};
 
-/// Drawings of one scene side by side, at one scale: the recording and what was generated from it.
+/// Drawings of one scene side by side, at one scale: the recording and its generated continuations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneCard {
     /// Unique within the report, such as the scenario's id.
@@ -26,14 +26,14 @@ pub struct SceneCard {
     pub key: CardKey,
     /// Provenance, verdict, parameters of the event.
     pub facts: Vec<Fact>,
-    /// The part of the scene frame that is shown.
+    /// The visible part of the scene frame.
     pub view: ViewRect,
     /// The lanes in view.
     pub lanes: Vec<DrawnLane>,
     /// The drawings, the recording first.
     pub panels: Vec<ScenePanel>,
-    /// Time to collision (seconds) and distance (meters) of the two with roles in the only sample, at each timestep of
-    /// the future; empty if they are not two.
+    /// Time to collision (seconds) and distance (meters) of the two agents with roles in the only sample, at each
+    /// timestep of the future; empty unless exactly two have roles.
     pub closeness: Vec<[Option<f64>; 2]>,
 }
 
@@ -44,7 +44,7 @@ pub struct CardKey {
     pub sweep: String,
     /// The requested behavior.
     pub behavior: Option<String>,
-    /// The bucket of a request that it went into.
+    /// The bucket of a request that accepted it.
     pub bucket: Option<CardBucket>,
     /// The place of the recording.
     pub place: String,
@@ -52,7 +52,7 @@ pub struct CardKey {
     pub verdict: Verdict,
     /// Whether it was accepted, and why not; `None` if that was not decided, and for several samples.
     pub acceptance: Option<Acceptance>,
-    /// How strongly it was guided.
+    /// The level of its guidance.
     pub level: GuidanceLevel,
     /// Parameters of the event and metrics of the scenario; means for several samples.
     pub values: Vec<CardValue>,
@@ -64,12 +64,12 @@ impl CardKey {
         self.acceptance.as_ref().is_some_and(Acceptance::is_accepted)
     }
 
-    /// A figure by its name.
+    /// The figure with this name.
     pub fn value(&self, name: &str) -> Option<f64> {
         self.values.iter().find(|found| found.name == name).map(|found| found.value)
     }
 
-    /// The key by which scenes are sorted: accepted ones first, by their least time to collision, seconds.
+    /// The key by which scenes are sorted: accepted ones first, by their shortest time to collision, seconds.
     pub(super) fn rank_s(&self) -> f64 {
         /// More than any time to collision.
         const WITHOUT_S: f64 = 1e6;
@@ -110,7 +110,7 @@ pub struct CardValue {
 /// Whether a scenario was accepted: verified, valid and no near-duplicate.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Acceptance {
-    /// Why it was not, such as `near_duplicate`; empty if it was.
+    /// Why it was not accepted, such as `near_duplicate`; empty if it was.
     pub reasons: Vec<String>,
 }
 
@@ -179,8 +179,8 @@ pub struct Sample<'a> {
 }
 
 impl SceneCard {
-    /// Draws `recorded` and, overlaid, `samples` of its future with `roles` highlighted; the view follows those tracks,
-    /// or the ego without roles.
+    /// Draws `recorded` and, overlaid, `samples` of its future with `roles` highlighted; the view follows the tracks
+    /// with roles, or the ego if there are none.
     pub fn new(
         (id, title): (String, String),
         key: CardKey,
@@ -229,7 +229,7 @@ impl SceneCard {
     }
 }
 
-/// The two agents that have roles, by their indices; `None` if they are not two.
+/// The indices of the two agents that have roles; `None` unless there are exactly two.
 fn pair(scene: &Scene, roles: &Roles) -> Option<[usize; 2]> {
     let pair: Vec<usize> = roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
     pair.try_into().ok()

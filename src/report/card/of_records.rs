@@ -21,7 +21,7 @@ impl Verdict {
 
 impl SceneCard {
     /// Draws a scenario beside the recording it continues, with its provenance, verdict, the parameters of its event
-    /// and its `metrics`. `acceptance` is `None` if nothing was decided.
+    /// and its `metrics`. `acceptance` is `None` if it was not decided.
     pub fn of_record(
         record: &ScenarioRecord,
         recorded: &Scene,

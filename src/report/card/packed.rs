@@ -9,7 +9,7 @@ use super::{DrawnLane, DrawnSample};
 
 const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
 
-/// Letters of numbers.
+/// Numbers written as letters.
 #[derive(Default)]
 struct Packed(String);
 
@@ -49,7 +49,7 @@ pub(in crate::report) fn pack_lanes(lanes: &[DrawnLane]) -> String {
     packed.0
 }
 
-/// The states of the agents in `ids`, in that order; agents that are not in the sample have none. For each agent: the
+/// The states of the agents in `ids`, in that order; none for agents that are not in the sample. For each agent: the
 /// number of stretches of states; for each stretch: whether it was observed, the timesteps since the last one, its
 /// length, and its states.
 pub(in crate::report) fn pack_sample(sample: &DrawnSample, ids: &[&str]) -> String {

@@ -3,7 +3,7 @@
 use crate::geometry::Vec2;
 use crate::scene::{Roles, Scene};
 
-/// Around the tracks of interest, meters.
+/// The margin around the tracks of interest, meters.
 const MARGIN_M: f64 = 9.0;
 /// The least extent of a view in each direction, meters.
 const MIN_VIEW_M: Vec2 = Vec2 { x: 60.0, y: 20.0 };

@@ -1,4 +1,4 @@
-//! The sections on the recordings: what was read and left out, and the mined behaviors.
+//! The sections on the recordings: how much was read and left out, and the mined behaviors.
 
 use super::{Section, table};
 use crate::evaluate::MiningSummary;
@@ -36,7 +36,7 @@ pub(super) fn mining(model: &ReportModel) -> Option<Section> {
     Some(Section::new("mining", "Events in the recordings", body))
 }
 
-/// The section on what was read and rejected.
+/// The section on recordings that were read and rejected.
 pub(super) fn ingest(model: &ReportModel) -> Option<Section> {
     let report = model.ingest.as_ref()?;
     let head = html! { tr { th scope="col" { "Split and place" } th scope="col" class="n" { "Scenes" } } };

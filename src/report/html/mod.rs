@@ -79,10 +79,10 @@ fn head(model: &ReportModel) -> Markup {
     }
 }
 
-/// The end of our pages' titles, by which they are recognized.
+/// The end of djinn's page titles, by which its pages are recognized.
 pub const PAGE_MARK: &str = " – djinn report";
 
-/// A whole page around its sections.
+/// A whole page: its frame around the sections.
 fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
@@ -125,7 +125,7 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
     page.into_string()
 }
 
-/// The section; `None` if there is nothing to warn of, which the summary says.
+/// The section; `None` without warnings, which the summary states.
 fn warnings(model: &ReportModel) -> Option<Section> {
     (!model.warnings.is_empty()).then(|| {
         let body = html! {
@@ -156,8 +156,8 @@ fn facts(facts: &[Fact]) -> Markup {
     }
 }
 
-/// A table, which a script rearranges if the page is too narrow; without scripts it scrolls. `head` and `body` hold the
-/// rows.
+/// A table with these rows in its `head` and `body`. A script rearranges it if the page is too narrow; without scripts
+/// it scrolls.
 fn table(caption: &str, head: &Markup, body: &Markup) -> Markup {
     html! {
         div class="scroll" tabindex="0" role="region" aria-label=(caption) {

@@ -1,4 +1,4 @@
-//! Parts of the page that are nothing but tables and charts.
+//! Parts of the page that consist only of tables and charts.
 
 use super::{Section, table};
 use crate::report::plain::{PlainRow, PlainSection, PlainTable};
@@ -14,7 +14,7 @@ pub(super) fn section(section: &PlainSection) -> Section {
     Section::new(section.id.clone(), section.title.clone(), body)
 }
 
-/// The table; columns whose every cell is a number, or nothing, are set as numbers.
+/// The table; columns whose cells are all numbers or empty are set as numbers.
 pub(super) fn plain_table(plain: &PlainTable) -> Markup {
     let is_numeric: Vec<bool> =
         (0..plain.columns.len()).map(|i| i > 0 && plain.rows.iter().all(|row| is_number(row, i))).collect();

@@ -9,7 +9,7 @@ use crate::report::number::{ABSENT, count, level, optional, uncertainty};
 use crate::report::svg::histogram;
 use maud::{Markup, html};
 
-/// Series that stand beside each other in a table of metrics: as many as a laptop's screen shows.
+/// The most series beside each other in a table of metrics: as many as a laptop's screen shows.
 const N_SERIES_BESIDE: usize = 7;
 
 /// The metric tables, one for each place, and the definitions.

@@ -1,4 +1,4 @@
-//! The first screen: request, result, cost, and whether to trust it.
+//! The first screen: request, result, cost, and whether to trust the result.
 
 use crate::evaluate::{SamplingRow, ValidityRow};
 use crate::metrics::Group;

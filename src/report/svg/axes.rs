@@ -33,7 +33,7 @@ impl PlotAxis {
             return Self { low, high, log };
         }
         let (low, high) = if high - low < 1e-9 * high.abs().max(1e-9) {
-            // What is constant and not negative, such as a share of 0, has no negative part of an axis.
+            // Values that are constant and not negative, such as a share of 0, get no negative part of an axis.
             let least = if low >= 0.0 { 0.0 } else { f64::NEG_INFINITY };
             ((low - 0.5 * low.abs().max(1.0)).max(least), high + 0.5 * high.abs().max(1.0))
         } else {
@@ -95,7 +95,7 @@ pub(super) struct Plot {
 }
 
 impl Plot {
-    /// From values to the drawing.
+    /// Maps values to a point of the drawing.
     pub(super) fn point(&self, x: f64, y: f64) -> [f64; 2] {
         [LEFT + (WIDTH - LEFT - RIGHT) * self.x.share(x), HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * self.y.share(y)]
     }

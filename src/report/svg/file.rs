@@ -14,7 +14,7 @@ const STYLE: &str = include_str!("drawing.css");
 const FONT: &str = "text { font-family: Helvetica, Arial, sans-serif; fill: #1a1d21; } .caption { font-size: 13px; }";
 /// Height of a line of text, SVG user units.
 const LINE: f64 = 18.0;
-/// Width of a scene in a column, and of one beside another.
+/// Width of a scene in a column, and of scenes side by side.
 const SCENE_WIDTHS: [f64; 2] = [800.0, 480.0];
 
 /// A chart with its title and legend.
@@ -70,7 +70,7 @@ fn with_legend(title: &str, plot: &Markup, names: &[&str]) -> String {
     file([WIDTH, bottom + LINE * names.len() as f64 + 4.0], &body)
 }
 
-/// A drawing of the page within another one.
+/// A drawing of the page, placed within another one.
 fn placed(drawing: &Markup, [x, y]: [f64; 2], [width, height]: [f64; 2]) -> Markup {
     let [x, y, width, height] = [x, y, width, height].map(coordinate);
     let place = format!(r#"<svg x="{x}" y="{y}" width="{width}" height="{height}" "#);

@@ -64,7 +64,7 @@ fn whisker(plot: &Plot, curve: &Curve, at: usize, stroke: &str) -> Markup {
     html! { @if let Some(d) = ends { path class="interval" d=(d) stroke=(stroke) fill="none" {} } }
 }
 
-/// A line sample and a name for each series that has one.
+/// A line sample and a name for each series with a name.
 pub(super) fn legend<'a>(names: impl Iterator<Item = &'a str>) -> Markup {
     let named: Vec<(usize, &str)> = names.enumerate().filter(|(_, name)| !name.is_empty()).collect();
     html! {
@@ -81,7 +81,7 @@ pub(super) fn legend<'a>(names: impl Iterator<Item = &'a str>) -> Markup {
     }
 }
 
-/// A sample of the i-th series: 26 wide and 8 high.
+/// A sample of the line of the i-th series: 26 wide and 8 high.
 pub(super) fn sample(i: usize) -> Markup {
     html! {
         path class="curve" d="M1 4L25 4" stroke=(color(i)) stroke-dasharray=(dash(i)) fill="none" {}

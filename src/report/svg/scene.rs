@@ -1,4 +1,4 @@
-//! A still drawing of a scene, to scale: lanes, boxes at the present and at the end, given and generated traces.
+//! A still drawing of a scene, to scale: lanes, boxes at the present and at the end, observed and generated traces.
 
 use super::{PALETTE, path};
 use crate::report::card::{DrawnAgent, DrawnLane, DrawnSample, SceneCard, ScenePanel};
@@ -71,7 +71,7 @@ impl Pen<'_> {
         role.map_or(context, role_color)
     }
 
-    /// The traces of the agents of a sample: dotted gray lines for given states, colored ones for generated states.
+    /// The traces of the agents of a sample: dotted gray lines for observed states, colored ones for generated states.
     fn traces(&self, sample: &DrawnSample) -> Markup {
         let steps = ((GHOST_INTERVAL_S / self.panel.dt_s.max(1e-3)).round() as usize).max(1);
         html! {
@@ -103,7 +103,7 @@ impl Pen<'_> {
         }
     }
 
-    /// Outlines of the agents at their last state; filled if it was given, which is the same in all samples.
+    /// Outlines of the agents at their last state; filled if it was observed, which is the same in all samples.
     fn ends(&self, sample: &DrawnSample, is_first: bool) -> Markup {
         html! {
             @for agent in in_drawing_order(&sample.agents) {
@@ -151,7 +151,7 @@ fn line<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> String {
     path(points.into_iter().map(|[x, y]| [*x, -y]))
 }
 
-/// Lines of no length, which round caps make dots: at the last of the points, and at every few before it.
+/// Dots, as lines of no length with round caps: at the last of the points, and at every few before it.
 fn dots(points: &[[f64; 2]]) -> String {
     let marked = points.iter().rev().step_by(DOT_STEPS);
     marked.map(|[x, y]| format!("M{} {}h0", coordinate(*x), coordinate(-y))).collect()

@@ -12,7 +12,8 @@ use std::path::Path;
 /// `predicted_trajectory_y`), in the recording's frame.
 ///
 /// For Argoverse 2, the focal and scored tracks are predicted, each with the probability of the joint mode; for
-/// Argoverse 1, the agent. Its benchmark took HDF5, which is not written here; the columns hold the data that it needs.
+/// Argoverse 1, the agent. The benchmark of Argoverse 1 took HDF5, which is not written here; the columns hold the data
+/// that it needs.
 pub struct ArgoversePredictions {
     file: ParquetFile,
 }
@@ -23,7 +24,7 @@ impl ArgoversePredictions {
         Ok(Self { file: ParquetFile::create(path, &schema(), schema().arrow())? })
     }
 
-    /// Adds the modes of a scene. Returns the number of tracks to predict that were left out because a mode lacks a
+    /// Adds the modes of a scene. Returns the number of required tracks that were left out because a mode lacks a
     /// state.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
         let has_worlds = recorded.source.dataset.facts().benchmark == Some(Benchmark::ArgoverseWorlds);
@@ -98,7 +99,7 @@ mod tests {
                     assert_eq!((columns.text("scenario_id", row).unwrap(), x(row).len()), ("0a1b", 8));
                     let track_id = columns.text("track_id", row).unwrap();
                     let probability = columns.number::<Float64Type>("probability", row).unwrap();
-                    // After 0.4 s, of a scene that lies 1000 m to the east.
+                    // After 0.4 s, in a scene that lies 1000 m to the east.
                     (track_id, probability, x(row).as_primitive::<Float64Type>().value(0))
                 })
                 .collect();

@@ -31,8 +31,8 @@ impl InteractionPredictions {
         Self { dir: dir.to_owned(), files: BTreeMap::new() }
     }
 
-    /// Adds the modes of a case. Returns the number of tracks to predict that were left out because a mode lacks a
-    /// state; all of them if the scene is not a case of v1.2.
+    /// Adds the modes of a case. Returns the number of required tracks that were left out because a mode lacks a state;
+    /// all of them if the scene is not a case of v1.2.
     pub fn add(&mut self, recorded: &Scene, modes: &Modes) -> Result<usize> {
         let targets = targets(recorded);
         let source = &recorded.source;

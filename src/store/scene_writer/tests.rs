@@ -1,4 +1,4 @@
-//! Is a store whole or resumable whatever interrupts its writer, and what is refused?
+//! Is a store whole or resumable whatever interrupts its writer, and what does it reject?
 
 use super::*;
 use crate::files::{keep_list, remove_leftovers};
@@ -31,8 +31,8 @@ fn writer_in(dir: &Path) -> (SceneWriter, Option<ShardSidecar>) {
     (writer.in_shards_of(4), last)
 }
 
-/// Writes the batches that are not done yet. As an ingest does after an interruption, all maps that they need are given
-/// again when they come first since then.
+/// Writes the batches that are not done yet. As in an ingest after an interruption, all maps that they need are given
+/// again when they first occur.
 fn write_rest(writer: &mut SceneWriter, done: u64, n_batches: usize) {
     let all = batches();
     let mut given = BTreeSet::new();
@@ -87,7 +87,7 @@ fn a_resumed_store_has_the_bytes_of_an_uninterrupted_one() {
         keep_list(dir.path()).unwrap();
         let (mut writer, _) = writer_in(&store);
         write_rest(&mut writer, 0, n_batches);
-        // A killed process does not clean up; whoever keeps the list does.
+        // A killed process does not clean up; the owner of the list does.
         std::mem::forget(writer);
         remove_leftovers(dir.path()).unwrap();
         let (mut writer, last) = writer_in(&store);
@@ -102,8 +102,8 @@ fn a_kill_between_any_two_renames_is_survived() {
     let whole = tempfile::tempdir().unwrap();
     uninterrupted(whole.path());
     let expected = folder_bytes(whole.path());
-    // Files get their names in this order; a kill leaves a prefix of it. (Half-written files have other names; whoever
-    // keeps the list of the folder removes them.)
+    // Files get their names in this order; a kill leaves a prefix of it. (Half-written files have other names; the
+    // owner of the folder's list removes them.)
     let mut order: Vec<String> = Vec::new();
     for shard_idx in 0..3 {
         order.push(shard_name("maps", shard_idx, "arrow"));

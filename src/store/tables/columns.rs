@@ -45,7 +45,7 @@ impl<'a> Columns<'a> {
         Ok(Self { path, fields: array.fields(), arrays: array.columns() })
     }
 
-    /// The column of this name and type.
+    /// The column with this name and type.
     pub(crate) fn get<A: Array + 'static>(&self, name: &str) -> Result<&'a A> {
         self.fields
             .iter()
@@ -58,7 +58,7 @@ impl<'a> Columns<'a> {
         Ok(self.get::<StringArray>(name)?.value(row))
     }
 
-    /// A text or nothing.
+    /// A text, if any.
     pub(crate) fn optional_text(&self, name: &str, row: usize) -> Result<Option<&'a str>> {
         let column: &StringArray = self.get(name)?;
         Ok((!column.is_null(row)).then(|| column.value(row)))
@@ -68,7 +68,7 @@ impl<'a> Columns<'a> {
         Ok(self.get::<PrimitiveArray<T>>(name)?.value(row))
     }
 
-    /// A number or nothing.
+    /// A number, if any.
     pub(crate) fn optional_number<T: ArrowPrimitiveType>(&self, name: &str, row: usize) -> Result<Option<T::Native>> {
         let column: &PrimitiveArray<T> = self.get(name)?;
         Ok((!column.is_null(row)).then(|| column.value(row)))
@@ -79,7 +79,7 @@ impl<'a> Columns<'a> {
         Ok(self.get::<BooleanArray>(name)?.value(row))
     }
 
-    /// A truth value or nothing.
+    /// A truth value, if any.
     pub(crate) fn optional_flag(&self, name: &str, row: usize) -> Result<Option<bool>> {
         let column: &BooleanArray = self.get(name)?;
         Ok((!column.is_null(row)).then(|| column.value(row)))
@@ -127,7 +127,7 @@ pub(crate) fn texts<'t>(values: impl IntoIterator<Item = &'t str>) -> ArrayRef {
     Arc::new(StringArray::from_iter_values(values))
 }
 
-/// A column of texts or nothing.
+/// A column of optional texts.
 pub(crate) fn optional_texts<'t>(values: impl IntoIterator<Item = Option<&'t str>>) -> ArrayRef {
     Arc::new(values.into_iter().collect::<StringArray>())
 }
@@ -137,7 +137,7 @@ pub(crate) fn numbers<T: ArrowPrimitiveType>(values: impl IntoIterator<Item = T:
     Arc::new(PrimitiveArray::<T>::from_iter_values(values))
 }
 
-/// A column of numbers or nothing.
+/// A column of optional numbers.
 pub(crate) fn optional_numbers<T: ArrowPrimitiveType>(values: impl IntoIterator<Item = Option<T::Native>>) -> ArrayRef {
     Arc::new(PrimitiveArray::<T>::from_iter(values))
 }
@@ -147,7 +147,7 @@ pub(crate) fn flags(values: impl IntoIterator<Item = bool>) -> ArrayRef {
     Arc::new(BooleanArray::from(values.into_iter().collect::<Vec<_>>()))
 }
 
-/// A column of truth values or nothing.
+/// A column of optional truth values.
 pub(crate) fn optional_flags(values: impl IntoIterator<Item = Option<bool>>) -> ArrayRef {
     Arc::new(BooleanArray::from(values.into_iter().collect::<Vec<_>>()))
 }

@@ -32,7 +32,7 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// The rows of a drive; `moved_by` says of each agent and timestep who moved it.
+/// The rows of a drive; `moved_by` gives who moved an agent at a timestep.
 pub(crate) fn encode(
     [scenario_id, driver]: [&str; 2],
     scene: &Scene,

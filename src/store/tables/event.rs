@@ -109,7 +109,7 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<BehaviorEve
     (0..batch.num_rows()).map(event).collect()
 }
 
-/// The label of this name.
+/// The label with this name.
 pub(crate) fn label_from_name(name: &str) -> Option<EventLabel> {
     [EventLabel::Positive, EventLabel::Negative].into_iter().find(|label| label.name() == name)
 }
@@ -119,7 +119,7 @@ fn timesteps(events: &[BehaviorEvent], of: fn(&BehaviorEvent) -> usize) -> Resul
     Ok(numbers::<UInt32Type>(values?))
 }
 
-/// `<scene>#<behavior>#<running number within both>`: the same whatever else the table holds.
+/// `<scene>#<behavior>#<running number within both>`: independent of other rows of the table.
 fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
     let mut counts: BTreeMap<(&SceneId, &str), usize> = BTreeMap::new();
     let mut ids = Vec::with_capacity(events.len());
@@ -131,10 +131,10 @@ fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
     ids
 }
 
-/// Part `i` of a scene's name, when the name has all four.
+/// Part `i` of a scene's name, if the name has all four.
 pub(crate) fn scene_part(id: &SceneId, i: usize) -> Option<&str> {
     let mut parts = id.0.splitn(4, '/');
     let part = parts.nth(i)?;
-    // The last of the four exists if as many follow as are missing.
+    // The last of the four parts exists if as many follow as are missing.
     (i == 3 || parts.nth(2 - i).is_some()).then_some(part)
 }

@@ -65,7 +65,7 @@ pub(crate) fn encode(rows: &[&[BehaviorEvent]]) -> Result<ArrayRef> {
     Ok(lists(rows.iter().map(|row| row.len()), structs("events", field().data_type(), arrays)?))
 }
 
-/// The events in a row; they were found in `scene_id`.
+/// The events in a row, which belong to `scene_id`.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene_id: &SceneId) -> Result<Vec<BehaviorEvent>> {
     let (list, events) = columns.of_list("events")?;
     let decode_event = |i: usize| {

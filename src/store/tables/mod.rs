@@ -1,4 +1,4 @@
-//! One file a table: its columns, and how our types become rows and rows become our types.
+//! One file per table: its columns, and the conversion between our types and rows.
 
 pub(crate) mod assessment;
 pub(crate) mod columns;

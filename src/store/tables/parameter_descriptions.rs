@@ -1,6 +1,6 @@
-//! What do the parameters of events mean? Their columns say so in files, cards and schemas.
+//! The meaning of the parameters of events, for the descriptions of their columns in files, cards and schemas.
 //!
-//! The definitions are with the behaviors; some names occur in several of them, and mean the same there.
+//! The definitions are with the behaviors; some names occur in several behaviors and mean the same in all of them.
 
 /// The parameters by name, sorted.
 pub(crate) const DESCRIPTIONS: &[(&str, &str)] = &[

@@ -35,7 +35,7 @@ fn field(name: &str) -> Field {
 pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]) -> Result<BTreeSet<&'p str>> {
     let mut names = BTreeSet::new();
     for name in rows.iter().flatten().flat_map(|row| row.keys()) {
-        // Few names come again and again: a tree of all of them would cost more than the search for the events.
+        // A few names recur in many rows: a tree of all occurrences would cost more than the search for the events.
         if !names.contains(name.as_str()) {
             names.insert(name.as_str());
         }

@@ -1,5 +1,5 @@
-//! The columns that say what a scenario is, what it came from and what was found in it; sample shards and scenario
-//! tables share them.
+//! The columns on the identity, the origin and the findings of a scenario; sample shards and scenario tables share
+//! them.
 
 use super::columns::{Columns, flags, numbers, optional_numbers, optional_texts, small, texts};
 use super::{event_list, request, roles};
@@ -113,7 +113,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
     Ok(arrays)
 }
 
-/// The record in a row, with its scene, which bears the name of the recording, and which of its states were observed.
+/// The record in a row, with its scene, which bears the name of the recording, and the mask of its observed states.
 pub(crate) fn decode(
     columns: &Columns<'_>,
     row: usize,

@@ -1,5 +1,5 @@
-//! The corpus table of recordings: one row a state of a road user as it was recorded, for every scene that scenarios of
-//! the corpus continue, so that scenarios can be joined with their recordings.
+//! The corpus table of recordings: one row a recorded state of a road user, for every scene that scenarios of the
+//! corpus continue, so that scenarios can be joined with their recordings.
 
 use super::columns::{Columns, texts};
 use super::state_rows::{self, StateRow, rows_of};

@@ -96,7 +96,7 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
-/// Rejects what a header cannot hold.
+/// Rejects scenes that a header cannot hold.
 fn check(scene: &Scene) -> Result<()> {
     let refuse = |detail: &str| Err(Error::invalid(&scene.id, detail));
     if scene.ego_idx >= scene.tracks.len() {
@@ -114,9 +114,9 @@ fn check(scene: &Scene) -> Result<()> {
 
 /// A scene without tracks and lanes, and the keys to find them.
 pub(crate) struct SceneHeader {
-    /// Everything but tracks, center and lanes.
+    /// The scene without tracks, center and lanes.
     pub(crate) scene: Scene,
-    /// The track around which it was cut out.
+    /// The track around which the scene was cut out.
     pub(crate) center_track_id: TrackId,
     /// The lanes, to be found in the map.
     pub(crate) lane_ids: Vec<LaneId>,

@@ -134,7 +134,7 @@ pub(crate) fn state_of([x, y, heading, vx, vy]: [f32; 5]) -> State {
 }
 
 /// The scene as the store returns it: states and sizes rounded to single precision (below 0.01 mm within 100 m). Apply
-/// it to generated scenes before they are verified, so that what was verified is what is written.
+/// it to generated scenes before they are verified, so that the verified states are the written ones.
 pub fn as_stored(scene: &Scene) -> Scene {
     let rounded = |number: f64| f64::from(number as f32);
     let track = |track: &Track| Track {

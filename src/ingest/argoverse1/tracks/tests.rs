@@ -1,4 +1,4 @@
-//! Argoverse 1 tracks: what is read, and what is rejected by which reason?
+//! Argoverse 1 tracks: what is read, and what is rejected for which reason?
 
 use super::*;
 use crate::ingest::source::Horizon;
@@ -33,7 +33,7 @@ fn parse_train(text: &str) -> Result<RawScene, Reject> {
     parse(&unit(text, Split::Train), RECORDED, false)
 }
 
-/// The reason and the `file:line` of the reject that `text` leads to.
+/// The reason and the `file:line` of the reject for `text`.
 fn reject(text: &str) -> (&'static str, String) {
     let reject = parse_train(text).expect_err("the text is malformed");
     let place = reject.detail.split(": ").next().unwrap_or_default().to_owned();

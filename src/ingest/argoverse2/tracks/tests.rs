@@ -1,4 +1,4 @@
-//! Argoverse 2 tracks: what is read, and what is rejected by which reason?
+//! Argoverse 2 tracks: what is read, and what is rejected for which reason?
 
 use super::*;
 use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
@@ -235,12 +235,12 @@ fn cut_or_damaged_files_are_rejected_without_panic() {
             let at = rng.below(damaged.len());
             damaged[at] = rng.below(256) as u8;
         }
-        // Whatever comes of it, it must be a value.
+        // Whatever the result is, it must be a value.
         let _ = parse_bytes(damaged, Split::Train);
     }
 }
 
-/// Some kilobytes of file that hold a text once, or packed, and would take gigabytes.
+/// Some kilobytes of file that hold one text many times, or packed, and would take gigabytes.
 #[test]
 fn what_packs_well_is_bounded_unpacked() {
     let properties = |has_dictionary: bool| {

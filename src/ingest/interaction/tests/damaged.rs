@@ -1,4 +1,4 @@
-//! Damaged tables: what is wrong with one is rejected, and costs nobody else anything.
+//! Damaged tables: the damaged part is rejected, and everything else is read.
 
 use super::*;
 use crate::ingest::test_data;
@@ -41,7 +41,7 @@ fn tables_without_their_columns_are_rejected() {
         let detail = &scenes[0].as_ref().unwrap_err().detail;
         assert!(detail.starts_with(name) && detail.contains("line 1") && detail.contains(expected), "{detail}");
     }
-    // A file that is no table costs nobody else anything.
+    // A file that is no table does not affect others.
     let table = [V1_2, &car("1.0,", 7, 1..=40)].concat();
     let scenes = scenes_of(&[("notes.csv", "to do:\n"), ("train/SIM_A_train.csv", &table)]);
     assert_eq!(outcomes(&scenes), ["bad_header", "interaction/train/SIM_A/1"]);

@@ -29,18 +29,18 @@ use serde_json::{Value, json};
 pub struct Generate<'a> {
     /// Its section.
     pub config: &'a GenerateConfig,
-    /// How products of networks are rounded.
+    /// The precision of matrix products.
     pub precision: Precision,
-    /// The definitions of the behaviors that scenarios are checked for.
+    /// The definitions of the behaviors by which scenarios are verified.
     pub mine: MineConfig,
     /// The settings of metrics in selections and limits, as in the evaluation.
     pub metric_settings: MetricSettings,
-    /// Scenarios of a request whose agents move nearer to an accepted one than this are near-duplicates, as in the
+    /// Scenarios of a request whose agents move closer to an accepted one than this are near-duplicates, as in the
     /// evaluation, meters.
     pub duplicate_distance_m: f64,
-    /// The behavior that the pipeline's classifier is trained for, where the pipeline trains one.
+    /// The behavior that the pipeline's classifier is trained for, if it trains one.
     pub classified_behavior: Option<&'a str>,
-    /// How the pipeline distills its denoiser, where it does so itself.
+    /// The distillation of the pipeline's denoiser, if it does that itself.
     pub distill: Option<&'a DistillTrainingConfig>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
@@ -59,7 +59,7 @@ impl Stage for Generate<'_> {
         let resolved = self.resolve()?;
         self.metric_settings.validate().map_err(|why| Failure::input_message(format_args!("evaluate.{why}")))?;
         // The denoiser's own constants may not be known yet. Sweeps and distillation see the same ones here; they are
-        // checked again when both models are there.
+        // checked again once both models exist.
         let edm = Edm::default();
         let distillation = self.distill.filter(|config| config.checkpoint.is_none());
         let distillation = distillation.map(|config| config.method.distillation(&edm));
@@ -90,7 +90,7 @@ impl Stage for Generate<'_> {
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        // A section that cannot work needs nothing more: it has been refused.
+        // An invalid section needs no models: it has been rejected.
         let needed = self.resolve().map(|resolved| needed_models(&resolved.sweeps)).unwrap_or_default();
         let made =
             |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
@@ -108,7 +108,7 @@ impl Stage for Generate<'_> {
 
 impl Generate<'_> {
     /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a
-    /// metric that depends on them, else the places without a road, for the rules of traffic.
+    /// metric that depends on them, otherwise only the places without a road, for the rules of traffic.
     fn judging_settings(&self) -> MetricSettings {
         if self.config.selects_by(|id| self.metric_settings.decide(id)) {
             return self.metric_settings.clone();
@@ -118,7 +118,7 @@ impl Generate<'_> {
         MetricSettings { validity }
     }
 
-    /// [`Self::judging_settings`] as the evaluation uses them: departures are judged only where maps allow it.
+    /// [`Self::judging_settings`] as in the evaluation: departures are judged only where maps allow it.
     fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
         let settings = self.judging_settings();
         let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);

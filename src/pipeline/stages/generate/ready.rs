@@ -20,7 +20,7 @@ pub(super) struct Ready<'a> {
     models: &'a LoadedModels,
     /// Samples shards, and finds the buckets of scenarios for requests.
     pub(super) generator: Generator<'a>,
-    /// The settings by which it judges.
+    /// The settings of the metrics that judge samples.
     pub(super) metric_settings: MetricSettings,
 }
 
@@ -60,7 +60,7 @@ impl Ready<'_> {
         self.resolved.requests.iter().map(pool).collect()
     }
 
-    /// The models and settings that the shards of the plan are sampled with.
+    /// The models and settings with which the shards of the plan are sampled.
     pub(super) fn sampled_with(&self, plan: &Plan) -> SampledWith {
         let models = self.models;
         SampledWith {

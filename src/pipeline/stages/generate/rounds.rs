@@ -39,7 +39,8 @@ trait RoundShards {
     /// Announces a round before its shards are requested one by one.
     fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()>;
 
-    /// The tally of a shard of the round of this number, when `ledger` holds all earlier ones; `None` if it is missing.
+    /// The tally of a shard of the round with this number, when `ledger` holds all earlier ones; `None` if it is
+    /// missing.
     fn tally(
         &mut self,
         of: (&ResolvedRequest, &Pool),
@@ -51,16 +52,16 @@ trait RoundShards {
 
 /// The rounds of requests; rounds without a file are decided.
 struct Rounds<'a> {
-    /// The configuration that is sampled.
+    /// The resolved configuration.
     resolved: &'a ResolvedGeneration,
-    /// Where what was decided is kept.
+    /// The folder of the decided rounds.
     dir: &'a Path,
     /// Receives the progress.
     progress: &'a dyn Progress,
 }
 
 impl Rounds<'_> {
-    /// Goes through the rounds of a request, whose shards are numbered from `next_idx` on. Returns the ledger and the
+    /// Goes through the rounds of a request, whose shards are numbered from `next_idx`. Returns the ledger and the
     /// number of rounds; `None` if a shard is missing.
     fn go_through(
         &self,
@@ -89,7 +90,7 @@ impl Rounds<'_> {
         Ok(Some((ledger, n_rounds)))
     }
 
-    /// The round as it was decided, or decides it.
+    /// The round as it was decided; decides it if it was not.
     fn round(
         &self,
         request: &ResolvedRequest,
@@ -162,18 +163,18 @@ impl Sampling<'_> {
     }
 }
 
-/// A shard of a request whose scenarios are decided.
+/// A shard of a request with the decisions on its scenarios.
 pub(super) struct DecidedShard {
     /// Its index.
     pub(super) idx: usize,
-    /// Its record, with its tally, before the table has the decisions.
+    /// Its record, with its tally, from before the table has the decisions.
     pub(super) sidecar: SampleSidecar,
     /// The decision on each scenario.
     pub(super) tags: Vec<RequestTag>,
 }
 
-/// Decides the rounds of all requests, as far as their shards are there. Returns the shards that count, and what became
-/// of each request.
+/// Decides the rounds of all requests, as far as their shards exist. Returns the shards that count, and the results of
+/// each request.
 pub(super) fn gather(
     plan: &GenerationPlan,
     resolved: &ResolvedGeneration,

@@ -1,4 +1,4 @@
-//! The folder of generated scenarios: shards, what was decided about them, and a manifest.
+//! The folder of generated scenarios: shards, the decisions on them, and a manifest.
 
 use super::rounds::DecidedShard;
 use crate::engine::{Classify, Failure, Result};
@@ -32,7 +32,7 @@ pub struct SampleSidecar {
     pub n_evaluations: u64,
     /// Number of scenarios in it.
     pub n_scenarios: u64,
-    /// How many of them are verified.
+    /// The number of verified ones.
     pub n_verified: u64,
     /// Samples without a scenario.
     pub rejected: Vec<RejectedSample>,
@@ -46,33 +46,33 @@ pub struct SampleSidecar {
 /// The last file written to the folder.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SampleManifest {
-    /// The finished shards, in the order of the plan; those of a sweep that was stopped early are missing.
+    /// The finished shards, in the order of the plan; those of a sweep that stopped early are missing.
     pub shards: Vec<SampleSidecar>,
     /// Number of scenarios.
     pub n_scenarios: u64,
-    /// How many of them are verified.
+    /// The number of verified ones.
     pub n_verified: u64,
     /// Number of samples that did not become scenarios.
     pub n_rejected: u64,
     /// Number of samples that selections left out, by sweep and reason.
     pub unselected: BTreeMap<String, BTreeMap<String, u64>>,
-    /// How they were sampled.
+    /// The models and settings with which they were sampled.
     pub sampled_with: SampledWith,
 }
 
-/// How scenarios were sampled.
+/// The scenes and models from which scenarios were sampled.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SampledWith {
     /// Fingerprint of the scene store.
     pub scenes: String,
     /// Fingerprint of the denoiser.
     pub denoiser: String,
-    /// Fingerprint of the distilled denoiser, where a sweep is of it.
+    /// Fingerprint of the distilled denoiser, if a sweep uses it.
     #[serde(default)]
     pub distilled: Option<String>,
-    /// Fingerprint of the classifier, where there was one.
+    /// Fingerprint of the classifier, if there was one.
     pub classifier: Option<String>,
-    /// Fingerprint of the baseline, where a sweep is of it.
+    /// Fingerprint of the baseline, if a sweep uses it.
     pub baseline: Option<String>,
     /// Sweeps with fewer suitable scenes than requested.
     pub shortfalls: Vec<Shortfall>,
@@ -91,7 +91,7 @@ impl SampleFolder {
         Ok(Self { dir: dir.to_owned() })
     }
 
-    /// Keeps the settings, so that the folder can be understood, and its scenarios generated again, without the run's
+    /// Saves the settings, so that the folder can be understood, and its scenarios generated again, without the run's
     /// configuration.
     pub(super) fn write_settings(&self, settings: &SampleSettings) -> Result<()> {
         let text = toml::to_string(settings).map_err(anyhow::Error::from)?;
@@ -99,7 +99,7 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// Keeps the plan of the sweeps.
+    /// Saves the plan of the sweeps.
     pub(super) fn write_plan(&self, plan: &Plan) -> Result<()> {
         write_json_atomically(&self.dir.join(PLAN_FILE), plan)?;
         Ok(())
@@ -111,7 +111,7 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// Keeps the cells of requests, and what was decided for their rounds in the folder `made`.
+    /// Saves the cells of requests, and the decided rounds from the folder `made`.
     pub(super) fn take_rounds(&self, made: &Path, pools: &[Pool]) -> Result<()> {
         for (request, pool) in pools.iter().enumerate() {
             write_json_atomically(&self.dir.join(pool_file(request)), pool)?;
@@ -120,12 +120,12 @@ impl SampleFolder {
         names.filter(|name| is_round_file(name)).try_for_each(|name| self.take(made, &name))
     }
 
-    /// Takes a file from the folder `made`.
+    /// Moves a file here from the folder `made`.
     pub(super) fn take(&self, made: &Path, file: &str) -> Result<()> {
         Ok(link_or_copy(&made.join(file), &self.dir.join(file))?)
     }
 
-    /// Writes the table of a shard of a request in the folder `made` again, with what was decided of its scenarios.
+    /// Rewrites the table of a shard of a request in the folder `made`, with the decisions on its scenarios.
     pub(super) fn write_decided(
         &self,
         made: &Path,
@@ -164,8 +164,8 @@ impl SampleFolder {
     }
 }
 
-/// Writes the table of shard `idx` into the folder `dir` and returns its record. The shard is of the sweep of this name
-/// with this many evaluations of the denoiser a sample.
+/// Writes the table of shard `idx` into the folder `dir` and returns its record. `sweep` names its sweep, which takes
+/// this many evaluations of the denoiser per sample.
 pub(super) fn write_table(
     dir: &Path,
     idx: usize,
@@ -191,7 +191,7 @@ pub(super) fn read_round(dir: &Path, request: usize, round: usize) -> Result<Opt
     Ok(read_if_whole(&dir.join(round_file(request, round)))?)
 }
 
-/// Keeps what was decided for a round in the folder `dir`.
+/// Saves the decisions on a round in the folder `dir`.
 pub(super) fn write_round(dir: &Path, request: usize, round: &Round) -> Result<()> {
     write_json_atomically(&dir.join(round_file(request, round.round)), round)?;
     Ok(())
@@ -221,14 +221,14 @@ impl SampleManifest {
     }
 }
 
-/// The settings that scenarios were sampled with: `settings.toml` in their folder.
+/// The settings with which scenarios were sampled: `settings.toml` in their folder.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SampleSettings {
-    /// The definitions of the behaviors that they are checked for.
+    /// The definitions of the behaviors by which they are verified.
     pub mine: MineConfig,
     /// The section of the stage.
     pub generate: GenerateConfig,
-    /// The settings that metrics judged by, where they decided what was kept and were not the defaults.
+    /// The settings by which metrics judged, if they affected the choice of samples and were not the defaults.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub metric_settings: Option<MetricSettings>,
 }
@@ -251,7 +251,7 @@ pub fn read_requests(dir: &Path) -> Result<Vec<RequestSummary>> {
     if path.exists() { read_json(&path).blame_fault() } else { Ok(Vec::new()) }
 }
 
-/// The plan of shard `idx` of a folder: of its sweeps, or of a round of one of its requests.
+/// The plan of shard `idx` of a folder: from the plan of its sweeps, or from a round of a request.
 pub(in crate::pipeline) fn find_shard(dir: &Path, idx: usize) -> Result<FoundShard> {
     let plan: Plan = read_json(&dir.join(PLAN_FILE)).blame_fault()?;
     if let Some(shard) = plan.shards.into_iter().find(|shard| shard.idx == idx) {
@@ -300,7 +300,7 @@ fn round_file(request: usize, round: usize) -> String {
     format!("request-{request:02}-round-{round:05}.json")
 }
 
-/// Whether a file of this name holds the decisions for a round.
+/// Whether a file with this name holds the decisions on a round.
 pub(in crate::pipeline) fn is_round_file(name: &str) -> bool {
     let numbers = name.strip_prefix("request-").and_then(|rest| rest.strip_suffix(".json")?.split_once("-round-"));
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());

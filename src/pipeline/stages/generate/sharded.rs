@@ -24,7 +24,7 @@ pub(super) struct GenerationPlan {
     pub(super) sweeps: Plan,
     /// The cells of each request.
     pub(super) pools: Vec<Pool>,
-    /// The models and settings that the shards are sampled with.
+    /// The models and settings with which the shards are sampled.
     sampled_with: SampledWith,
     /// The settings by which scenarios are judged.
     metric_settings: MetricSettings,
@@ -100,8 +100,8 @@ impl Sharded for Generate<'_> {
     }
 }
 
-/// Samples the shards of the plan that may be needed: not those of a sweep whose finished shards before already have
-/// enough verified scenarios.
+/// Samples the shards of the plan that may be needed, except those of a sweep whose earlier finished shards already
+/// have enough verified scenarios.
 pub(super) fn make_sweeps(
     shards: &Shards<'_>,
     plan: &Plan,

@@ -32,7 +32,7 @@ fn what_a_single_worker_would_not_have_sampled_is_not_published() {
         };
         make_sweeps(&shards, &plan, &resolved, &mut sample).unwrap();
     };
-    // The second worker comes to the end of the second sweep before the first one has come to its beginning.
+    // The second worker reaches the end of the second sweep before the first one has reached its beginning.
     work("2/2");
     work("1/2");
     let mut shards = Gathering::new(&folder);
@@ -80,6 +80,6 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
     let settings_with = |limits: &str| settings_with(limits, &strict);
     let judged = settings_with("validity_rate = 1.0").validity;
     assert_eq!((judged.offroad_slack_m, &judged.places_without_road), (0.25, &of_evaluation.places_without_road));
-    // Limits that do not depend on validity: the rules of traffic know of the maps alone.
+    // Limits that do not depend on validity: the rules of traffic only know the maps.
     assert_eq!(settings_with("collision_rate = 0.0").validity, of_evaluation);
 }

@@ -1,4 +1,4 @@
-//! From the samples, metrics and verdicts of a run to the drawings of the report.
+//! Makes the drawings of the report from the samples, metrics and verdicts of a run.
 
 use super::Report;
 use crate::engine::Result;
@@ -9,7 +9,7 @@ use crate::report::{Accepted, Drawings, Gallery};
 use crate::store::{SceneStore, read_metrics, read_verdicts, stream_events};
 use std::path::PathBuf;
 
-/// Reads all samples once, shard by shard, draws those that are chosen, and compares motion and events.
+/// Reads all samples once, shard by shard, draws the chosen ones, and compares motion and events.
 pub(super) fn drawings(stage: &Report<'_>, manifest: &SampleManifest) -> Result<Drawings> {
     let layout = stage.layout;
     let store = SceneStore::open(&layout.scenes)?;

@@ -1,4 +1,4 @@
-//! From the files of each stage to what the report says of it.
+//! Gathers the content of the report from the files of each stage.
 
 use super::Report;
 use super::drawings::drawings;
@@ -114,7 +114,7 @@ fn baseline(dir: &Path) -> Result<TrainingSummary> {
     Ok(TrainingSummary::of_fit("baseline (Scene Transformer)", facts, &fit_statistics(dir)?))
 }
 
-/// The statistics of a training run. A checkpoint that was taken over has none.
+/// The statistics of a training run; empty for a checkpoint that was used instead of training.
 fn fit_statistics(dir: &Path) -> Result<Vec<FitStatistics>> {
     let path = dir.join("statistics.jsonl");
     let text = if path.exists() { fs_err::read_to_string(path)? } else { String::new() };
@@ -124,7 +124,7 @@ fn fit_statistics(dir: &Path) -> Result<Vec<FitStatistics>> {
 
 fn add_classifier(model: &mut ReportModel, dir: &Path) -> Result<()> {
     let path = dir.join("classifier.json");
-    // A checkpoint that was taken over brings no report.
+    // A checkpoint that was used instead of training has no report.
     if !path.exists() {
         return Ok(());
     }

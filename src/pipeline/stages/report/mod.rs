@@ -16,7 +16,7 @@ use std::io::Write;
 pub struct Report<'a> {
     /// Its section.
     pub config: &'a ReportConfig,
-    /// The stages that are reported on.
+    /// The stages to report on.
     pub parts: Vec<StageId>,
     /// Name and seed of the pipeline, and its configuration as TOML.
     pub about: About,
@@ -36,7 +36,7 @@ pub struct About {
     /// The resolved configuration, as TOML.
     #[serde(skip)]
     pub config: String,
-    /// The same without paths: a report is not made anew because they are called otherwise.
+    /// The portable configuration without paths: a report is not made anew because paths have changed.
     #[serde(rename = "config")]
     pub settings: String,
 }
@@ -96,7 +96,7 @@ impl Whole for Report<'_> {
 }
 
 impl Report<'_> {
-    /// Whether the report is on this stage.
+    /// Whether the report covers this stage.
     fn has(&self, stage: StageId) -> bool {
         self.parts.contains(&stage)
     }

@@ -1,4 +1,4 @@
-//! The table of accepted scenarios, which a script sorts, and the commands that hand one on.
+//! The table of accepted scenarios, which a script sorts, and the commands that export or regenerate one.
 
 use super::ranges::{Group, ranges};
 use crate::report::accepted::HARDNESS;
@@ -8,7 +8,7 @@ use crate::report::number::{ABSENT, value};
 use crate::report::quantities::title_and_unit;
 use maud::{Markup, html};
 
-/// Most columns of figures: more do not fit beside each other.
+/// The most columns of figures: more do not fit beside each other.
 const MAX_FIGURES: usize = 7;
 
 /// The accepted scenarios among `cards`, in their order.
@@ -51,13 +51,13 @@ pub(super) fn table_of(cards: &[SceneCard]) -> Markup {
     }
 }
 
-/// The figures of the columns: the time to collision, then the parameters of events in which accepted scenarios differ
-/// and other measures of how critical they are.
+/// The figures of the columns: the time to collision, then parameters of events in which accepted scenarios differ, and
+/// other measures of criticality.
 fn figures<'a>(accepted: &[(usize, &'a SceneCard)]) -> Vec<&'a str> {
     let ranges = ranges(accepted.iter().map(|(_, card)| *card));
     let of = |group: Group| ranges.iter().map(|range| range.name).filter(move |name| Group::of(name) == group);
     let (hardest, others) = of(Group::Criticality).partition::<Vec<&str>, _>(|name| *name == HARDNESS);
-    // Neither when it happened nor how long a vehicle is tells much of a scenario.
+    // The time of an event and the length of a vehicle tell little about a scenario.
     let of_event = of(Group::Event).filter(|name| !name.ends_with("timestep") && !name.ends_with("length_m"));
     let n_of_event = MAX_FIGURES - hardest.len() - others.len().min(2);
     hardest.into_iter().chain(of_event.take(n_of_event)).chain(others).take(MAX_FIGURES).collect()

@@ -7,7 +7,7 @@ use crate::report::svg::{role_color, scene_panel};
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
-/// The card; `lanes_idx` is that of its lanes among those of all cards. Cards that are not `is_still` are drawn by
+/// The card; `lanes_idx` is the index of its lanes among those of all cards. Cards that are not `is_still` are drawn by
 /// script alone.
 pub(super) fn card(card_idx: usize, card: &SceneCard, lanes_idx: usize, is_still: bool) -> Markup {
     let title_id = format!("scene-{card_idx}-title");
@@ -43,7 +43,7 @@ fn still(card: &SceneCard) -> Markup {
     }
 }
 
-/// About the size of the drawings, so that the page keeps its length while they come and go.
+/// The approximate size of the drawings, so that the page keeps its length while they come and go.
 fn aspect_ratio(card: &SceneCard) -> String {
     let [width, height] = card.view.size();
     let n = card.panels.len().max(1) as f64;
@@ -51,10 +51,10 @@ fn aspect_ratio(card: &SceneCard) -> String {
     format!("{ratio:.2}")
 }
 
-/// The player's data, with facts if they are not on the page already.
+/// The player's data, with facts unless they are on the page already.
 fn player_data(card: &SceneCard, lanes_idx: usize, with_facts: bool) -> Value {
     let roles = card.roles();
-    // The agents in the drawings, each once.
+    // The agents in the drawings, without duplicates.
     let mut agents: Vec<(&str, Value)> = Vec::new();
     for agent in card.panels.iter().flat_map(|panel| &panel.samples).flat_map(|sample| &sample.agents) {
         if agents.iter().all(|(id, _)| *id != agent.id) {

@@ -7,7 +7,7 @@ use crate::scene::GuidanceLevel;
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
-/// The form. The script that handles it shows it.
+/// The form. It is hidden until its script runs.
 pub(super) fn form(cards: &[SceneCard]) -> Markup {
     let plain = |word: &str| (word.to_owned(), word.replace('_', " "));
     let sweeps = distinct(cards.iter().map(|card| (card.key.sweep.clone(), card.key.sweep.clone())));
@@ -67,7 +67,7 @@ fn decisions(cards: &[SceneCard]) -> Vec<(String, String)> {
     options
 }
 
-/// The decisions by which a card is found; none if nothing was decided.
+/// The decisions by which a card is found; none if acceptance was not decided.
 fn tags(card: &SceneCard) -> Vec<String> {
     match &card.key.acceptance {
         None => Vec::new(),

@@ -18,7 +18,7 @@ use maud::{Markup, PreEscaped, html};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Scenes with a still drawing in the page. Each takes some tens of kilobytes, packed states a few.
+/// The most scenes with a still drawing in the page. Each takes some tens of kilobytes, packed states a few.
 const N_STILL: usize = 24;
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {
@@ -39,7 +39,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     })
 }
 
-/// The scenes, with what the player needs.
+/// The scenes, with the data of the player.
 pub(super) fn player(scenes: &[SceneCard]) -> Markup {
     let lanes = Lanes::of(scenes);
     html! {
@@ -95,7 +95,7 @@ fn reading_help(n_scenes: usize) -> Markup {
     }
 }
 
-/// How to play a scene without a mouse.
+/// How to use the player without a mouse.
 pub(super) fn keys_help() -> Markup {
     html! {
         p class="note script-only" hidden { "With the focus on a scene, the space bar plays and pauses, the arrow keys \
@@ -103,7 +103,7 @@ pub(super) fn keys_help() -> Markup {
     }
 }
 
-/// The lanes of all cards, each set of lanes once.
+/// The lanes of all cards, without duplicates.
 struct Lanes {
     packed: Vec<String>,
     of_card: Vec<usize>,
@@ -125,7 +125,7 @@ impl Lanes {
     }
 }
 
-/// JSON that cannot end the script element it stands in.
+/// JSON that cannot end its script element.
 fn json(value: &Value) -> Markup {
     PreEscaped(value.to_string().replace('<', "\\u003c"))
 }
