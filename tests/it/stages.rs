@@ -1,6 +1,9 @@
 //! Do the stages work alone and together, and are they redone when, and only when, they must be?
 
 use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
+use candle_core::Device;
+use djinn::model::DenoiserSpec;
+use djinn::nn::read_checkpoint;
 use djinn::pipeline::stages::SampleManifest;
 use djinn::store::sample_ids;
 use std::path::Path;
@@ -213,4 +216,41 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     );
     let lonely = run(&["--dry-run", "--set", "generate.sweeps.1.n_samples=0"]).expect(1);
     assert!(lonely.stderr.contains("n_samples is 0"), "{}", lonely.stderr);
+}
+
+#[test]
+fn checkpoints_take_the_scales_of_the_scenes_anew_when_these_change() {
+    let workspace = Workspace::of(
+        r#"
+        [ingest]
+        dataset = "interaction"
+        inputs = ["../fixtures/recordings/interaction/FIX-multi-v1_2.zip"]
+        limit = 40
+
+        [train.denoiser]
+        checkpoint = "../../pipelines/models/geometric.safetensors"
+        calibrate = true
+
+        [train.distill]
+        checkpoint = "../../pipelines/models/geometric_two_steps.safetensors"
+        calibrate = true
+        "#,
+    );
+    let spec = |path: &Path| read_checkpoint::<DenoiserSpec>(path, &Device::Cpu).unwrap().metadata;
+    let scales = |more: &[&str]| {
+        workspace.run("out", more).expect(0);
+        let root = workspace.run_folder("out");
+        let [denoiser, distilled] =
+            ["denoiser", "distilled"].map(|name| spec(&root.join(name).join("model.safetensors")).normalizer);
+        assert_eq!(denoiser, distilled);
+        denoiser
+    };
+    let of_forty = scales(&[]);
+    let root = workspace.run_folder("out");
+    let before = files(&root);
+    assert_eq!(scales(&[]), of_forty);
+    assert_same(&before, &files(&root));
+    let bundled = spec(Path::new("pipelines/models/geometric.safetensors")).normalizer;
+    let of_twenty = scales(&["--set", "ingest.limit=20"]);
+    assert!(of_twenty != of_forty && of_forty != bundled && of_twenty != bundled);
 }

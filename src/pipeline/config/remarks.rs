@@ -32,7 +32,14 @@ impl PipelineConfig {
 /// Whether a section has a checkpoint and other settings that are not their defaults.
 fn has_more_than_checkpoint<C: Serialize + Default>(section: Option<&C>) -> bool {
     let settings = |section: &C| match serde_json::to_value(section) {
-        Ok(Value::Object(mut settings)) => Some((settings.remove("checkpoint"), settings)),
+        Ok(Value::Object(mut settings)) => {
+            let checkpoint = settings.remove("checkpoint");
+            // A checkpoint is calibrated on the chosen scenes.
+            if settings.remove("calibrate").is_some() {
+                settings.retain(|name, _| !["data", "own_weight"].contains(&name.as_str()));
+            }
+            Some((checkpoint, settings))
+        }
         _ => None,
     };
     let (own, default) = (section.and_then(settings), settings(&C::default()));
@@ -54,6 +61,10 @@ mod tests {
         let found = remarks(&["generate.arms=[{ name = \"idle\" }]"]);
         assert_eq!(found, ["generate.arms has idle, which no request names"]);
         assert!(remarks(&["train.denoiser.checkpoint=\"a\"", "train.distill.steps=7"]).is_empty());
+        let calibrated = ["train.denoiser.checkpoint=\"a\"", "train.denoiser.calibrate=true"];
+        let with = |more: &str| remarks(&[&calibrated[..], &[more]].concat());
+        assert!(with("train.denoiser.data=[{ scenes = \"more\" }]").is_empty());
+        assert!(with("train.denoiser.steps=7")[0].contains("the other settings"));
         let found = remarks(&["train.denoiser.checkpoint=\"a\"", "train.denoiser.steps=7"]);
         assert!(found.len() == 1 && found[0].starts_with("train.denoiser.checkpoint is used as it is"), "{found:?}");
     }
