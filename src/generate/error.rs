@@ -42,10 +42,10 @@ pub enum Error {
         expected: String,
     },
     /// No scene fits the configuration.
-    #[error("sweep {sweep}: none of the {n_considered} scenes in the chosen splits and places is suitable{hint}")]
+    #[error("{of}: none of the {n_considered} scenes in the chosen splits and places is suitable{hint}")]
     NoScenes {
-        /// The sweep.
-        sweep: String,
+        /// The sweep or request.
+        of: String,
         /// The number of examined scenes.
         n_considered: usize,
         /// A remedy.

@@ -108,11 +108,7 @@ impl Generator<'_> {
                 None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Roles::default())]).collect(),
             };
             if scenes.is_empty() {
-                let hint = match order.is_empty() {
-                    true => "; choose other generate.splits or generate.places",
-                    false => ": no pair in them can show the behavior; add recordings, or raise pairs.max_distance_m",
-                };
-                return Err(Error::NoScenes { sweep: sweep.name.clone(), n_considered: order.len(), hint });
+                return Err(no_scenes(format!("sweep {}", sweep.name), order.len()));
             }
             if scenes.len() < sweep.n_scenes {
                 let (n_wanted, n_found) = (sweep.n_scenes, scenes.len());
@@ -127,18 +123,18 @@ impl Generator<'_> {
         Ok(plan)
     }
 
-    /// The cells of a sweep that requests a behavior, scene by scene, among the possible scenes of the chosen splits
-    /// and places.
+    /// The cells of a request of this name by its first sweep, scene by scene, among the possible scenes of the chosen
+    /// splits and places.
     pub(super) fn cells_by_scene(
         &self,
-        sweep: &ResolvedSweep,
+        (name, sweep): (&str, &ResolvedSweep),
         index: &SceneIndex,
         is_possible: &dyn Fn(&SceneIndexEntry<'_>) -> bool,
     ) -> Result<Vec<Vec<Cell>>, Error> {
-        match self.behavior(sweep) {
-            Some(behavior) => self.scenes_with_pairs(sweep, behavior, &self.scenes_in_order(index, is_possible)),
-            None => Ok(Vec::new()),
-        }
+        let Some(behavior) = self.behavior(sweep) else { return Ok(Vec::new()) };
+        let order = self.scenes_in_order(index, is_possible);
+        let scenes = self.scenes_with_pairs(sweep, behavior, &order)?;
+        if scenes.is_empty() { Err(no_scenes(format!("request {name}"), order.len())) } else { Ok(scenes) }
     }
 
     /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids
@@ -211,6 +207,15 @@ impl Generator<'_> {
         });
         Ok(Some(cells.collect()))
     }
+}
+
+/// The error that none of this many scenes fits a sweep or request.
+fn no_scenes(of: String, n_considered: usize) -> Error {
+    let hint = match n_considered {
+        0 => "; choose other generate.splits or generate.places",
+        _ => ": no pair in them can show the behavior; add recordings, or raise pairs.max_distance_m",
+    };
+    Error::NoScenes { of, n_considered, hint }
 }
 
 /// A scene of the store.

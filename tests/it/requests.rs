@@ -54,6 +54,9 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let summary = read_requests(&root.join("samples")).unwrap().remove(0);
     assert!(summary.arms.iter().any(|arm| arm.total.n_beyond_limits > 0), "{summary:?}");
     assert_eq!(summary.n_accepted, 0);
+    let far = "generate.requests.0.pairs={ max_distance_m = 0.1 }";
+    let nobody = workspace.run("out", &["--set", far]).expect(1);
+    assert!(nobody.stderr.contains("request tight") && nobody.stderr.contains("no pair in them"), "{}", nobody.stderr);
     let misspelt =
         workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
     assert!(misspelt.stderr.contains("gap is not a parameter of cut_in_paper; similar: gap_m"), "{}", misspelt.stderr);

@@ -43,7 +43,7 @@ impl Generator<'_> {
             _ => true,
         };
         let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
-        let scenes = self.cells_by_scene(sweep, index, &is_possible)?;
+        let scenes = self.cells_by_scene((&request.config.name, sweep), index, &is_possible)?;
         let n_scenes = scenes.len();
         let (mut cells, mut feasible, mut n_infeasible) = (Vec::new(), Vec::new(), 0);
         for cell in scenes.into_iter().flatten() {
@@ -63,15 +63,9 @@ impl Generator<'_> {
         }
         if cells.is_empty() {
             return Err(Error::NoScenes {
-                sweep: request.config.name.clone(),
+                of: format!("request {}", request.config.name),
                 n_considered: n_scenes,
-                hint: match n_scenes {
-                    0 => {
-                        " with a suitable pair; choose other generate.splits or generate.places, or raise \
-                         pairs.max_distance_m"
-                    }
-                    _ => ", but none has a pair that meets the request; widen where, or raise pairs.max_distance_m",
-                },
+                hint: ", but none has a pair that meets the request; widen where, or raise pairs.max_distance_m",
             });
         }
         Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible })
