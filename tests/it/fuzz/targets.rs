@@ -149,7 +149,7 @@ pub(super) const TARGETS: &[Target] = &[
     Target {
         name: "pipeline_toml",
         seeds: |_| {
-            let files = ["quickstart", "cut_in_request", "few_evaluations", "near_misses_argoverse1"];
+            let files = ["quickstart", "cut_in_request", "few_evaluations", "lane_changes_argoverse1"];
             let carried = files.map(|name| fixture(&format!("pipelines/{name}.toml")));
             carried.into_iter().chain([crate::support::SMALL_PIPELINE.as_bytes().to_vec()]).collect()
         },
