@@ -4,7 +4,7 @@
 //! reached from there: the states of everybody, timestep by timestep; it can be saved, and forked. [`roll_out`] drives
 //! on: at each replanning the futures of everybody are sampled anew from the last second that was driven, and a part of
 //! them comes true; meanwhile a [`Driver`] moves the ego. [`drive_corpus`] does so for every scenario of a corpus, and
-//! drives each with the careful driver of UN Regulation No. 157, too. [`score`] takes trajectories instead, among
+//! drives each with the careful driver of UN Regulation No. 157, too. [`score()`] takes trajectories instead, among
 //! others that do not answer.
 //!
 //! *The event.* Until it has happened, its other agents follow the scenario's states as a plan, which the model

@@ -162,7 +162,7 @@ pub(super) fn check_writable(
 ///
 /// # Errors
 /// When a selected stage is not in the pipeline, or reads from one that is neither done nor selected
-/// ([`Blame::Later`](super::Blame::Later)).
+/// (`Blame::Later`).
 pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[&'static StageKind]) -> Result<Vec<PlannedStage<'a>>> {
     if let Some(stage) = selected.iter().find(|kind| !planned.iter().any(|planned| planned.stage.kind() == **kind)) {
         return Err(Failure::input_message(format_args!("--stage {stage}: the pipeline has no such stage")));

@@ -1,6 +1,6 @@
 //! Exports corpora to other formats.
 //!
-//! Every format is an [`Exporter`], which gets one scenario after the other. [`export_corpus`] chooses scenarios,
+//! Every format is an `Exporter`, which gets one scenario after the other. [`export_corpus`] chooses scenarios,
 //! counts what a format cannot represent, and writes the files of all exports: `index.tsv` and `tracks.tsv` (scenarios
 //! and tracks by their names in the corpus), `NOTICE.txt` (sources and their terms) and, last, `export.json`. All
 //! positions are in the recording's frame, where the maps of the sources lie, too.

@@ -9,7 +9,7 @@ use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
-/// weights of that checkpoint, keeps its scales but for those of motion ([`Normalizer::for_motion_of`]), and ends with
+/// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`), and ends with
 /// the weights that were best on held-out scenes.
 ///
 /// # Errors

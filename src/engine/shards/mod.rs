@@ -3,7 +3,7 @@
 //!
 //! A shard is a function of the plan and its index alone, so there are no leases and no coordinator: if two workers
 //! make the same shard, that costs time but not correctness. One process plans ([`plan`]), workers make shards
-//! ([`work`]) below `<stage>.parts/<plan-id>/`, and one process publishes ([`ready`]). Only the first and the last hold
+//! ([`work`]) below `<stage>.parts/<plan-id>/`, and one process publishes (`ready`). Only the first and the last hold
 //! the lock of the run folder; workers remove nothing but their own marks. A process that runs the stage alone does all
 //! three, as worker 1 of 1, and so writes the same bytes.
 

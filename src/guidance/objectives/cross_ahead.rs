@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Cross a place shortly before `to` does, as in a left turn across oncoming traffic or where the right of way is
 /// taken.
 ///
-/// [`Encroachment`] defines the cost of two moments, one of `agents` and a later one of `to`; pairs count that are a
+/// `Encroachment` defines the cost of two moments, one of `agents` and a later one of `to`; pairs count that are a
 /// target post-encroachment time (`pet_s`) apart, 0.6 to 1.4 s if there is no target. With s(t) the separation of the
 /// boxes (`no_collision`), the best decides, smoothly:
 ///

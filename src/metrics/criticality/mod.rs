@@ -41,7 +41,7 @@ use agent::MovingAgent;
 use closing::Closing;
 use serde::{Deserialize, Serialize};
 
-/// The criticality of an encounter of two road users. [The module](self) has the definitions.
+/// The criticality of an encounter of two road users. The module has the definitions.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct PairCriticality {
     /// Least time to collision, seconds; `None` if they are never on course to collide within 10 s.

@@ -64,7 +64,7 @@ impl PairPath {
 
 /// The scenarios so far. Only scenarios with the same requested behavior, number of agents and duration are compared.
 ///
-/// A search is exact; [`NearestIndex`] states its cost. A scenario takes 16 bytes for each agent and second, beside its
+/// A search is exact; `NearestIndex` states its cost. A scenario takes 16 bytes for each agent and second, beside its
 /// id.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PathIndex {

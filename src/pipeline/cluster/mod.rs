@@ -1,6 +1,6 @@
 //! A pipeline on many machines: which jobs does it need, and how are they submitted to an engine that runs them?
 //!
-//! djinn schedules nothing by itself. [`jobs`] defines the jobs and their dependencies, [`slurm`] and [`kubernetes`]
+//! djinn schedules nothing by itself. `jobs` defines the jobs and their dependencies, [`slurm`] and [`kubernetes`]
 //! submit them to their engines, and JSON serves any other engine. A job that is started too early or twice does no
 //! harm, because each job checks for itself that its inputs exist. Submitting again makes up for jobs that never ran.
 
