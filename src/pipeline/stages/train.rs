@@ -36,6 +36,9 @@ impl Source<'_> {
     }
 }
 
+/// Writes a checkpoint of the same weights with the scales of the chosen scenes, and returns its fingerprint.
+pub(super) type Calibrate<S> = fn(&Checkpoint<S>, SceneChoice<'_>, &Layout, TrainJob<'_>) -> Result<String>;
+
 /// How to make a model: the section of a training stage, and its use.
 pub trait Recipe: Serialize {
     /// The description in its checkpoint.
@@ -46,6 +49,8 @@ pub trait Recipe: Serialize {
     const VERSION: u32;
     /// The stages whose outputs it learns from.
     const LEARNS_FROM: &'static [StageId];
+    /// Takes a checkpoint to the motion of other scenes, for models whose sections have `calibrate`.
+    const CALIBRATE: Option<Calibrate<Self::Spec>> = None;
 
     /// Its sources, including `own`.
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a>;
@@ -62,21 +67,6 @@ pub trait Recipe: Serialize {
     /// # Errors
     /// When there is nothing to learn from, or training fails.
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
-
-    /// Writes a checkpoint of these weights whose scales are those of `own` scenes, or others, and returns its
-    /// fingerprint; `None` for models that have none.
-    ///
-    /// # Errors
-    /// When there are no scenes, or scenes of another shape.
-    fn calibrate(
-        &self,
-        _checkpoint: &Checkpoint<Self::Spec>,
-        _own: OwnScenes<'_>,
-        _layout: &Layout,
-        _job: TrainJob<'_>,
-    ) -> Result<Option<String>> {
-        Ok(None)
-    }
 
     /// Whether a checkpoint of such a network belongs to this stage.
     ///
@@ -193,9 +183,11 @@ impl<R: Recipe> Whole for Train<'_, R> {
         let trained = TrainedModel::<R::Spec>::read(&path, compute)?;
         let mut summary = R::about(&trained.spec);
         summary["trained"] = json!(false);
-        let calibrated = match source.calibrates {
-            true => self.recipe.calibrate(&read_checkpoint(&path, &compute.device)?, self.own, self.layout, job)?,
-            false => None,
+        let calibrated = match (R::CALIBRATE, source.scenes) {
+            (Some(calibrate), Some(choice)) if source.calibrates => {
+                Some(calibrate(&read_checkpoint(&path, &compute.device)?, choice, self.layout, job)?)
+            }
+            _ => None,
         };
         if calibrated.is_none() {
             let bytes = fs_err::read(&path)?;

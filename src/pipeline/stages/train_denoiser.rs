@@ -1,13 +1,12 @@
 //! Scenes to a denoiser.
 
-use super::train::{Recipe, Source};
-use super::training_scenes::{OpenedScenes, training_summary};
+use super::train::{Calibrate, Recipe, Source};
+use super::training_scenes::{OpenedScenes, calibrate, training_summary};
 use crate::engine::Result;
 use crate::model::DenoiserSpec;
-use crate::nn::Checkpoint;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DenoiserTrainingConfig, OwnScenes, TrainJob, calibrate_denoiser, train_denoiser};
+use crate::train::{DenoiserTrainingConfig, OwnScenes, TrainJob, train_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DenoiserTrainingConfig {
@@ -15,6 +14,7 @@ impl Recipe for DenoiserTrainingConfig {
     const STAGE: StageId = StageId::TrainDenoiser;
     const VERSION: u32 = 6;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
+    const CALIBRATE: Option<Calibrate<DenoiserSpec>> = Some(calibrate);
 
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
         Source {
@@ -38,17 +38,6 @@ impl Recipe for DenoiserTrainingConfig {
 
     fn about(spec: &DenoiserSpec) -> Value {
         json!({ "steps": spec.steps })
-    }
-
-    fn calibrate(
-        &self,
-        checkpoint: &Checkpoint<DenoiserSpec>,
-        own: OwnScenes<'_>,
-        layout: &Layout,
-        job: TrainJob<'_>,
-    ) -> Result<Option<String>> {
-        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
-        Ok(Some(calibrate_denoiser(checkpoint, &scenes.data_of(&checkpoint.metadata)?, job)?))
     }
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {

@@ -1,13 +1,13 @@
 //! A denoiser and scenes to a denoiser that needs few evaluations.
 
-use super::train::{Recipe, Source, checkpoint_file};
-use super::training_scenes::{OpenedScenes, training_summary};
+use super::train::{Calibrate, Recipe, Source, checkpoint_file};
+use super::training_scenes::{OpenedScenes, calibrate, training_summary};
 use crate::engine::Result;
 use crate::model::DenoiserSpec;
-use crate::nn::{Checkpoint, read_checkpoint};
+use crate::nn::read_checkpoint;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
-use crate::train::{DistillTrainingConfig, OwnScenes, TrainJob, calibrate_denoiser, distill_denoiser};
+use crate::train::{DistillTrainingConfig, OwnScenes, TrainJob, distill_denoiser};
 use serde_json::{Value, json};
 
 impl Recipe for DistillTrainingConfig {
@@ -15,6 +15,7 @@ impl Recipe for DistillTrainingConfig {
     const STAGE: StageId = StageId::TrainDistill;
     const VERSION: u32 = 2;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
+    const CALIBRATE: Option<Calibrate<DenoiserSpec>> = Some(calibrate);
 
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
         Source {
@@ -40,17 +41,6 @@ impl Recipe for DistillTrainingConfig {
 
     fn about(spec: &DenoiserSpec) -> Value {
         json!({ "steps": spec.steps })
-    }
-
-    fn calibrate(
-        &self,
-        checkpoint: &Checkpoint<DenoiserSpec>,
-        own: OwnScenes<'_>,
-        layout: &Layout,
-        job: TrainJob<'_>,
-    ) -> Result<Option<String>> {
-        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
-        Ok(Some(calibrate_denoiser(checkpoint, &scenes.data_of(&checkpoint.metadata)?, job)?))
     }
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {

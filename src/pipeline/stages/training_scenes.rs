@@ -4,10 +4,14 @@ use crate::engine::Failure;
 use crate::engine::Result as StageResult;
 use crate::engine::fingerprint_value;
 use crate::model::DenoiserSpec;
-use crate::pipeline::layout::SCENES;
+use crate::nn::Checkpoint;
+use crate::pipeline::layout::{Layout, SCENES};
 use crate::scene::{Scene, Split};
 use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore};
-use crate::train::{MoreScenes, OwnScenes, SceneChoice, SceneDataset, TrainOutcome, TrainingData, TrainingSource};
+use crate::train::{
+    MoreScenes, OwnScenes, SceneChoice, SceneDataset, TrainJob, TrainOutcome, TrainingData, TrainingSource,
+    calibrate_denoiser,
+};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -239,6 +243,17 @@ pub(super) fn training_summary<S>(data: &TrainingData<'_>, steps: u64, outcome: 
         "n_held_out_scenes": data.n_held_out(),
         "last_evaluation": outcome.statistics.iter().rev().find(|line| !line.evaluation.is_empty()),
     })
+}
+
+/// Calibrates a denoiser on the chosen scenes ([`calibrate_denoiser`]).
+pub(super) fn calibrate(
+    checkpoint: &Checkpoint<DenoiserSpec>,
+    choice: SceneChoice<'_>,
+    layout: &Layout,
+    job: TrainJob<'_>,
+) -> StageResult<String> {
+    let scenes = OpenedScenes::open(choice, &layout.scenes)?;
+    Ok(calibrate_denoiser(checkpoint, &scenes.data_of(&checkpoint.metadata)?, job)?)
 }
 
 #[cfg(test)]
