@@ -2,9 +2,8 @@
 
 use super::situation::Situation;
 use super::world::World;
+use crate::generate::NamedDriver;
 use crate::scene::{Scene, State};
-use serde::{Deserialize, Serialize};
-use std::fmt;
 
 /// Samples this many futures of everybody, without advancing.
 pub type Peeker<'a> = dyn Fn(usize) -> Result<Vec<Scene>, Failed> + 'a;
@@ -76,49 +75,27 @@ impl Failed {
     }
 }
 
-/// The drivers that have a name, and the command of any other.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+/// The driver of the ego.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EgoDriver {
-    /// The model, as for everybody else.
-    Model,
-    /// The states of the scenario; after its end, straight on along the lane at the last speed.
-    Log,
-    /// The path of the scenario at the present speed.
-    ConstantVelocity,
-    /// The path of the scenario by the intelligent driver model.
-    Idm,
-    /// The careful driver of UN Regulation No. 157 on the path of the scenario.
-    Careful,
+    /// One that has a name.
+    Named(NamedDriver),
     /// A planner: a command that speaks the protocol.
     External(String),
 }
 
 impl EgoDriver {
-    /// The drivers with a name.
-    pub const NAMED: [Self; 5] = [Self::Model, Self::Log, Self::ConstantVelocity, Self::Idm, Self::Careful];
-
     /// The driver with this name; any other text is a command.
     pub fn from_name(name: &str) -> Self {
-        let named = Self::NAMED.into_iter().find(|driver| driver.name() == name);
-        named.unwrap_or_else(|| Self::External(name.to_owned()))
+        let named = NamedDriver::ALL.into_iter().find(|driver| driver.name() == name);
+        named.map_or_else(|| Self::External(name.to_owned()), Self::Named)
     }
 
-    /// The name on the command line and in tables.
+    /// The name, or the command.
     pub fn name(&self) -> &str {
         match self {
-            Self::Model => "model",
-            Self::Log => "log",
-            Self::ConstantVelocity => "constant_velocity",
-            Self::Idm => "idm",
-            Self::Careful => "careful",
+            Self::Named(driver) => driver.name(),
             Self::External(command) => command,
         }
-    }
-}
-
-impl fmt::Display for EgoDriver {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
     }
 }

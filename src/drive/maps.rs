@@ -9,17 +9,61 @@ use crate::scenario::ScenarioRecord;
 use crate::scene::{LaneGraph, MapId, Scene, SceneId};
 use crate::store::{CorpusReader, MapSource, SceneStore};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Scenes of a place from which its arrivals are estimated.
 const MOST_SCENES: usize = 200;
 
+/// Scenes of a place that say how much traffic it has: those of a corpus, or all that were ingested.
+pub(super) trait Places {
+    /// Scenes on this map, at most as many as are needed; `scene` is one of them.
+    fn scenes_on(&self, map: &MapId, scene: &Scene) -> Result<Vec<Scene>>;
+
+    /// The windows of a recording, each with its first frame and its place for [`Places::window`], in order of time.
+    fn windows_of(&self, recording: &str) -> Result<Vec<(i64, usize)>>;
+
+    /// The window at a place.
+    fn window(&self, position: usize) -> Result<Scene>;
+}
+
+impl Places for CorpusReader {
+    fn scenes_on(&self, map: &MapId, _scene: &Scene) -> Result<Vec<Scene>> {
+        self.scenes_of(map)?.into_iter().take(MOST_SCENES).map(|position| self.window(position)).collect()
+    }
+
+    fn windows_of(&self, recording: &str) -> Result<Vec<(i64, usize)>> {
+        Ok(Self::windows_of(self, recording)?)
+    }
+
+    fn window(&self, position: usize) -> Result<Scene> {
+        Ok(self.scenario(position)?.scenario.scene)
+    }
+}
+
+impl Places for SceneStore {
+    /// They are spread over all of the place.
+    fn scenes_on(&self, map: &MapId, scene: &Scene) -> Result<Vec<Scene>> {
+        let entries = self.index().iter().enumerate();
+        let here: Vec<usize> = entries.filter(|(_, at)| at.place == scene.source.place).map(|(i, _)| i).collect();
+        let spread = here.iter().step_by(here.len().div_ceil(MOST_SCENES).max(1));
+        let mut scenes: Vec<Scene> = spread.map(|i| self.scene(*i)).collect::<Result<_, _>>()?;
+        scenes.retain(|scene| scene.map_id.as_ref() == Some(map));
+        Ok(scenes)
+    }
+
+    fn windows_of(&self, recording: &str) -> Result<Vec<(i64, usize)>> {
+        Ok(SceneId::windows_of(recording, self.index().iter().map(|entry| entry.id)))
+    }
+
+    fn window(&self, position: usize) -> Result<Scene> {
+        Ok(self.scene(position)?)
+    }
+}
+
 /// The last map, its ends, and the last long recording that were requested.
-#[derive(Default)]
-pub(super) struct Maps {
-    /// Scenes with more windows of recordings than the corpus has.
-    scenes: Option<SceneStore>,
+pub(super) struct Maps<'a> {
+    maps: &'a dyn MapSource,
+    places: &'a dyn Places,
     last: Option<(MapId, LaneGraph)>,
     ends: Option<(MapId, Arc<Ends>)>,
     recording: Option<Recording>,
@@ -34,76 +78,59 @@ struct Recording {
     windows: BTreeMap<i64, Window>,
 }
 
-impl Maps {
-    /// The maps of a corpus; recordings have the windows of the scenes in this folder, if one is given.
-    ///
-    /// # Errors
-    /// When the folder has no finished scenes.
-    pub(super) fn with_windows_in(scenes: Option<&Path>) -> Result<Self> {
-        Ok(Self { scenes: scenes.map(SceneStore::open).transpose()?, ..Self::default() })
+impl<'a> Maps<'a> {
+    /// The maps of scenarios, and the scenes that say how much traffic their places have.
+    pub(super) fn new(maps: &'a dyn MapSource, places: &'a dyn Places) -> Self {
+        Self { maps, places, last: None, ends: None, recording: None }
     }
 
-    /// The fingerprint of the scenes, on which the windows depend beside the corpus.
-    pub(super) fn fingerprint(&self) -> &str {
-        self.scenes.as_ref().map_or("", SceneStore::fingerprint)
-    }
-
-    /// The start of a scenario of this corpus.
-    pub(super) fn situation(
-        &mut self,
-        record: &ScenarioRecord,
-        ego: &EgoChoice,
-        reader: &CorpusReader,
-    ) -> Result<Situation> {
+    /// The start of a scenario.
+    pub(super) fn situation(&mut self, record: &ScenarioRecord, ego: &EgoChoice) -> Result<Situation> {
         let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
         let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
         let asked = record.scenario.scene.map_id.as_ref();
         if let Some(id) = asked.filter(|id| self.last.as_ref().is_none_or(|(known, _)| known != *id)) {
-            self.last = Some((id.clone(), reader.map(id)?));
+            self.last = Some((id.clone(), self.maps.map(id)?));
         }
         let map = self.last.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
         Situation::new(record, ego_idx, map)
     }
 
+    /// Expects arrivals in a drive of `n_steps`: at least as many as a world with `n_tracks` does, and recorded ones as
+    /// far as `n_known` steps.
+    pub(super) fn expect_arrivals(
+        &mut self,
+        situation: &mut Situation,
+        seed: u64,
+        [n_steps, n_tracks, n_known]: [usize; 3],
+    ) -> Result<()> {
+        let ends = self.ends(&situation.scene)?;
+        let recorded = self.recorded(&situation.scene, n_known)?;
+        situation.expect(&ends, &recorded, seed, [n_steps, n_tracks]);
+        Ok(())
+    }
+
     /// The ends of the map of a scene, estimated from scenes on it.
-    pub(super) fn ends(&mut self, scene: &Scene, reader: &CorpusReader) -> Result<Arc<Ends>> {
+    fn ends(&mut self, scene: &Scene) -> Result<Arc<Ends>> {
         let last = self.last.as_ref().filter(|(id, _)| Some(id) == scene.map_id.as_ref());
         let Some((id, map)) = last else { return Ok(Arc::default()) };
         if let Some((_, ends)) = self.ends.as_ref().filter(|(known, _)| known == id) {
             return Ok(Arc::clone(ends));
         }
-        let scenes = self.scenes_on(id, scene, reader)?;
-        let ends = Arc::new(Ends::of(map, &scenes));
+        let ends = Arc::new(Ends::of(map, &self.places.scenes_on(id, scene)?));
         self.ends = Some((id.clone(), Arc::clone(&ends)));
         Ok(ends)
     }
 
-    /// Scenes on the map of this one: those of the given folder, spread over all of it, or else of the corpus.
-    fn scenes_on(&self, map: &MapId, scene: &Scene, reader: &CorpusReader) -> Result<Vec<Scene>> {
-        let Some(store) = &self.scenes else {
-            let read = |position: usize| Ok(reader.scenario(position)?.scenario.scene);
-            return reader.scenes_of(map)?.into_iter().take(MOST_SCENES).map(read).collect();
-        };
-        let entries = store.index().iter().enumerate();
-        let here: Vec<usize> = entries.filter(|(_, at)| at.place == scene.source.place).map(|(i, _)| i).collect();
-        let spread = here.iter().step_by(here.len().div_ceil(MOST_SCENES).max(1));
-        let mut scenes: Vec<Scene> = spread.map(|i| store.scene(*i)).collect::<Result<_, _>>()?;
-        scenes.retain(|scene| scene.map_id.as_ref() == Some(map));
-        Ok(scenes)
-    }
-
     /// The recorded arrivals within `n_steps` after the present of a scene, or a window later.
-    pub(super) fn recorded(&mut self, scene: &Scene, reader: &CorpusReader, n_steps: usize) -> Result<Recorded> {
+    fn recorded(&mut self, scene: &Scene, n_steps: usize) -> Result<Recorded> {
         let Some((name, first_frame)) = SceneId::window_of(&scene.id.0) else { return Ok(Recorded::default()) };
-        let ends = self.ends(scene, reader)?;
+        let ends = self.ends(scene)?;
         let known = self.recording.take().filter(|known| known.name == name);
         let known = match known {
             Some(known) => known,
             None => {
-                let positions = match &self.scenes {
-                    Some(scenes) => SceneId::windows_of(name, scenes.index().iter().map(|entry| entry.id)),
-                    None => reader.windows_of(name)?,
-                };
+                let positions = self.places.windows_of(name)?;
                 Recording { name: name.to_owned(), positions, windows: BTreeMap::new() }
             }
         };
@@ -114,11 +141,7 @@ impl Maps {
         let needed = &later[..later.len().min(n_until + 1)];
         for (frame, position) in needed {
             if !windows.contains_key(frame) {
-                let scene = match &self.scenes {
-                    Some(scenes) => scenes.scene(*position)?,
-                    None => reader.scenario(*position)?.scenario.scene,
-                };
-                windows.insert(*frame, Window::of(&scene, *frame));
+                windows.insert(*frame, Window::of(&self.places.window(*position)?, *frame));
             }
         }
         let needed = needed.iter().filter_map(|(frame, _)| windows.get(frame));
@@ -128,17 +151,17 @@ impl Maps {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{corpus, model, record};
+    use super::super::testing::{corpus, model, record, write_scenes};
     use super::super::{
         DRIVEN_FILE, DriveConfig, EgoDriver, Origin, RolloutConfig, STATES_DIR, SaveAt, World, drive_corpus,
     };
     use super::*;
     use crate::export::Selection;
-    use crate::generate::Futures;
+    use crate::generate::{Futures, NamedDriver};
     use crate::progress::Silent;
     use crate::scene::TrackId;
-    use crate::store::{CorpusNotes, CorpusWriter, SceneWriter};
-    use std::path::PathBuf;
+    use crate::store::{CorpusNotes, CorpusWriter};
+    use std::path::{Path, PathBuf};
 
     /// A corpus of two windows of a recording, 2.5 s apart: by the second, all agents have been replaced.
     fn write_windows(dir: &Path) -> CorpusReader {
@@ -164,26 +187,17 @@ mod tests {
         CorpusReader::open(dir).unwrap()
     }
 
-    fn write_scenes(dir: &Path, reader: &CorpusReader, scenes: &[Scene]) {
-        let (mut writer, _) = SceneWriter::resume(dir).unwrap();
-        let map_id = scenes[0].map_id.clone().unwrap();
-        let map = reader.map(&map_id).unwrap();
-        let nothing = serde_json::Value::Null;
-        writer.write_batch(scenes, &[(map_id, map)], Some(0), &nothing).unwrap();
-        writer.finish(&nothing).unwrap();
-    }
-
     #[test]
     fn windows_of_a_recording_say_who_arrives_after_others() {
         let dir = tempfile::tempdir().unwrap();
         let reader = write_windows(dir.path());
         assert_eq!(reader.windows_of("interaction/train/FIX_Merging/000").unwrap(), [(1, 0), (26, 1)]);
         assert!(reader.windows_of("interaction/val/FIX_Merging/000").unwrap().is_empty());
-        let mut maps = Maps::default();
-        let arrive = |maps: &mut Maps, position: usize, n_steps: usize| -> usize {
+        let mut maps = Maps::new(&reader, &reader);
+        let arrive = |maps: &mut Maps<'_>, position: usize, n_steps: usize| -> usize {
             let record = reader.scenario(position).unwrap();
-            let mut situation = maps.situation(&record, &EgoChoice::Scene, &reader).unwrap();
-            let recorded = maps.recorded(&situation.scene, &reader, n_steps).unwrap();
+            let mut situation = maps.situation(&record, &EgoChoice::Scene).unwrap();
+            let recorded = maps.recorded(&situation.scene, n_steps).unwrap();
             situation.expect(&Arc::default(), &recorded, 0, [100, 0]);
             assert!((0..situation.arrivals.n_expected()).all(|number| situation.arrivals.is_recorded(number)));
             situation.arrivals.n_expected()
@@ -200,11 +214,12 @@ mod tests {
         third.tracks.iter_mut().for_each(|track| track.id = TrackId(format!("last_{}", track.id)));
         let dir = tempfile::tempdir().unwrap();
         write_scenes(dir.path(), &reader, &[first.clone(), second, third]);
-        let mut known = Maps::with_windows_in(Some(dir.path())).unwrap();
+        let store = SceneStore::open(dir.path()).unwrap();
+        let mut known = Maps::new(&reader, &store);
         assert_eq!([arrive(&mut known, 0, 80), arrive(&mut known, 1, 80)], [2 * n_tracks, n_tracks]);
         // They tell how much traffic a place has, too.
         let map_id = first.map_id.clone().unwrap();
-        let n_scenes = |maps: &Maps, map: &MapId| maps.scenes_on(map, &first, &reader).unwrap().len();
+        let n_scenes = |maps: &Maps<'_>, map: &MapId| maps.places.scenes_on(map, &first).unwrap().len();
         assert_eq!([&known, &maps].map(|maps| n_scenes(maps, &map_id)), [3, 2]);
         assert_eq!(n_scenes(&known, &MapId("another".to_owned())), 0);
     }
@@ -218,7 +233,7 @@ mod tests {
         let futures = Futures::new(&model, 0, &candle_core::Device::Cpu).unwrap();
         let drive_with = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>, scenes: Option<PathBuf>| {
             let config = DriveConfig {
-                ego: EgoDriver::Careful,
+                ego: EgoDriver::Named(NamedDriver::Careful),
                 rollout: RolloutConfig { horizon_s, replan_s: 0.5 },
                 time_limit_s: 1.0,
                 save_at: Some(SaveAt::Timestep(24)),

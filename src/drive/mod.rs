@@ -52,10 +52,12 @@ mod rollout_tests;
 mod run;
 mod score;
 mod situation;
+mod sweep;
 #[cfg(test)]
 mod testing;
 mod told_apart;
 mod traffic;
+mod workers;
 mod world;
 
 pub use driver::{Driver, EgoDriver, Failed, Fault, Peeker};
@@ -69,6 +71,7 @@ pub use run::{
 };
 pub use score::score;
 pub use situation::Situation;
+pub use sweep::roll_out_samples;
 pub use told_apart::ToldApart;
 pub use traffic::{BANDS_S, Traffic};
 pub use world::World;

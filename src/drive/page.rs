@@ -203,7 +203,7 @@ mod tests {
             })
         });
         assert_eq!(sums.collect::<Vec<_>>(), [[8, 8, 2, 6], [8, 4, 4, 0], [8, 0, 0, 0], [8, 0, 0, 0]]);
-        let report = DriveReport::new(&crate::drive::EgoDriver::Idm, None, 1, "m");
+        let report = DriveReport::new(&crate::drive::EgoDriver::from_name("idm"), None, 1, "m");
         let page = render_drives(&Cards::default().page(&report, &rows, "planner"));
         assert!(page.contains("short beyond") && page.contains("cut in") && !page.contains("<article"));
         assert!(page.contains("survives 0 scenarios that this driver does not.") && !page.contains("come first"));

@@ -2,6 +2,7 @@
 
 use super::event::is_decided_by_ego;
 use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
+use crate::generate::NamedDriver;
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
 use serde::Serialize;
@@ -176,7 +177,7 @@ impl DriveReport {
             self.by_behavior.insert((*behavior).to_owned(), Failures::of(rows.iter().copied()));
             self.by_parameter.extend(parts(behavior, rows));
         }
-        let careful: BTreeMap<&str, &DriveRow> = (rows.iter().filter(|row| row.driver == EgoDriver::Careful.name()))
+        let careful: BTreeMap<&str, &DriveRow> = (rows.iter().filter(|row| row.driver == NamedDriver::Careful.name()))
             .map(|row| (row.scenario_id.as_str(), row))
             .collect();
         for row in own {

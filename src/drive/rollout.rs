@@ -70,6 +70,9 @@ impl RolloutConfig {
 pub enum Others<'a> {
     /// The model, which answers to the ego.
     Sampled(&'a Futures<'a>),
+    /// The scenario for the first plan, then the model. Nothing ends the drive and nobody leaves while the scenario
+    /// lasts.
+    Continued(&'a Futures<'a>),
     /// The scenario, whatever the ego does.
     Replayed,
 }
@@ -118,7 +121,7 @@ pub fn roll_out(
 ) -> Result<Driven> {
     let scene = &situation.scene;
     let unfit = |why: String| Error::Unfit { scenario_id: situation.scenario_id.clone(), why };
-    if let Others::Sampled(futures) = others
+    if let Others::Sampled(futures) | Others::Continued(futures) = others
         && (scene.n_history < futures.n_history() || (scene.dt_s - futures.dt_s()).abs() > 1e-6)
     {
         return Err(unfit(format!(
@@ -193,17 +196,22 @@ impl Drive<'_> {
     fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
         let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
         situation.arrivals.enter(situation, &mut self.world);
-        let sampled = match others {
-            Others::Sampled(futures) => match self.sample(futures)? {
+        let futures = match others {
+            Others::Sampled(futures) => Some(futures),
+            Others::Continued(futures) => Some(futures).filter(|_| now > situation.scene.current_timestep()),
+            Others::Replayed => None,
+        };
+        let sampled = match futures {
+            Some(futures) => match self.sample(futures)? {
                 Ok(sampled) => Some((sampled, futures.n_history())),
                 Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
             },
-            Others::Replayed => None,
+            None => None,
         };
         let world = &self.world;
-        let peek = |n: usize| match others {
-            Others::Sampled(futures) => peek(situation, world, futures, n),
-            Others::Replayed => Err(Failed::because("others that do not answer have no futures")),
+        let peek = |n: usize| match futures {
+            Some(futures) => peek(situation, world, futures, n),
+            None => Err(Failed::because("others that do not answer have no futures")),
         };
         if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
             return Ok(Some(failed(why)));
@@ -228,7 +236,12 @@ impl Drive<'_> {
             };
             let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
             self.world.push(next);
-            if let Some(end) = self.look() {
+            let since = match others {
+                Others::Continued(_) if timestep < situation.scene.n_timesteps => continue,
+                Others::Continued(_) if timestep == situation.scene.n_timesteps => situation.scene.current_timestep(),
+                _ => timestep - 1,
+            };
+            if let Some(end) = self.look(since) {
                 return Ok(Some(end));
             }
         }
@@ -263,8 +276,8 @@ impl Drive<'_> {
         Ok(sampled)
     }
 
-    /// Removes agents that have left, and returns the end of the drive if it is reached.
-    fn look(&mut self) -> Option<End> {
+    /// Removes agents that have left since an earlier timestep, and returns the end of the drive if it is reached.
+    fn look(&mut self, since: usize) -> Option<End> {
         let (situation, ego_idx) = (self.situation, self.situation.ego_idx);
         // Where the model drives everybody, traffic goes on without the ego.
         let goes_on = self.driver.is_model();
@@ -272,7 +285,7 @@ impl Drive<'_> {
             let state = self.world.present(*agent_idx);
             let is_traffic = goes_on || *agent_idx != ego_idx;
             state.is_some_and(|state| situation.has_left_map(*agent_idx, &state))
-                || (is_traffic && situation.goes_out_of_sight(&self.world, *agent_idx))
+                || (is_traffic && situation.goes_out_of_sight(&self.world, *agent_idx, since))
         };
         let gone: Vec<usize> = (0..self.world.n_tracks()).filter(left).collect();
         let has_left = gone.contains(&ego_idx);

@@ -1,29 +1,28 @@
 //! Drives every selected scenario of a corpus, with the careful driver beside, and writes the results.
 
-use super::drivers::{AtConstantVelocity, Careful, Idm, Log, Model};
+use super::drivers::{Careful, named};
 use super::external::External;
 use super::kept::Kept;
-use super::maps::Maps;
+use super::maps::{Maps, Places};
 use super::margin::{Margin, Margins};
 use super::page::Cards;
 use super::report::DriveReport;
 use super::rollout::{MOST_HORIZON_S, Others, roll_out};
 use super::situation::Situation;
 use super::told_apart::Tracks;
+use super::workers::{CHUNK, in_parallel, pool_of_worker};
 use super::{Driven, Driver, EgoDriver, Error, Outcome, Result, RolloutConfig, World};
 use crate::export::{EgoChoice, Selection};
 use crate::files::NewFolder;
-use crate::generate::Futures;
+use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::report::render_drives;
 use crate::scenario::DriveRow;
-use crate::store::{CorpusReader, DrivenWriter, write_atomically, write_drives, write_json_atomically};
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use crate::store::{CorpusReader, DrivenWriter, SceneStore, write_atomically, write_drives, write_json_atomically};
+use rayon::ThreadPool;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The table of drives.
 pub const DRIVES_FILE: &str = "drives.parquet";
@@ -35,9 +34,6 @@ pub const DRIVE_FILE: &str = "drive.json";
 pub const DRIVE_PAGE: &str = "drive.html";
 /// The folder of saved states.
 pub const STATES_DIR: &str = "states";
-
-/// Scenarios in memory at a time, for each worker.
-const CHUNK: usize = 8;
 
 /// How a corpus is driven.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,8 +110,10 @@ pub fn drive_corpus(
     };
     let inputs = [("corpus", corpus)].into_iter().chain(config.scenes.as_deref().map(|scenes| ("scenes", scenes)));
     let folder = NewFolder::begin(out, inputs)?;
-    let mut maps = Maps::with_windows_in(config.scenes.as_deref())?;
-    let kept = Kept::begin(out, &(identity(&reader, from, ego, config, futures) + maps.fingerprint()))?;
+    let scenes = config.scenes.as_deref().map(SceneStore::open).transpose()?;
+    let mut maps = Maps::new(&reader, scenes.as_ref().map_or(&reader, |scenes| scenes as &dyn Places));
+    let of_scenes = scenes.as_ref().map_or("", SceneStore::fingerprint);
+    let kept = Kept::begin(out, &(identity(&reader, from, ego, config, futures) + of_scenes))?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
     let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
     let mut output = Output { states, rows: Vec::new(), margins: Vec::new() };
@@ -130,18 +128,16 @@ pub fn drive_corpus(
             let record = reader.scenario(position)?;
             if !matches!(from, Origin::Scenarios(selection) if !selection.wants(&record)) {
                 n_chosen += 1;
-                match maps.situation(&record, ego, &reader) {
+                match maps.situation(&record, ego) {
                     Ok(mut situation) => {
-                        let (scene, seed) = (&situation.scene, futures.seed());
-                        let [n_steps, _] = config.rollout.n_steps(scene.dt_s);
+                        let dt_s = situation.scene.dt_s;
+                        let [n_steps, _] = config.rollout.n_steps(dt_s);
                         // A saved state may be from a longer drive.
                         let (n_tracks, n_known) = match from {
                             Origin::Scenarios(_) => (0, n_steps),
-                            Origin::State(world) => (world.n_tracks(), (MOST_HORIZON_S / scene.dt_s) as usize),
+                            Origin::State(world) => (world.n_tracks(), (MOST_HORIZON_S / dt_s) as usize),
                         };
-                        let ends = maps.ends(scene, &reader)?;
-                        let recorded = maps.recorded(scene, &reader, n_known)?;
-                        situation.expect(&ends, &recorded, seed, [n_steps, n_tracks]);
+                        maps.expect_arrivals(&mut situation, futures.seed(), [n_steps, n_tracks, n_known])?;
                         chunk.push(situation);
                     }
                     Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
@@ -162,10 +158,10 @@ pub fn drive_corpus(
             if let Some(driven) = drives.first().filter(|_| tracks.want(&scene.id))
                 && let Some(recorded) = reader.recorded_tracks(&scene.id, scene.n_timesteps)?
             {
-                tracks.add(situation, &driven.world, &recorded, config.ego == EgoDriver::Model);
+                tracks.add(situation, &driven.world, &recorded, config.ego == EgoDriver::Named(NamedDriver::Model));
             }
             if let [asked, careful] = drives.as_slice() {
-                cards.offer(situation, (own_name(&config.ego), asked), (EgoDriver::Careful.name(), careful));
+                cards.offer(situation, (own_name(&config.ego), asked), (NamedDriver::Careful.name(), careful));
             }
             output.margins.extend(margin);
         }
@@ -237,18 +233,11 @@ struct Worker {
 impl Worker {
     fn new(config: &DriveConfig) -> Result<Self> {
         let asked: Box<dyn Driver> = match &config.ego {
-            EgoDriver::Model => Box::new(Model),
-            EgoDriver::Log => Box::new(Log),
-            EgoDriver::ConstantVelocity => Box::new(AtConstantVelocity),
-            EgoDriver::Idm => Box::new(Idm),
-            EgoDriver::Careful => Box::new(Careful::default()),
+            EgoDriver::Named(driver) => named(*driver),
             EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s)),
         };
-        let careful = (config.ego != EgoDriver::Careful).then(Careful::default);
-        // The network does too little in parallel to hand work around between threads.
-        let pool = ThreadPoolBuilder::new().num_threads(1).build();
-        let pool = pool.map_err(|error| Error::Config(format!("no thread can be started: {error}")))?;
-        Ok(Self { asked, careful, pool })
+        let careful = (config.ego != EgoDriver::Named(NamedDriver::Careful)).then(Careful::default);
+        Ok(Self { asked, careful, pool: pool_of_worker()? })
     }
 
     /// The drives from one situation, of the driver under test and of the careful one, and their margin.
@@ -302,32 +291,18 @@ fn drive_chunk(
     futures: &Futures<'_>,
     progress: &dyn Progress,
 ) -> Result<Vec<Drives>> {
-    let next = AtomicUsize::new(0);
-    let drives: Vec<Mutex<Option<Result<Drives>>>> = chunk.iter().map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
-        for worker in workers {
-            scope.spawn(|| {
-                loop {
-                    let at = next.fetch_add(1, Ordering::Relaxed);
-                    let (Some(situation), Some(place)) = (chunk.get(at), drives.get(at)) else { break };
-                    let driven = kept.get(&situation.scenario_id).and_then(|known| match known {
-                        Some(known) => Ok(known),
-                        None => {
-                            let driven = worker.drive(situation, from, config, futures)?;
-                            kept.put(&situation.scenario_id, &driven)?;
-                            Ok(driven)
-                        }
-                    });
-                    if let Ok(mut place) = place.lock() {
-                        *place = Some(driven);
-                    }
-                    progress.advance(1);
-                }
-            });
-        }
-    });
-    let found = drives.into_iter().map(|place| place.into_inner().ok().flatten());
-    found.map(|driven| driven.unwrap_or_else(|| Err(Error::Config("a drive was not finished".to_owned())))).collect()
+    in_parallel(chunk, workers, |worker, situation| {
+        let driven = match kept.get(&situation.scenario_id)? {
+            Some(known) => known,
+            None => {
+                let driven = worker.drive(situation, from, config, futures)?;
+                kept.put(&situation.scenario_id, &driven)?;
+                driven
+            }
+        };
+        progress.advance(1);
+        Ok(driven)
+    })
 }
 
 /// All outputs except the report.
@@ -348,7 +323,7 @@ impl Output {
     ) -> Result<()> {
         let careful = drives.last().map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
         let careful_survives = careful.map(|outcome| outcome == Outcome::Survived);
-        for (driven, name) in drives.iter().zip([own_name(&config.ego), EgoDriver::Careful.name()]) {
+        for (driven, name) in drives.iter().zip([own_name(&config.ego), NamedDriver::Careful.name()]) {
             let scene = situation.driven(&driven.world);
             let (n_history, plan_ends) = (scene.n_history, driven.world.plan_ends);
             let moved_by = |agent_idx: usize, timestep: usize| match () {

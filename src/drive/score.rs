@@ -8,6 +8,7 @@ use super::run::{DRIVE_FILE, DRIVES_FILE, row};
 use super::{Driven, Driver, EgoDriver, Error, Failed, Outcome, Result, RolloutConfig, Situation, World};
 use crate::export::{EgoChoice, Selection};
 use crate::files::NewFolder;
+use crate::generate::NamedDriver;
 use crate::geometry::Vec2;
 use crate::progress::Progress;
 use crate::scenario::{DriveRow, ScenarioRecord};
@@ -45,7 +46,7 @@ pub fn score(
     let folder = NewFolder::begin(out, [("corpus", corpus), ("planned states", planned)])?;
     let mut report = DriveReport::new(&EgoDriver::External(planned.display().to_string()), None, 0, "");
     let positions = selection.positions(&reader)?;
-    let (mut rows, mut maps) = (Vec::new(), Maps::default());
+    let (mut rows, mut maps) = (Vec::new(), Maps::new(&reader, &reader));
     progress.start("score", positions.len() as u64, "scenarios");
     for positions in positions.chunks(CHUNK) {
         let mut chunk = Vec::new();
@@ -58,7 +59,7 @@ pub fn score(
                 *report.left_out.entry("has no planned states".to_owned()).or_default() += 1;
                 continue;
             };
-            match maps.situation(&record, ego, &reader) {
+            match maps.situation(&record, ego) {
                 Ok(situation) => chunk.push((recorded(&record, ego, &reader, &mut maps)?, situation, states)),
                 Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
                 Err(error) => return Err(error),
@@ -70,7 +71,7 @@ pub fn score(
                 let drive = |situation: &Situation, driver: &mut dyn Driver| replayed(situation, driver);
                 let mut drives = vec![
                     (PLANNED, drive(situation, &mut Plan { states })?),
-                    (EgoDriver::Careful.name(), drive(situation, &mut Careful::default())?),
+                    (NamedDriver::Careful.name(), drive(situation, &mut Careful::default())?),
                     (SCENARIO, drive(situation, &mut Log)?),
                 ];
                 if let Some(recorded) = recorded {
@@ -118,7 +119,7 @@ fn recorded(
     record: &ScenarioRecord,
     ego: &EgoChoice,
     reader: &CorpusReader,
-    maps: &mut Maps,
+    maps: &mut Maps<'_>,
 ) -> Result<Option<Situation>> {
     let scene = &record.scenario.scene;
     let Some(tracks) = reader.recorded_tracks(&scene.id, scene.n_timesteps)? else { return Ok(None) };
@@ -131,7 +132,7 @@ fn recorded(
     let mut record = record.clone();
     record.scenario.scene.tracks = tracks;
     record.scenario.scene.ego_idx = recorded_idx;
-    match maps.situation(&record, &EgoChoice::Scene, reader) {
+    match maps.situation(&record, &EgoChoice::Scene) {
         Ok(situation) => Ok(Some(situation)),
         Err(Error::Unfit { .. }) => Ok(None),
         Err(error) => Err(error),

@@ -208,14 +208,14 @@ impl Situation {
         self.starts_on_map[agent_idx] && !self.is_on_map(state)
     }
 
-    /// Whether an agent has just gone where no traffic of the place is seen, and not to an event.
-    pub(super) fn goes_out_of_sight(&self, world: &World, agent_idx: usize) -> bool {
+    /// Whether an agent has gone since an earlier timestep where no traffic of the place is seen, and not to an event.
+    pub(super) fn goes_out_of_sight(&self, world: &World, agent_idx: usize, since: usize) -> bool {
         let is_out = |timestep: usize| {
             let state = world.state(agent_idx, timestep);
             state.is_some_and(|state| self.arrivals.is_out_of_sight(self, &state))
         };
         let now = world.now();
-        self.plan(world, agent_idx, now).is_none() && is_out(now) && !is_out(now - 1)
+        self.plan(world, agent_idx, now).is_none() && is_out(now) && !is_out(since)
     }
 
     /// The scene of all reached states; its past is the scenario's.
@@ -225,6 +225,18 @@ impl Situation {
             track.trajectory = track.trajectory.with_velocities_from_positions(scene.n_history, scene.dt_s);
         }
         scene
+    }
+
+    /// The lanes of a `sampled` scene with those around what was `driven` from a timestep on; `None` if there are no
+    /// more.
+    pub(super) fn lanes_along(&self, sampled: &Scene, driven: &Scene, from: usize) -> Option<Arc<LaneGraph>> {
+        let later = driven.tracks.iter().flat_map(|track| track.trajectory.valid().filter(|(t, _)| *t >= from));
+        let later: Vec<Vec2> = later.map(|(_, state)| state.position).collect();
+        let mut ids: Vec<LaneId> = sampled.lanes.lanes().iter().map(|lane| lane.id).collect();
+        let n_before = ids.len();
+        let more = near(&self.scene.lanes, &self.lane_bounds, &later, LANES_WITHIN_M);
+        ids.extend(more.into_iter().filter(|id| sampled.lanes.get(*id).is_none()));
+        (ids.len() > n_before).then(|| Arc::new(self.scene.lanes.subset(&ids)))
     }
 
     /// The last `n_history` timesteps of the world as the past of a scene of `n_timesteps`, with the plans of the

@@ -90,14 +90,14 @@ impl CellSamples<'_> {
         Seed(provenance.seed).derive_named("modes", &provenance.scene_id.0)
     }
 
-    /// Its samples as scenes.
-    pub(super) fn scenes(&self) -> Vec<Scene> {
-        self.records.iter().map(|record| record.scenario.scene.clone()).collect()
+    /// Its samples as scenes, as far as the recording goes: closed loops last longer, and others arrive in them.
+    pub(super) fn scenes(&self, recorded: &Scene) -> Vec<Scene> {
+        self.records.iter().map(|record| as_far_as_recorded(&record.scenario.scene, recorded)).collect()
     }
 
     /// Measures the cell against the scene it continues.
     pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
-        let samples = self.scenes();
+        let samples = self.scenes(recorded);
         let recorded = as_far_as_generated(recorded, &samples[0]);
         let first = self.records[0];
         let requested = first
@@ -143,9 +143,23 @@ impl CellSamples<'_> {
                 references: self.with_references.then(motion_of_references),
                 together: MotionHistograms::of(&samples),
             },
-            tracks: CellTracks::of(&recorded, &self.records),
+            tracks: CellTracks::of(&recorded, &samples),
         }
     }
+}
+
+/// The sample with the tracks, and the timesteps if there is a future, of the recording that it continues.
+fn as_far_as_recorded(sample: &Scene, recorded: &Scene) -> Scene {
+    let n_timesteps = if recorded.has_future() { recorded.n_timesteps } else { sample.n_timesteps };
+    if sample.n_timesteps == n_timesteps && sample.tracks.len() == recorded.tracks.len() {
+        return sample.clone();
+    }
+    let within = |track: &Track| {
+        let states = (0..n_timesteps).map(|timestep| track.trajectory.get(timestep).copied()).collect();
+        Track { trajectory: Trajectory::new(states), ..track.clone() }
+    };
+    let tracks = sample.tracks.iter().take(recorded.tracks.len()).map(within).collect();
+    Scene { tracks, n_timesteps, ..sample.clone() }
 }
 
 /// The recording without the futures of agents that were not generated (beyond the denoiser's number of agents), so
@@ -181,6 +195,34 @@ mod tests {
         let cells = into_cells(&records);
         let found: Vec<(usize, bool)> = cells.iter().map(|cell| (cell.records.len(), cell.with_references)).collect();
         assert_eq!(found, [(2, true), (1, false), (1, true)]);
+    }
+
+    #[test]
+    fn a_closed_loop_is_compared_as_far_as_the_recording_goes_and_judged_as_a_whole() {
+        let sampled = record(2.0, true, false, recorded());
+        let mut driven = sampled.clone();
+        let scene = &mut driven.scenario.scene;
+        // Later the second car stops within a tenth of a second, and a third one arrives.
+        let last = scene.n_timesteps - 1;
+        for track in &mut scene.tracks {
+            let states = track.trajectory.entries().to_vec();
+            track.trajectory = Trajectory::new([states.clone(), vec![states[last]; 30]].concat());
+        }
+        let mut arrival = scene.tracks[0].clone();
+        arrival.id = crate::scene::TrackId("arrival".to_owned());
+        scene.tracks.push(arrival);
+        scene.n_timesteps += 30;
+        let (agents, timesteps) = (scene.tracks.len(), scene.n_timesteps);
+        driven.scenario.observed = crate::scene::ObservationMask::from_fn(agents, timesteps, |_, t| t <= 3);
+        let config = EvaluateConfig::default();
+        let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+        let figures = |record: &ScenarioRecord| {
+            CellSamples { records: vec![record], with_references: true }.evaluate(&recorded(), &measures, &judge)
+        };
+        let [short, long] = [&sampled, &driven].map(figures);
+        assert_eq!((&short.together, &short.alone, &short.recorded), (&long.together, &long.alone, &long.recorded));
+        assert!(short.motion == long.motion && short.tracks == long.tracks);
+        assert!(long.assessments[0].violations.len() > short.assessments[0].violations.len());
     }
 
     #[test]

@@ -5,7 +5,6 @@ use crate::metrics::distinguishability::{
 };
 use crate::metrics::{Group, SeriesKey};
 use crate::progress::Progress;
-use crate::scenario::ScenarioRecord;
 use crate::scene::{AgentClass, GuidanceLevel, Scene};
 use crate::seed::Seed;
 use crate::store::SceneSet;
@@ -93,11 +92,11 @@ pub(super) struct CellTracks {
 
 impl CellTracks {
     /// The tracks of `samples`, which continue `recorded`.
-    pub(super) fn of(recorded: &Scene, samples: &[&ScenarioRecord]) -> Self {
+    pub(super) fn of(recorded: &Scene, samples: &[Scene]) -> Self {
         let around = Surroundings::new(recorded);
         let judged: Vec<usize> = (0..recorded.tracks.len()).filter(|idx| around.is_judged(*idx)).collect();
-        let of_sample = |sample: &&ScenarioRecord| {
-            let around = Surroundings::new(&sample.scenario.scene);
+        let of_sample = |sample: &Scene| {
+            let around = Surroundings::new(sample);
             judged.iter().map(|idx| around.is_judged(*idx).then(|| around.features_of(*idx))).collect()
         };
         Self {

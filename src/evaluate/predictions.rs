@@ -23,14 +23,15 @@ pub(super) struct Predictions {
 
 /// The modes of a cell as predictions for its scene: of the ego if the benchmark predicts one agent, otherwise of all
 /// agents jointly. With no more samples than modes, these are the samples themselves. `None` for cells that are not
-/// forecasts and for datasets that were not requested.
+/// forecasts, among them closed loops, and for datasets that were not requested.
 pub(super) fn of_cell(cell: &CellSamples<'_>, config: &EvaluateConfig) -> Option<Modes> {
     let first = &cell.records[0].scenario;
     let dataset = first.scene.source.dataset;
-    if !first.provenance.is_unguided() || !config.predictions.contains(&dataset) {
+    let is_forecast = first.provenance.is_unguided() && first.provenance.ego_driver.is_none();
+    if !is_forecast || !config.predictions.contains(&dataset) {
         return None;
     }
-    let samples = cell.scenes();
+    let samples: Vec<Scene> = cell.records.iter().map(|record| record.scenario.scene.clone()).collect();
     let n_modes = config.modes.unwrap_or(BENCHMARK_MODES);
     if samples.len() <= n_modes {
         let probabilities = cell.probabilities().unwrap_or_else(|| vec![1.0; samples.len()]);

@@ -85,14 +85,14 @@ pub(super) struct Conduct {
 impl Conduct {
     /// The conduct in each sample of a cell that continues `recorded`.
     pub(super) fn of(cell: &CellSamples<'_>, recorded: &Scene, offroad: &OffroadRate) -> Vec<Self> {
-        let of_sample = |record: &&ScenarioRecord| {
-            let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&record.scenario.scene));
+        let of_sample = |sample: Scene| {
+            let group = SampleGroup::equally_likely(recorded, std::slice::from_ref(&sample));
             Self {
                 collides: CollisionRate.evaluate(&group).is_some_and(|rate| rate > 0.0),
                 offroad_rate: offroad.evaluate(&group),
             }
         };
-        cell.records.iter().map(of_sample).collect()
+        cell.scenes(recorded).into_iter().map(of_sample).collect()
     }
 }
 

@@ -80,6 +80,7 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
                     roles: Roles::default(),
                 },
                 sampler: "heun-20".to_owned(),
+                ego_driver: None,
                 settings: String::new(),
             },
         },

@@ -2,7 +2,7 @@
 
 use super::batch::Batch;
 use super::conditioning::Conditioned;
-use super::{Cell, Error, GenerateConfig, Generator, Models, ResolvedGeneration};
+use super::{Cell, Error, GenerateConfig, Generator, Models, ResolvedGeneration, ResolvedSweep, SweepModel};
 use crate::metrics::MetricSettings;
 use crate::model::{Distillation, TrainedDenoiser};
 use crate::progress::Silent;
@@ -129,6 +129,26 @@ impl<'a> Futures<'a> {
             device: self.device,
             collator: self.collator.clone(),
         }
+    }
+}
+
+impl<'a> Generator<'a> {
+    /// Futures by the denoiser of a sweep, sampled as the sweep is but for its guidance.
+    ///
+    /// # Errors
+    /// When there is no such model, or it cannot be sampled in this way.
+    pub fn futures(&self, sweep: &ResolvedSweep) -> Result<Futures<'a>, Error> {
+        let (metric_settings, collator) = (self.metric_settings.clone(), Arc::clone(&self.collator));
+        let own = Futures::new(self.denoiser(sweep)?, self.config.seed, self.device)?;
+        let mut futures = Futures { metric_settings, collator, ..own };
+        for plain in &mut futures.config.sweeps {
+            if let (SweepModel::Denoiser(plain) | SweepModel::Distilled(plain), Some(own)) =
+                (&mut plain.model, sweep.diffusion())
+            {
+                (plain.sampler, plain.validity_strength) = (own.sampler, own.validity_strength);
+            }
+        }
+        Ok(futures)
     }
 }
 

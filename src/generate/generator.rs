@@ -88,7 +88,7 @@ impl<'a> Generator<'a> {
     }
 
     /// The behavior that a sweep requests.
-    pub(super) fn behavior(&self, sweep: &ResolvedSweep) -> Option<&'a dyn Behavior> {
+    pub fn behavior(&self, sweep: &ResolvedSweep) -> Option<&'a dyn Behavior> {
         let id = sweep.behavior.as_deref()?;
         self.behaviors.iter().find(|behavior| behavior.id() == id).map(AsRef::as_ref)
     }

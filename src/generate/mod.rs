@@ -28,6 +28,7 @@ mod plan;
 mod record;
 mod regenerate;
 mod request;
+mod rollout;
 mod sample;
 mod sample_limit;
 mod select;
@@ -52,6 +53,7 @@ pub use request::{
     PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest,
     Round, RoundContext, RoundShard, ShardTally, Yield,
 };
+pub use rollout::{NamedDriver, SweepRollout};
 pub use sample::{RejectedSample, ShardOutput};
 pub use sample_limit::{Limit, LimitRange};
 pub use select::SelectConfig;
@@ -59,4 +61,4 @@ pub use sweep::{
     Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
     SweepModel,
 };
-pub use verify::{Verification, verify};
+pub use verify::{Verification, requested_events, verify};

@@ -34,6 +34,7 @@ impl Generator<'_> {
             probability,
             guidance: GuidanceTag { kind, level, roles: cell.roles.clone() },
             sampler: sweep.sampler_name(),
+            ego_driver: None,
             settings: sweep.settings(level),
         };
         // The verified states must be the written ones.
@@ -58,7 +59,7 @@ impl Generator<'_> {
 
 /// 16 hexadecimal digits that belong to this sweep and provenance.
 fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
-    // The probability follows from the rest.
+    // The probability and the driver follow from the rest.
     let Provenance {
         scene_id,
         observation,
@@ -68,6 +69,7 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
         seed,
         sample_idx,
         probability: _,
+        ego_driver: _,
         guidance,
         sampler,
         settings,

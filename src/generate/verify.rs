@@ -17,13 +17,19 @@ pub struct Verification {
 /// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`; without roles, for any
 /// agents.
 pub fn verify(behavior: &dyn Behavior, roles: &Roles, recorded: &Scene, generated: &Scene) -> Verification {
-    let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
-    let (mut events, others): (Vec<_>, Vec<_>) =
-        positive_events(behavior, generated).into_iter().partition(is_requested);
-    let verified = !events.is_empty();
-    events.extend(others);
-    let recorded_event = positive_events(behavior, recorded).iter().any(is_requested);
+    let (verified, events) = requested_events(behavior, roles, generated);
+    let (recorded_event, _) = requested_events(behavior, roles, recorded);
     Verification { verified, events, recorded_event }
+}
+
+/// The positive events of `behavior` in a scene, those with the requested `roles` first, and whether there are any of
+/// these; without roles, events of any agents are.
+pub fn requested_events(behavior: &dyn Behavior, roles: &Roles, scene: &Scene) -> (bool, Vec<BehaviorEvent>) {
+    let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
+    let (mut events, others): (Vec<_>, Vec<_>) = positive_events(behavior, scene).into_iter().partition(is_requested);
+    let is_found = !events.is_empty();
+    events.extend(others);
+    (is_found, events)
 }
 
 pub(super) fn positive_events(behavior: &dyn Behavior, scene: &Scene) -> Vec<BehaviorEvent> {

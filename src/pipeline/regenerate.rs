@@ -7,8 +7,9 @@ use super::stages::{
     shard_name,
 };
 use crate::engine::{Failure, Result};
-use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey};
+use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey, ShardOutput};
 use crate::nn::Compute;
+use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
 use crate::store::{CorpusReader, Difference, SceneStore, differences, sample_ids};
 use std::path::Path;
@@ -64,7 +65,10 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
             row.shard
         ))
     })?;
-    let mut again = generator.regenerate(plan, wanted)?.ok_or_else(|| {
+    let mut output =
+        ShardOutput { records: generator.regenerate(plan, wanted)?.into_iter().collect(), ..Default::default() };
+    models.roll_out(&mut output, &resolved.sweeps[plan.sweep_idx], (&generator, &store), &Silent)?;
+    let mut again = output.records.pop().ok_or_else(|| {
         Failure::input_message(format_args!(
             "scenario {id} could not be generated again: its sample is not a valid scenario"
         ))

@@ -47,6 +47,8 @@ pub struct Provenance {
     pub guidance: GuidanceTag,
     /// Name of the sampler and its number of steps, such as `heun-50`.
     pub sampler: String,
+    /// The driver of the ego in the closed loop in which it went on; `None` if it ends with its sample.
+    pub ego_driver: Option<String>,
     /// Every setting that it was sampled with, such as objectives with their options, as JSON text.
     pub settings: String,
 }

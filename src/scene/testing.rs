@@ -88,6 +88,7 @@ pub(crate) fn provenance(scene_id: &str) -> Provenance {
             roles: Roles::default(),
         },
         sampler: "heun-10".to_owned(),
+        ego_driver: None,
         settings: String::new(),
     }
 }

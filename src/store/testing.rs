@@ -131,6 +131,7 @@ pub(crate) fn record(scene: &Scene, sample_idx: usize) -> ScenarioRecord {
                     roles: Roles::from([("ego", "track-0")]),
                 },
                 sampler: "heun-20".to_owned(),
+                ego_driver: (sample_idx == 0).then(|| "idm".to_owned()),
                 settings: r#"{"observe":"predictive"}"#.to_owned(),
             },
         },

@@ -27,7 +27,7 @@ fn toml_files(folder: &str) -> Vec<PathBuf> {
 
 #[test]
 fn the_carried_pipelines_and_configs_are_in_order() {
-    let files = [toml_files("pipelines"), toml_files("configs")].concat();
+    let files = ["pipelines", "configs", "tests/fixtures/corpus"].map(toml_files).concat();
     assert!(files.len() >= 3);
     for path in files {
         let is_explained = fs_err::read_to_string(&path).unwrap().starts_with("# ");

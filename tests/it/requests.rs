@@ -21,7 +21,7 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let workspace = Workspace::of(PIPELINE);
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
     for part in [
-        "request tight: 12 scenarios in 4 buckets; 72 samples, 216 evaluations",
+        "request tight: 12 scenarios in 4 buckets; 72 samples, 648 evaluations",
         "arm guided@20",
         "time unknown",
         "are counted once scenes and models exist",

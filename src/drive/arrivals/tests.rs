@@ -187,6 +187,8 @@ fn in_times_that_the_recording_covers_nobody_else_arrives_and_longer_drives_have
 fn on_the_road(mut scene: Scene) -> Situation {
     scene.tracks.truncate(1);
     let mut record = record();
+    // Arrivals are drawn by the name.
+    record.scenario.id = "on the road".to_owned();
     record.scenario.scene = Scene { ego_idx: 0, ..scene };
     Situation::new(&record, 0, Some(&map())).unwrap()
 }
@@ -263,7 +265,7 @@ fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
     let goes = |situation: &Situation, xs: &[f64]| {
         let mut world = situation.start(1);
         xs.iter().for_each(|x| world.push([Some(state(*x, 0.0).transformed(&scene_from_world))]));
-        situation.goes_out_of_sight(&world, 0)
+        situation.goes_out_of_sight(&world, 0, world.now() - 1)
     };
     // Agents that were there already may stay for good, and an event is not left.
     assert_eq!(

@@ -5,7 +5,7 @@
 //! ([`CarefulWatch`]).
 
 use super::idm::{acceleration, leaders};
-use super::way::{advanced, ego, seen};
+use super::way::{advanced, eased, ego, seen};
 use crate::drive::driver::{Driver, Failed};
 use crate::drive::{Situation, World};
 use crate::metrics::{CarefulWatch, Seen};
@@ -49,6 +49,7 @@ impl Driver for Careful {
         let perceived =
             leaders(situation, &seen).filter(|(agent_idx, _)| self.watches[*agent_idx].has_perceived(now_s));
         let ordinary_mps2 = acceleration(situation, &state, perceived.map(|(_, seen)| seen)).max(-ORDINARY_MPS2);
+        let ordinary_mps2 = eased(situation, world, ordinary_mps2);
         Ok(advanced(situation, &state, ordinary_mps2.min(if braking_mps2 > 0.0 { -braking_mps2 } else { f64::MAX })))
     }
 }

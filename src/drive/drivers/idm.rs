@@ -1,6 +1,6 @@
 //! The intelligent driver model (Treiber, Hennecke and Helbing 2000) along the way of the ego.
 
-use super::way::{advanced, ego, seen};
+use super::way::{advanced, eased, ego, seen};
 use crate::drive::driver::{Driver, Failed};
 use crate::drive::{Situation, World};
 use crate::metrics::Seen;
@@ -27,7 +27,8 @@ impl Driver for Idm {
 
     fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         let state = ego(situation, world)?;
-        Ok(advanced(situation, &state, behind_nearest(situation, &state, &seen(situation, world, world.now()))))
+        let wanted_mps2 = behind_nearest(situation, &state, &seen(situation, world, world.now()));
+        Ok(advanced(situation, &state, eased(situation, world, wanted_mps2)))
     }
 }
 

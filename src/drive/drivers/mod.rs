@@ -9,3 +9,17 @@ pub(super) use careful::Careful;
 pub(super) use idm::{Idm, free_m, reacting};
 pub(super) use replay::{AtConstantVelocity, Log, Model, follow_log};
 pub(super) use way::expected;
+
+use super::Driver;
+use crate::generate::NamedDriver;
+
+/// The driver of this name, at the start of a drive.
+pub(super) fn named(driver: NamedDriver) -> Box<dyn Driver> {
+    match driver {
+        NamedDriver::Model => Box::new(Model),
+        NamedDriver::Log => Box::new(Log),
+        NamedDriver::ConstantVelocity => Box::new(AtConstantVelocity),
+        NamedDriver::Idm => Box::new(Idm),
+        NamedDriver::Careful => Box::new(Careful::default()),
+    }
+}

@@ -15,6 +15,19 @@ const COMES_OVER_M: f64 = 7.0;
 /// The last moment, over which braking is judged, seconds.
 const LAST_MOMENT_S: f64 = 0.3;
 
+/// The fastest change of the acceleration by ordinary drivers, m/s³: as the careful driver of UN Regulation No. 157
+/// brakes.
+const JERK_MPS3: f64 = 12.65;
+
+/// The acceleration at which an ego that wants this one arrives within a timestep, m/s².
+pub(super) fn eased(situation: &Situation, world: &World, wanted_mps2: f64) -> f64 {
+    let (ego_idx, now, dt_s) = (situation.ego_idx, world.now(), situation.scene.dt_s);
+    let before = now.checked_sub(1).and_then(|timestep| world.state(ego_idx, timestep));
+    let Some((before, state)) = before.zip(world.present(ego_idx)) else { return wanted_mps2 };
+    let own_mps2 = (state.speed_mps() - before.speed_mps()) / dt_s;
+    wanted_mps2.clamp(own_mps2 - JERK_MPS3 * dt_s, own_mps2 + JERK_MPS3 * dt_s)
+}
+
 /// The present state of the ego.
 pub(super) fn ego(situation: &Situation, world: &World) -> Result<State, Failed> {
     world.present(situation.ego_idx).ok_or_else(|| Failed::because("the ego is not there"))

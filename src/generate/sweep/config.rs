@@ -1,7 +1,9 @@
 //! A sweep or an arm as written in TOML: one flat table.
 
 use crate::diffusion::SamplerConfig;
-use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig};
+use crate::generate::{
+    ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig, SweepRollout,
+};
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
@@ -24,6 +26,7 @@ const OF_DIFFUSION: &[&str] = &[
     "classifier_free",
     "edit",
     "template",
+    "rollout",
 ];
 
 /// A sweep, `[[generate.sweeps]]`: every chosen scene, at every guidance level, `n_samples` times. An arm,
@@ -104,6 +107,9 @@ pub struct SweepConfig {
     /// `cut_in_paper` has templates. Left out: false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub template: bool,
+    /// How scenarios go on in a closed loop, for longer than they were sampled. Left out: they end with the sample.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rollout: Option<SweepRollout>,
     /// Which samples become scenarios. Left out: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub select: Option<SelectConfig>,

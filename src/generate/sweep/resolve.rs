@@ -44,6 +44,7 @@ impl SweepConfig {
             aim: self.aim,
             select: self.select.clone(),
             stop_after_verified: self.stop_after_verified,
+            rollout: self.rollout,
             observe: self.observe.clone(),
             model,
         };
@@ -109,6 +110,7 @@ impl SweepConfig {
             aim: Aim::default(),
             select: None,
             stop_after_verified: None,
+            rollout: self.rollout,
             observe: self.observe.clone(),
             model,
         };
@@ -144,6 +146,14 @@ impl SweepConfig {
     fn resolve_model(&self, purpose: &Purpose<'_>) -> Result<SweepModel> {
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);
         self.observe.validate(roles)?;
+        if let Some(rollout) = &self.rollout {
+            rollout.validate().map_err(|issue| issue.within("rollout"))?;
+            if self.observe != ObserveConfig::default() {
+                let why =
+                    "is set, but plans are sampled from the past alone; remove it, or set observe = \"predictive\"";
+                return Err(Issue::new("rollout", why));
+            }
+        }
         match self.model {
             SampledModel::Denoiser => Ok(SweepModel::Denoiser(self.resolve_diffusion(purpose)?)),
             SampledModel::Distilled => {

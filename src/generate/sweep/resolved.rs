@@ -3,7 +3,9 @@
 use super::{Aim, ClassifierInput, ClassifierScope};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
-use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig};
+use crate::generate::{
+    ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig, SweepRollout,
+};
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::model::Distillation;
 use crate::scene::GuidanceLevel;
@@ -28,6 +30,8 @@ pub struct ResolvedSweep {
     pub select: Option<SelectConfig>,
     /// Start no further shards once this many scenarios are verified.
     pub stop_after_verified: Option<usize>,
+    /// How scenarios go on in a closed loop; `None`: not at all.
+    pub rollout: Option<SweepRollout>,
     /// Which states are observed.
     pub observe: ObserveConfig,
     /// The model, and how it is sampled.
@@ -132,13 +136,14 @@ impl ResolvedSweep {
         BehaviorEntry::is_collision(self.behavior.as_deref())
     }
 
-    /// Evaluations of the network for one sample at the most expensive level. Classifier-free guidance doubles them at
-    /// weights that mix two estimates, and the baseline needs one.
+    /// Evaluations of the network for one scenario at the most expensive level. Classifier-free guidance doubles them
+    /// at weights that mix two estimates, the baseline needs one, and a closed loop as many for each further plan.
     pub fn n_evaluations(&self) -> u64 {
         self.diffusion().map_or(1, |diffusion| {
             let mixes = |level: &GuidanceLevel| ![0.0, 1.0].contains(&level.weight);
             let n_calls = if diffusion.levels.iter().any(mixes) { 2 } else { 1 };
-            diffusion.sampler.n_evaluations() as u64 * n_calls
+            let n_replans = self.rollout.as_ref().map_or(0, SweepRollout::n_replans);
+            diffusion.sampler.n_evaluations() as u64 * (n_calls + n_replans)
         })
     }
 

@@ -18,6 +18,9 @@ impl ResolvedSweep {
             SweepModel::Baseline => "baseline",
         });
         settings["observe"] = json!(self.observe);
+        if let Some(rollout) = &self.rollout {
+            settings["rollout"] = json!(rollout);
+        }
         settings.to_string()
     }
 }

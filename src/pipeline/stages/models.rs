@@ -1,12 +1,15 @@
 //! The trained models from which sweeps sample: which are needed, and where are they?
 
 use super::train::checkpoint_file;
+use crate::drive::roll_out_samples;
 use crate::engine::Result;
-use crate::generate::{Models, ResolvedSweep};
+use crate::generate::{Generator, Models, ResolvedSweep, ShardOutput};
 use crate::model::{ModelSpec, TrainedClassifier, TrainedDenoiser, TrainedModel, TrainedSceneTransformer};
 use crate::nn::Compute;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
+use crate::progress::Progress;
+use crate::store::SceneStore;
 
 /// The stages whose models `sweeps` need, with the denoiser's first.
 pub(in crate::pipeline) fn needed_models(sweeps: &[ResolvedSweep]) -> Vec<StageId> {
@@ -56,6 +59,20 @@ impl LoadedModels {
             distilled: self.distilled.as_ref(),
             baseline: self.baseline.as_ref(),
         }
+    }
+
+    /// Lets the scenarios of a shard go on in closed loops, by the model of their sweep, if the sweep asks for that.
+    pub(in crate::pipeline) fn roll_out(
+        &self,
+        output: &mut ShardOutput,
+        sweep: &ResolvedSweep,
+        (generator, store): (&Generator<'_>, &SceneStore),
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let Some(rollout) = &sweep.rollout else { return Ok(()) };
+        let futures = generator.futures(sweep)?;
+        roll_out_samples(output, rollout, generator.behavior(sweep), &futures, store, progress)?;
+        Ok(())
     }
 
     /// The fingerprint of the model that a stage makes, if it was read.

@@ -74,6 +74,13 @@ pub(crate) fn fields() -> Vec<Field> {
              their options.",
         )
         .optional(),
+        column(
+            "ego_driver",
+            DataType::Utf8,
+            "Who drove the ego in the closed loop in which the scenario goes on: model, log, constant_velocity, idm or \
+             careful; missing if it ends with its sample.",
+        )
+        .optional(),
     ];
     fields.extend(request::fields());
     fields.push(event_list::field());
@@ -107,6 +114,7 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
         texts(provenance().map(|p| p.checkpoint.as_str())),
         optional_texts(provenance().map(|p| p.classifier.as_deref())),
         texts(provenance().map(|p| p.settings.as_str())),
+        optional_texts(provenance().map(|p| p.ego_driver.as_deref())),
     ];
     arrays.extend(request::encode(records)?);
     arrays.push(event_list::encode(&events)?);
@@ -136,6 +144,7 @@ pub(crate) fn decode(
         probability: columns.optional_number::<Float64Type>("probability", row)?,
         guidance: GuidanceTag { kind, level, roles: roles::decode(columns, "guidance_roles", row)? },
         sampler: text("sampler")?,
+        ego_driver: optional_text("ego_driver")?,
         settings: optional_text("settings")?.unwrap_or_default(),
     };
     let (shard, request) = request::decode(columns, row)?;

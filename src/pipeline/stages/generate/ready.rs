@@ -75,7 +75,15 @@ impl Ready<'_> {
 
     /// Samples a shard and writes its table into the folder `dir`.
     pub(super) fn sample(&self, shard: &ShardPlan, dir: &Path, progress: &dyn Progress) -> Result<SampleSidecar> {
-        self.write(shard, dir, self.generator.generate(shard, progress)?)
+        self.write(shard, dir, self.generate(shard, progress)?)
+    }
+
+    /// The scenarios of a shard, which go on in closed loops if the sweep asks for that.
+    pub(super) fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput> {
+        let mut output = self.generator.generate(shard, progress)?;
+        let sweep = &self.resolved.sweeps[shard.sweep_idx];
+        self.models.roll_out(&mut output, sweep, (&self.generator, self.store), progress)?;
+        Ok(output)
     }
 
     /// Writes the table of a shard into the folder `dir`.

@@ -157,7 +157,7 @@ impl Sampling<'_> {
 
     fn sample(&self, (request, pool): (&ResolvedRequest, &Pool), shard: &RoundShard) -> Result<SampledShard> {
         let Self { ready, shards } = self;
-        let output = ready.generator.generate(&shard.plan, shards.progress)?;
+        let output = ready.generate(&shard.plan, shards.progress)?;
         let placed = ready.generator.place(request, (pool, shard), &output.records)?;
         Ok(SampledShard { sidecar: ready.write(&shard.plan, shards.dir(), output)?, placed })
     }
