@@ -135,23 +135,25 @@ impl KeptLane {
 }
 
 /// The points at which an agent continues after the last timestep of its track, which lasts to the end of the scene:
-/// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. It comes over
-/// to the middle of the lane within some 20 m. Empty if it is in no lane.
+/// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. From its own
+/// direction it comes over to the middle of the lane within some 20 m. Empty if it is in no lane.
 pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2> {
     const SPACING_M: f64 = 1.0;
-    const COMES_OVER_M: f64 = 20.0;
+    const COMES_OVER_M: f64 = 7.0;
     let ended = Scene { n_history: scene.n_timesteps, ..scene.clone() };
     let lanes = SceneLanes::new(&scene.lanes);
     let lane = KeptLane::as_observed(&ended, &lanes, agent_idx);
     let place = scene.state(agent_idx, ended.current_timestep()).zip(lane.as_ref()).and_then(|(state, lane)| {
         let place = lane.project(state.position)?;
-        Some((lane, place))
+        Some((lane, place, angle_difference(state.heading_rad, place.heading_rad).tan()))
     });
-    let Some((lane, place)) = place else { return Vec::new() };
+    let Some((lane, place, slope)) = place else { return Vec::new() };
     let n_points = (length_m / SPACING_M).ceil() as usize;
     let on = (1..=n_points).map_while(|i| {
         let ahead_m = i as f64 * SPACING_M;
-        lane.beside(place.station_m + ahead_m, place.offset_m * (-3.0 * ahead_m / COMES_OVER_M).exp())
+        // As a critically damped spring comes to rest.
+        let offset_m = place.offset_m + (slope + place.offset_m / COMES_OVER_M) * ahead_m;
+        lane.beside(place.station_m + ahead_m, offset_m * (-ahead_m / COMES_OVER_M).exp())
     });
     on.collect()
 }
@@ -251,6 +253,19 @@ mod tests {
         let now = kept.project(scene.state(0, scene.current_timestep()).unwrap().position).unwrap();
         let ahead = kept.point_at(now.station_m + 12.0).unwrap();
         assert!(ahead.x > 9.9 && ahead.y > 1.0, "around the corner: {ahead:?}");
+    }
+
+    #[test]
+    fn an_agent_goes_on_in_its_own_direction_and_comes_over_to_the_middle() {
+        let lanes = lane_graph("lanes = [{ id = 1, centerline = [[-50, 0], [150, 0]] }]");
+        let scene = Scene { lanes: Arc::new(lanes), ..scene(&[Drive::straight(0.0, 0.3, 0.1, 5.0)]) };
+        let last = scene.state(0, scene.n_timesteps - 1).unwrap();
+        let way = way_on(&scene, 0, 60.0);
+        let first_rad = (way[0] - last.position).angle();
+        assert!(way.len() == 60 && (first_rad - 0.1).abs() < 0.03, "{first_rad}");
+        let bends = way.windows(3).map(|w| ((w[2] - w[1]).angle() - (w[1] - w[0]).angle()).abs());
+        assert!(bends.fold(0.0, f64::max) < 0.06);
+        assert!(way[40].y.abs() < 0.1 && way[59].y.abs() < 0.01, "{:?}", way[40]);
     }
 
     #[test]

@@ -180,7 +180,7 @@ impl Situation {
 #[cfg(test)]
 mod tests {
     use super::super::drivers::expected;
-    use super::super::testing::{record, situation};
+    use super::super::testing::{record, records, situation};
     use super::*;
     use crate::geometry::Vec2;
 
@@ -219,10 +219,11 @@ mod tests {
     /// would be lost, and otherwise left as it is?
     #[test]
     fn the_event_is_planned_anew_where_an_ego_that_is_elsewhere_would_undo_it() {
-        let (record, mut n_lost, mut n_kept) = (record(), 0, 0);
-        let situation = situation(&record);
-        let other = situation.planned[0];
-        for ahead_m in (-12..=12).map(|i| f64::from(i) * 1.5) {
+        let (mut n_lost, mut n_kept) = (0, 0);
+        let all: Vec<Situation> = records().iter().map(situation).collect();
+        let shifts = all.iter().flat_map(|situation| (-6..=6).map(move |i| (situation, f64::from(i) * 3.0)));
+        for (situation, ahead_m) in shifts {
+            let other = situation.planned[0];
             let mut moved = situation.clone();
             let track = &mut moved.scene.tracks[situation.ego_idx];
             let ahead = |state: &State| state.position + Vec2::from_angle(state.heading_rad) * ahead_m;

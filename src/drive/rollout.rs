@@ -70,8 +70,7 @@ impl RolloutConfig {
 pub enum Others<'a> {
     /// The model, which answers to the ego.
     Sampled(&'a Futures<'a>),
-    /// The scenario for the first plan, then the model. Nothing ends the drive and nobody leaves while the scenario
-    /// lasts.
+    /// The scenario for the first plan, then the model. Nothing ends the drive while the scenario lasts.
     Continued(&'a Futures<'a>),
     /// The scenario, whatever the ego does.
     Replayed,
@@ -236,12 +235,14 @@ impl Drive<'_> {
             };
             let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
             self.world.push(next);
-            let since = match others {
-                Others::Continued(_) if timestep < situation.scene.n_timesteps => continue,
-                Others::Continued(_) if timestep == situation.scene.n_timesteps => situation.scene.current_timestep(),
-                _ => timestep - 1,
+            let (goes_on, since) = match others {
+                Others::Continued(_) if futures.is_none() => continue,
+                // Nobody leaves during the first plan, but after it.
+                Others::Continued(_) if step == 0 => (timestep < situation.scene.n_timesteps, now - n_steps),
+                Others::Continued(_) => (timestep < situation.scene.n_timesteps, timestep - 1),
+                Others::Sampled(_) | Others::Replayed => (false, timestep - 1),
             };
-            if let Some(end) = self.look(since) {
+            if let Some(end) = self.look(since).filter(|_| !goes_on) {
                 return Ok(Some(end));
             }
         }

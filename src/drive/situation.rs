@@ -215,7 +215,8 @@ impl Situation {
             state.is_some_and(|state| self.arrivals.is_out_of_sight(self, &state))
         };
         let now = world.now();
-        self.plan(world, agent_idx, now).is_none() && is_out(now) && !is_out(since)
+        let is_in_event = self.roles.contains(&agent_idx) && now <= world.plan_ends;
+        !is_in_event && is_out(now) && !is_out(since)
     }
 
     /// The scene of all reached states; its past is the scenario's.

@@ -21,10 +21,15 @@ pub(super) fn model() -> TrainedDenoiser {
     TrainedDenoiser::read(&at("pipelines/models/geometric_two_steps.safetensors"), &Compute::cpu()).unwrap()
 }
 
-/// A verified scenario of the fixture corpus.
-pub(super) fn record() -> ScenarioRecord {
+/// The verified scenarios of the fixture corpus.
+pub(super) fn records() -> Vec<ScenarioRecord> {
     let reader = CorpusReader::open(&corpus()).unwrap();
-    (0..reader.len()).map(|i| reader.scenario(i).unwrap()).find(|record| record.verified).unwrap()
+    (0..reader.len()).map(|i| reader.scenario(i).unwrap()).filter(|record| record.verified).collect()
+}
+
+/// The first of them.
+pub(super) fn record() -> ScenarioRecord {
+    records().remove(0)
 }
 
 /// Its start, for the vehicle that is cut off.

@@ -98,7 +98,7 @@ impl CellSamples<'_> {
     /// Measures the cell against the scene it continues.
     pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
         let samples = self.scenes(recorded);
-        let recorded = as_far_as_generated(recorded, &samples[0]);
+        let recorded = as_far_as_generated(recorded, &samples);
         let first = self.records[0];
         let requested = first
             .requested_behavior
@@ -162,14 +162,17 @@ fn as_far_as_recorded(sample: &Scene, recorded: &Scene) -> Scene {
     Scene { tracks, n_timesteps, ..sample.clone() }
 }
 
-/// The recording without the futures of agents that were not generated (beyond the denoiser's number of agents), so
-/// that recording, baseline and samples are measured on the same agents.
-fn as_far_as_generated(recorded: &Scene, sample: &Scene) -> Scene {
+/// The recording without the futures of agents that were not generated (beyond the denoiser's number of agents), or
+/// leave in a closed loop, so that recording, baseline and samples are measured on the same agents.
+fn as_far_as_generated(recorded: &Scene, samples: &[Scene]) -> Scene {
     let n_history = recorded.n_history;
-    let was_generated = |track: &Track| track.trajectory.valid().any(|(timestep, _)| timestep >= n_history);
-    let tracks = recorded.tracks.iter().zip(&sample.tracks).map(|(track, generated)| {
+    let was_generated = |agent_idx: usize, track: &Track| {
+        let mut later = track.trajectory.valid().filter(|(timestep, _)| *timestep >= n_history);
+        later.all(|(timestep, _)| samples.iter().all(|sample| sample.state(agent_idx, timestep).is_some()))
+    };
+    let tracks = recorded.tracks.iter().enumerate().map(|(agent_idx, track)| {
         let mut track = track.clone();
-        if !was_generated(generated) {
+        if !was_generated(agent_idx, &track) {
             let observed = |(timestep, state): (usize, &Option<_>)| state.filter(|_| timestep < n_history);
             track.trajectory = Trajectory::new(track.trajectory.entries().iter().enumerate().map(observed).collect());
         }

@@ -14,7 +14,7 @@ use std::sync::Arc;
 const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 const MODEL: &str = "pipelines/models/geometric_two_steps.safetensors";
 /// Accepted scenarios of the corpus.
-const N_SCENARIOS: u64 = 3;
+const N_SCENARIOS: u64 = 4;
 
 fn drive(ego: &str, out: &Path, more: &[&str]) -> Outcome {
     let out = out.to_str().unwrap();
@@ -45,7 +45,7 @@ fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_s
     let shared = ["--horizon-s", "2", "--save-at", "14", "--threads"];
     drive("model", &one, &[&shared[..], &["1"]].concat()).expect(0);
     let outcome = drive("model", &two, &[&shared[..], &["3"]].concat()).expect(0);
-    assert!(outcome.stdout.contains("of 3 scenarios fail ("), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains("of 4 scenarios fail ("), "{}", outcome.stdout);
     assert_same(&files(&one), &files(&two));
     let (found, tables) = (report(&one), ["drives.parquet", "driven.parquet"]);
     assert!(found["n_scenarios"] == N_SCENARIOS && tables.iter().all(|table| one.join(table).is_file()));
@@ -336,7 +336,7 @@ fn planned_trajectories_are_scored_beside_the_careful_driver_the_scenario_and_th
     // Ten meters aside at once is no road, or no free one.
     planned(&file, 10.0);
     let gated = score(&["--max-failures", "0"]).expect(3);
-    assert!(gated.stderr.contains("--max-failures: 3 scenarios, expected at most 0"), "{}", gated.stderr);
+    assert!(gated.stderr.contains("--max-failures: 4 scenarios, expected at most 0"), "{}", gated.stderr);
     assert_eq!(report(&out)["failures"]["n_failed"], N_SCENARIOS);
     let refused = djinn(&["score", CORPUS, "Cargo.toml", "--out", dir.path().join("no").to_str().unwrap()]).expect(1);
     assert!(refused.stderr.contains("Cargo.toml"), "{}", refused.stderr);
