@@ -52,7 +52,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        19
+        20
     }
 
     fn check(&self) -> Result<()> {
