@@ -66,6 +66,11 @@ pub(in crate::behavior) struct Travel {
     pub(in crate::behavior) speeds_mps: Vec<f64>,
 }
 
+/// How long it takes to brake at `then_mps2` from `mps2`, m/s², which is more, seconds.
+pub(in crate::behavior) fn building_up_s(mps2: f64, then_mps2: f64) -> f64 {
+    ((mps2 - then_mps2) / BRAKING_JERK_MPS3).max(PEDAL_S)
+}
+
 impl Pace {
     /// A constant acceleration, m/s².
     pub(in crate::behavior) const fn steady(first_mps2: f64) -> Self {

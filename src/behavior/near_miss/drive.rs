@@ -12,7 +12,7 @@ pub(super) struct Drive {
     /// Distances driven, meters, and speeds, m/s.
     pub(super) driven_m: Vec<f64>,
     pub(super) speeds_mps: Vec<f64>,
-    /// Boxes: the whole, and the inner parts.
+    /// Boxes: the whole, which stay apart, and the inner parts.
     pub(super) outer: Vec<Footprint>,
     pub(super) inner: Vec<Footprint>,
 }

@@ -7,7 +7,7 @@ use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace};
+use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace, building_up_s};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::scene::{Extent, Scene, State};
@@ -67,7 +67,12 @@ impl<'a> Search<'a> {
         let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let drivers = [first?, second?];
         let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
-        let extents = agents.map(|agent_idx| extents(&scene.tracks[agent_idx]));
+        // Where no size is recorded, near misses are told by smaller boxes than templates keep apart.
+        let extents = agents.map(|agent_idx| {
+            let track = &scene.tracks[agent_idx];
+            let [_, inner] = extents(track);
+            [track.extent_or_nominal(), inner]
+        });
         Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s })
     }
 
@@ -102,14 +107,15 @@ impl<'a> Search<'a> {
         PlannedDrive { rail, acceleration_mps2, drive, clear }
     }
 
-    /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. `None`
-    /// if that is not urgent, or does not help.
+    /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. As its
+    /// deceleration builds up, it begins earlier, so that it loses no distance to one that has it at once. `None` if
+    /// that is not urgent, or does not help.
     fn avoided(&self, courses: [&PlannedDrive; 2], meets: usize, evader: usize, at_s: f64) -> Option<Maneuver> {
         let (own, other) = (courses[evader], courses[1 - evader]);
         let n_before = (at_s / self.dt_s).round() as usize;
         let begins = meets.checked_sub(n_before)?;
-        let from_s = (begins + 1) as f64 * self.dt_s;
-        if from_s < SOONEST_S || own.clear <= begins || other.clear < other.drive.outer.len() {
+        let at_once_s = (begins + 1) as f64 * self.dt_s;
+        if at_once_s < SOONEST_S || own.clear <= begins || other.clear < other.drive.outer.len() {
             return None;
         }
         let velocities = [own.drive.velocity(begins), other.drive.velocity(begins)];
@@ -120,6 +126,7 @@ impl<'a> Search<'a> {
             return None;
         }
         BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
+            let from_s = (at_once_s - building_up_s(own.acceleration_mps2, -deceleration_mps2) / 2.0).max(SOONEST_S);
             let braked = self.course(evader, own.rail, own.acceleration_mps2, Some((from_s, deceleration_mps2)));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
             let pair = if evader == 0 { [&braked, other] } else { [other, &braked] };

@@ -57,6 +57,26 @@ fn the_miner_finds_the_near_miss_that_templates_were_solved_for() {
     }
 }
 
+/// Whether a vehicle can come to a near miss with one this far ahead, meters, at these speeds, m/s.
+fn comes_close(speeds_mps: [f64; 2], ahead_m: f64, are_sized: bool) -> bool {
+    let [own_mps, their_mps] = speeds_mps;
+    let mut scene = scene(&[Drive::straight(0.0, 0.0, 0.0, own_mps), Drive::straight(ahead_m, 0.0, 0.0, their_mps)]);
+    if !are_sized {
+        scene.tracks.iter_mut().for_each(|track| track.extent = None);
+    }
+    !NearMiss { recorded_sizes: false, ..NearMiss::default() }.feasible(&scene, &[0, 1]).is_empty()
+}
+
+#[test]
+fn brakes_that_build_up_are_pressed_early_enough() {
+    assert_eq!([6.0, 7.0, 8.0, 9.0].map(|mps| comes_close([mps, 1.0], 26.0, true)), [true; 4]);
+}
+
+#[test]
+fn whose_sizes_are_not_recorded_are_kept_as_far_apart_as_templates_have_to() {
+    assert_eq!([9.0, 9.5, 10.0].map(|mps| comes_close([mps, 0.0], 20.0, false)), [true; 3]);
+}
+
 #[test]
 fn who_cannot_meet_has_none() {
     let with = |other: Drive| outcomes(&scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), other])).len();

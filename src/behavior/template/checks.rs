@@ -1,6 +1,6 @@
 //! Checks of a template: nobody in the way, on the road, within the limits of vehicles, and different from the others.
 
-use super::{Motion, Template};
+use super::{Motion, STANDING_MPS, Template};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
@@ -106,7 +106,10 @@ impl Template {
             velocities.windows(2).all(|pair| {
                 let (change, mean) = (pair[1] - pair[0], pair[0] + pair[1]);
                 let along = mean * (1.0 / mean.norm().max(f64::MIN_POSITIVE));
-                let turning_mps2 = tightest_1pm * mean.dot(mean) / 4.0 + NOISE_MPS2;
+                // What moves a standing vehicle aside is an error of the tracker.
+                let is_standing = mean.norm() / 2.0 < STANDING_MPS;
+                let turning_mps2 =
+                    if is_standing { f64::INFINITY } else { tightest_1pm * mean.dot(mean) / 4.0 + NOISE_MPS2 };
                 change.dot(along).abs() <= MOST_ALONG_MPS2 * scene.dt_s
                     && along.cross(change).abs() <= MOST_ACROSS_MPS2.min(turning_mps2) * scene.dt_s
             })
@@ -192,6 +195,24 @@ mod tests {
         for mps2 in [0.0, 1.0, 4.0] {
             let found = jolt_mps2(&scene, 0, &braking(mps2)).unwrap();
             assert!((found - mps2).abs() < 1e-6, "{found} instead of {mps2}");
+        }
+    }
+
+    #[test]
+    fn errors_of_a_tracker_do_not_move_a_standing_vehicle_aside() {
+        let mut scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+        let now = State { velocity: Vec2::new(0.05, 0.15), ..State::default() };
+        let past = (0..scene.n_timesteps).map(|t| {
+            let since_s = (t as f64 - scene.current_timestep() as f64) * scene.dt_s;
+            Some(State { position: now.velocity * since_s, ..now })
+        });
+        scene.tracks[0].trajectory = Trajectory::new(past.collect());
+        for mps2 in [0.0, 1.25] {
+            let place = |t_s: f64| Some(Vec2::new(mps2 * t_s * t_s / 2.0, 0.0));
+            let template = Template::empty().with(&scene, 0, place).unwrap();
+            assert!(template.is_drivable(&scene), "{mps2} m/s²");
+            let aside_m = template.positions(&scene, 0).unwrap().iter().map(|at| at.y.abs()).fold(0.0, f64::max);
+            assert!(aside_m < 0.01, "{mps2} m/s²: {aside_m} m");
         }
     }
 

@@ -28,7 +28,7 @@ const SETTLED_MPS2: f64 = 3.0;
 /// The largest angle to the lane of a vehicle that moves over to the lane beside, radians.
 pub(super) const MOST_ANGLE_RAD: f64 = 0.35;
 /// Agents below this speed stand, m/s.
-const STANDING_MPS: f64 = 0.5;
+pub(super) const STANDING_MPS: f64 = 0.5;
 
 /// The futures of the agents that take part.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,8 +71,10 @@ impl Template {
         let planned: Option<Vec<Vec2>> = (1..scene.n_timesteps - scene.current_timestep()).map(planned).collect();
         let observed = observed_acceleration(scene, agent_idx).unwrap_or_default();
         let observed = observed * (MOST_OBSERVED_MPS2 / observed.norm().max(MOST_OBSERVED_MPS2));
-        let mut positions = joined(state, observed, &planned?, scene.dt_s);
-        if scene.tracks[agent_idx].class.is_motorized() {
+        let is_motorized = scene.tracks[agent_idx].class.is_motorized();
+        let start = if is_motorized { without_slip(state) } else { *state };
+        let mut positions = joined(&start, observed, &planned?, scene.dt_s);
+        if is_motorized {
             hold_who_stops(state, &mut positions);
         }
         let states = states(state, scene.dt_s, &past(scene, agent_idx), &positions);
@@ -106,6 +108,14 @@ impl Template {
             *trajectory = Trajectory::new(kept.chain(states.into_iter().map(Some)).collect());
         }
     }
+}
+
+/// The state of a vehicle with its velocity; if it stands, with the part along its heading alone: the rest is an error
+/// of the tracker, and would carry it aside.
+fn without_slip(now: &State) -> State {
+    let forward = Vec2::from_angle(now.heading_rad);
+    let along = forward * now.velocity.dot(forward).max(0.0);
+    State { velocity: if now.speed_mps() > STANDING_MPS { now.velocity } else { along }, ..*now }
 }
 
 /// Keeps an agent that has stopped where it is: coming over to a plan would push it back.
