@@ -231,7 +231,7 @@ mod tests {
             let states = states.map(|state| state.map(|state| State { position: ahead(&state), ..state })).collect();
             track.trajectory = Trajectory::new(states);
             let mut world = moved.start(1);
-            let expected = expected(&situation, &world, 30);
+            let expected = expected(situation, &world, 30);
             let found = |world: &World| {
                 let states = vec![(other, situation.course(world, other, 30))];
                 situation.event_in(&situation.foreseen(world, &expected, &states)).is_some()

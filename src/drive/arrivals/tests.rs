@@ -260,6 +260,7 @@ fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
     assert!(!Ends::of(&LaneGraph::new(lanes), &[scene(&vehicles)]).is_out_of_sight(&state(199.0, 0.0)));
 
     let mut situation = on_the_road(scene(&[[120.0, 10.0]]));
+    situation.roles.clear();
     situation.expect(&ends_with(10), &Recorded::default(), 1, [0, 0]);
     let scene_from_world = situation.scene.world_from_scene.inverse();
     let goes = |situation: &Situation, xs: &[f64]| {
@@ -272,6 +273,6 @@ fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
         [&[162.0, 162.9], &[162.0, 163.1], &[163.1, 164.0]].map(|xs| goes(&situation, xs)),
         [false, true, false]
     );
-    situation.planned = vec![0];
+    situation.roles = vec![0];
     assert!(!goes(&situation, &[162.0, 163.1]));
 }
