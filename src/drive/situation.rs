@@ -208,15 +208,20 @@ impl Situation {
         self.starts_on_map[agent_idx] && !self.is_on_map(state)
     }
 
-    /// Whether an agent has gone since an earlier timestep where no traffic of the place is seen, and not to an event.
+    /// Whether an agent has gone since an earlier timestep where no traffic of the place is seen. Agents of the event
+    /// may do so until it has happened, and are gone then.
     pub(super) fn goes_out_of_sight(&self, world: &World, agent_idx: usize, since: usize) -> bool {
         let is_out = |timestep: usize| {
             let state = world.state(agent_idx, timestep);
             state.is_some_and(|state| self.arrivals.is_out_of_sight(self, &state))
         };
         let now = world.now();
-        let is_in_event = self.roles.contains(&agent_idx) && now <= world.plan_ends;
-        !is_in_event && is_out(now) && !is_out(since)
+        let since = match self.roles.contains(&agent_idx) {
+            true if now <= world.plan_ends => return false,
+            true => self.scene.current_timestep(),
+            false => since,
+        };
+        is_out(now) && !is_out(since)
     }
 
     /// The scene of all reached states; its past is the scenario's.

@@ -275,4 +275,7 @@ fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
     );
     situation.roles = vec![0];
     assert!(!goes(&situation, &[162.0, 163.1]));
+    // The scenario and its event last for 30 timesteps.
+    let driven: Vec<f64> = (0..31).map(|i| 160.0 + 0.2 * f64::from(i)).collect();
+    assert_eq!([30, 31].map(|n| goes(&situation, &driven[..n])), [false, true]);
 }
