@@ -65,7 +65,10 @@ impl<'a> Measures<'a> {
         );
         let of_anybody = self.behaviors.iter().map(|behavior| {
             let id = behavior.id();
-            rate(format!("{id}_rate"), format!("share of samples in which the miner finds {id}, between any agents"))
+            let name = format!("{id}_rate");
+            let is_taken = self.metrics.iter().any(|metric| metric.spec().id == name);
+            let name = if is_taken { format!("mined_{name}") } else { name };
+            rate(name, format!("share of samples in which the miner finds {id}, between any agents"))
         });
         let of_samples = metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes());
         of_samples.chain(Likelihoods::specs().map(MetricDoc::from)).collect()
@@ -166,6 +169,7 @@ fn rate(metric: String, description: String) -> MetricDoc {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::behavior::BehaviorConfig;
     use crate::scene::testing::{self, Drive};
 
     fn scene(offset_m: f64) -> Scene {
@@ -192,6 +196,15 @@ mod tests {
         fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
             vec![BehaviorEvent::new(("cut_in", self.roles()), scene, EventLabel::Positive, &[0, 1], 5..=6)]
         }
+    }
+
+    #[test]
+    fn no_two_measures_have_one_name() {
+        let behaviors = ["cut_in", "collision"].map(|id| BehaviorConfig::from_id(id).unwrap().build());
+        let (config, mut known) = (EvaluateConfig::default(), std::collections::BTreeSet::new());
+        let docs = Measures::new(&config, &behaviors).docs();
+        assert!(docs.iter().all(|doc| known.insert(doc.metric.as_str())));
+        assert!(["cut_in_rate", "collision_rate", "mined_collision_rate"].iter().all(|name| known.contains(name)));
     }
 
     #[test]

@@ -51,7 +51,7 @@ scene_training_section! {
         /// Learning rate after warm-up.
         #[schemars(extend("exclusiveMinimum" = 0, "maximum" = 1000))]
         pub learning_rate: Option<f64>,
-        /// Steps over which the learning rate rises from 0.
+        /// Steps over which the learning rate rises from 0. Left out: the preset's, at most a tenth of all.
         #[schemars(range(max = 1_000_000_000))]
         pub warmup_steps: Option<u64>,
         /// Steps between saved states. Left out: half of those between evaluations.
@@ -78,7 +78,8 @@ scene_training_section! {
         /// Maximum number of lane polylines per scene, nearest to the ego agent.
         #[schemars(range(max = 100_000))]
         pub max_lanes: Option<usize>,
-        /// Dimensions of a diffused state: 3 (x, y, heading) or 2 (x, y). Left out: 2 for Argoverse 1, else 3.
+        /// Dimensions of a diffused state: 3 (x, y, heading) or 2 (x, y). Left out: that of `start_from`;
+        /// without one 2 for Argoverse 1, else 3.
         #[schemars(range(min = 2, max = 3))]
         pub state_dim: Option<usize>,
         /// A checkpoint of the same network to start from: to train it further, or on other scenes. Training then ends
@@ -126,7 +127,8 @@ impl DenoiserTrainingConfig {
         common.n_eval_scenes = self.n_eval_scenes.unwrap_or(common.n_eval_scenes);
         common.fit.save_every = self.save_every.unwrap_or(common.fit.save_every);
         common.fit.learning_rate = self.learning_rate.unwrap_or(common.fit.learning_rate);
-        common.fit.warmup_steps = self.warmup_steps.unwrap_or(common.fit.warmup_steps);
+        let few = common.fit.warmup_steps.min(common.fit.steps / 10);
+        common.fit.warmup_steps = self.warmup_steps.unwrap_or(few);
         common.fit.ema_decay = self.ema_decay.unwrap_or(common.fit.ema_decay);
         check_objectives("train.denoiser.objectives", &self.objectives)?;
         let parametrization = self.state_parametrization.unwrap_or(base.parametrization);
@@ -279,6 +281,15 @@ impl Preset {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn short_trainings_warm_up_for_a_tenth_of_their_steps() {
+        let warmup_steps = |steps: u64, own: Option<u64>| {
+            let config = DenoiserTrainingConfig { steps: Some(steps), warmup_steps: own, ..Default::default() };
+            config.resolve().unwrap().common.fit.warmup_steps
+        };
+        assert_eq!([(30, None), (8_000, None), (30, Some(20))].map(|(n, own)| warmup_steps(n, own)), [3, 200, 20]);
+    }
 
     #[test]
     fn the_geometry_of_a_preset_is_left_out_where_it_does_not_fit() {

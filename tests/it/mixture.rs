@@ -95,3 +95,26 @@ fn scenes_that_cannot_be_mixed_are_refused() {
     let positions = [&paper[..], &["train.denoiser.state_dim=2"]].concat();
     mix(&workspace, "positions", "short/argoverse/main/scenes", &positions, 0);
 }
+
+/// Argoverse 1 alone would be diffused without headings, which the bundled model has.
+#[test]
+fn a_bundled_model_is_trained_further_on_argoverse_alone_as_it_was_trained() {
+    let workspace = Workspace::of(
+        r#"
+        [ingest]
+        dataset = "argoverse1"
+        inputs = ["../fixtures/recordings/argoverse1"]
+        splits = ["train", "val"]
+        n_history = 10
+
+        [train.denoiser]
+        start_from = "../../pipelines/models/geometric.safetensors"
+        steps = 1
+        batch_size = 1
+        n_eval_scenes = 1
+        "#,
+    );
+    workspace.run("out", &[]).expect(0);
+    let model = workspace.run_folder("out").join("denoiser/model.safetensors");
+    assert_eq!(TrainedDenoiser::read(&model, &djinn::nn::Compute::cpu()).unwrap().spec.normalizer.state_dim, 3);
+}

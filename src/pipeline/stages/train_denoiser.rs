@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDenoiser;
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
     const CALIBRATE: Option<Calibrate<DenoiserSpec>> = Some(calibrate);
 
@@ -42,8 +42,9 @@ impl Recipe for DenoiserTrainingConfig {
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
-        let data = scenes.training_data(self.state_dim, self.resolve()?.network.geometry.is_some())?;
         let start = self.read_start(&job.compute.device)?;
+        let state_dim = self.state_dim.or_else(|| start.as_ref().map(|start| start.metadata.normalizer.state_dim));
+        let data = scenes.training_data(state_dim, self.resolve()?.network.geometry.is_some())?;
         let outcome = train_denoiser(&self.resolve()?, &data, start.as_ref(), job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))
     }
