@@ -146,7 +146,7 @@ fn speed_limit(weight: f64) -> ObjectiveConfig {
 #[test]
 fn objectives_shape_where_the_steps_end() {
     let dir = tempfile::tempdir().unwrap();
-    let checkpoint = teacher(100, dir.path());
+    let checkpoint = teacher(200, dir.path());
     let final_cost = |weight: f64| {
         let mut training = distillation(120, two_steps());
         training.objectives = vec![speed_limit(weight)];
