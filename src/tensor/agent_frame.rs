@@ -84,7 +84,7 @@ impl AgentFrame {
                 }
                 stay(&mut entries, &latent[slot], source.dt_s);
                 if holds {
-                    hold_still(&mut entries, &latent[slot]);
+                    hold_still(&mut entries, &latent[slot], source.dt_s);
                 }
                 let has_headings = source.source.dataset.facts().has_headings;
                 let headings = match with_heading && !self.derives_heading(track) {
