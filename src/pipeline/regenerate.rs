@@ -4,7 +4,7 @@ use super::StageId;
 use super::layout::Layout;
 use super::stages::{
     FoundShard, LoadedModels, SampleManifest, SampleSettings, SampledWith, checkpoint_file, find_shard, needed_models,
-    shard_name,
+    roll_out, shard_name,
 };
 use crate::engine::{Failure, Result};
 use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey, ShardOutput};
@@ -67,7 +67,7 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
     })?;
     let mut output =
         ShardOutput { records: generator.regenerate(plan, wanted)?.into_iter().collect(), ..Default::default() };
-    models.roll_out(&mut output, &resolved.sweeps[plan.sweep_idx], (&generator, &store), &Silent)?;
+    roll_out(&mut output, &resolved.sweeps[plan.sweep_idx], (&generator, &store), &Silent)?;
     let mut again = output.records.pop().ok_or_else(|| {
         Failure::input_message(format_args!(
             "scenario {id} could not be generated again: its sample is not a valid scenario"

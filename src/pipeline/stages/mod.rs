@@ -21,7 +21,7 @@ pub use generate::{Generate, SampleManifest, SampleSettings, SampleSidecar, Samp
 pub use ingest::Ingest;
 pub(crate) use ingest::on_disk;
 pub use mine::{Mine, MineConfig};
-pub(in crate::pipeline) use models::{LoadedModels, needed_models};
+pub(in crate::pipeline) use models::{LoadedModels, needed_models, roll_out};
 pub use report::{About, Report};
 pub(in crate::pipeline) use train::checkpoint_file;
 pub use train::{Recipe, Train};

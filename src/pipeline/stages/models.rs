@@ -61,20 +61,6 @@ impl LoadedModels {
         }
     }
 
-    /// Lets the scenarios of a shard go on in closed loops, by the model of their sweep, if the sweep asks for that.
-    pub(in crate::pipeline) fn roll_out(
-        &self,
-        output: &mut ShardOutput,
-        sweep: &ResolvedSweep,
-        (generator, store): (&Generator<'_>, &SceneStore),
-        progress: &dyn Progress,
-    ) -> Result<()> {
-        let Some(rollout) = &sweep.rollout else { return Ok(()) };
-        let futures = generator.futures(sweep)?;
-        roll_out_samples(output, rollout, generator.behavior(sweep), &futures, store, progress)?;
-        Ok(())
-    }
-
     /// The fingerprint of the model that a stage makes, if it was read.
     pub(in crate::pipeline) fn fingerprint(&self, stage: StageId) -> Option<String> {
         match stage {
@@ -86,4 +72,16 @@ impl LoadedModels {
         }
         .cloned()
     }
+}
+
+/// Lets the scenarios of a shard go on in closed loops, by the model of their sweep, if the sweep asks for that.
+pub(in crate::pipeline) fn roll_out(
+    output: &mut ShardOutput,
+    sweep: &ResolvedSweep,
+    (generator, store): (&Generator<'_>, &SceneStore),
+    progress: &dyn Progress,
+) -> Result<()> {
+    let Some(rollout) = &sweep.rollout else { return Ok(()) };
+    let futures = generator.futures(sweep)?;
+    Ok(roll_out_samples(output, rollout, generator.behavior(sweep), &futures, store, progress)?)
 }

@@ -7,7 +7,7 @@ use crate::generate::{Generator, Plan, Pool, ResolvedGeneration, ShardOutput, Sh
 use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::stages::LoadedModels;
+use crate::pipeline::stages::{LoadedModels, roll_out};
 use crate::progress::Progress;
 use crate::store::SceneStore;
 use std::path::Path;
@@ -82,7 +82,7 @@ impl Ready<'_> {
     pub(super) fn generate(&self, shard: &ShardPlan, progress: &dyn Progress) -> Result<ShardOutput> {
         let mut output = self.generator.generate(shard, progress)?;
         let sweep = &self.resolved.sweeps[shard.sweep_idx];
-        self.models.roll_out(&mut output, sweep, (&self.generator, self.store), progress)?;
+        roll_out(&mut output, sweep, (&self.generator, self.store), progress)?;
         Ok(output)
     }
 
