@@ -5,9 +5,6 @@ use super::{Error, MODEL_FILE, TrainJob};
 use crate::model::DenoiserSpec;
 use crate::nn::{Checkpoint, write_checkpoint};
 
-/// With fewer scenes than this, a covariance over all timesteps is mostly chance.
-const FEW_SCENES: usize = 50;
-
 /// Writes a checkpoint of the same weights to `model.safetensors` in the job's folder, whose scales of motion are those
 /// of these scenes ([`Normalizer::for_motion_of`](crate::tensor::Normalizer::for_motion_of)). Returns its fingerprint.
 ///
@@ -29,10 +26,7 @@ pub fn calibrate_denoiser(
         let why = "calibrate needs a denoiser that diffuses motion, and scenes with tracks that are complete";
         return Err(Error::Config(why.to_owned()));
     }
-    if data.n_train() < FEW_SCENES {
-        let n = data.n_train();
-        job.progress.warn(&format!("the denoiser was calibrated on {n} scenes, expected at least {FEW_SCENES}"));
-    }
+    data.warn_if_few("calibrated", job.progress);
     spec.normalizer = spec.normalizer.for_motion_of(&found.normalizer);
     Ok(write_checkpoint(&job.dir.join(MODEL_FILE), &checkpoint.tensors, &spec)?)
 }

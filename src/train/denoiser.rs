@@ -24,6 +24,7 @@ pub fn train_denoiser(
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
         spec.normalizer = start.metadata.normalizer.for_motion_of(&spec.normalizer);
+        data.warn_if_few("trained further", job.progress);
     }
     let mut model = Trainable::new(&spec, start, job)?;
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;

@@ -7,11 +7,13 @@ use crate::guidance::{AccelerationLimit, ObjectiveConfig};
 use crate::model::{DenoiserSpec, NetworkConfig, SceneDenoiser, TrainedDenoiser};
 use crate::nn::testing::{scalar, values};
 use crate::nn::{Checkpoint, Compute, Params, read_checkpoint};
+use crate::progress::Progress;
 use crate::scene::Scene;
 use crate::seed::Seed;
 use crate::tensor::MaskSampler;
 use candle_core::Device;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn training(steps: u64) -> DenoiserTraining {
@@ -170,6 +172,32 @@ fn training_can_start_from_a_checkpoint() {
     other.network.layers = "TAT".to_owned();
     let error = train_from(Some(&start), &arcs(40), &other, second.path()).unwrap_err().to_string();
     assert!(error.contains("another network"), "{error}");
+}
+
+#[test]
+fn few_scenes_to_take_the_scales_of_motion_from_are_a_warning() {
+    #[derive(Default)]
+    struct Heard(Mutex<Vec<String>>);
+    impl Progress for Heard {
+        fn warn(&self, message: &str) {
+            self.0.lock().unwrap().push(message.to_owned());
+        }
+    }
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    train(&arcs(40), &training(1), first.path()).unwrap();
+    let start = read_checkpoint::<DenoiserSpec>(&first.path().join("model.safetensors"), &Device::Cpu).unwrap();
+    let warnings = |start: Option<&Checkpoint<DenoiserSpec>>, n_scenes: usize| {
+        let heard = Heard::default();
+        let job = TrainJob { progress: &heard, ..job(3, second.path()) };
+        let (scenes, steps) = (arcs(n_scenes), training(1));
+        train_denoiser(&steps, &one_source(&scenes), start, job).unwrap();
+        let of_scenes =
+            heard.0.into_inner().unwrap().into_iter().filter(|warning| warning.contains("expected at least"));
+        of_scenes.collect::<Vec<_>>()
+    };
+    let few = warnings(Some(&start), 48);
+    assert!(few.len() == 1 && few[0].contains("trained further on 40 scenes"), "{few:?}");
+    assert!(warnings(Some(&start), 80).is_empty() && warnings(None, 48).is_empty());
 }
 
 #[test]

@@ -2,12 +2,15 @@
 
 use super::{Balance, Error, SceneDataset, TrainJob, WeightedGroups};
 use crate::model::DenoiserSpec;
+use crate::progress::Progress;
 use crate::seed::Seed;
 use crate::tensor::{Normalizer, NormalizerFit, StateParametrization};
 use std::collections::BTreeMap;
 
 /// Scenes to gather the normalization constants from: enough for three digits.
 const N_NORMALIZER_SCENES: usize = 2_000;
+/// With fewer scenes than this, a covariance over all timesteps is mostly chance.
+const FEW_SCENES: usize = 50;
 
 /// The scenes of a training run.
 pub struct TrainingData<'a> {
@@ -50,6 +53,15 @@ impl TrainingData<'_> {
     /// Number of scenes to train on.
     pub fn n_train(&self) -> usize {
         self.sources.iter().map(|source| source.train.len()).sum()
+    }
+
+    /// Warns that a covariance of motion was taken from few scenes when a denoiser is `done` so: "calibrated", say.
+    pub(super) fn warn_if_few(&self, done: &str, progress: &dyn Progress) {
+        let n = self.n_train();
+        if n < FEW_SCENES {
+            let why = "fewer hardly tell how motion varies";
+            progress.warn(&format!("the denoiser is {done} on {n} scenes, expected at least {FEW_SCENES}: {why}"));
+        }
     }
 
     /// Number of held-out scenes.
