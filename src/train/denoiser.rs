@@ -4,13 +4,13 @@ use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
 use super::objective_loss::described;
 use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
-use super::{DenoiserTraining, DenoisingTask, Error, FitConfig, TrainJob, TrainOutcome, Trainable, fit};
+use super::{DenoiserTraining, DenoisingTask, Error, FitConfig, Scales, TrainJob, TrainOutcome, Trainable, fit};
 use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::Checkpoint;
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
-/// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`), and ends with
-/// the weights that were best on held-out scenes.
+/// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`) unless `scales`
+/// says otherwise, and ends with the weights that were best on held-out scenes.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -23,8 +23,13 @@ pub fn train_denoiser(
     let mut spec = describe(training, data, job)?;
     if let Some(start) = start {
         check_start(&start.metadata, &spec)?;
-        spec.normalizer = start.metadata.normalizer.for_motion_of(&spec.normalizer);
-        data.warn_if_few("trained further", job.progress);
+        spec.normalizer = match training.scales {
+            Scales::Recordings => {
+                data.warn_if_few("trained further", job.progress);
+                start.metadata.normalizer.for_motion_of(&spec.normalizer)
+            }
+            Scales::Checkpoint => start.metadata.normalizer.clone(),
+        };
     }
     let mut model = Trainable::new(&spec, start, job)?;
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;

@@ -158,6 +158,9 @@ fn training_can_start_from_a_checkpoint() {
     let scales = |outcome: &TrainOutcome<DenoiserSpec>| outcome.spec.normalizer.scene_units();
     assert_eq!(scales(&warm), scales(&cold));
     assert_ne!(warm.spec.normalizer.motion_covariance, cold.spec.normalizer.motion_covariance);
+    let own = DenoiserTraining { scales: Scales::Checkpoint, ..training(1) };
+    let alike = train_from(Some(&start), &arcs(48), &own, second.path()).unwrap();
+    assert_eq!(alike.spec.normalizer, cold.spec.normalizer);
     // A training that only makes it worse ends with the weights it started from.
     let third = tempfile::tempdir().unwrap();
     let mut spoiling = training(20);

@@ -63,7 +63,7 @@ pub use fit_config::{FitConfig, LearningRateDecay};
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use labeled_pairs::{LabeledPair, Labels, MinedEvent};
 pub use pair_examples::{NoisyPairs, PairExample, PairExamples};
-pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset};
+pub use preset::{Balance, DenoiserTraining, DenoiserTrainingConfig, Preset, Scales};
 pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, WeightedGroups};
 pub use section::{MoreScenes, OwnScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};

@@ -38,6 +38,17 @@ pub enum Balance {
     Places,
 }
 
+/// The scenes whose motion sets the scales of a training that starts from a checkpoint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Scales {
+    /// The new ones: samples have their texture, and what the network knows has to be learned again in part.
+    #[default]
+    Recordings,
+    /// Those of the checkpoint: for more recordings of its kind.
+    Checkpoint,
+}
+
 scene_training_section! {
     /// How to train the denoiser. Settings left out are the preset's.
     #[derive(Default)]
@@ -85,6 +96,9 @@ scene_training_section! {
         /// A checkpoint of the same network to start from: to train it further, or on other scenes. Training then ends
         /// with the weights that were best on held-out scenes, those that it started from among them.
         pub start_from: Option<std::path::PathBuf>,
+        /// Where a training that starts from a checkpoint has the scales of motion from: `recordings`, or `checkpoint`
+        /// if that knows recordings of this kind.
+        pub scales: Option<Scales>,
     }
 }
 
@@ -109,6 +123,8 @@ pub struct DenoiserTraining {
     pub objectives_below_sigma: f64,
     /// The unit that is drawn with equal weight.
     pub balance: Balance,
+    /// The scenes whose motion sets the scales of a training that starts from a checkpoint.
+    pub scales: Scales,
     /// Maximum number of agents per scene.
     pub max_agents: usize,
     /// Maximum number of lane polylines per scene.
@@ -155,6 +171,7 @@ impl DenoiserTrainingConfig {
             objectives: self.objectives.clone(),
             objectives_below_sigma: self.objectives_below_sigma.unwrap_or(base.objectives_below_sigma),
             balance: self.balance.unwrap_or(base.balance),
+            scales: self.scales.unwrap_or(base.scales),
             max_agents: self.max_agents.unwrap_or(base.max_agents),
             max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
             common,
@@ -248,6 +265,7 @@ impl Preset {
             objectives: Vec::new(),
             objectives_below_sigma: 0.3,
             balance: Balance::Places,
+            scales: Scales::default(),
             max_agents,
             max_lanes,
             common,
