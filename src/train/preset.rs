@@ -96,8 +96,8 @@ scene_training_section! {
         /// A checkpoint of the same network to start from: to train it further, or on other scenes. Training then ends
         /// with the weights that were best on held-out scenes, those that it started from among them.
         pub start_from: Option<std::path::PathBuf>,
-        /// Where a training that starts from a checkpoint has the scales of motion from: `recordings`, or `checkpoint`
-        /// if that knows recordings of this kind.
+        /// Where a training that starts from a checkpoint takes the scales of motion from: `recordings` (default), or
+        /// `checkpoint` if that knows recordings of this kind.
         pub scales: Option<Scales>,
     }
 }
