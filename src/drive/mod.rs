@@ -32,6 +32,7 @@
 mod action;
 mod aim;
 mod arrivals;
+mod bends;
 mod driver;
 mod drivers;
 mod error;
