@@ -14,7 +14,9 @@ pub(super) fn summary(model: &ReportModel) -> Markup {
                 (answer("Asked", &asked(model)))
                 (answer("Got", &got(model)))
                 (answer("Cost", &cost(model)))
-                @if !model.requests.is_empty() { li class="wide" { h2 { "Requested and delivered" } (requested(model)) } }
+                @if !model.requests.is_empty() {
+                    li class="wide" { h2 { "Requested and delivered" } (requested(model)) }
+                }
             } @else if let Some(ingest) = &model.ingest {
                 (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) }
                     " recorded scenes; nothing was generated." } }))
@@ -105,11 +107,13 @@ fn requested(model: &ReportModel) -> Markup {
                 th scope="col" class="n" { "Accepted" } th scope="col" class="n" { "Scenes tried" }
                 th scope="col" class="n" { "Samples" }
             } }
-            tbody { @for request in &model.requests { tr class=[(request.n_accepted < request.n_wanted).then_some("short")] {
-                td { (request.name) } td { (request.behavior.replace('_', " ")) }
-                td class="n" { (count(request.n_wanted)) } td class="n" { (count(request.n_accepted)) }
-                td class="n" { (count(request.n_scenes as u64)) } td class="n" { (count(request.n_samples)) }
-            } } }
+            tbody { @for request in &model.requests {
+                tr class=[(request.n_accepted < request.n_wanted).then_some("short")] {
+                    td { (request.name) } td { (request.behavior.replace('_', " ")) }
+                    td class="n" { (count(request.n_wanted)) } td class="n" { (count(request.n_accepted)) }
+                    td class="n" { (count(request.n_scenes as u64)) } td class="n" { (count(request.n_samples)) }
+                }
+            } }
         } }
     }
 }
