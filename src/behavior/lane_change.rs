@@ -27,8 +27,8 @@ const HYSTERESIS_M: f64 = 0.3;
 /// meters.
 const APART_M: f64 = 2.0;
 const BESIDE_M: f64 = 8.0;
-/// A lane that has turned by more than the first over that distance, and turns by less than the second from the crossing
-/// on, comes out of a turn, radians.
+/// A lane that has turned by more than the first over that distance, and turns by less than the second from the
+/// crossing on, comes out of a turn, radians.
 const TURNED_RAD: f64 = 0.5;
 const STRAIGHT_RAD: f64 = 0.3;
 /// How far the center must be from the old center line for the change to have begun, meters.
@@ -47,8 +47,8 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 ///   that, is one event: the last crossing.
 /// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
 ///   crossing between lanes that are less than 2 m apart 8 m before or after, as where they fork, merge or overlap;
-///   coming out of a turn in another lane; moving over to an oncoming lane; weaving within 0.3 m of a line; changes that
-///   the scene ends too early to confirm.
+///   coming out of a turn in another lane; moving over to an oncoming lane; weaving within 0.3 m of a line; changes
+///   that the scene ends too early to confirm.
 ///
 /// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its center comes within
 /// 0.5 m of a lane beside its own.
