@@ -187,6 +187,10 @@ pub fn drive_corpus(
         };
         return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios: reader.len(), wanted });
     }
+    if output.rows.is_empty() {
+        let reasons: Vec<String> = report.left_out.iter().map(|(why, n)| format!("{n} times, it {why}")).collect();
+        return Err(Error::NothingDriven { n_chosen, why: reasons.join("; ") });
+    }
     let Output { states, rows, margins, log } = output;
     states.finish()?;
     log.map(AtomicFile::commit).transpose()?;

@@ -304,6 +304,7 @@ fn what_cannot_be_driven_is_refused() {
     let out = dir.path().join("out");
     for (more, code, why) in [
         (&["--behavior", "tailgating"][..], 1, "none of the 7 scenarios"),
+        (&["--ego-track", "nope", "--max-failures", "0"], 1, "none of the 4 chosen scenarios can be driven: 4 times"),
         (&["--replan-s", "20"], 1, "replan_s is 20"),
         (&["--time-limit-s", "0"], 1, "time_limit_s is 0"),
         (&["--model", "Cargo.toml"], 1, "Cargo.toml"),
@@ -350,15 +351,14 @@ fn the_published_protocol_is_the_one_that_is_spoken() {
     );
 }
 
-/// The ego of every accepted scenario as planned states, moved to the left by this, meters.
-fn planned(path: &Path, aside_m: f64) {
+/// The ego of every accepted scenario but the first `n_left_out` as planned states, moved to the left by this, meters.
+fn planned(path: &Path, n_left_out: usize, aside_m: f64) {
     let reader = CorpusReader::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS)).unwrap();
     let (mut ids, mut timesteps, mut numbers) = (Vec::new(), Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
-    for record in (0..reader.len()).map(|i| reader.scenario(i).unwrap()) {
-        let scene = &record.scenario.scene;
-        let Some(ego) = record.subject_idx().filter(|_| record.assessment.as_ref().is_some_and(|a| a.accepted)) else {
-            continue;
-        };
+    let records = (0..reader.len()).map(|i| reader.scenario(i).unwrap());
+    let accepted = records.filter(|record| record.assessment.as_ref().is_some_and(|a| a.accepted));
+    for record in accepted.skip(n_left_out) {
+        let (scene, ego) = (&record.scenario.scene, record.subject_idx().unwrap());
         for timestep in scene.n_history..scene.n_timesteps {
             let state = scene.state(ego, timestep).unwrap().transformed(&scene.world_from_scene);
             let aside = Vec2::from_angle(state.heading_rad).rotated(std::f64::consts::FRAC_PI_2) * aside_m;
@@ -387,8 +387,8 @@ fn planned_trajectories_are_scored_beside_the_careful_driver_the_scenario_and_th
         let args = ["score", CORPUS, file.to_str().unwrap(), "--out", out.to_str().unwrap()];
         djinn(&[&args, more].concat())
     };
-    planned(&file, 0.0);
-    score(&[]).expect(0);
+    planned(&file, 0, 0.0);
+    score(&["--max-unjudged", "0"]).expect(0);
     let found = report(&out);
     let count = |driver: &str| found["outcomes"][driver].as_object().unwrap().values().filter_map(|n| n.as_u64()).sum();
     let counts: [u64; 3] = ["planner", "careful", "scenario"].map(count);
@@ -396,10 +396,24 @@ fn planned_trajectories_are_scored_beside_the_careful_driver_the_scenario_and_th
     assert!(found["outcomes"]["recorded"].is_object(), "{found}");
     fs_err::remove_dir_all(&out).unwrap();
     // Ten meters aside at once is no road, or no free one.
-    planned(&file, 10.0);
+    planned(&file, 0, 10.0);
     let gated = score(&["--max-failures", "0"]).expect(3);
     assert!(gated.stderr.contains("--max-failures: 4 scenarios, expected at most 0"), "{}", gated.stderr);
     assert_eq!(report(&out)["failures"]["n_failed"], N_SCENARIOS);
+    // A gate over a part says so.
+    planned(&file, 3, 0.0);
+    for (more, code) in [
+        (&["--max-avoidable", "4"][..], 3),
+        (&["--max-avoidable", "4", "--max-unjudged", "3"], 0),
+        (&["--max-unjudged", "2"], 3),
+        (&[], 0),
+    ] {
+        drop(fs_err::remove_dir_all(&out));
+        let told = score(more).expect(code);
+        let said = told.stdout + &told.stderr;
+        assert!(said.contains("3 of 4 chosen scenarios were not judged"), "{said}");
+        assert_eq!(code == 3, said.contains("--max-unjudged: 3 scenarios"), "{said}");
+    }
     let refused = djinn(&["score", CORPUS, "Cargo.toml", "--out", dir.path().join("no").to_str().unwrap()]).expect(1);
     assert!(refused.stderr.contains("Cargo.toml"), "{}", refused.stderr);
 }
@@ -412,7 +426,7 @@ fn the_page_for_people_with_a_planner_works_as_it_says() {
     let bin = Path::new(env!("CARGO_BIN_EXE_djinn")).parent().unwrap().to_owned();
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
     let planned_states = dir.path().join("planned.parquet");
-    planned(&planned_states, 0.0);
+    planned(&planned_states, 0, 0.0);
     let mut n_run = 0;
     for block in page.split("```sh\n").skip(1) {
         for line in block.split("```").next().unwrap_or_default().lines().filter(|line| line.starts_with("djinn ")) {

@@ -111,6 +111,10 @@ pub(in crate::cli) struct DriveGates {
     /// Exit with code 3 if it fails in more scenarios than this that the careful driver survives
     #[arg(long, value_name = "N")]
     pub(in crate::cli) max_avoidable: Option<u64>,
+    /// Exit with code 3 if more of the chosen scenarios than this are not judged: without a plan, or a future of the
+    /// others [default: 0 with one of the other two]
+    #[arg(long, value_name = "N")]
+    pub(in crate::cli) max_unjudged: Option<u64>,
 }
 
 impl ChosenArgs {
