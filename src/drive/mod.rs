@@ -31,6 +31,7 @@
 
 mod action;
 mod aim;
+mod answer;
 mod arrivals;
 mod driver;
 mod drivers;
@@ -40,6 +41,7 @@ mod external;
 mod kept;
 mod maps;
 mod margin;
+mod motion;
 mod outcome;
 mod page;
 mod peek;

@@ -11,7 +11,7 @@ use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{Scene, State};
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// The version of the protocol.
 pub const PROTOCOL: u32 = 1;
@@ -134,7 +134,7 @@ pub struct Done {
 }
 
 /// What a planner sends.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum FromPlanner {
     /// What the ego does until the next observation.
@@ -145,7 +145,8 @@ pub enum FromPlanner {
 
 /// A question for futures that the model samples for everybody, the ego included, from the past alone: of the event of
 /// the scenario they know nothing. At most 8 times an observation.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct Peek {
     /// How many.
     #[schemars(range(min = 1, max = 64))]
@@ -153,8 +154,8 @@ pub struct Peek {
 }
 
 /// A motion of the ego: a trajectory, or acceleration and curvature.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct Action {
     /// [x, y, heading] at the next timesteps, as many as there are until the next observation, or more.
     pub trajectory: Option<Vec<[f64; 3]>>,
