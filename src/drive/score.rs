@@ -38,7 +38,7 @@ pub fn score(
     progress: &dyn Progress,
 ) -> Result<DriveReport> {
     let reader = CorpusReader::open(corpus)?;
-    let planned_by = read_planned(planned).map_err(|error| Error::Config(error.to_string()))?;
+    let planned_by = read_planned(planned)?;
     let known: std::collections::BTreeSet<&str> = reader.scenario_ids()?.collect();
     if let Some(foreign) = planned_by.keys().find(|id| !known.contains(id.as_str())) {
         let (path, corpus) = (planned.display(), corpus.display());
