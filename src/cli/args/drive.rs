@@ -32,7 +32,7 @@ pub(in crate::cli) struct DriveArgs {
     /// How long a plan is driven before all plan anew, seconds
     #[arg(long, value_name = "S", default_value_t = 0.5)]
     pub(in crate::cli) replan_s: f64,
-    /// How long a planner may take for an answer, seconds
+    /// How long a planner may take for an answer, seconds; 30 s more for the first one of a process
     #[arg(long, value_name = "S", default_value_t = 10.0)]
     pub(in crate::cli) time_limit_s: f64,
     /// Seed of the futures of the others
