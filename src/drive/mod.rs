@@ -33,6 +33,7 @@ mod action;
 mod aim;
 mod answer;
 mod arrivals;
+mod bends;
 mod driver;
 mod drivers;
 mod error;

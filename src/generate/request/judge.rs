@@ -81,9 +81,6 @@ impl Generator<'_> {
         let facts = Facts { scene, event };
         let is_allowed = request.config.conditions.iter().all(|(name, condition)| facts.satisfies(name, condition));
         let Some(bucket) = request.buckets.place(&facts).filter(|_| is_allowed) else { return Ok(Placement::Outside) };
-        if request.config.limits.is_empty() {
-            return Ok(Placement::Hit(bucket));
-        }
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
         let asked = &record.scenario.provenance.guidance.roles;
         let asked_to_collide = record.asks_for_collision();
@@ -289,14 +286,21 @@ mod tests {
     }
 
     #[test]
-    fn limits_are_on_each_scenario_and_without_them_everything_in_a_bucket_is_a_hit() {
+    fn limits_are_on_each_scenario_and_without_others_those_of_validity_are() {
         let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
         let records = || vec![record(&scene(1), &roles, 2.0), record(&collided(1), &roles, 2.0)];
-        let (outcomes, _) = judged("", &[cell(1, &roles)], records()).unwrap();
-        assert_eq!(outcomes, [RequestOutcome::Accepted; 2]);
-        let (outcomes, tallies) = judged("limits = { collision_rate = 0.0 }", &[cell(1, &roles)], records()).unwrap();
-        assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::BeyondLimits]);
-        assert_eq!((tallies[0].n_beyond_limits, tallies[0].n_found), (1, 2));
+        let anything = "validity_rate = 0.0";
+        for (limits, last) in [
+            ("", RequestOutcome::BeyondLimits),
+            ("limits = { min_distance_m = { at_most = 1e3 } }", RequestOutcome::BeyondLimits),
+            (&format!("limits = {{ {anything} }}"), RequestOutcome::Accepted),
+            (&format!("limits = {{ {anything}, collision_rate = 0.0 }}"), RequestOutcome::BeyondLimits),
+        ] {
+            let (outcomes, tallies) = judged(limits, &[cell(1, &roles)], records()).unwrap();
+            assert_eq!(outcomes, [RequestOutcome::Accepted, last], "{limits}");
+            assert_eq!(tallies[0].n_beyond_limits, u64::from(last == RequestOutcome::BeyondLimits));
+            assert_eq!(tallies[0].n_found, 2);
+        }
     }
 
     #[test]

@@ -15,6 +15,7 @@ mod fit;
 mod map_fit;
 mod motion;
 mod offroad;
+mod reverse;
 mod seam;
 #[cfg(test)]
 mod tests;
@@ -82,6 +83,7 @@ impl<'a> Judged<'a> {
         let mut found = Vec::new();
         if config.checks_motion_of(self.scene.source.dataset) {
             found.extend(motion::violations(self, config));
+            found.extend(reverse::worst(self));
             found.extend(seam::violations(self, config));
         }
         found.extend(collision::worst(self, config));
