@@ -109,7 +109,7 @@ pub fn drive_corpus(
     }
     if !(config.time_limit_s > 0.0 && config.time_limit_s <= 3600.0) {
         let limit_s = config.time_limit_s;
-        return Err(Error::Config(format!("time_limit_s is {limit_s}, expected more than 0 and at most 3600 s")));
+        return Err(Error::Config(format!("time_limit_s is {limit_s:?}, expected more than 0 and at most 3600 s")));
     }
     let reader = CorpusReader::open(corpus)?;
     let (positions, limit) = match from {
