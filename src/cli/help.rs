@@ -147,11 +147,13 @@ Examples:
 pub(super) const DRIVE: &str = "\
 Drives every accepted scenario for some seconds in a closed loop: every half second all others plan anew, from where \
 everybody really is. The event goes as in the scenario until it is over; then the model drives its agents, too. A \
-planner is a command that reads observations and writes actions, one JSON object a line (pipelines/DRIVE.md). One that \
-is slow, dies or answers nonsense fails its scenario and nothing else. The careful driver of UN Regulation No. 157 \
+planner is a command, as in a shell, that reads observations and writes actions, one JSON object a line \
+(pipelines/DRIVE.md). One that is slow, dies or answers nonsense fails its scenario and nothing else; one that never \
+runs is refused. The careful driver of UN Regulation No. 157 \
 drives the same scenarios: what it survives and the planner does not is listed, hardest first.
 
-Writes drives.parquet, driven.parquet (all states), drive.json and, with --save-at, states/.
+Writes drives.parquet, driven.parquet (all states), drive.json, planner.log (stderr) and, with --save-at, states/. \
+What an interrupted drive has done is kept in OUT.drives: the same command goes on.
 
 Examples:
   djinn drive output/quickstart/main/corpus --ego idm --out output/idm
@@ -161,7 +163,7 @@ Examples:
 
 /// Help after the options of `score`.
 pub(super) const SCORE: &str = "\
-For who has trajectories and no planner to run: everybody else does what the scenario has. Beside the planned states, \
+For trajectories, without a planner to run: everybody else does what the scenario has. Beside the planned states, \
 drives.parquet has the careful driver, the scenario's own ego, and what was recorded.
 
 Example:

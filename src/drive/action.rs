@@ -1,30 +1,25 @@
 //! Turns the action of a planner into states of the ego, or says why that is impossible.
 
+use super::motion::{most_curvature_1pm, moved};
 use super::protocol::Action;
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::State;
 
-/// The limits of the bicycle model: acceleration and deceleration, m/s², curvature, 1/m, and acceleration across, m/s².
+/// The limits of the bicycle model beside its curvature: acceleration and deceleration, m/s².
 const MOST_MPS2: f64 = 5.0;
 const HARDEST_MPS2: f64 = 9.0;
-const MOST_CURVATURE_1PM: f64 = 0.3;
-const MOST_ACROSS_MPS2: f64 = 9.0;
-/// A trajectory whose velocity changes faster than this from one timestep to the next, m/s², or that is faster than
-/// this, m/s, is no motion of a vehicle.
-const NO_VEHICLE_MPS2: f64 = 30.0;
-const NO_VEHICLE_MPS: f64 = 100.0;
 
-/// The next `n_steps` states of an ego whose present state is `now`, in the scene frame.
+/// The next `n_steps` states of an ego of this length, meters, whose present state is `now`, in the scene frame.
 pub(super) fn states(
     action: &Action,
     now: &State,
     world_from_scene: &Transform2,
-    dt_s: f64,
+    (length_m, dt_s): (f64, f64),
     n_steps: usize,
 ) -> Result<Vec<State>, String> {
     match action {
         Action { trajectory: Some(points), acceleration_mps2: None, curvature_1pm: None } => {
-            follow(points, now, &world_from_scene.inverse(), dt_s, n_steps)
+            follow(points, now, world_from_scene, (length_m, dt_s), n_steps)
         }
         Action { trajectory: None, acceleration_mps2: Some(acceleration), curvature_1pm } => {
             let curvature = curvature_1pm.unwrap_or(0.0);
@@ -37,36 +32,24 @@ pub(super) fn states(
     }
 }
 
-/// The states of a trajectory if a vehicle could drive it, however uncomfortable or slippery.
+/// The states of a trajectory if a vehicle could drive it.
 fn follow(
     points: &[[f64; 3]],
     now: &State,
-    scene_from_world: &Transform2,
-    dt_s: f64,
+    world_from_scene: &Transform2,
+    (length_m, dt_s): (f64, f64),
     n_steps: usize,
 ) -> Result<Vec<State>, String> {
     if points.len() < n_steps {
         return Err(format!("the trajectory has {} points, expected at least {n_steps}", points.len()));
     }
-    let (mut before, mut states) = (*now, Vec::with_capacity(n_steps));
-    for (i, [x, y, heading_rad]) in points.iter().take(n_steps).enumerate() {
-        let [position, heading_rad] = [Vec2::new(*x, *y), Vec2::new(*heading_rad, 0.0)];
-        if !(position.is_finite() && heading_rad.is_finite()) {
-            return Err(format!("point {i} of the trajectory is not finite"));
-        }
-        let (position, heading_rad) = (scene_from_world.point(position), scene_from_world.heading(heading_rad.x));
-        let velocity = (position - before.position) * (1.0 / dt_s);
-        let change_mps2 = (velocity - before.velocity).norm() / dt_s;
-        if velocity.norm() > NO_VEHICLE_MPS || change_mps2 > NO_VEHICLE_MPS2 {
-            return Err(format!(
-                "the trajectory is no motion of a vehicle: {:.1} m/s, changed by {change_mps2:.0} m/s², at point {i}",
-                velocity.norm()
-            ));
-        }
-        before = State { position, heading_rad, velocity };
-        states.push(before);
-    }
-    Ok(states)
+    let mut before = *now;
+    let next = |(i, point): (usize, &[f64; 3])| {
+        let state = moved(&before, *point, world_from_scene, (length_m, dt_s));
+        before = state.map_err(|why| format!("point {i} of the trajectory: {why}"))?;
+        Ok(before)
+    };
+    points.iter().take(n_steps).enumerate().map(next).collect()
 }
 
 /// The states of a bicycle model within its limits.
@@ -77,8 +60,7 @@ fn steer(now: &State, [acceleration, curvature]: [f64; 2], dt_s: f64, n_steps: u
     let step = |_| {
         let then_mps = (speed_mps + acceleration * dt_s).max(0.0);
         let moved_m = f64::midpoint(speed_mps, then_mps) * dt_s;
-        let grip_1pm = MOST_ACROSS_MPS2 / speed_mps.max(then_mps).powi(2).max(f64::MIN_POSITIVE);
-        let most_1pm = MOST_CURVATURE_1PM.min(grip_1pm);
+        let most_1pm = most_curvature_1pm(speed_mps.max(then_mps));
         let turned_rad = curvature.clamp(-most_1pm, most_1pm) * moved_m;
         // The chord of an arc points along its middle.
         let position = state.position + Vec2::from_angle(state.heading_rad + turned_rad / 2.0) * moved_m;
@@ -97,7 +79,7 @@ mod tests {
     const NOW: State = State { position: Vec2::ZERO, heading_rad: 0.0, velocity: Vec2::new(10.0, 0.0) };
 
     fn act(action: &Action) -> Result<Vec<State>, String> {
-        states(action, &NOW, &Transform2::from_pose(Vec2::new(100.0, 50.0), 0.0), 0.1, 5)
+        states(action, &NOW, &Transform2::from_pose(Vec2::new(100.0, 50.0), 0.0), (4.0, 0.1), 5)
     }
 
     #[test]
@@ -129,8 +111,8 @@ mod tests {
         let short = vec![[101.0, 50.0, 0.0]; 3];
         let trajectory = |points: Vec<[f64; 3]>| Action { trajectory: Some(points), ..Action::default() };
         for (action, why) in [
-            (trajectory(jump), "no motion of a vehicle"),
-            (trajectory(nan), "point 0 of the trajectory is not finite"),
+            (trajectory(jump), "point 0 of the trajectory: no vehicle moves"),
+            (trajectory(nan), "point 0 of the trajectory: x, y or heading is not finite"),
             (trajectory(short), "has 3 points, expected at least 5"),
             (Action::default(), "expected either"),
             (Action { acceleration_mps2: Some(f64::INFINITY), ..Action::default() }, "not finite"),

@@ -46,6 +46,14 @@ pub enum Error {
         /// The selection in words.
         wanted: String,
     },
+    /// Every selected scenario is left out.
+    #[error("none of the {n_chosen} chosen scenarios can be driven: {why}")]
+    NothingDriven {
+        /// The number of selected scenarios.
+        n_chosen: usize,
+        /// The reasons with their numbers.
+        why: String,
+    },
     /// Sampling failed.
     #[error(transparent)]
     Generate(#[from] generate::Error),

@@ -1,11 +1,11 @@
 //! A planner as a child process: it may be slow, die, flood or answer nonsense, which costs one scenario at most. One
 //! that never runs, whatever it is asked, is refused.
 
-use super::action;
 use super::peek::MOST_FUTURES;
 use super::process::{Process, Silence};
 use super::protocol::{Done, FromPlanner, Hello, Observation, Peek, Peeked, ToPlanner};
 use super::{Driver, Error, Failed, Outcome, Peeker, Result, RolloutConfig, Situation, World};
+use super::{action, answer};
 use crate::generate::NamedDriver;
 use crate::scene::State;
 use std::collections::VecDeque;
@@ -80,18 +80,18 @@ impl External {
                     ),
                     false => format!("it did not answer within {limit_s} s"),
                 };
-                Err(Failed::TimedOut(self.end(&why)))
+                Err(Failed::TimedOut(self.stop(&why)))
             }
         }
     }
 
     /// The failure of the planner, whose process is ended.
     fn give_up(&mut self, why: &str) -> Failed {
-        Failed::because(self.end(why))
+        Failed::because(self.stop(why))
     }
 
     /// Ends the process, and adds to the reason how it ended and the last of what it said.
-    fn end(&mut self, why: &str) -> String {
+    fn stop(&mut self, why: &str) -> String {
         let Some(process) = self.process.take() else { return why.to_owned() };
         let (ended, said) = process.end();
         self.said += &said;
@@ -150,15 +150,15 @@ impl Driver for External {
         self.unseen = world.n_timesteps();
         for _ in 0..=MOST_PEEKS {
             let line = self.answer(&message)?;
-            let answer = serde_json::from_str(&line).map_err(|error| {
-                let begins: String = line.chars().take(80).collect();
-                self.give_up(&format!("expected an action, found \"{begins}\": {error}"))
+            let answer = answer::read(&line).map_err(|why| {
+                let begins: String = line.trim_end().chars().take(80).collect();
+                self.give_up(&format!("expected an action, found {begins}: {why}"))
             })?;
             match answer {
                 FromPlanner::Peek(Peek { n }) if (1..=MOST_FUTURES).contains(&n) => {
                     let futures = peek(n).inspect_err(|_| {
                         // It waits for futures that never come.
-                        self.end("");
+                        self.stop("");
                     })?;
                     message = ToPlanner::Futures(Peeked::of(situation, world, &futures));
                 }
@@ -168,7 +168,8 @@ impl Driver for External {
                 FromPlanner::Action(action) => {
                     let scene = &situation.scene;
                     let now = world.present(situation.ego_idx).unwrap_or_default();
-                    let states = action::states(&action, &now, &scene.world_from_scene, scene.dt_s, n_steps);
+                    let sizes = (scene.tracks[situation.ego_idx].extent_or_nominal().length_m, scene.dt_s);
+                    let states = action::states(&action, &now, &scene.world_from_scene, sizes, n_steps);
                     self.plan = states.map_err(|why| self.give_up(&why))?.into();
                     return Ok(());
                 }

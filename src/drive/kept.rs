@@ -7,6 +7,9 @@ use crate::store::{self, read_binary, write_binary_atomically};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
+/// The file that tells of what the drives are, and its format.
+const PARTS: &str = "parts.v1";
+
 /// Drives by scenario, each a file.
 pub(super) struct Kept {
     dir: PathBuf,
@@ -18,8 +21,9 @@ pub(super) struct Kept {
 }
 
 impl Kept {
-    /// Drives for the folder `out`, whose lock must be held, that depend only on what `identity` describes.
-    pub(super) fn begin(out: &Path, identity: &str) -> Result<Self> {
+    /// Drives for the folder `out`, whose lock must be held, that depend only on these named parts. Returns the names of
+    /// those that have changed since an interrupted attempt, whose drives then count for nothing.
+    pub(super) fn begin<'p>(out: &Path, parts: &[(&'p str, String)]) -> Result<(Self, Vec<&'p str>)> {
         let mut name = out.file_name().unwrap_or_default().to_owned();
         name.push(".drives");
         let dir = out.with_file_name(name);
@@ -30,8 +34,17 @@ impl Kept {
         } else if listed(&dir)?.is_none() {
             return Err(files::Error::Exists { path: dir }.into());
         }
-        let format = format!("drives.{}", blake3::hash(identity.as_bytes()).to_hex());
-        Ok(Self { dir, format, n_found: AtomicUsize::new(0), is_unused })
+        let hashes: Vec<String> =
+            parts.iter().map(|(_, part)| blake3::hash(part.as_bytes()).to_hex().to_string()).collect();
+        let path = dir.join(PARTS);
+        let earlier: Option<Vec<String>> = read_binary(&path, PARTS).ok();
+        let is_other = |i: usize| earlier.as_ref().is_some_and(|earlier| earlier.get(i) != Some(&hashes[i]));
+        let others: Vec<&str> = (0..parts.len()).filter(|i| is_other(*i)).map(|i| parts[i].0).collect();
+        if earlier.is_none() || !others.is_empty() {
+            write_binary_atomically(&path, PARTS, &hashes)?;
+        }
+        let format = format!("drives.{}", blake3::hash(hashes.concat().as_bytes()).to_hex());
+        Ok((Self { dir, format, n_found: AtomicUsize::new(0), is_unused }, others))
     }
 
     /// The drives of a scenario, if it was driven before.
@@ -94,16 +107,25 @@ mod tests {
         let config = RolloutConfig { horizon_s: 0.5, ..RolloutConfig::default() };
         let (others, driver) = (Others::Sampled(&futures), &mut AtConstantVelocity);
         let driven = roll_out(&situation, situation.start(1), driver, &others, &config, Some(0)).unwrap();
-        let kept = Kept::begin(&out, "a").unwrap();
+        let begin = |planner: &str| {
+            let parts = [("planner", planner.to_owned()), ("corpus", "c".to_owned())];
+            let (kept, others) = Kept::begin(&out, &parts).unwrap();
+            (kept, others.concat())
+        };
+        let (kept, others) = begin("a");
+        assert_eq!(others, "");
         assert!(kept.get("x/1").unwrap().is_none());
         kept.put("x/1", &(vec![driven.clone()], None)).unwrap();
-        let (again, margin) = Kept::begin(&out, "a").unwrap().get("x/1").unwrap().unwrap();
-        assert_eq!((format!("{again:?}"), margin, kept.n_found()), (format!("{:?}", [driven]), None, 0));
-        assert!(Kept::begin(&out, "b").unwrap().get("x/1").unwrap().is_none());
+        let (kept, others) = begin("a");
+        let (again, margin) = kept.get("x/1").unwrap().unwrap();
+        assert_eq!(others, "");
+        assert_eq!((format!("{again:?}"), margin, kept.n_found()), (format!("{:?}", [driven]), None, 1));
+        let (other, others) = begin("b");
+        assert!(other.get("x/1").unwrap().is_none() && others == "planner");
         kept.remove().unwrap();
         assert_eq!(fs_err::read_dir(dir.path()).unwrap().count(), 0);
         // A foreign file there stays.
         fs_err::create_dir(dir.path().join("out.drives")).unwrap();
-        assert!(Kept::begin(&out, "a").is_err());
+        assert!(Kept::begin(&out, &[]).is_err());
     }
 }

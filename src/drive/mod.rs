@@ -31,6 +31,7 @@
 
 mod action;
 mod aim;
+mod answer;
 mod arrivals;
 mod bends;
 mod driver;
@@ -41,6 +42,7 @@ mod external;
 mod kept;
 mod maps;
 mod margin;
+mod motion;
 mod outcome;
 mod page;
 mod peek;

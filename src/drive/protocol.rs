@@ -2,8 +2,8 @@
 //!
 //! For each scenario djinn sends `hello`, then an `observation` whenever it needs an `action`, and at last `done`. A
 //! planner answers observations and nothing else, and ends when its input does. Before its action it may `peek`, which
-//! djinn answers with `futures`. Positions are in the frame of the recording, meters; headings are in radians, 0 along
-//! x; lists of states are [x, y, heading, vx, vy].
+//! djinn answers with `futures`. A state is [x, y, heading, vx, vy]: the center of a road user, meters, its heading in
+//! (-π, π], radians counterclockwise from x, and its velocity, m/s, all in the frame of the recording.
 
 use super::situation::Situation;
 use super::world::World;
@@ -11,7 +11,7 @@ use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{Scene, State};
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// The version of the protocol.
 pub const PROTOCOL: u32 = 1;
@@ -24,7 +24,8 @@ const ROUTE_SPACING_M: f64 = 1.0;
 pub enum ToPlanner {
     /// A scenario begins.
     Hello(Box<Hello>),
-    /// What happened since the last observation, at first the past second. The planner answers with an action.
+    /// What happened since the last observation, at first the past second. The planner answers with an action, within
+    /// the time limit; for the first answer of a process it has 30 s more.
     Observation(Observation),
     /// The answer to `peek`. The planner peeks again, or answers with an action.
     Futures(Peeked),
@@ -102,7 +103,9 @@ pub struct Agent {
     pub length_m: f64,
     /// Its width, meters.
     pub width_m: f64,
-    /// Its states at the timesteps since the last observation, the last of them now; null where it was not there.
+    /// Its states at the timesteps since the last observation, the last of them now; null where it was not there. Each
+    /// is [x, y, heading, vx, vy]: its center, meters, its heading in (-π, π], radians counterclockwise from x, and its
+    /// velocity, m/s, all in the frame of the recording.
     pub states: Vec<Option<[f64; 5]>>,
 }
 
@@ -111,7 +114,8 @@ pub struct Agent {
 pub struct Peeked {
     /// The timestep of that observation.
     pub timestep: usize,
-    /// Each of the futures: everybody who is there now, the ego included.
+    /// Equally likely futures, in no order. Each has everybody who is there now, the ego included, in the order of the
+    /// observation.
     pub futures: Vec<Vec<Future>>,
 }
 
@@ -120,7 +124,7 @@ pub struct Peeked {
 pub struct Future {
     /// Its name.
     pub id: String,
-    /// Its states at the next timesteps, as far as the model sees ahead.
+    /// Its states from the timestep after `timestep` on, as far as the model sees ahead, as in observations.
     pub states: Vec<[f64; 5]>,
 }
 
@@ -134,7 +138,7 @@ pub struct Done {
 }
 
 /// What a planner sends.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "snake_case")]
 pub enum FromPlanner {
     /// What the ego does until the next observation.
@@ -145,7 +149,8 @@ pub enum FromPlanner {
 
 /// A question for futures that the model samples for everybody, the ego included, from the past alone: of the event of
 /// the scenario they know nothing. At most 8 times an observation.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct Peek {
     /// How many.
     #[schemars(range(min = 1, max = 64))]
@@ -153,12 +158,14 @@ pub struct Peek {
 }
 
 /// A motion of the ego: a trajectory, or acceleration and curvature.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
+#[schemars(deny_unknown_fields)]
 pub struct Action {
-    /// [x, y, heading] at the next timesteps, as many as there are until the next observation, or more.
+    /// [x, y, heading] at the next timesteps, as many as there are until the next observation, or more: as in
+    /// observations, and as a vehicle can drive.
     pub trajectory: Option<Vec<[f64; 3]>>,
     /// The acceleration along the heading until the next observation, m/s²; cut off at -9 and 5. It does not reverse.
+    /// The center moves along the heading.
     pub acceleration_mps2: Option<f64>,
     /// The curvature of the path, 1/m, positive to the left; cut off at 0.3 and at 9 m/s² across. Left out: 0.
     pub curvature_1pm: Option<f64>,

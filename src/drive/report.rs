@@ -28,6 +28,8 @@ pub struct DriveReport {
     pub n_scenarios: u64,
     /// Scenarios that were left out, by reason.
     pub left_out: BTreeMap<String, u64>,
+    /// Scenarios that say nothing of the driver under test: left out, or without a future for the others.
+    pub n_unjudged: u64,
     /// Saved states.
     pub n_saved: u64,
     /// By driver: scenarios by outcome.
@@ -137,13 +139,14 @@ impl Failures {
 impl DriveReport {
     pub(super) fn new(ego: &EgoDriver, rollout: Option<RolloutConfig>, seed: u64, model: &str) -> Self {
         Self {
-            schema: "drive_report.v3",
+            schema: "drive_report.v4",
             ego: ego.name().to_owned(),
             seed,
             model: model.to_owned(),
             rollout,
             n_scenarios: 0,
             left_out: BTreeMap::new(),
+            n_unjudged: 0,
             n_saved: 0,
             outcomes: BTreeMap::new(),
             failures: Failures::default(),
@@ -168,6 +171,8 @@ impl DriveReport {
     pub(super) fn finish(&mut self, rows: &[DriveRow], asked: &str) {
         let own: Vec<&DriveRow> = rows.iter().filter(|row| row.driver == asked).collect();
         self.n_scenarios = own.len() as u64;
+        let is_unjudged = |row: &&&DriveRow| row.outcome == Outcome::NotSampled.name();
+        self.n_unjudged = self.left_out.values().sum::<u64>() + own.iter().filter(is_unjudged).count() as u64;
         self.failures = Failures::of(own.iter().copied());
         let mut by_behavior: BTreeMap<&str, Vec<&DriveRow>> = BTreeMap::new();
         for row in &own {

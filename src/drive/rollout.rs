@@ -8,7 +8,7 @@ use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
 use super::{Contact, Driver, Error, Failed, Outcome, Result};
-use crate::generate::{Continued, Futures};
+use crate::generate::{Continued, Futures, check_times};
 use crate::scene::{Scene, State, UnfitScene};
 use serde::{Deserialize, Serialize};
 
@@ -56,12 +56,9 @@ impl RolloutConfig {
         let refuse = |why: String| Err(Error::Config(why));
         match (self.horizon_s, self.replan_s) {
             (horizon_s, _) if !(horizon_s > 0.0 && horizon_s <= MOST_HORIZON_S) => {
-                refuse(format!("horizon_s is {horizon_s}, expected more than 0 and at most {MOST_HORIZON_S} s"))
+                refuse(format!("horizon_s is {horizon_s:?}, expected more than 0 and at most {MOST_HORIZON_S} s"))
             }
-            (_, replan_s) if !(replan_s > 0.0 && replan_s <= future_s + 1e-9) => {
-                refuse(format!("replan_s is {replan_s}, expected more than 0 and at most the model's {future_s} s"))
-            }
-            _ => Ok(()),
+            times => check_times(times.into(), [futures.dt_s(), future_s]).or_else(|issue| refuse(issue.to_string())),
         }
     }
 }

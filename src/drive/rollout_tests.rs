@@ -77,7 +77,9 @@ fn the_event_goes_as_planned_and_then_everybody_drives_on() {
     }
     // The ego was replayed as long as there was something to replay.
     let logged = situation.scene.n_timesteps - 1;
-    assert_eq!(world.state(situation.ego_idx, logged), situation.scene.state(situation.ego_idx, logged).copied());
+    let place = |state: Option<State>| state.map(|state| (state.position, state.heading_rad));
+    let scenario = situation.scene.state(situation.ego_idx, logged).copied();
+    assert_eq!(place(world.state(situation.ego_idx, logged)), place(scenario));
 }
 
 #[test]
@@ -190,8 +192,12 @@ fn drivers_keep_to_the_way_and_within_what_vehicles_can() {
 fn nonsense_is_refused_and_a_driver_that_fails_is_an_outcome() {
     let (situation, model) = (situation(&record()), model());
     let futures = Futures::new(&model, 1, &Device::Cpu).unwrap();
-    for config in [RolloutConfig { horizon_s: 0.0, ..SHORT }, RolloutConfig { replan_s: 9.0, ..SHORT }] {
-        assert!(config.check(&futures).unwrap_err().to_string().contains("expected more than 0"));
+    for (config, why) in [
+        (RolloutConfig { horizon_s: 0.0, ..SHORT }, "expected more than 0"),
+        (RolloutConfig { replan_s: 9.0, ..SHORT }, "that the model sees ahead"),
+        (RolloutConfig { replan_s: 0.25, ..SHORT }, "expected a multiple of the timestep"),
+    ] {
+        assert!(config.check(&futures).unwrap_err().to_string().contains(why));
     }
     struct Fails;
     impl Driver for Fails {

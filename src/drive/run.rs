@@ -109,7 +109,7 @@ pub fn drive_corpus(
     }
     if !(config.time_limit_s > 0.0 && config.time_limit_s <= 3600.0) {
         let limit_s = config.time_limit_s;
-        return Err(Error::Config(format!("time_limit_s is {limit_s}, expected more than 0 and at most 3600 s")));
+        return Err(Error::Config(format!("time_limit_s is {limit_s:?}, expected more than 0 and at most 3600 s")));
     }
     let reader = CorpusReader::open(corpus)?;
     let (positions, limit) = match from {
@@ -121,7 +121,11 @@ pub fn drive_corpus(
     let scenes = config.scenes.as_deref().map(SceneStore::open).transpose()?;
     let mut maps = Maps::new(&reader, scenes.as_ref().map_or(&reader, |scenes| scenes as &dyn Places));
     let of_scenes = scenes.as_ref().map_or("", SceneStore::fingerprint);
-    let kept = Kept::begin(out, &(identity(&reader, from, ego, config, futures) + of_scenes))?;
+    let (kept, changed) = Kept::begin(out, &parts((&reader, of_scenes), from, ego, config, futures)?)?;
+    if !changed.is_empty() {
+        let changed = changed.join(", ");
+        progress.warn(&format!("the drive begins anew: {changed} changed since it was interrupted"));
+    }
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
     let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
     let mut output = Output { states, rows: Vec::new(), margins: Vec::new(), log: None };
@@ -187,6 +191,10 @@ pub fn drive_corpus(
         };
         return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios: reader.len(), wanted });
     }
+    if output.rows.is_empty() {
+        let reasons: Vec<String> = report.left_out.iter().map(|(why, n)| format!("{n} times, it {why}")).collect();
+        return Err(Error::NothingDriven { n_chosen, why: reasons.join("; ") });
+    }
     let Output { states, rows, margins, log } = output;
     states.finish()?;
     log.map(AtomicFile::commit).transpose()?;
@@ -208,19 +216,24 @@ pub fn drive_corpus(
     Ok(report)
 }
 
-/// Everything that drives depend on, except a planner's behavior.
-fn identity(
-    reader: &CorpusReader,
+/// Everything that drives depend on, except what a planner does beside the files that its command names.
+fn parts(
+    (reader, of_scenes): (&CorpusReader, &str),
     from: &Origin<'_>,
     ego: &EgoChoice,
     config: &DriveConfig,
     futures: &Futures<'_>,
-) -> String {
+) -> Result<[(&'static str, String); 5]> {
     let from = if let Origin::State(world) = from { Some(world) } else { None };
     // The number of simultaneous drives changes nothing.
-    let config = DriveConfig { n_workers: 0, ..config.clone() };
-    let manifest = reader.manifest();
-    format!("{config:?} {ego:?} {from:?} {} {} {manifest:?}", futures.seed(), futures.fingerprint())
+    let own = DriveConfig { n_workers: 0, program: String::new(), ..config.clone() };
+    Ok([
+        ("the files of the planner", config.ego.files_hash()?),
+        ("the settings", format!("{own:?} {ego:?} {from:?} {}", futures.seed())),
+        ("the model", futures.fingerprint().to_owned()),
+        ("the corpus", format!("{:?} {of_scenes}", reader.manifest())),
+        ("the program", config.program.clone()),
+    ])
 }
 
 /// The name of the driver under test in tables.

@@ -1,7 +1,8 @@
 //! Scores planned trajectories in an open loop: all other agents move as in the scenario, whatever the ego does.
 
-use super::drivers::{Careful, Log, follow_log};
+use super::drivers::{Careful, Log};
 use super::maps::Maps;
+use super::motion::moved;
 use super::report::DriveReport;
 use super::rollout::{Others, roll_out};
 use super::run::{DRIVE_FILE, DRIVES_FILE, row};
@@ -9,12 +10,12 @@ use super::{Driven, Driver, EgoDriver, Error, Failed, Outcome, Result, RolloutCo
 use crate::export::{EgoChoice, Selection};
 use crate::files::NewFolder;
 use crate::generate::NamedDriver;
-use crate::geometry::Vec2;
 use crate::progress::Progress;
 use crate::scenario::{DriveRow, ScenarioRecord};
-use crate::scene::State;
+use crate::scene::{Scene, State};
 use crate::store::{CorpusReader, Planned, read_planned, write_drives, write_json_atomically};
 use rayon::prelude::*;
+use std::collections::VecDeque;
 use std::path::Path;
 
 /// Scenarios in memory at a time.
@@ -37,7 +38,7 @@ pub fn score(
     progress: &dyn Progress,
 ) -> Result<DriveReport> {
     let reader = CorpusReader::open(corpus)?;
-    let planned_by = read_planned(planned).map_err(|error| Error::Config(error.to_string()))?;
+    let planned_by = read_planned(planned)?;
     let known: std::collections::BTreeSet<&str> = reader.scenario_ids()?.collect();
     if let Some(foreign) = planned_by.keys().find(|id| !known.contains(id.as_str())) {
         let (path, corpus) = (planned.display(), corpus.display());
@@ -70,7 +71,7 @@ pub fn score(
             .map(|(recorded, situation, states)| {
                 let drive = |situation: &Situation, driver: &mut dyn Driver| replayed(situation, driver);
                 let mut drives = vec![
-                    (PLANNED, drive(situation, &mut Plan { states })?),
+                    (PLANNED, drive(situation, &mut Plan { states, judged: VecDeque::new() })?),
                     (NamedDriver::Careful.name(), drive(situation, &mut Careful::default())?),
                     (SCENARIO, drive(situation, &mut Log)?),
                 ];
@@ -93,6 +94,13 @@ pub fn score(
     if rows.is_empty() {
         let (n_scenarios, wanted) = (reader.len(), format!("{} and has planned states", selection.words()));
         return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios, wanted });
+    }
+    let own = || rows.iter().filter(|row| row.driver == PLANNED);
+    if own().all(|row| row.outcome == Outcome::PlannerFailed.name()) {
+        let why = own().find_map(|row| Some(format!("{}: {}", row.scenario_id, row.why.as_deref()?)));
+        let (path, n) = (planned.display(), own().count());
+        let why = why.unwrap_or_default();
+        return Err(Error::Config(format!("{path}: none of the {n} plans can be driven; the first, of {why}")));
     }
     finish(&folder, &mut report, &rows)?;
     folder.commit()?;
@@ -142,20 +150,38 @@ fn recorded(
 /// The driver that follows planned states.
 struct Plan<'a> {
     states: &'a Planned,
+    /// Those of a motion that a vehicle can do, in the frame of the scene.
+    judged: VecDeque<State>,
 }
 
 impl Driver for Plan<'_> {
-    fn begin(&mut self, _situation: &Situation, _world: &World) -> Result<(), Failed> {
+    /// Judges the whole plan before any of it is driven.
+    fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed> {
+        let Scene { n_history, n_timesteps, dt_s, world_from_scene, tracks, .. } = &situation.scene;
+        let wanted = *n_history..*n_timesteps;
+        if let Some(missing) = wanted.clone().find(|timestep| !self.states.contains_key(timestep)) {
+            let from = |first: &usize| *first < *n_history && self.states.len() <= wanted.len();
+            let first = self.states.keys().next().filter(|first| from(first));
+            let counted = first.map_or_else(String::new, |first| {
+                format!("; they begin at {first}, but timesteps count from the beginning of the past")
+            });
+            return Err(Failed::because(format!(
+                "there is no planned state at timestep {missing}, expected {n_history} to {}{counted}",
+                n_timesteps - 1
+            )));
+        }
+        let mut before = world.present(situation.ego_idx).unwrap_or_default();
+        let sizes = (tracks[situation.ego_idx].extent_or_nominal().length_m, *dt_s);
+        let next = |timestep: usize| {
+            let state = moved(&before, self.states[&timestep], world_from_scene, sizes);
+            before = state.map_err(|why| Failed::because(format!("planned state at timestep {timestep}: {why}")))?;
+            Ok(before)
+        };
+        self.judged = wanted.map(next).collect::<Result<_, Failed>>()?;
         Ok(())
     }
 
-    fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
-        let timestep = world.n_timesteps();
-        let planned = self.states.get(&timestep).filter(|state| state.iter().all(|number| number.is_finite()));
-        let [x, y, heading_rad] = *planned
-            .ok_or_else(|| Failed::because(format!("there is no finite planned state at timestep {timestep}")))?;
-        let scene_from_world = situation.scene.world_from_scene.inverse();
-        let position = scene_from_world.point(Vec2::new(x, y));
-        follow_log(situation, world, position, scene_from_world.heading(heading_rad))
+    fn next(&mut self, _situation: &Situation, _world: &World, _sampled: Option<State>) -> Result<State, Failed> {
+        self.judged.pop_front().ok_or_else(|| Failed::because("the plan is too short"))
     }
 }

@@ -102,6 +102,7 @@ fn continue_with(
     for (agent_idx, track) in scene.tracks.iter_mut().enumerate() {
         // The states of the sample stay as they are, velocities included.
         let entry = |(timestep, state): (usize, &Option<_>)| match timestep < n_given(agent_idx) {
+            true if agent_idx == situation.ego_idx => sampled.state(agent_idx, timestep).copied(),
             true => driven.world.state(agent_idx, timestep),
             false => *state,
         };

@@ -1,6 +1,8 @@
 //! The states of everybody from the start of the past to now. They can be saved, and forked.
 
+use super::motion::plain;
 use super::{Error, Result};
+use crate::files::regular;
 use crate::geometry::Vec2;
 use crate::scene::State;
 use serde::{Deserialize, Serialize};
@@ -32,6 +34,12 @@ fn packed(state: &State) -> [f64; 5] {
 
 fn unpacked([x, y, heading_rad, vx, vy]: [f64; 5]) -> State {
     State { position: Vec2::new(x, y), heading_rad, velocity: Vec2::new(vx, vy) }
+}
+
+/// Whether a state is one of traffic: [x, y, heading, vx, vy] in meters and radians in the scene, m/s.
+fn is_possible(state: &[f64; 5]) -> bool {
+    // Farther than any drive leads, and faster than anybody.
+    state.iter().zip([1e6, 1e6, 100.0, 1e3, 1e3]).all(|(number, most)| number.abs() <= most)
 }
 
 impl World {
@@ -138,11 +146,18 @@ impl World {
     /// # Errors
     /// [`Error::State`] when the file is not a saved world, or of another version.
     pub fn read(path: &Path) -> Result<Self> {
+        regular(path)?;
         let text = fs_err::read_to_string(path)?;
         let refuse = |why: String| Error::State { path: path.to_owned(), why };
         let world: Self = serde_json::from_str(&text)
             .map_err(|error| refuse(format!("expected a state that djinn drive --save-at wrote: {error}")))?;
         let n_timesteps = world.n_timesteps();
+        let plans = world.plans.iter().flat_map(|(_, _, states)| states);
+        let mut states = world.states.iter().flatten().flatten().chain(plans);
+        if let Some([x, y, heading_rad, vx, vy]) = states.find(|state| !is_possible(state)) {
+            let state = [x, y, heading_rad, vx, vy].map(|number| plain(*number)).join(", ");
+            return Err(refuse(format!("no road user is ever at [{state}]; save the state again")));
+        }
         match world.version {
             VERSION if world.states.iter().all(|states| states.len() == n_timesteps) => Ok(world),
             VERSION => Err(refuse("tracks have different numbers of timesteps; save the state again".to_owned())),
@@ -159,7 +174,7 @@ mod tests {
     fn a_saved_world_is_the_same_to_the_last_digit_and_foreign_files_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("state.json");
-        let state = unpacked([1.0 / 3.0, -0.1 + 0.2, 1e-17, 5e300, f64::MIN_POSITIVE]);
+        let state = unpacked([1.0 / 3.0, -0.1 + 0.2, 1e-17, 1e3 / 3.0, f64::MIN_POSITIVE]);
         let tracks = [[Some(state), None], [None, Some(State::default())]];
         let mut world = World::new("s", 7, 5, tracks.iter().map(<[_; 2]>::as_slice));
         world.push([None, Some(state)]);
@@ -168,6 +183,9 @@ mod tests {
         assert_eq!(World::read(&path).unwrap(), world);
         fs_err::write(&path, world.to_json().unwrap().replacen("\"version\":3", "\"version\":9", 1)).unwrap();
         assert!(World::read(&path).unwrap_err().to_string().contains("has version 9, expected 3"));
+        let speed = (1e3_f64 / 3.0).to_string();
+        fs_err::write(&path, world.to_json().unwrap().replacen(&speed, "1e308", 1)).unwrap();
+        assert!(World::read(&path).unwrap_err().to_string().contains("1.000e308"));
         fs_err::write(&path, "{}").unwrap();
         assert!(World::read(&path).unwrap_err().to_string().contains("--save-at"));
     }

@@ -174,6 +174,12 @@ impl<'a> Generator<'a> {
     fn check(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         self.check_baseline(sweep)?;
         self.check_distilled(sweep)?;
+        if let Some(rollout) = &sweep.rollout {
+            let spec = self.spec();
+            let future_s = (spec.n_timesteps - spec.n_history) as f64 * spec.dt_s;
+            let checked = rollout.check(spec.dt_s, future_s);
+            checked.map_err(|issue| Error::Config(format!("sweep {}: {}", sweep.name, issue.within("rollout"))))?;
+        }
         if let Some(diffusion) = sweep.diffusion() {
             self.check_noise_levels(&sweep.name, diffusion)?;
         }

@@ -53,7 +53,7 @@ pub use request::{
     PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest,
     Round, RoundContext, RoundShard, ShardTally, Yield,
 };
-pub use rollout::{NamedDriver, SweepRollout};
+pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, ShardOutput};
 pub use sample_limit::{Limit, LimitRange};
 pub use select::SelectConfig;

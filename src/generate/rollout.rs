@@ -15,8 +15,8 @@ pub struct SweepRollout {
     /// end of the sample.
     #[schemars(range(max = 600.0), extend("exclusiveMinimum" = 0))]
     pub horizon_s: f64,
-    /// How long each plan is driven, seconds.
-    #[schemars(extend("exclusiveMinimum" = 0))]
+    /// How long each plan is driven, seconds. Both times are multiples of the timestep, and the model sees this far.
+    #[schemars(range(min = 0.01))]
     pub replan_s: f64,
     /// The driver of the vehicle to which the event happens, or of the ego of the scene.
     pub ego: NamedDriver,
@@ -40,9 +40,34 @@ impl SweepRollout {
         }
     }
 
-    /// How often futures are sampled anew.
+    /// Rejects what cannot be driven with timesteps of `dt_s` and a model that sees `future_s` ahead.
+    pub fn check(&self, dt_s: f64, future_s: f64) -> Result {
+        check_times([self.horizon_s, self.replan_s], [dt_s, future_s])
+    }
+
+    /// How often futures are sampled anew, if both times are multiples of the timestep.
     pub(super) fn n_replans(&self) -> u64 {
         (self.horizon_s / self.replan_s - 1e-6).floor() as u64
+    }
+}
+
+/// Rejects a closed loop of `horizon_s` in plans of `replan_s` that has no whole timesteps of `dt_s`, or plans farther
+/// than a model that sees `future_s` ahead.
+pub fn check_times([horizon_s, replan_s]: [f64; 2], [dt_s, future_s]: [f64; 2]) -> Result {
+    for (key, time_s) in [("horizon_s", horizon_s), ("replan_s", replan_s)] {
+        let n_steps = time_s / dt_s;
+        let is_whole = n_steps.round() >= 1.0 && (n_steps - n_steps.round()).abs() < 1e-6;
+        if !is_whole {
+            let expected = format_args!("is {time_s:?}, expected a multiple of the timestep, which is {dt_s} s");
+            return Err(Issue::new(key, expected));
+        }
+    }
+    match replan_s <= future_s + 1e-6 {
+        true => Ok(()),
+        false => {
+            let why = format!("is {replan_s:?}, expected at most the {future_s} s that the model sees ahead");
+            Err(Issue::new("replan_s", why))
+        }
     }
 }
 
@@ -88,6 +113,20 @@ mod tests {
         let n =
             |horizon_s: f64, replan_s: f64| SweepRollout { horizon_s, replan_s, ..SweepRollout::default() }.n_replans();
         assert_eq!([n(8.0, 0.5), n(3.0, 3.0), n(1.2, 0.5), n(0.9, 0.3)], [15, 0, 2, 2]);
+        let refused = |horizon_s: f64, replan_s: f64| {
+            SweepRollout { horizon_s, replan_s, ..SweepRollout::default() }
+                .check(0.1, 3.0)
+                .map_or_else(|issue| issue.to_string(), |()| String::new())
+        };
+        assert_eq!([refused(8.0, 0.3), refused(600.0, 3.0)], [""; 2]);
+        for (found, why) in [
+            (refused(8.0, 0.25), "replan_s is 0.25, expected a multiple of the timestep, which is 0.1 s"),
+            (refused(8.0, 1e-300), "replan_s is 1e-300, expected a multiple"),
+            (refused(8.04, 0.5), "horizon_s is 8.04, expected a multiple"),
+            (refused(8.0, 3.1), "replan_s is 3.1, expected at most the 3 s that the model sees ahead"),
+        ] {
+            assert!(found.contains(why), "{found}");
+        }
         assert!(SweepRollout { replan_s: 9.0, ..SweepRollout::default() }.validate().is_err());
     }
 }

@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::error::Error;
-use crate::files::write_atomically;
+use crate::files::{regular, write_atomically};
 
 /// The entry of the safetensors metadata that holds djinn's, as JSON.
 const METADATA_KEY: &str = "djinn";
@@ -56,6 +56,7 @@ pub fn write_checkpoint<M: Serialize>(
 /// # Errors
 /// When the file cannot be read, is cut off, or holds no metadata of type `M`.
 pub fn read_checkpoint<M: DeserializeOwned>(path: &Path, device: &Device) -> Result<Checkpoint<M>, Error> {
+    regular(path)?;
     parse_checkpoint(&fs_err::read(path)?, path, device)
 }
 

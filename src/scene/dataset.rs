@@ -20,6 +20,9 @@ pub enum Dataset {
     Table,
 }
 
+/// Time between the timesteps of ingested scenes, seconds: all datasets have 10 Hz, or are resampled to it.
+pub const INGESTED_DT_S: f64 = 0.1;
+
 /// The facts about a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DatasetFacts {

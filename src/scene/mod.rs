@@ -25,7 +25,7 @@ mod velocity;
 
 pub use agent::{AgentClass, Extent};
 pub use agent_ref::AgentRef;
-pub use dataset::{Benchmark, Dataset, DatasetFacts, MissRule};
+pub use dataset::{Benchmark, Dataset, DatasetFacts, INGESTED_DT_S, MissRule};
 pub use edit::{EditKind, Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, ShiftTime, TimedPoint};
 pub use guidance_level::{GuidanceLevel, LevelAxis};
 pub use ids::{LaneId, MapId, SceneId, TrackId};

@@ -72,6 +72,14 @@ pub enum Error {
         /// Why not.
         detail: String,
     },
+    /// A file from elsewhere that does not hold what it should.
+    #[error("cannot read {}: {detail}", .path.display())]
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what was expected.
+        detail: String,
+    },
     /// A scene that was added twice.
     #[error(
         "scene {id} was read twice, {}; check whether the inputs overlap, such as a folder and the archive it was \

@@ -2,6 +2,7 @@
 
 use super::parquet_file::contained;
 use super::{Error, Result};
+use crate::files::regular;
 use crate::store::tables::columns::Columns;
 use arrow::array::{Array, Float64Array, Int64Array, StringArray};
 use arrow::compute::cast;
@@ -27,8 +28,22 @@ pub type Planned = BTreeMap<usize, [f64; 3]>;
 /// Reads planned states by scenario.
 ///
 /// # Errors
-/// [`Error::Invalid`] when a column is missing, or a row lacks a value or repeats a timestep.
+/// [`Error::Unfit`] when it is no Parquet file, a column is missing, or a row lacks a value or repeats a timestep.
 pub fn read_planned(path: &Path) -> Result<BTreeMap<String, Planned>> {
+    if regular(path)?.is_dir() {
+        return Err(unfit(path, "it is a folder, expected a Parquet file"));
+    }
+    read(path).map_err(|error| match error {
+        Error::Corrupt { detail, .. } => unfit(path, format!("expected a whole Parquet file: {detail}")),
+        error => error,
+    })
+}
+
+fn unfit(path: &Path, detail: impl Into<String>) -> Error {
+    Error::Unfit { path: path.to_owned(), detail: detail.into() }
+}
+
+fn read(path: &Path) -> Result<BTreeMap<String, Planned>> {
     let (file, _) = fs_err::File::open(path)?.into_parts();
     let unreadable = |error| Error::unreadable(path, error);
     let reader = contained(path, || {
@@ -44,7 +59,7 @@ pub fn read_planned(path: &Path) -> Result<BTreeMap<String, Planned>> {
         let number = |name: &str| columns.get::<Float64Array>(name);
         let numbers = [number("x")?, number("y")?, number("heading")?];
         for row in 0..batch.num_rows() {
-            let invalid = |why: String| Error::invalid(&path.to_string_lossy(), why);
+            let invalid = |why: String| unfit(path, why);
             if ids.is_null(row) || timesteps.is_null(row) || numbers.iter().any(|column| column.is_null(row)) {
                 return Err(invalid(format!("row {row} of a batch lacks a value; fill it in or leave the row out")));
             }
@@ -67,7 +82,7 @@ fn converted(batch: &RecordBatch, path: &Path) -> Result<RecordBatch> {
         let names: Vec<&str> = COLUMNS.iter().map(|(name, _)| *name).collect();
         column.ok_or_else(|| {
             let why = format!("column {name} is missing or no {kind}, expected {}", names.join(", "));
-            Error::invalid(&path.to_string_lossy(), why)
+            unfit(path, why)
         })
     };
     let arrays = COLUMNS.iter().map(column).collect::<Result<Vec<_>>>()?;
@@ -106,6 +121,11 @@ mod tests {
         assert!(why(&table(steps(vec![10, 10, 10]), some())).contains("a has timestep 10 twice"));
         assert!(why(&table(steps(vec![-1, 10, 10]), some())).contains("timestep -1"));
         assert!(why(&table(steps(vec![1, 2, 3]), number(vec![None, Some(1.0), Some(1.0)]))).contains("lacks a value"));
-        assert!(why(&table(steps(vec![1, 2, 3]), some())[..4]).contains("column x is missing"));
+        let missing = why(&table(steps(vec![1, 2, 3]), some())[..4]);
+        assert!(missing.starts_with("cannot read ") && missing.contains("column x is missing"), "{missing}");
+        for path in ["Cargo.toml", "src", "/dev/zero"] {
+            let why = read_planned(Path::new(path)).unwrap_err().to_string();
+            assert!(why.contains(path) && !why.contains("damaged"), "{why}");
+        }
     }
 }

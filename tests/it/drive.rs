@@ -4,15 +4,15 @@ use crate::skipped::skipped;
 use crate::support::{Outcome, assert_same, command, djinn, files, python};
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt32Array};
 use djinn::drive::protocol::protocol_schema;
-use djinn::geometry::Vec2;
+use djinn::scene::State;
 use djinn::store::CorpusReader;
 use parquet::arrow::ArrowWriter;
 use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
-const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
-const MODEL: &str = "pipelines/models/geometric_two_steps.safetensors";
+pub(crate) const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
+pub(crate) const MODEL: &str = "pipelines/models/geometric_two_steps.safetensors";
 /// Accepted scenarios of the corpus.
 const N_SCENARIOS: u64 = 4;
 
@@ -73,9 +73,9 @@ fn a_drive_that_was_killed_goes_on_to_the_same_bytes() {
     let [whole, killed, kept, begun] = ["whole", "killed", "killed.drives", "begun"].map(|name| dir.path().join(name));
     // It notes each scenario that begins.
     let slow = planner(&format!(
-        "n == 1 and print(n, file=open('{}', 'a')); time.sleep(0.05)\n  print(json.dumps({{'type': 'action', \
+        "n == 1 and print(n, file=open('{}' '/begun', 'a')); time.sleep(0.05)\n  print(json.dumps({{'type': 'action', \
          'acceleration_mps2': 0}}))",
-        begun.display()
+        dir.path().display()
     ))
     .replace("n = 0\nfor", "for")
     .replace("n += 1", "n = int(json.loads(line)['time_s'] == 0)");
@@ -87,7 +87,6 @@ fn a_drive_that_was_killed_goes_on_to_the_same_bytes() {
         command(&[&fixed[..], &options[..], &[threads]].concat())
     };
     let mut child = run("1").stderr(std::process::Stdio::null()).spawn().unwrap();
-    let is_whole = |entry: &std::io::Result<fs_err::DirEntry>| entry.as_ref().unwrap().file_name().len() == 64;
     let n_kept = || fs_err::read_dir(&kept).map_or(0, |entries| entries.filter(is_whole).count());
     while n_kept() == 0 {
         assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed");
@@ -104,6 +103,42 @@ fn a_drive_that_was_killed_goes_on_to_the_same_bytes() {
     assert_eq!(n_begun() - n_before, N_SCENARIOS - n_kept);
     assert_same(&files(&whole), &files(&killed));
     assert!(!kept.exists());
+}
+
+#[test]
+fn a_planner_that_was_edited_meanwhile_begins_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let (script, out, kept) = (dir.path().join("p.py"), dir.path().join("out"), dir.path().join("out.drives"));
+    let write = |ends: &str| {
+        let code = format!(
+            "import json, sys, time\nn = 0\nfor line in sys.stdin:\n kind = json.loads(line)['type']\n \
+             n += kind == 'hello'\n if kind == 'observation':\n  if n == 2: {ends}\n  \
+             print(json.dumps({{'type': 'action', 'acceleration_mps2': 0}}), flush=True)\n"
+        );
+        fs_err::write(&script, code).unwrap();
+    };
+    let ego = format!("cd {} && python3 p.py", dir.path().display());
+    let args = ["drive", CORPUS, "--ego", &ego, "--model", MODEL, "--out", out.to_str().unwrap(), "--horizon-s", "1"];
+    let begin = || command(&[&args[..], &["--threads", "1", "--time-limit-s", "100"]].concat());
+    // It stays in its second scenario.
+    write("time.sleep(1000)");
+    let mut child = begin().stderr(std::process::Stdio::null()).spawn().unwrap();
+    let n_kept = || fs_err::read_dir(&kept).map_or(0, |entries| entries.filter(is_whole).count());
+    while n_kept() == 0 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(75));
+    write("pass");
+    let again = begin().output().unwrap();
+    let said = String::from_utf8_lossy(&again.stderr);
+    assert!(again.status.success() && said.contains("begins anew: the files of the planner changed"), "{said}");
+    assert!(!said.contains("not driven again") && !kept.exists(), "{said}");
+}
+
+/// Whether this is a kept drive.
+fn is_whole(entry: &std::io::Result<fs_err::DirEntry>) -> bool {
+    entry.as_ref().unwrap().file_name().len() == 64
 }
 
 #[test]
@@ -142,6 +177,7 @@ fn scenarios_are_made_harder_until_a_driver_fails() {
 fn whatever_a_planner_does_is_an_outcome() {
     let dir = tempfile::tempdir().unwrap();
     let nan = planner("print(json.dumps({'type': 'action', 'acceleration_mps2': float('nan')}))");
+    let key = planner("print(json.dumps({'type': 'action', 'acceleration_mps2': 0, 'curvature': 0.05}))");
     let late = planner("time.sleep(0 if n < 2 else 60); print(json.dumps({'type': 'action', 'acceleration_mps2': 0}))");
     let far = planner("print(json.dumps({'type': 'action', 'trajectory': [[0, 0, 0]] * 5}))");
     let none = planner("print(json.dumps({'type': 'peek', 'n': 0}))");
@@ -152,7 +188,8 @@ fn whatever_a_planner_does_is_an_outcome() {
         ("floods", "yes nonsense", "planner_failed", ""),
         ("endless", "cat /dev/zero", "planner_failed", "more than 1048576 bytes"),
         ("nan", nan.as_str(), "planner_failed", "expected an action"),
-        ("far", far.as_str(), "planner_failed", "no motion of a vehicle"),
+        ("key", key.as_str(), "planner_failed", "did you mean curvature_1pm?"),
+        ("far", far.as_str(), "planner_failed", "point 0 of the trajectory: no vehicle moves"),
         ("late", late.as_str(), "timed_out", "did not answer within 0.3 s"),
     ] {
         let out = dir.path().join(name);
@@ -304,9 +341,12 @@ fn what_cannot_be_driven_is_refused() {
     let out = dir.path().join("out");
     for (more, code, why) in [
         (&["--behavior", "tailgating"][..], 1, "none of the 7 scenarios"),
+        (&["--ego-track", "nope", "--max-failures", "0"], 1, "none of the 4 chosen scenarios can be driven: 4 times"),
         (&["--replan-s", "20"], 1, "replan_s is 20"),
         (&["--time-limit-s", "0"], 1, "time_limit_s is 0"),
         (&["--model", "Cargo.toml"], 1, "Cargo.toml"),
+        (&["--model", "/dev/zero"], 1, "/dev/zero is neither a file nor a folder"),
+        (&["--from", "/dev/zero"], 1, "/dev/zero is neither a file nor a folder"),
         (&["--out", CORPUS], 1, CORPUS),
         (&["--scenes", "tests/fixtures"], 1, "tests/fixtures"),
     ] {
@@ -350,21 +390,21 @@ fn the_published_protocol_is_the_one_that_is_spoken() {
     );
 }
 
-/// The ego of every accepted scenario as planned states, moved to the left by this, meters.
-fn planned(path: &Path, aside_m: f64) {
-    let reader = CorpusReader::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS)).unwrap();
+/// The ego of every accepted scenario of a corpus but the first `n_left_out` as planned states, each [timestep, x, y,
+/// heading] as it is `told`.
+pub(crate) fn planned(path: &Path, corpus: &Path, n_left_out: usize, mut told: impl FnMut([f64; 4]) -> [f64; 4]) {
+    let reader = CorpusReader::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join(corpus)).unwrap();
     let (mut ids, mut timesteps, mut numbers) = (Vec::new(), Vec::new(), [Vec::new(), Vec::new(), Vec::new()]);
-    for record in (0..reader.len()).map(|i| reader.scenario(i).unwrap()) {
-        let scene = &record.scenario.scene;
-        let Some(ego) = record.subject_idx().filter(|_| record.assessment.as_ref().is_some_and(|a| a.accepted)) else {
-            continue;
-        };
+    let records = (0..reader.len()).map(|i| reader.scenario(i).unwrap());
+    let accepted = records.filter(|record| record.assessment.as_ref().is_some_and(|a| a.accepted));
+    for record in accepted.skip(n_left_out) {
+        let (scene, ego) = (&record.scenario.scene, record.subject_idx().unwrap());
         for timestep in scene.n_history..scene.n_timesteps {
-            let state = scene.state(ego, timestep).unwrap().transformed(&scene.world_from_scene);
-            let aside = Vec2::from_angle(state.heading_rad).rotated(std::f64::consts::FRAC_PI_2) * aside_m;
+            let State { position, heading_rad, .. } =
+                scene.state(ego, timestep).unwrap().transformed(&scene.world_from_scene);
+            let [timestep, values @ ..] = told([timestep as f64, position.x, position.y, heading_rad]);
             ids.push(record.scenario.id.clone());
             timesteps.push(timestep as u32);
-            let values = [state.position.x + aside.x, state.position.y + aside.y, state.heading_rad];
             numbers.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
         }
     }
@@ -387,19 +427,32 @@ fn planned_trajectories_are_scored_beside_the_careful_driver_the_scenario_and_th
         let args = ["score", CORPUS, file.to_str().unwrap(), "--out", out.to_str().unwrap()];
         djinn(&[&args, more].concat())
     };
-    planned(&file, 0.0);
-    score(&[]).expect(0);
+    planned(&file, Path::new(CORPUS), 0, |state| state);
+    score(&["--max-unjudged", "0"]).expect(0);
     let found = report(&out);
     let count = |driver: &str| found["outcomes"][driver].as_object().unwrap().values().filter_map(|n| n.as_u64()).sum();
     let counts: [u64; 3] = ["planner", "careful", "scenario"].map(count);
     assert_eq!((counts, &found["outcomes"]["planner"]), ([N_SCENARIOS; 3], &found["outcomes"]["scenario"]));
     assert!(found["outcomes"]["recorded"].is_object(), "{found}");
     fs_err::remove_dir_all(&out).unwrap();
-    // Ten meters aside at once is no road, or no free one.
-    planned(&file, 10.0);
-    let gated = score(&["--max-failures", "0"]).expect(3);
-    assert!(gated.stderr.contains("--max-failures: 4 scenarios, expected at most 0"), "{}", gated.stderr);
-    assert_eq!(report(&out)["failures"]["n_failed"], N_SCENARIOS);
+    // Nobody drives ten meters aside at once.
+    planned(&file, Path::new(CORPUS), 0, |[t, x, y, heading]| [t, x, y + 10.0, heading]);
+    let refused = score(&["--max-failures", "0"]).expect(1);
+    assert!(refused.stderr.contains("none of the 4 plans can be driven"), "{}", refused.stderr);
+    // A gate over a part says so.
+    planned(&file, Path::new(CORPUS), 3, |state| state);
+    for (more, code) in [
+        (&["--max-avoidable", "4"][..], 3),
+        (&["--max-avoidable", "4", "--max-unjudged", "3"], 0),
+        (&["--max-unjudged", "2"], 3),
+        (&[], 0),
+    ] {
+        drop(fs_err::remove_dir_all(&out));
+        let told = score(more).expect(code);
+        let said = told.stdout + &told.stderr;
+        assert!(said.contains("3 of 4 chosen scenarios were not judged"), "{said}");
+        assert_eq!(code == 3, said.contains("--max-unjudged: 3 scenarios"), "{said}");
+    }
     let refused = djinn(&["score", CORPUS, "Cargo.toml", "--out", dir.path().join("no").to_str().unwrap()]).expect(1);
     assert!(refused.stderr.contains("Cargo.toml"), "{}", refused.stderr);
 }
@@ -412,7 +465,7 @@ fn the_page_for_people_with_a_planner_works_as_it_says() {
     let bin = Path::new(env!("CARGO_BIN_EXE_djinn")).parent().unwrap().to_owned();
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
     let planned_states = dir.path().join("planned.parquet");
-    planned(&planned_states, 0.0);
+    planned(&planned_states, Path::new(CORPUS), 0, |state| state);
     let mut n_run = 0;
     for block in page.split("```sh\n").skip(1) {
         for line in block.split("```").next().unwrap_or_default().lines().filter(|line| line.starts_with("djinn ")) {

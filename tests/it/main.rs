@@ -10,6 +10,7 @@ mod corpus;
 mod damage;
 mod documents;
 mod drive;
+mod drive_frames;
 mod export;
 mod fuzz;
 mod malformed;

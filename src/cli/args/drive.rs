@@ -32,7 +32,7 @@ pub(in crate::cli) struct DriveArgs {
     /// How long a plan is driven before all plan anew, seconds
     #[arg(long, value_name = "S", default_value_t = 0.5)]
     pub(in crate::cli) replan_s: f64,
-    /// How long a planner may take for an answer, seconds
+    /// How long a planner may take for an answer, seconds; 30 s more for the first one of a process
     #[arg(long, value_name = "S", default_value_t = 10.0)]
     pub(in crate::cli) time_limit_s: f64,
     /// Seed of the futures of the others
@@ -111,6 +111,10 @@ pub(in crate::cli) struct DriveGates {
     /// Exit with code 3 if it fails in more scenarios than this that the careful driver survives
     #[arg(long, value_name = "N")]
     pub(in crate::cli) max_avoidable: Option<u64>,
+    /// Exit with code 3 if more of the chosen scenarios than this are not judged: without a plan, or a future of the
+    /// others [default: 0 with one of the other two]
+    #[arg(long, value_name = "N")]
+    pub(in crate::cli) max_unjudged: Option<u64>,
 }
 
 impl ChosenArgs {

@@ -68,16 +68,29 @@ fn tell(report: &DriveReport, gates: &DriveGates, out: &Path, printer: &Printer)
     }
     printer.data(&text(report))?;
     printer.message(format_args!("the drives are in {}", out.display()));
+    let DriveGates { max_failures, max_avoidable, max_unjudged } = *gates;
+    // A gate over a part is not met, unless that is asked for.
+    let max_unjudged = max_unjudged.or(max_failures.or(max_avoidable).map(|_| 0));
     let gates = [
-        ("max-failures", report.failures.n_failed, gates.max_failures),
-        ("max-avoidable", report.failures.n_avoidable, gates.max_avoidable),
+        ("max-failures", report.failures.n_failed, max_failures),
+        ("max-avoidable", report.failures.n_avoidable, max_avoidable),
+        ("max-unjudged", report.n_unjudged, max_unjudged),
     ];
-    match gates.into_iter().find(|(_, n, most)| most.is_some_and(|most| *n > most)) {
-        Some((gate, n, Some(most))) => {
-            Err(Failure::gate(format_args!("--{gate}: {n} scenarios, expected at most {most}")))
-        }
-        _ => Ok(()),
+    if let Some((gate, n, most)) =
+        gates.into_iter().find_map(|(gate, n, most)| Some((gate, n, most.filter(|most| n > *most)?)))
+    {
+        return Err(Failure::gate(format_args!("--{gate}: {n} scenarios, expected at most {most}")));
     }
+    match max_unjudged.is_some() && n_judged(report) == 0 {
+        true => Err(Failure::gate("no scenario was judged: in none had the model a future for the others")),
+        false => Ok(()),
+    }
+}
+
+/// The driven scenarios in which the others had a future.
+fn n_judged(report: &DriveReport) -> u64 {
+    let n_left_out: u64 = report.left_out.values().sum();
+    report.n_scenarios + n_left_out - report.n_unjudged
 }
 
 /// The outcomes, and the hardest scenarios that matter.
@@ -93,8 +106,15 @@ fn text(report: &DriveReport) -> String {
     let _ = writeln!(
         text,
         "{} of {} scenarios fail ({} hit in the rear); the careful driver survives {} of these",
-        failures.n_failed, failures.n_scenarios, failures.n_hit_in_rear, failures.n_avoidable
+        failures.n_failed,
+        n_judged(report),
+        failures.n_hit_in_rear,
+        failures.n_avoidable
     );
+    if report.n_unjudged > 0 {
+        let n_all = n_judged(report) + report.n_unjudged;
+        let _ = writeln!(text, "{} of {n_all} chosen scenarios were not judged", report.n_unjudged);
+    }
     let _ = writeln!(
         text,
         "the event happens in {} of them, and in {} the driver avoids a collision or near miss in time",

@@ -7,7 +7,7 @@ mod way;
 
 pub(super) use careful::Careful;
 pub(super) use idm::{Idm, free_m, reacting};
-pub(super) use replay::{AtConstantVelocity, Log, Model, follow_log};
+pub(super) use replay::{AtConstantVelocity, Log, Model};
 pub(super) use way::expected;
 
 use super::Driver;

@@ -4,7 +4,6 @@ use super::idm::acceleration;
 use super::way::{advanced, ego};
 use crate::drive::driver::{Driver, Failed};
 use crate::drive::{Situation, World};
-use crate::geometry::Vec2;
 use crate::scene::State;
 
 /// The ego as the model samples it.
@@ -40,7 +39,11 @@ impl Driver for Log {
 
     fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         match situation.scene.state(situation.ego_idx, world.n_timesteps()) {
-            Some(state) => Ok(*state),
+            // As a planner that answers with these states drives.
+            Some(State { position, heading_rad, .. }) => {
+                let velocity = (*position - ego(situation, world)?.position) * (1.0 / situation.scene.dt_s);
+                Ok(State { position: *position, heading_rad: *heading_rad, velocity })
+            }
             None => {
                 let state = ego(situation, world)?;
                 Ok(advanced(situation, &state, acceleration(situation, &state, std::iter::empty()).min(0.0)))
@@ -51,20 +54,6 @@ impl Driver for Log {
     fn answers(&self) -> bool {
         false
     }
-}
-
-/// The ego at this position and heading at the next timestep, with the velocity that takes it there.
-///
-/// # Errors
-/// When the ego is not there now.
-pub(in crate::drive) fn follow_log(
-    situation: &Situation,
-    world: &World,
-    position: Vec2,
-    heading_rad: f64,
-) -> Result<State, Failed> {
-    let velocity = (position - ego(situation, world)?.position) * (1.0 / situation.scene.dt_s);
-    Ok(State { position, heading_rad, velocity })
 }
 
 impl Driver for AtConstantVelocity {

@@ -21,12 +21,15 @@ impl From<ingest::Error> for Failure {
 impl From<store::Error> for Failure {
     fn from(error: store::Error) -> Self {
         match error {
-            store::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
+            store::Error::Io(io) if matches!(io.kind(), ErrorKind::NotFound | ErrorKind::InvalidInput) => {
+                Self::input(io)
+            }
             store::Error::Files(error) => error.into(),
             error @ (store::Error::Unfinished { .. }
             | store::Error::NoCorpus { .. }
             | store::Error::SchemaVersion { .. }
             | store::Error::NotFound { .. }
+            | store::Error::Unfit { .. }
             | store::Error::DuplicateScene { .. }
             | store::Error::UnknownMap { .. }) => Self::input(error),
             error => Self::fault(error),
@@ -133,6 +136,8 @@ pub(in crate::pipeline) fn of_named_path(error: std::io::Error) -> Failure {
         | ErrorKind::IsADirectory => Failure::input(error).with_hint(
             "relative paths are relative to the pipeline file, those of the command line to the current directory",
         ),
+        // Neither a file nor a folder.
+        ErrorKind::InvalidInput => Failure::input(error),
         _ => Failure::fault(error),
     }
 }

@@ -33,6 +33,7 @@ use crate::engine::Stage;
 use crate::engine::StageRecord;
 use crate::engine::{Failure, Result};
 use crate::evaluate::{EvaluateConfig, GateResult};
+use crate::ingest::usual_horizon;
 use crate::metrics::DUPLICATE_DISTANCE_M;
 use crate::nn::Precision;
 use serde_json::{Value, json};
@@ -125,7 +126,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
 
 /// The stage of generation, if the configuration has its section.
 pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Generate<'a>> {
-    let PipelineConfig { run, mine, train, generate, evaluate, .. } = config;
+    let PipelineConfig { run, ingest, mine, train, generate, evaluate, .. } = config;
     Some(Generate {
         config: generate.as_ref()?,
         precision: run.precision,
@@ -135,6 +136,7 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
         // A folder of models that the command line names may hold one that was distilled with other settings.
         distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
+        horizon: ingest.as_ref().and_then(|ingest| usual_horizon(ingest).ok()),
         layout,
     })
 }

@@ -17,10 +17,13 @@ use crate::diffusion::Edm;
 use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
 use crate::evaluate::{for_maps, map_fits};
 use crate::generate::{self, GenerateConfig, Pool, RequestSummary, ResolvedGeneration};
+use crate::ingest::Horizon;
 use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
 use crate::nn::{Compute, Precision};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
+use crate::scene::INGESTED_DT_S;
+use crate::settings::Issue;
 use crate::store::{SceneStore, read_json};
 use crate::train::DistillTrainingConfig;
 use serde_json::{Value, json};
@@ -42,6 +45,8 @@ pub struct Generate<'a> {
     pub classified_behavior: Option<&'a str>,
     /// The distillation of the pipeline's denoiser, if it does that itself.
     pub distill: Option<&'a DistillTrainingConfig>,
+    /// The timesteps of scenes that the pipeline ingests itself.
+    pub horizon: Option<Horizon>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
 }
@@ -64,6 +69,11 @@ impl Stage for Generate<'_> {
         let distillation = self.distill.filter(|config| config.checkpoint.is_none());
         let distillation = distillation.map(|config| config.method.distillation(&edm));
         for sweep in &resolved.sweeps {
+            if let (Some(rollout), Some(horizon)) = (&sweep.rollout, self.horizon) {
+                let checked = rollout.check(INGESTED_DT_S, horizon.n_future as f64 * INGESTED_DT_S);
+                let told = |issue: Issue| format!("sweep {}: {}", sweep.name, issue.within("rollout"));
+                checked.map_err(|issue| Failure::input_message(told(issue)))?;
+            }
             if let Some(distillation) = &distillation {
                 sweep.check_distillation(distillation, &edm)?;
             }
