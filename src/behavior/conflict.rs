@@ -6,7 +6,7 @@ use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::speed_profile::smoothed_accelerations_mps2;
 use super::swept_boxes::SweptBoxes;
-use crate::geometry::{OrientedBox, Vec2};
+use crate::geometry::Vec2;
 use crate::scene::{Extent, Scene, State, Track};
 use std::f64::consts::FRAC_PI_6;
 
@@ -70,9 +70,13 @@ impl<'a> Course<'a> {
 
     /// Whether `body` overlaps the strip that the agent covers on its way, and whether it is along that way.
     fn meets(&self, body: &Footprint) -> (bool, bool) {
+        let farthest_m = self.offset_m.abs() + self.extent.width_m / 2.0 + body.radius_m;
+        if !self.lane.may_come_within(body.center, farthest_m) {
+            return (false, false);
+        }
         let Some(place) = self.lane.project(body.center) else { return (false, false) };
         let along = Vec2::from_angle(place.heading_rad);
-        let reach_m = self.extent.width_m / 2.0 + body.half_extent_m(Vec2::new(-along.y, along.x));
+        let reach_m = self.extent.width_m / 2.0 + body.half_extent_m(along.left());
         ((place.offset_m - self.offset_m).abs() < reach_m, body.forward.dot(along) > FOLLOWING_RAD.cos())
     }
 
@@ -85,7 +89,7 @@ impl<'a> Course<'a> {
         steps.find(|way_m| {
             let Some(center) = self.lane.beside(start_m + way_m, self.offset_m) else { return false };
             let Some(place) = self.lane.project(center) else { return false };
-            let body = Footprint::new(&OrientedBox { center, heading_rad: place.heading_rad, length_m, width_m });
+            let body = Footprint::along(center, Vec2::from_angle(place.heading_rad), [length_m, width_m]);
             zone.iter().any(|other| other.overlaps(&body))
         })
     }

@@ -1,6 +1,6 @@
 //! The path an agent drives from some timestep on, and places relative to it.
 
-use crate::geometry::{OrientedBox, Polyline, Projection, Vec2};
+use crate::geometry::{OrientedBox, Path, Polyline, Projection, Vec2};
 use crate::scene::{State, Track};
 
 /// Positions closer together than this are noise of the tracker, not path.
@@ -12,7 +12,7 @@ const EXTENSION_M: f64 = 50.0;
 /// The centers of an agent from a timestep to the end of its track, carried straight on at both ends.
 #[derive(Debug, Clone)]
 pub(crate) struct DrivenPath {
-    polyline: Polyline,
+    path: Path,
     /// Half the length of the agent: its front bumper is this far ahead of its center.
     half_length_m: f64,
 }
@@ -32,7 +32,7 @@ impl DrivenPath {
             }
         }
         points.push(kept + forward(last));
-        Some(Self { polyline: Polyline(points), half_length_m: track.extent_or_nominal().length_m / 2.0 })
+        Some(Self { path: Path::new(Polyline(points)), half_length_m: track.extent_or_nominal().length_m / 2.0 })
     }
 
     /// The path through `points`, carried straight on at both ends, of an agent of this length. `None` with fewer than
@@ -48,12 +48,12 @@ impl DrivenPath {
         let (before, last) = (kept[kept.len() - 2], kept[kept.len() - 1]);
         kept.insert(0, first + Vec2::from_angle((first - second).angle()) * EXTENSION_M);
         kept.push(last + Vec2::from_angle((last - before).angle()) * EXTENSION_M);
-        Some(Self { polyline: Polyline(kept), half_length_m: length_m / 2.0 })
+        Some(Self { path: Path::new(Polyline(kept)), half_length_m: length_m / 2.0 })
     }
 
     /// Its length without the extensions, meters.
     pub(crate) fn length_m(&self) -> f64 {
-        self.polyline.length_m() - 2.0 * EXTENSION_M
+        self.path.length_m() - 2.0 * EXTENSION_M
     }
 
     /// How far along the path `point` is from its start, meters; negative before it.
@@ -63,23 +63,15 @@ impl DrivenPath {
 
     /// The position of `point` relative to the path.
     pub(crate) fn project(&self, point: Vec2) -> Option<Projection> {
-        self.polyline.project(point)
+        self.path.project(point)
     }
 
     /// The position and heading of the agent after it has driven `driven_m` along the path. Past the end it goes
     /// straight on.
     pub(crate) fn pose_at(&self, driven_m: f64) -> (Vec2, f64) {
-        let mut left_m = (driven_m + EXTENSION_M).max(0.0);
-        let mut end = (Vec2::ZERO, 0.0);
-        for pair in self.polyline.0.windows(2) {
-            let (along, length_m) = (pair[1] - pair[0], pair[0].distance(pair[1]));
-            if left_m <= length_m && length_m > 0.0 {
-                return (pair[0].lerp(pair[1], left_m / length_m), along.angle());
-            }
-            left_m -= length_m;
-            end = (pair[1], along.angle());
-        }
-        (end.0 + Vec2::from_angle(end.1) * left_m, end.1)
+        let station_m = (driven_m + EXTENSION_M).max(0.0);
+        let (point, heading_rad) = self.path.pose_at(station_m).unwrap_or_default();
+        (point + Vec2::from_angle(heading_rad) * (station_m - self.path.length_m()).max(0.0), heading_rad)
     }
 
     /// Distance along the path from the agent's front bumper to the nearest part of `body`, meters; negative where they

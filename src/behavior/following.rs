@@ -67,7 +67,7 @@ impl<'a> Follower<'a> {
             let body = Footprint::new(&track.footprint(state));
             let gap_m = way_m - half_length_m - body.half_extent_m(along);
             // Half of both widths, less the required overlap of half the narrower one, is half of the wider one.
-            let their_half_m = body.half_extent_m(Vec2::new(-along.y, along.x));
+            let their_half_m = body.half_extent_m(along.left());
             let is_in_way = (theirs.offset_m - place.offset_m).abs() <= half_width_m.max(their_half_m);
             if way_m > 0.0 && gap_m <= reach_m && is_in_way {
                 let own_mps = own.velocity.dot(Vec2::from_angle(place.heading_rad));

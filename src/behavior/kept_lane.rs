@@ -1,9 +1,9 @@
 //! The lane that an agent keeps: its course, its width, and the places of others relative to it.
 
 use super::lane_relation::{HALF_NOMINAL_WIDTH_M, IndexedLane, SceneLanes};
-use crate::geometry::{Polyline, Projection, Vec2, angle_difference};
+use crate::geometry::{Path, Polyline, Projection, Vec2, angle_difference};
 use crate::scene::{Lane, LaneId, Scene, State, Trajectory};
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+use std::f64::consts::FRAC_PI_4;
 
 /// An agent keeps only a lane whose direction differs from its heading by less than this, radians.
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
@@ -21,9 +21,9 @@ const MIN_SPACING_M: f64 = 0.05;
 /// The lane in which an agent is at present, with the lanes that lead to it and those that continue it. Where the road
 /// forks, it continues in the lanes that the agent drives, or otherwise in the straightest.
 pub(super) struct KeptLane {
-    center: Polyline,
+    center: Path,
     /// Left and right boundaries, if all of its lanes have them.
-    sides: Option<[Polyline; 2]>,
+    sides: Option<[Path; 2]>,
     /// The lanes in driving direction. Empty for a straight line.
     lanes: Vec<LaneId>,
 }
@@ -47,9 +47,8 @@ impl KeptLane {
     /// This lane, driven against its direction.
     #[must_use]
     pub(super) fn reversed(mut self) -> Self {
-        let lines = self.sides.iter_mut().flatten().chain([&mut self.center]);
-        lines.for_each(|line| line.0.reverse());
-        self.sides = self.sides.map(|[left, right]| [right, left]);
+        self.center = self.center.reversed();
+        self.sides = self.sides.map(|[left, right]| [right.reversed(), left.reversed()]);
         self.lanes.reverse();
         self
     }
@@ -70,9 +69,14 @@ impl KeptLane {
         let history: Vec<Vec2> = positions(trajectory, 0..scene.n_history);
         let is_along =
             |heading_rad: f64| angle_difference(heading_rad, state.heading_rad).abs() < MAX_HEADING_DIFFERENCE_RAD;
-        let own = lanes.lanes_at(state.position).filter(|(_, place)| is_along(place.heading_rad));
-        let ranked = own.map(|(lane, _)| {
-            let kept = Self::along(&route(lanes, lane, &future, &history));
+        let mut own = lanes.lanes_at(state.position).filter(|(_, place)| is_along(place.heading_rad)).peekable();
+        let first = own.next().map(|(lane, _)| lane)?;
+        let route = |lane| route(lanes, lane, &future, &history);
+        if own.peek().is_none() {
+            return Some(Self::along(&route(first)));
+        }
+        let ranked = std::iter::once(first).chain(own.map(|(lane, _)| lane)).map(|lane| {
+            let kept = Self::along(&route(lane));
             let n_outside = future.iter().filter(|point| !kept.holds(**point)).count();
             let offsets_m = future.iter().filter_map(|point| Some(kept.project(*point)?.offset_m.abs()));
             (n_outside, offsets_m.sum::<f64>(), kept)
@@ -95,16 +99,25 @@ impl KeptLane {
         &self.lanes
     }
 
+    /// The direction of the center line at this distance along it, radians.
+    pub(super) fn heading_at(&self, station_m: f64) -> Option<f64> {
+        self.center.pose_at(station_m).map(|(_, heading_rad)| heading_rad)
+    }
+
     /// The point at this distance along the center line.
     pub(super) fn point_at(&self, station_m: f64) -> Option<Vec2> {
-        self.center.point_at(station_m)
+        self.center.pose_at(station_m).map(|(point, _)| point)
     }
 
     /// The point at this distance along the center line and this offset from it, positive to the left.
     pub(super) fn beside(&self, station_m: f64, offset_m: f64) -> Option<Vec2> {
-        let point = self.point_at(station_m)?;
-        let heading_rad = self.project(point)?.heading_rad;
-        Some(point + Vec2::from_angle(heading_rad).rotated(FRAC_PI_2) * offset_m)
+        let (point, heading_rad) = self.center.pose_at(station_m)?;
+        Some(point + Vec2::from_angle(heading_rad).left() * offset_m)
+    }
+
+    /// Whether `point` may be within `reach_m` of the center line.
+    pub(super) fn may_come_within(&self, point: Vec2, reach_m: f64) -> bool {
+        self.center.may_come_within(point, reach_m)
     }
 
     /// The position of `point` along the center line and beside it.
@@ -212,20 +225,22 @@ fn bend_rad(line: &Polyline) -> f64 {
 }
 
 /// The line through `points`, carried straight on at both ends.
-pub(super) fn extended<'a>(points: impl Iterator<Item = &'a Vec2>) -> Polyline {
-    let mut line: Vec<Vec2> = Vec::new();
+pub(super) fn extended<'a>(points: impl Iterator<Item = &'a Vec2>) -> Path {
+    // The place of the extension before the first point is kept free.
+    let mut line: Vec<Vec2> = vec![Vec2::ZERO];
     for point in points {
-        if line.last().is_none_or(|last| last.distance(*point) > MIN_SPACING_M) {
+        if line.len() == 1 || (line[line.len() - 1] - *point).norm_squared() > MIN_SPACING_M * MIN_SPACING_M {
             line.push(*point);
         }
     }
-    let onward = |from: Vec2, to: Vec2| to + Vec2::from_angle((to - from).angle()) * EXTENSION_M;
-    if let [first, second, ..] = line[..] {
-        let end = onward(line[line.len() - 2], line[line.len() - 1]);
-        line.insert(0, onward(second, first));
-        line.push(end);
+    let onward = |from: Vec2, to: Vec2| to + (to - from).unit() * EXTENSION_M;
+    if let [_, first, second, ..] = line[..] {
+        line.push(onward(line[line.len() - 2], line[line.len() - 1]));
+        line[0] = onward(second, first);
+    } else {
+        line.remove(0);
     }
-    Polyline(line)
+    Path::new(Polyline(line))
 }
 
 #[cfg(test)]

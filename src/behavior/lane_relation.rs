@@ -43,6 +43,12 @@ impl<'a> IndexedLane<'a> {
         Some(Self { lane, bounds, outline: lane.outline(), length_m: lane.centerline.length_m() })
     }
 
+    /// Whether `point` can have a margin: quicker than its place.
+    fn may_hold(&self, point: Vec2) -> bool {
+        self.bounds.contains(point, HALF_NOMINAL_WIDTH_M)
+            && self.outline.as_ref().is_none_or(|outline| is_in_polygon(outline, point))
+    }
+
     /// The place of `point` on the lane. `None` before its start and past its end.
     pub(crate) fn place(&self, point: Vec2) -> Option<LanePlace> {
         let projection = self.lane.centerline.project(point)?;
@@ -106,7 +112,7 @@ impl<'a> SceneLanes<'a> {
     pub(crate) fn lanes_at(&self, point: Vec2) -> impl Iterator<Item = (&IndexedLane<'a>, LanePlace)> {
         self.lanes
             .iter()
-            .filter(move |lane| lane.bounds.contains(point, HALF_NOMINAL_WIDTH_M))
+            .filter(move |lane| lane.may_hold(point))
             .filter_map(move |lane| Some((lane, lane.place(point)?)))
             .filter(|(_, place)| place.margin_m >= 0.0)
     }

@@ -17,7 +17,6 @@ pub(crate) mod driven_path;
 mod event;
 mod failure_to_yield;
 mod following;
-pub(crate) mod footprint;
 mod hard_brake;
 mod intrusion;
 pub(crate) mod kept_lane;
@@ -66,6 +65,7 @@ pub use template::Template;
 pub use unprotected_left_turn::UnprotectedLeftTurn;
 pub use wrong_way::WrongWay;
 
+pub(crate) use crate::geometry::footprint;
 use crate::scene::{AgentClass, Scene};
 use crate::settings;
 use schemars::JsonSchema;

@@ -12,9 +12,8 @@ const NO_MOTION_MPS: f64 = 1e-9;
 /// constant velocities each of these is an interval of time, and the boxes overlap in the intersection of the four.
 pub(crate) fn time_to_collision_s(a: &Footprint, velocity_a: Vec2, b: &Footprint, velocity_b: Vec2) -> Option<f64> {
     let (between, relative) = (b.center - a.center, velocity_b - velocity_a);
-    let left = |forward: Vec2| Vec2::new(-forward.y, forward.x);
     let (mut enter_s, mut exit_s) = (0.0_f64, f64::INFINITY);
-    for axis in [a.forward, left(a.forward), b.forward, left(b.forward)] {
+    for axis in [a.forward, a.forward.left(), b.forward, b.forward.left()] {
         let reach_m = a.half_extent_m(axis) + b.half_extent_m(axis);
         let (offset_m, speed_mps) = (between.dot(axis), relative.dot(axis));
         if speed_mps.abs() < NO_MOTION_MPS {

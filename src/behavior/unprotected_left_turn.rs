@@ -152,8 +152,7 @@ struct Arms {
 impl Arms {
     fn of(lane: &KeptLane, place: Vec2) -> Option<Self> {
         let station_m = lane.project(place)?.station_m;
-        let direction = |station_m: f64| lane.project(lane.point_at(station_m)?).map(|place| place.heading_rad);
-        Some(Self { from_rad: direction(station_m - ARM_M)?, to_rad: direction(station_m + ARM_M)? })
+        Some(Self { from_rad: lane.heading_at(station_m - ARM_M)?, to_rad: lane.heading_at(station_m + ARM_M)? })
     }
 
     /// The change of direction, positive to the left.

@@ -13,7 +13,7 @@ use crate::scene::{Roles, Scene};
 use crate::store::{SceneStore, read_events};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Number of recorded scenes for the ranges of motion: enough to estimate a thousandth at either end, few enough to be
@@ -58,12 +58,14 @@ impl<'a> Judge<'a> {
     /// Reads the recorded events of these behaviors, once each. Events of other behaviors take no memory.
     pub(super) fn learn_events<'b>(&mut self, behaviors: impl Iterator<Item = &'b str>) -> Result<()> {
         let Some(events) = self.events else { return Ok(()) };
-        for behavior in behaviors {
-            if !self.spaces.contains_key(behavior) {
-                let is_one = |event: &BehaviorEvent| event.label == EventLabel::Positive && event.behavior == behavior;
-                let space = EventSpace::new(behavior, &read_events(events, is_one)?);
-                self.spaces.insert(behavior.to_owned(), space);
-            }
+        let unknown: BTreeSet<&str> = behaviors.filter(|behavior| !self.spaces.contains_key(*behavior)).collect();
+        if !unknown.is_empty() {
+            let is_one = |event: &BehaviorEvent| {
+                event.label == EventLabel::Positive && unknown.contains(event.behavior.as_str())
+            };
+            let events = read_events(events, is_one)?;
+            let space = |behavior: &str| (behavior.to_owned(), EventSpace::new(behavior, &events));
+            self.spaces.extend(unknown.iter().map(|behavior| space(behavior)));
         }
         Ok(())
     }

@@ -4,6 +4,9 @@ use std::f64::consts::{PI, TAU};
 
 /// The direction `angle_rad` in (-π, π].
 pub fn wrap_angle(angle_rad: f64) -> f64 {
+    if angle_rad > -PI && angle_rad <= PI {
+        return angle_rad;
+    }
     let wrapped = angle_rad.rem_euclid(TAU);
     if wrapped > PI { wrapped - TAU } else { wrapped }
 }

@@ -1,6 +1,7 @@
 //! Rectangles with a heading: overlap and distance.
 
 use super::Vec2;
+use super::footprint::Footprint;
 
 /// A rectangle with its center, heading and side lengths, such as a vehicle seen from above.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,19 +19,12 @@ pub struct OrientedBox {
 impl OrientedBox {
     /// The corners: front left, rear left, rear right, front right (counter-clockwise).
     pub fn corners(&self) -> [Vec2; 4] {
-        let forward = Vec2::from_angle(self.heading_rad) * (self.length_m / 2.0);
-        let left = Vec2::from_angle(self.heading_rad).rotated(std::f64::consts::FRAC_PI_2) * (self.width_m / 2.0);
-        [
-            self.center + forward + left,
-            self.center - forward + left,
-            self.center - forward - left,
-            self.center + forward - left,
-        ]
+        Footprint::new(self).corners
     }
 
     /// Half the diagonal: no point of the box is farther from its center.
     pub fn radius(&self) -> f64 {
-        self.length_m.hypot(self.width_m) / 2.0
+        Vec2::new(self.length_m, self.width_m).norm() / 2.0
     }
 
     /// Whether `point` lies in the box or on its edge.
@@ -45,35 +39,12 @@ impl OrientedBox {
         if between.norm() > self.radius() + other.radius() {
             return false;
         }
-        let axes = |b: &Self| {
-            let forward = Vec2::from_angle(b.heading_rad);
-            [forward, Vec2::new(-forward.y, forward.x)]
-        };
-        let half_extent = |b: &Self, axis: Vec2| {
-            let [forward, left] = axes(b);
-            (forward.dot(axis) * b.length_m / 2.0).abs() + (left.dot(axis) * b.width_m / 2.0).abs()
-        };
-        axes(self)
-            .into_iter()
-            .chain(axes(other))
-            .all(|axis| between.dot(axis).abs() <= half_extent(self, axis) + half_extent(other, axis))
+        Footprint::new(self).overlaps(&Footprint::new(other))
     }
 
     /// Smallest distance between the two boxes, meters; 0 when they overlap.
     pub fn distance(&self, other: &Self) -> f64 {
-        if self.overlaps(other) {
-            return 0.0;
-        }
-        let to_box = |b: &Self, point: Vec2| {
-            let local = (point - b.center).rotated(-b.heading_rad);
-            let dx = (local.x.abs() - b.length_m / 2.0).max(0.0);
-            let dy = (local.y.abs() - b.width_m / 2.0).max(0.0);
-            dx.hypot(dy)
-        };
-        // Two disjoint convex polygons are closest at a corner of one of them.
-        let from_other = other.corners().into_iter().map(|corner| to_box(self, corner));
-        let from_self = self.corners().into_iter().map(|corner| to_box(other, corner));
-        from_other.chain(from_self).fold(f64::INFINITY, f64::min)
+        Footprint::new(self).distance_m(&Footprint::new(other))
     }
 }
 

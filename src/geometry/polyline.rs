@@ -49,31 +49,47 @@ impl Polyline {
     /// The closest point of the polyline to `point`. `None` with fewer than two distinct points.
     pub fn project(&self, point: Vec2) -> Option<Projection> {
         // Roots and angles are taken of the closest segment alone: this runs for every agent, timestep and lane.
-        let squared = |v: Vec2| v.x * v.x + v.y * v.y;
-        let mut best: Option<(f64, usize, f64)> = None;
-        for (i, pair) in self.0.windows(2).enumerate() {
-            let (along, from_start) = (pair[1] - pair[0], point - pair[0]);
-            let length_squared = squared(along);
-            if length_squared == 0.0 {
-                continue;
-            }
-            let share = ((along.x * from_start.x + along.y * from_start.y) / length_squared).clamp(0.0, 1.0);
-            let distance_squared = squared(from_start - along * share);
-            if best.is_none_or(|(least, _, _)| distance_squared < least) {
-                best = Some((distance_squared, i, share));
+        let mut best: Option<(usize, Foot)> = None;
+        for i in 0..self.0.len().saturating_sub(1) {
+            let Some(foot) = self.foot(i, point) else { continue };
+            if best.is_none_or(|(_, least)| foot.distance_squared < least.distance_squared) {
+                best = Some((i, foot));
             }
         }
-        let (distance_squared, i, share) = best?;
-        let (start, along) = (self.0[i], self.0[i + 1] - self.0[i]);
-        let before_m: f64 = self.0[..=i].windows(2).map(|pair| pair[0].distance(pair[1])).sum();
-        let offset_m = distance_squared.sqrt();
-        Some(Projection {
-            station_m: before_m + along.norm() * share,
+        let (i, foot) = best?;
+        Some(self.projection(point, i, foot, self.0[..=i].windows(2).map(|pair| pair[0].distance(pair[1])).sum()))
+    }
+
+    /// The point of a segment that is closest to `point`. `None` if it has no length.
+    pub(super) fn foot(&self, segment: usize, point: Vec2) -> Option<Foot> {
+        let (along, from_start) = (self.0[segment + 1] - self.0[segment], point - self.0[segment]);
+        let length_squared = along.norm_squared();
+        if length_squared == 0.0 {
+            return None;
+        }
+        let share = (along.dot(from_start) / length_squared).clamp(0.0, 1.0);
+        Some(Foot { distance_squared: (from_start - along * share).norm_squared(), share })
+    }
+
+    /// The projection onto a segment that begins after `before_m`.
+    pub(super) fn projection(&self, point: Vec2, segment: usize, foot: Foot, before_m: f64) -> Projection {
+        let (start, along) = (self.0[segment], self.0[segment + 1] - self.0[segment]);
+        let offset_m = foot.distance_squared.sqrt();
+        Projection {
+            station_m: before_m + along.norm() * foot.share,
             offset_m: if along.cross(point - start) < 0.0 { -offset_m } else { offset_m },
             heading_rad: along.angle(),
-            point: start + along * share,
-        })
+            point: start + along * foot.share,
+        }
     }
+}
+
+/// The point of a segment that is closest to another point.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Foot {
+    pub(super) distance_squared: f64,
+    /// The share of the segment before it.
+    share: f64,
 }
 
 #[cfg(test)]

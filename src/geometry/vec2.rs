@@ -26,24 +26,45 @@ impl Vec2 {
         Self::new(cos, sin)
     }
 
-    /// Scalar product.
+    /// The vector turned counter-clockwise by a quarter.
+    pub const fn left(self) -> Self {
+        Self::new(-self.y, self.x)
+    }
+
+    /// Scalar product. Products here are not fused: without the target feature, that is a library call.
     pub fn dot(self, other: Self) -> f64 {
-        self.x.mul_add(other.x, self.y * other.y)
+        self.x * other.x + self.y * other.y
     }
 
     /// The z component of the vector product: positive when `other` lies to the left of `self`.
     pub fn cross(self, other: Self) -> f64 {
-        self.x.mul_add(other.y, -(self.y * other.x))
+        self.x * other.y - self.y * other.x
     }
 
-    /// Euclidean length.
+    /// Euclidean length. Meters do not overflow, and a square root is the same on every machine.
     pub fn norm(self) -> f64 {
-        self.x.hypot(self.y)
+        self.norm_squared().sqrt()
+    }
+
+    /// Squared Euclidean length, which orders vectors as their lengths do.
+    pub fn norm_squared(self) -> f64 {
+        self.dot(self)
+    }
+
+    /// The unit vector in its direction; the one along x for the zero vector.
+    pub fn unit(self) -> Self {
+        let norm = self.norm();
+        if norm > 0.0 { self * (1.0 / norm) } else { Self::new(1.0, 0.0) }
     }
 
     /// Euclidean distance to `other`.
     pub fn distance(self, other: Self) -> f64 {
         (self - other).norm()
+    }
+
+    /// The turn to the direction of `other`, in (-π, π]; positive to the left.
+    pub fn angle_to(self, other: Self) -> f64 {
+        self.cross(other).atan2(self.dot(other))
     }
 
     /// Direction in (-π, π]; 0 for the zero vector.
@@ -54,7 +75,7 @@ impl Vec2 {
     /// The vector turned counter-clockwise by `angle_rad`.
     pub fn rotated(self, angle_rad: f64) -> Self {
         let (sin, cos) = angle_rad.sin_cos();
-        Self::new(cos.mul_add(self.x, -(sin * self.y)), sin.mul_add(self.x, cos * self.y))
+        Self::new(cos * self.x - sin * self.y, sin * self.x + cos * self.y)
     }
 
     /// The point a share `fraction` of the way from `self` to `other`.

@@ -1,6 +1,6 @@
 //! The road: lanes as strips around their center lines, and the strip nearest to a point.
 
-use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::geometry::{Polyline, SegmentIndex, Transform2, Vec2};
 use crate::scene::{Lane, LaneGraph, LaneId};
 
 /// Half the width of a lane without boundaries in the map, meters.
@@ -11,15 +11,10 @@ const EXTENSION_M: f64 = 100.0;
 /// The road of a scene: each lane as a chain of straight strips.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct RoadCorridors {
-    lanes: Vec<Corridor>,
-}
-
-/// The strips of a lane, with a circle around them.
-#[derive(Debug, Clone, PartialEq)]
-struct Corridor {
-    center: Vec2,
-    radius_m: f64,
     strips: Vec<Strip>,
+    index: SegmentIndex,
+    /// Half the width of the widest strip.
+    most_half_width_m: f64,
 }
 
 /// All points at most `half_width_m` from a line of `length_m` that leads from `start` in the direction of `along`.
@@ -43,48 +38,21 @@ pub(super) struct NearestRoad {
 impl RoadCorridors {
     /// The road of these lanes, in the frame that `to_from_here` leads to.
     pub(super) fn new(lanes: &LaneGraph, to_from_here: &Transform2) -> Self {
-        let corridor = |lane: &Lane| Corridor::new(strips(lanes, lane, to_from_here));
-        Self { lanes: lanes.lanes().iter().filter_map(corridor).collect() }
+        let strips: Vec<Strip> = lanes.lanes().iter().flat_map(|lane| strips(lanes, lane, to_from_here)).collect();
+        let index = SegmentIndex::new(strips.iter().map(|strip| [strip.start, strip.end()]));
+        let most_half_width_m = strips.iter().map(|strip| strip.half_width_m).fold(0.0, f64::max);
+        Self { strips, index, most_half_width_m }
     }
 
-    /// The center line of the strip that `point` is the least distance outside of (or, if it is on the road, one that
-    /// it is inside of). `None` without lanes.
+    /// The center line of the strip that `point` is the least distance outside of, or farthest inside. `None` without
+    /// lanes.
     pub(super) fn nearest(&self, point: Vec2) -> Option<NearestRoad> {
-        let mut best: Option<(f64, NearestRoad)> = None;
-        for lane in &self.lanes {
-            let least_m = best.map_or(f64::INFINITY, |(excess_m, _)| excess_m);
-            if least_m <= 0.0 {
-                break;
-            }
-            if lane.center.distance(point) - lane.radius_m >= least_m {
-                continue;
-            }
-            for strip in &lane.strips {
-                let nearest = strip.nearest(point);
-                // Most strips are much farther away, and roots take time. Some room is left for rounding.
-                let least_m = best.map_or(f64::INFINITY, |(excess_m, _)| excess_m);
-                let reach_m = least_m + nearest.half_width_m + 1e-6;
-                let offset = nearest.point - point;
-                if offset.dot(offset) > reach_m.max(0.0).powi(2) {
-                    continue;
-                }
-                let excess_m = nearest.point.distance(point) - nearest.half_width_m;
-                if excess_m < least_m || best.is_none() {
-                    best = Some((excess_m, nearest));
-                }
-            }
-        }
-        best.map(|(_, nearest)| nearest)
-    }
-}
-
-impl Corridor {
-    fn new(strips: Vec<Strip>) -> Option<Self> {
-        let ends = || strips.iter().flat_map(|strip| [strip.start, strip.end()]);
-        let center = ends().fold(Vec2::ZERO, |sum, end| sum + end) * (1.0 / ends().count().max(1) as f64);
-        let width_m = strips.iter().map(|strip| strip.half_width_m).reduce(f64::max)?;
-        let radius_m = ends().map(|end| end.distance(center)).fold(0.0, f64::max) + width_m;
-        Some(Self { center, radius_m, strips })
+        let excess_m = |i: usize| {
+            let nearest = self.strips[i].nearest(point);
+            Some(nearest.point.distance(point) - nearest.half_width_m)
+        };
+        let (i, _) = self.index.nearest(point, |squared| squared.sqrt() - self.most_half_width_m, excess_m)?;
+        Some(self.strips[i].nearest(point))
     }
 }
 

@@ -170,10 +170,14 @@ fn yaw_rates(scene: &Scene, track: &Track) -> Vec<f64> {
 fn nearest_distances(scene: &Scene) -> Vec<f64> {
     let mut distances = Vec::new();
     for timestep in future(scene).step_by(DISTANCE_STRIDE) {
-        let boxes: Vec<_> = scene.tracks.iter().filter_map(|track| track.footprint_at(timestep)).collect();
+        let boxes = scene.tracks.iter().filter_map(|track| track.footprint_at(timestep));
+        let boxes: Vec<Footprint> = boxes.map(|oriented_box| Footprint::new(&oriented_box)).collect();
         for (i, a) in boxes.iter().enumerate() {
             let others = boxes.iter().enumerate().filter(|(j, _)| *j != i);
-            distances.extend(others.map(|(_, b)| a.distance(b)).min_by(f64::total_cmp));
+            distances.extend(others.map(|(_, b)| b).fold(None, |least_m: Option<f64>, b| match least_m {
+                Some(least_m) if a.distance_lower_bound_m(b) >= least_m => Some(least_m),
+                _ => Some(least_m.unwrap_or(f64::INFINITY).min(a.distance_m(b))),
+            }));
         }
     }
     distances

@@ -223,7 +223,7 @@ fn neighbor_features(pose: &Pose, them: &Pose, of_them: &AgentSurroundings, gap:
     let turned = |x: f32, y: f32| (x * pose.cos + y * pose.sin, y * pose.cos - x * pose.sin);
     let (dx, dy) = turned(them.x - pose.x, them.y - pose.y);
     let (vx, vy) = turned(them.vx - pose.vx, them.vy - pose.vy);
-    let distance = dx.hypot(dy);
+    let distance = (dx * dx + dy * dy).sqrt();
     let closing = -(dx * vx + dy * vy) / distance.max(0.1);
     let shrunk = 1.0 / (POSITION_M + distance);
     [
@@ -243,7 +243,7 @@ fn neighbor_features(pose: &Pose, them: &Pose, of_them: &AgentSurroundings, gap:
         of_them.half_size_m[0] / 3.0,
         of_them.half_size_m[1] / 1.5,
         f32::from(u8::from(of_them.is_vulnerable)),
-        pose.vx.hypot(pose.vy) / SPEED_MPS,
+        (pose.vx * pose.vx + pose.vy * pose.vy).sqrt() / SPEED_MPS,
     ]
 }
 

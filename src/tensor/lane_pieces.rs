@@ -12,6 +12,9 @@ const MAX_PIECE_M: f64 = 18.0;
 const MAX_EDGE_M: f64 = 15.0;
 /// Outlines with at most this gap between them are one road, meters.
 const GAP_M: f64 = 0.3;
+/// The line across a lane runs this far behind its point, meters: rounding then does not decide on which side of it
+/// the corners of the lane's end are.
+const BEHIND_M: f64 = 1e-6;
 /// Yes-or-no attributes of a piece.
 pub const PIECE_FLAGS: usize = 6;
 
@@ -178,7 +181,7 @@ fn crossings(outline: &[Vec2], point: Vec2, along: Vec2, inside: &mut Vec<(f64, 
     for i in 0..n {
         let (a, b) = (outline[i] - point, outline[(i + 1) % n] - point);
         // Coordinates along the heading and to the left of it.
-        let (ahead_a, ahead_b) = (along.dot(a), along.dot(b));
+        let (ahead_a, ahead_b) = (along.dot(a) + BEHIND_M, along.dot(b) + BEHIND_M);
         if (ahead_a < 0.0) != (ahead_b < 0.0) {
             let share = ahead_a / (ahead_a - ahead_b);
             let (left_a, left_b) = (along.cross(a), along.cross(b));

@@ -48,23 +48,23 @@ impl PairFeatures {
         let rows: Vec<u32> = pairs.iter().enumerate().flat_map(flat).collect();
         let rows = Tensor::from_vec(rows, n_rows * 2, device)?;
         let select = |tensor: &Tensor, shape: &[usize]| tensor.reshape(shape)?.index_select(&rows, 0);
-        let base = select(&batch.base, &[n_rows * n_agents, n_timesteps, 3])?.to_vec3::<f32>()?;
-        let observed = select(&batch.observed, &[n_rows * n_agents, n_timesteps])?.to_vec2::<f32>()?;
+        let host = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
+        let base = host(&select(&batch.base, &[n_rows * n_agents, n_timesteps, 3])?)?;
+        let observed = host(&select(&batch.observed, &[n_rows * n_agents, n_timesteps])?)?;
         let latent = select(&batch.latent, &[n_rows * n_agents, n_timesteps])?;
-        let latent_entries = latent.to_vec2::<f32>()?;
+        let latent_entries = host(&latent)?;
 
         let mut fixed = Vec::with_capacity(n_rows * 2 * n_timesteps * FIXED);
         let mut headings = Vec::with_capacity(n_rows * 2);
         for row in 0..n_rows {
-            let last_observed = observed[row * 2].iter().rposition(|o| *o > 0.0).unwrap_or(0);
-            let origin = &base[row * 2][last_observed];
+            let first = row * 2 * n_timesteps;
+            let last_observed = observed[first..first + n_timesteps].iter().rposition(|o| *o > 0.0).unwrap_or(0);
+            let origin = &base[(first + last_observed) * 3..][..3];
             let pair_from_row = pose(origin).inverse();
-            for agent in [row * 2, row * 2 + 1] {
-                headings.push(wrap_angle(-f64::from(origin[2])) as f32);
-                for timestep in 0..n_timesteps {
-                    let masks = [observed[agent][timestep], latent_entries[agent][timestep]];
-                    fixed.extend(fixed_features(&pair_from_row, &base[agent][timestep], masks));
-                }
+            headings.extend([wrap_angle(-f64::from(origin[2])) as f32; 2]);
+            for state in first..first + 2 * n_timesteps {
+                let masks = [observed[state], latent_entries[state]];
+                fixed.extend(fixed_features(&pair_from_row, &base[state * 3..][..3], masks));
             }
         }
         let rotation = match parametrization {

@@ -132,10 +132,10 @@ impl LanePieces {
         let reach = self.reach(agent, in_reach_m);
         let distance = |piece: &LanePiece| {
             let to = |point: &Vec2| {
-                let each = piece.points.iter().map(|p| (f64::from(p.x) - point.x).hypot(f64::from(p.y) - point.y));
-                each.fold(f64::INFINITY, f64::min)
+                let each = piece.points.iter().map(|p| Vec2::new(f64::from(p.x), f64::from(p.y)) - *point);
+                each.map(Vec2::norm_squared).fold(f64::INFINITY, f64::min)
             };
-            agent.path.iter().map(to).fold(f64::INFINITY, f64::min)
+            agent.path.iter().map(to).fold(f64::INFINITY, f64::min).sqrt()
         };
         let mut reached: Vec<(f64, u32)> =
             reach.iter().enumerate().filter_map(|(i, reach)| Some(((*reach)?, i as u32))).collect();

@@ -7,9 +7,9 @@
 //! ```
 //!
 //! The profile `dev` has optimized dependencies, and so saves a second build of the world;
-//! `CARGO_PROFILE_DEV_OPT_LEVEL=3` before it optimizes our own code, too. `CANDLE_NUM_THREADS` and `RAYON_NUM_THREADS`
-//! limit the threads; with more than one, set `CANDLE_BARRIER_POOL_SPIN_LIMIT=1`, as the program does for itself. What
-//! is measured goes to stdout as a table; CI checks that this compiles, and never looks at a time.
+//! `CARGO_PROFILE_DEV_OPT_LEVEL=3` before it optimizes our own code, too. `RAYON_NUM_THREADS` limits
+//! the threads; set `CANDLE_NUM_THREADS=1`, as the program does for itself. What is measured goes to stdout as a table;
+//! CI checks that this compiles, and never looks at a time.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program of its own, for people")]
 
 #[path = "../it/batch_tensors.rs"]

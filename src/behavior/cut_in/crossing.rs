@@ -7,7 +7,6 @@ use crate::behavior::intrusion::Intrusion;
 use crate::behavior::kept_lane::KeptLane;
 use crate::geometry::{Projection, Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
-use std::f64::consts::FRAC_PI_2;
 
 /// How long the other must stay in the lane, and how long after its arrival in the lane both may still move over,
 /// seconds.
@@ -172,8 +171,8 @@ impl LaneCrossing<'_> {
         let state = state(track, timestep)?;
         let Projection { station_m, offset_m, heading_rad, .. } = self.lane.project(state.position)?;
         let body = Footprint::new(&track.footprint(state));
-        let half_extent_m = |angle_rad: f64| body.half_extent_m(Vec2::from_angle(angle_rad));
-        let (half_along_m, half_across_m) = (half_extent_m(heading_rad), half_extent_m(heading_rad + FRAC_PI_2));
+        let along = Vec2::from_angle(heading_rad);
+        let (half_along_m, half_across_m) = (body.half_extent_m(along), body.half_extent_m(along.left()));
         Some(LanePlace { station_m, offset_m, heading_rad, half_along_m, half_across_m })
     }
 

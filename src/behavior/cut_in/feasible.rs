@@ -82,10 +82,7 @@ impl CutIn {
         let at_present = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
         let (own, theirs) = (at_present(ego_idx)?, at_present(other_idx)?);
         let lane = KeptLane::as_observed(scene, &lanes, ego_idx)?;
-        let their_lane =
-            KeptLane::as_observed(scene, &lanes, other_idx).unwrap_or_else(|| KeptLane::straight_on(theirs));
         let (own_place, place) = (lane.project(own.position)?, lane.project(theirs.position)?);
-        let their_place = their_lane.project(theirs.position)?;
         let turned_rad = angle_difference(theirs.heading_rad, place.heading_rad).abs();
         let their_mps = theirs.velocity.dot(Vec2::from_angle(place.heading_rad));
         let own_mps = settled_mps(scene, ego_idx, own.speed_mps());
@@ -101,7 +98,13 @@ impl CutIn {
         // A vehicle that is partly in the ego's path already cannot cut into it.
         let across_m = their_extent.length_m * turned_rad.sin() + their_extent.width_m * turned_rad.cos();
         let is_aside = (place.offset_m - own_place.offset_m).abs() > (own_extent.width_m + across_m) / 2.0;
-        (is_possible && is_aside && away_mps < AWAY_MPS).then(|| Pair {
+        if !is_possible || !is_aside || away_mps >= AWAY_MPS {
+            return None;
+        }
+        let their_lane =
+            KeptLane::as_observed(scene, &lanes, other_idx).unwrap_or_else(|| KeptLane::straight_on(theirs));
+        let their_place = their_lane.project(theirs.position)?;
+        Some(Pair {
             own_offset_m: own_place.offset_m,
             their_station_m: their_place.station_m,
             their_offset_m: their_place.offset_m,

@@ -5,9 +5,8 @@ use crate::behavior::collision::{Collision, core_or_recorded};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::{InTheWay, QUINTIC_SLOPE, quintic};
-use crate::geometry::{OrientedBox, Vec2, angle_difference};
+use crate::geometry::Vec2;
 use crate::scene::{Extent, Scene};
-use std::f64::consts::FRAC_PI_2;
 
 /// Accelerations of the two agents, m/s², and how far they drift to the left, meters.
 const ACCELERATIONS_MPS2: [f64; 3] = [-2.5, -1.0, 0.0];
@@ -32,6 +31,8 @@ struct RailDrive {
     rail: usize,
     pace: Pace,
     drift_m: f64,
+    /// How far it would drive without braking, meters.
+    way_m: f64,
     effort: f64,
     positions: Vec<Vec2>,
     boxes: Vec<Footprint>,
@@ -47,13 +48,19 @@ impl Collision {
         let drivers = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let [Some(one), Some(other)] = drivers else { return Vec::new() };
         let extents = agents.map(|agent_idx| core_or_recorded(&scene.tracks[agent_idx]));
+        let mut drivers = [one, other];
+        Driver::keep_rails_that_meet(&mut drivers, extents);
+        let [one, other] = drivers;
         let (ones, others) = (courses(&one, extents[0]), courses(&other, extents[1]));
         let mut maneuvers = Vec::new();
         for (a, b) in ones.iter().flat_map(|a| others.iter().map(move |b| (a, b))) {
             // An agent that drifts into another is inattentive; two that drift would aim at each other.
-            let Some(step) = meet(a, b).filter(|_| a.drift_m == 0.0 || b.drift_m == 0.0) else { continue };
+            if a.drift_m != 0.0 && b.drift_m != 0.0 {
+                continue;
+            }
+            let Some(step) = meet(a, b) else { continue };
             let [own, theirs] = [a, b].map(|course| &course.boxes[step]);
-            let turned_rad = angle_difference(own.forward.angle(), theirs.forward.angle()).abs();
+            let turned_rad = own.forward.angle_to(theirs.forward).abs();
             let is_ahead = |own: &Footprint, other: &Footprint| (own.center - other.center).dot(own.forward) > 0.0;
             let brakes = |own: &Footprint, other: &Footprint| turned_rad > FROM_BEHIND_RAD || !is_ahead(own, other);
             // An agent that moves aside from behind has seen the one ahead.
@@ -64,13 +71,16 @@ impl Collision {
             for before_s in BRAKES_BEFORE_S {
                 let from_s = ((step + 1) as f64 * scene.dt_s - before_s).max(0.0);
                 let braking = |driver: &Driver, course: &RailDrive, extent: Extent, brakes: bool| {
-                    let pace = course.pace.clone();
-                    let pace = if brakes { pace.then(from_s, -BRAKES_MPS2) } else { pace };
-                    RailDrive::new(driver, extent, (course.rail, pace, course.drift_m))
+                    brakes.then(|| {
+                        let pace = course.pace.clone().then(from_s, -BRAKES_MPS2);
+                        let driven_m = driver.travel(course.rail, &pace).driven_m;
+                        RailDrive::new(driver, extent, &driven_m, (course.rail, pace, course.drift_m, course.way_m))
+                    })
                 };
-                let a = braking(&one, a, extents[0], brakes(own, theirs));
-                let b = braking(&other, b, extents[1], brakes(theirs, own));
-                let Some(step) = meet(&a, &b) else { continue };
+                let braked_a = braking(&one, a, extents[0], brakes(own, theirs));
+                let braked_b = braking(&other, b, extents[1], brakes(theirs, own));
+                let (a, b) = (braked_a.as_ref().unwrap_or(a), braked_b.as_ref().unwrap_or(b));
+                let Some(step) = meet(a, b) else { continue };
                 let relative_mps = (a.velocity(step, scene.dt_s) - b.velocity(step, scene.dt_s)).norm();
                 let apart = |step: usize| a.positions[step + 1] - b.positions[step + 1];
                 let crush_m = (step..a.boxes.len()).map(|then| apart(then).distance(apart(step))).fold(0.0, f64::max);
@@ -82,7 +92,7 @@ impl Collision {
                     effort: a.effort.max(b.effort),
                     parameters: &["relative_speed_mps", "heading_difference_rad", "bearing_rad"],
                     in_the_way: Some(InTheWay::Ahead),
-                    positions: vec![a.positions, b.positions],
+                    positions: vec![a.positions.clone(), b.positions.clone()],
                 });
             }
         }
@@ -103,15 +113,26 @@ fn meet(one: &RailDrive, other: &RailDrive) -> Option<usize> {
 }
 
 impl RailDrive {
-    /// The drive along a rail at a pace, drifting aside.
-    fn new(driver: &Driver, extent: Extent, (rail, pace, drift_m): (usize, Pace, f64)) -> Self {
-        let (positions, boxes) = drifting(driver, (rail, &pace, drift_m));
-        let boxes = boxes.into_iter().map(|(center, heading_rad)| {
-            let Extent { length_m, width_m } = extent;
-            Footprint::new(&OrientedBox { center, heading_rad, length_m, width_m })
-        });
+    /// The drive of these distances along a rail. It drifts aside over the way that it would drive without braking, so
+    /// that it does not slide aside while it stops.
+    fn new(
+        driver: &Driver,
+        extent: Extent,
+        driven_m: &[f64],
+        (rail, pace, drift_m, way_m): (usize, Pace, f64, f64),
+    ) -> Self {
+        let places = driver.places(rail, driven_m);
+        let forwards = places.iter().map(|(_, along)| along.unit());
+        let shares = std::iter::once(0.0).chain(driven_m.iter().map(|driven_m| quintic(driven_m / way_m.max(1.0))));
+        let asides = forwards.zip(shares).map(|(forward, share)| (forward, forward.left() * (drift_m * share)));
+        let sides_m = [extent.length_m, extent.width_m];
+        let (positions, boxes): (Vec<Vec2>, Vec<Footprint>) = places
+            .iter()
+            .zip(asides)
+            .map(|((at, _), (forward, aside))| (*at + aside, Footprint::along(*at + aside, forward, sides_m)))
+            .unzip();
         let effort = pace.effort().max(drift_m.abs() / 2.0);
-        Self { rail, drift_m, effort, positions, boxes: boxes.collect(), pace }
+        Self { rail, drift_m, way_m, effort, positions, boxes: boxes[1..].to_vec(), pace }
     }
 
     /// Its velocity at a timestep after the present, m/s.
@@ -123,28 +144,15 @@ impl RailDrive {
 /// Courses along each way of an agent, with each acceleration and each drift. An agent that brakes does not let go of
 /// the brake.
 fn courses(driver: &Driver, extent: Extent) -> Vec<RailDrive> {
-    let tried =
-        (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2.min(driver.braking_mps2()))));
-    let tried = tried.flat_map(|(rail, mps2)| DRIFTS_M.map(|drift_m| (rail, mps2, drift_m)));
-    let is_drift = |(rail, mps2, drift_m): &(usize, f64, f64)| {
-        let way_m = driver.travel(*rail, &Pace::steady(*mps2)).driven_m.last().copied().unwrap_or_default();
-        QUINTIC_SLOPE * drift_m.abs() <= MOST_DRIFT_RAD.tan() * way_m
-    };
-    let tried = tried.filter(is_drift);
-    tried.map(|(rail, mps2, drift_m)| RailDrive::new(driver, extent, (rail, Pace::steady(mps2), drift_m))).collect()
-}
-
-/// The positions of a drifting agent at present and at each timestep after it, and its poses at the latter. It drifts
-/// over the distance that it would drive without braking, so that it does not slide aside while it stops.
-fn drifting(driver: &Driver, (rail, pace, drift_m): (usize, &Pace, f64)) -> (Vec<Vec2>, Vec<(Vec2, f64)>) {
-    let driven_m = driver.travel(rail, pace).driven_m;
-    let way_m = driver.travel(rail, &pace.unchanged()).driven_m.last().copied().unwrap_or_default().max(1.0);
-    let aside = |step: usize, (at, along): (Vec2, Vec2)| {
-        let share = if step == 0 { 0.0 } else { quintic(driven_m[step - 1] / way_m) };
-        at + Vec2::from_angle(along.angle()).rotated(FRAC_PI_2) * (drift_m * share)
-    };
-    let places = driver.places(rail, &driven_m);
-    let positions: Vec<Vec2> = places.iter().enumerate().map(|(step, place)| aside(step, *place)).collect();
-    let poses = positions.iter().zip(&places).skip(1).map(|(at, (_, along))| (*at, along.angle())).collect();
-    (positions, poses)
+    let mut courses = Vec::new();
+    for (rail, mps2) in (0..driver.rails.len()).flat_map(|rail| ACCELERATIONS_MPS2.map(|mps2| (rail, mps2))) {
+        let pace = Pace::steady(mps2.min(driver.braking_mps2()));
+        let driven_m = driver.travel(rail, &pace).driven_m;
+        let way_m = driven_m.last().copied().unwrap_or_default();
+        let drifts = DRIFTS_M.into_iter().filter(|m| QUINTIC_SLOPE * m.abs() <= MOST_DRIFT_RAD.tan() * way_m);
+        courses.extend(
+            drifts.map(|drift_m| RailDrive::new(driver, extent, &driven_m, (rail, pace.clone(), drift_m, way_m))),
+        );
+    }
+    courses
 }

@@ -1,11 +1,11 @@
 //! An agent that continues along one of its ways, with accelerations that change at given times.
 
 use super::ways::{Way, ways};
-use crate::behavior::footprint::Footprint;
+use crate::behavior::footprint::{Bounds, Footprint};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
 use crate::behavior::template::observed_acceleration;
-use crate::geometry::{OrientedBox, Vec2, angle_difference};
+use crate::geometry::Vec2;
 use crate::scene::{Extent, Scene, State};
 
 /// Ordinary accelerations, at most half of the limits, m/s².
@@ -16,6 +16,7 @@ const SPACING_M: f64 = 0.5;
 const SAME_M: f64 = 1.0;
 /// How long it takes to press a pedal, and to ease a stop, seconds.
 const PEDAL_S: f64 = 0.3;
+const PEDAL_RATE_HZ: f64 = 1.0 / PEDAL_S;
 /// The lateral acceleration in bends, the deceleration before them, and the hardest one if it is late for that, m/s².
 const ACROSS_MPS2: f64 = 2.6;
 const EASES_MPS2: f64 = 2.0;
@@ -27,6 +28,8 @@ const LETS_GO_S: f64 = 1.0;
 /// The fastest changes of acceleration, m/s³: from gas to full braking in a second, and from the brake to the gas.
 const BRAKING_JERK_MPS3: f64 = 10.0;
 const EASING_JERK_MPS3: f64 = 2.5;
+/// More than an agent leaves the places of its rail: drifting aside, or beyond the last.
+const LEAVES_RAIL_M: f64 = 5.0;
 /// The curvature of a bend is taken over this many places on either side.
 const BEND_PLACES: usize = 4;
 /// Integration steps per timestep.
@@ -56,6 +59,8 @@ pub(in crate::behavior) struct Driver {
 pub(in crate::behavior) struct Rail {
     /// Positions and directions, evenly spaced.
     places: Vec<(Vec2, Vec2)>,
+    /// The rectangle around them.
+    bounds: Bounds,
     /// The largest speeds at each place that still allow braking, and coasting, for the bends ahead, m/s.
     allowed_mps: Vec<[f64; 2]>,
 }
@@ -84,12 +89,6 @@ impl Pace {
         self
     }
 
-    /// The plan without its changes.
-    #[must_use]
-    pub(in crate::behavior) fn unchanged(&self) -> Self {
-        Self { changes: Vec::new(), ..self.clone() }
-    }
-
     /// The plan with this multiple of the ordinary speed in bends; the lateral acceleration grows with its square.
     #[must_use]
     pub(in crate::behavior) fn brisk(self, briskness: f64) -> Self {
@@ -103,7 +102,7 @@ impl Pace {
 
     /// The acceleration at this time after the present, m/s².
     fn at(&self, elapsed_s: f64) -> f64 {
-        let pressed = |from_s: f64| ((elapsed_s - from_s).max(0.0) / PEDAL_S).min(1.0);
+        let pressed = |from_s: f64| ((elapsed_s - from_s).max(0.0) * PEDAL_RATE_HZ).min(1.0);
         self.changes.iter().fold(self.first_mps2, |before, (from_s, then)| before + (then - before) * pressed(*from_s))
     }
 }
@@ -129,6 +128,16 @@ impl Driver {
         Some(Self { state, rails, observed_mps2, dt_s: scene.dt_s, n_steps })
     }
 
+    /// Drops the rails of two agents of these sizes on which neither can come to any of the other's.
+    pub(in crate::behavior) fn keep_rails_that_meet(drivers: &mut [Self; 2], extents: [Extent; 2]) {
+        let within_m =
+            LEAVES_RAIL_M + extents.iter().map(|extent| (extent.length_m + extent.width_m) / 2.0).sum::<f64>();
+        let bounds = drivers.each_ref().map(|driver| driver.rails.iter().map(|rail| rail.bounds).collect::<Vec<_>>());
+        for (driver, others) in drivers.iter_mut().zip(bounds.iter().rev()) {
+            driver.rails.retain(|rail| others.iter().any(|other| rail.bounds.is_within(other, within_m)));
+        }
+    }
+
     /// Its acceleration at present if it brakes, m/s²; otherwise infinite.
     pub(in crate::behavior) fn braking_mps2(&self) -> f64 {
         if self.observed_mps2 < -COASTS_MPS2 { self.observed_mps2 } else { f64::INFINITY }
@@ -144,12 +153,12 @@ impl Driver {
         for step in 0..self.n_steps * N_STEPS {
             let [brakes_mps, coasts_mps] = self.rails[rail].allowed_mps(driven_m);
             let to_spare_mps = |allowed_mps: f64| pace.briskness * allowed_mps - speed_mps;
-            let most_mps2 = (to_spare_mps(brakes_mps) / PEDAL_S).max(-BRAKES_MPS2);
+            let most_mps2 = (to_spare_mps(brakes_mps) * PEDAL_RATE_HZ).max(-BRAKES_MPS2);
             let most_mps2 = most_mps2.min((to_spare_mps(coasts_mps) / LETS_GO_S).max(0.0));
             let wanted_mps2 = pace.at(step as f64 * step_s).min(most_mps2);
             mps2 = wanted_mps2.clamp(mps2 - BRAKING_JERK_MPS3 * step_s, mps2 + EASING_JERK_MPS3 * step_s);
             // Nobody stops with a jolt.
-            mps2 = mps2.max(-speed_mps / PEDAL_S);
+            mps2 = mps2.max(-speed_mps * PEDAL_RATE_HZ);
             let then_mps = (speed_mps + mps2 * step_s).max(0.0);
             driven_m += f64::midpoint(speed_mps, then_mps) * step_s;
             speed_mps = then_mps;
@@ -175,8 +184,7 @@ impl Driver {
     pub(in crate::behavior) fn boxes(&self, rail: usize, driven_m: &[f64], extent: Extent) -> Vec<Footprint> {
         let footprint = |driven_m: &f64| {
             let (center, along) = self.rails[rail].at(*driven_m);
-            let Extent { length_m, width_m } = extent;
-            Footprint::new(&OrientedBox { center, heading_rad: along.angle(), length_m, width_m })
+            Footprint::along(center, along.unit(), [extent.length_m, extent.width_m])
         };
         driven_m.iter().map(footprint).collect()
     }
@@ -194,7 +202,7 @@ impl Rail {
                 allowed_mps[i - 1][kind] = allowed_mps[i - 1][kind].min(before_mps);
             }
         }
-        Some(Self { places, allowed_mps })
+        Some(Self { bounds: Bounds::around(places.iter().map(|(at, _)| *at))?, places, allowed_mps })
     }
 
     fn end(&self) -> Vec2 {
@@ -224,7 +232,7 @@ impl Rail {
 /// The speed at which the bend around a place takes the ordinary lateral acceleration, m/s.
 fn bend_mps(places: &[(Vec2, Vec2)], i: usize) -> f64 {
     let (first, last) = (i.saturating_sub(BEND_PLACES), (i + BEND_PLACES).min(places.len() - 1));
-    let turned_rad = angle_difference(places[last].1.angle(), places[first].1.angle()).abs();
+    let turned_rad = places[first].1.angle_to(places[last].1).abs();
     let curvature_1pm = turned_rad / ((last - first) as f64 * SPACING_M);
     (ACROSS_MPS2 / curvature_1pm.max(f64::MIN_POSITIVE)).sqrt()
 }

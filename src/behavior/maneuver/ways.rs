@@ -2,7 +2,7 @@
 
 use crate::behavior::kept_lane::extended;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::geometry::{Polyline, Vec2, angle_difference};
+use crate::geometry::{Path, Vec2, angle_difference};
 use crate::scene::State;
 use std::f64::consts::FRAC_PI_4;
 
@@ -26,7 +26,7 @@ const BEND_M: f64 = 3.0;
 
 /// A way, and the agent's place on it at present.
 pub(super) struct Way {
-    line: Polyline,
+    line: Path,
     station_m: f64,
     /// The offset from the line after d meters is kept + (a + b d + c d²) exp(-d / L): it goes from the present offset,
     /// heading and curvature to the kept offset.
@@ -36,12 +36,11 @@ pub(super) struct Way {
 }
 
 impl Way {
-    fn new(line: Polyline, state: &State, curvature_1pm: f64) -> Option<Self> {
+    fn new(line: Path, state: &State, curvature_1pm: f64) -> Option<Self> {
         let place = line.project(state.position)?;
         let slope = angle_difference(state.heading_rad, place.heading_rad).tan();
         let settles_m = settling_m(state).min(MOST_DRIFT_M / slope.abs().max(f64::MIN_POSITIVE));
-        let heading_rad =
-            |at_m: f64| Some(line.project(line.point_at((place.station_m + at_m).max(0.0))?)?.heading_rad);
+        let heading_rad = |at_m: f64| line.pose_at(place.station_m + at_m).map(|(_, heading_rad)| heading_rad);
         let bend_1pm = angle_difference(heading_rad(BEND_M)?, heading_rad(-BEND_M)?) / (2.0 * BEND_M);
         let most_1pm = MOST_DRIFT_M / (settles_m * settles_m);
         let beyond_1pm = (curvature_1pm - bend_1pm).clamp(-most_1pm, most_1pm);
@@ -54,15 +53,15 @@ impl Way {
 
     /// The agent's position after `driven_m` along the way, and its direction.
     pub(super) fn place(&self, driven_m: f64) -> Option<(Vec2, Vec2)> {
-        let on_line = self.line.point_at(self.station_m + driven_m)?;
-        let along = Vec2::from_angle(self.line.project(on_line)?.heading_rad);
-        let left = Vec2::new(-along.y, along.x);
+        let (on_line, heading_rad) = self.line.pose_at(self.station_m + driven_m)?;
+        let along = Vec2::from_angle(heading_rad);
+        let left = along.left();
         let [a, b, c] = self.fading;
         let remaining = (-driven_m / self.settles_m).exp();
         let fading_m = a + (b + c * driven_m) * driven_m;
         let slope = (b + 2.0 * c * driven_m - fading_m / self.settles_m) * remaining;
         let ahead = along + left * slope;
-        Some((on_line + left * (self.kept_m + fading_m * remaining), ahead * ahead.norm().recip()))
+        Some((on_line + left * (self.kept_m + fading_m * remaining), ahead.unit()))
     }
 }
 

@@ -11,6 +11,9 @@ use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace, building_
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::scene::{Extent, Scene, State};
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
 
 /// The times to collision at which one brakes, seconds, and the decelerations, m/s².
 const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
@@ -37,7 +40,12 @@ struct Search<'a> {
     /// timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
+    /// Courses on which one brakes.
+    braked: RefCell<BTreeMap<Braking, Rc<PlannedDrive>>>,
 }
+
+/// Who brakes, on which rail and from which step on; the bits of its accelerations before and while it brakes.
+type Braking = ([usize; 3], [u64; 2]);
 
 /// A drive, its rail, and the first step at which another agent is in the way.
 struct PlannedDrive {
@@ -65,15 +73,19 @@ impl<'a> Search<'a> {
     fn new(behavior: &'a NearMiss, scene: &Scene, agents: [usize; 2]) -> Option<Self> {
         let lanes = SceneLanes::new(&scene.lanes);
         let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
-        let drivers = [first?, second?];
-        let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
+        let mut drivers = [first?, second?];
         // Where no size is recorded, near misses are told by smaller boxes than templates keep apart.
         let extents = agents.map(|agent_idx| {
             let track = &scene.tracks[agent_idx];
             let [_, inner] = extents(track);
             [track.extent_or_nominal(), inner]
         });
-        Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s })
+        Driver::keep_rails_that_meet(&mut drivers, extents.map(|[outer, _]| outer));
+        if drivers.iter().any(|driver| driver.rails.is_empty()) {
+            return None;
+        }
+        let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
+        Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s, braked: RefCell::default() })
     }
 
     fn drafts(&self) -> Vec<Maneuver> {
@@ -127,9 +139,11 @@ impl<'a> Search<'a> {
         }
         BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
             let from_s = (at_once_s - building_up_s(own.acceleration_mps2, -deceleration_mps2) / 2.0).max(SOONEST_S);
-            let braked = self.course(evader, own.rail, own.acceleration_mps2, Some((from_s, deceleration_mps2)));
+            let key = ([evader, own.rail, begins], [own.acceleration_mps2, deceleration_mps2].map(f64::to_bits));
+            let course = || self.course(evader, own.rail, own.acceleration_mps2, Some((from_s, deceleration_mps2)));
+            let braked = Rc::clone(self.braked.borrow_mut().entry(key).or_insert_with(|| Rc::new(course())));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
-            let pair = if evader == 0 { [&braked, other] } else { [other, &braked] };
+            let pair = if evader == 0 { [&*braked, other] } else { [other, &*braked] };
             helps.then(|| self.draft([evader, n_before], &["min_ttc_s", "heading_difference_rad"], pair))
         })
     }

@@ -45,10 +45,12 @@ use crate::pipeline::layout::Layout;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Sets up the worker threads: as many as the command line requests, or else as `configured`; 0 for all cores. rayon
-/// keeps one pool for the process, so every command calls this once, before it works.
+/// Sets up the worker threads: as many as the command line requests, or else as `configured`; 0 for all cores, and
+/// never more, because threads that share a core only take turns. rayon keeps one pool for the process, so every
+/// command calls this once, before it works.
 fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
-    let n_threads = output.threads.unwrap_or(configured);
+    let n_cores = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
+    let n_threads = output.threads.unwrap_or(configured).min(n_cores);
     rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
 }
 

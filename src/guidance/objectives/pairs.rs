@@ -1,6 +1,7 @@
 //! The pairs of agents for an objective: those near enough to matter, gathered from all rows into one list.
 
 use super::{AgentSelector, SceneContext};
+use crate::geometry::Vec2;
 use candle_core::{DType, Result, Tensor};
 
 /// P pairs of agents of a batch.
@@ -123,14 +124,14 @@ impl Pairs {
             except.is_some_and(|(a, b)| pair == [a[row], b[row]] || pair == [b[row], a[row]])
         };
         let is_asked = |i: usize, j: usize| (one[i] * other[j] > 0.0 || one[j] * other[i] > 0.0) && !is_left_out(i, j);
-        let radius_m = |i: usize| extent_m[2 * i].hypot(extent_m[2 * i + 1]) / 2.0;
+        let radius_m = |i: usize| Vec2::new(extent_m[2 * i], extent_m[2 * i + 1]).norm() / 2.0;
         let is_near = |i: usize, j: usize| {
             let limit = |reach: Reach| reach.per_radius * (radius_m(i) + radius_m(j)) + reach.beyond_m;
             let limit_m = query.reach.map_or(f64::INFINITY, limit);
             (0..n_timesteps).any(|t| {
                 let (a, b) = (i * n_timesteps + t, j * n_timesteps + t);
                 let counts = valid[a] * valid[b] > 0.0 && latent[a] + latent[b] > 0.0;
-                counts && (at[3 * a] - at[3 * b]).hypot(at[3 * a + 1] - at[3 * b + 1]) <= limit_m
+                counts && Vec2::new(at[3 * a] - at[3 * b], at[3 * a + 1] - at[3 * b + 1]).norm() <= limit_m
             })
         };
         let mut found: [Vec<u32>; 3] = Default::default();

@@ -14,7 +14,7 @@
 //! `half_second_` are differences of positions and headings every .5 s. `smoothed_` are taken after positions are
 //! smoothed: quadratics fitted over .7 s (Savitzky and Golay 1964).
 
-use super::motion::{Motion, Segment};
+use super::motion::{CenterLines, Motion};
 use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{AgentClass, Scene, State, Track};
 use serde::{Deserialize, Serialize};
@@ -85,7 +85,7 @@ impl FeatureSet {
 pub fn features() -> Vec<Feature> {
     let nobody = Motion { dt_s: 0.1, present: 0, positions: Vec::new(), headings_rad: Vec::new() };
     let mut features = Vec::new();
-    nobody.visit(&[], f64::NAN, &mut |name, statistic, unit, _| {
+    nobody.visit(&CenterLines::default(), f64::NAN, &mut |name, statistic, unit, _| {
         features.push(Feature { name: format!("{name}{statistic}"), unit });
     });
     features
@@ -115,7 +115,7 @@ pub struct Surroundings<'s> {
     scene: &'s Scene,
     /// Rounded poses of each track at each timestep.
     poses: Vec<Vec<Option<(Vec2, f64)>>>,
-    segments: Vec<Segment>,
+    lines: CenterLines,
 }
 
 impl<'s> Surroundings<'s> {
@@ -129,16 +129,7 @@ impl<'s> Surroundings<'s> {
             (from_world.point(Vec2::new(thousandth(x), thousandth(y))), from_world.heading(heading_rad))
         };
         let poses = |track: &Track| track.trajectory.entries().iter().map(|s| s.as_ref().map(rounded)).collect();
-        let lines = scene.lanes.lanes().iter().flat_map(|lane| lane.centerline.0.windows(2));
-        let segments = lines.map(|ends| {
-            let along = ends[1] - ends[0];
-            Segment { start: ends[0], along, length_m: along.norm(), direction_rad: along.angle() }
-        });
-        Self {
-            scene,
-            poses: scene.tracks.iter().map(poses).collect(),
-            segments: segments.filter(|segment| segment.length_m > 1e-6).collect(),
-        }
+        Self { scene, poses: scene.tracks.iter().map(poses).collect(), lines: CenterLines::new(&scene.lanes) }
     }
 
     /// Whether the track is judged: motorized or of no known class, and tracked from two timesteps before the present
@@ -158,7 +149,7 @@ impl<'s> Surroundings<'s> {
         let present = (self.scene.n_history - 1).saturating_sub(first);
         let motion = Motion { dt_s: self.scene.dt_s, present, positions, headings_rad };
         let mut values = Vec::new();
-        motion.visit(&self.segments, self.gap_m(track), &mut |_, _, _, value| values.push(value as f32));
+        motion.visit(&self.lines, self.gap_m(track), &mut |_, _, _, value| values.push(value as f32));
         TrackFeatures(values)
     }
 

@@ -1,18 +1,29 @@
 //! The motion of one track, and its features: the definitions in [`super::features`] as differences.
 
-use crate::geometry::{Vec2, wrap_angle};
+use crate::geometry::{Polyline, SegmentIndex, Vec2, wrap_angle};
 use crate::quantile::quantile;
+use crate::scene::LaneGraph;
 use std::f64::consts::FRAC_PI_3;
 
 /// Callback for the values of features: the name in two parts, the unit and the value.
 type Visitor<'v> = dyn FnMut(&str, &str, &'static str, f64) + 'v;
 
+/// A lane in another direction than the agent's counts as this much farther, meters, which makes it the last choice.
+const ASTRAY_M: f64 = 100.0;
+
+/// The center lines of all lanes.
+#[derive(Default)]
+pub(super) struct CenterLines {
+    segments: Vec<Segment>,
+    index: SegmentIndex,
+}
+
 /// A piece of a center line.
-pub(super) struct Segment {
-    pub(super) start: Vec2,
-    pub(super) along: Vec2,
-    pub(super) length_m: f64,
-    pub(super) direction_rad: f64,
+struct Segment {
+    start: Vec2,
+    along: Vec2,
+    length_squared: f64,
+    direction_rad: f64,
 }
 
 /// The motion of one track without gaps, timestep by timestep.
@@ -39,7 +50,7 @@ impl Differences {
 
 impl Motion {
     /// Visits the features, always in the same order.
-    pub(super) fn visit(&self, segments: &[Segment], gap_m: f64, put: &mut Visitor<'_>) {
+    pub(super) fn visit(&self, lines: &CenterLines, gap_m: f64, put: &mut Visitor<'_>) {
         let headings = &self.headings_rad;
         let fine = Differences::of(&self.positions, self.dt_s);
         let Differences([velocities, accelerations, jerks]) = &fine;
@@ -61,7 +72,7 @@ impl Motion {
         spread("slip", "rad", future(slips.collect()), put);
         spread("yaw_acc", "rad/s^2", yaw_accelerations, put);
         self.visit_seam(&fine, &yaw_rates, put);
-        self.visit_lanes(segments, put);
+        self.visit_lanes(lines, put);
         put("gap_min", "", "m", gap_m);
         self.visit_displacements(&speeds, put);
         self.visit_half_seconds(put);
@@ -104,10 +115,9 @@ impl Motion {
         put("seam_acc_change", "", "m/s^2", (now(accelerations, 0) - now(accelerations, 2)).norm());
     }
 
-    fn visit_lanes(&self, segments: &[Segment], put: &mut Visitor<'_>) {
+    fn visit_lanes(&self, lines: &CenterLines, put: &mut Visitor<'_>) {
         let from_present = self.positions.iter().zip(&self.headings_rad).skip(self.present);
-        let found: Option<Vec<(f64, f64)>> =
-            from_present.map(|(p, heading)| nearest_lane(*p, *heading, segments)).collect();
+        let found: Option<Vec<(f64, f64)>> = from_present.map(|(p, heading)| lines.nearest(*p, *heading)).collect();
         let found = found.unwrap_or_default();
         let [distances, angles]: [Vec<f64>; 2] = {
             let (distances, angles) = found.iter().skip(1).copied().unzip();
@@ -183,25 +193,37 @@ impl Motion {
     }
 }
 
-/// The distance to the nearest center line and the angle to it, radians; `None` without lanes.
-fn nearest_lane(position: Vec2, heading_rad: f64, segments: &[Segment]) -> Option<(f64, f64)> {
-    let mut best: Option<(f64, f64, f64)> = None;
-    let mut nearest_m = f64::INFINITY;
-    for segment in segments {
-        let from_start = position - segment.start;
-        let share = (from_start.dot(segment.along) / (segment.length_m * segment.length_m)).clamp(0.0, 1.0);
-        let distance_m = (from_start - segment.along * share).norm();
-        nearest_m = nearest_m.min(distance_m);
-        // Another direction counts as 100 m farther, which makes it the last choice.
-        if best.is_none_or(|(penalized_m, ..)| distance_m < penalized_m) {
-            let angle_rad = wrap_angle(heading_rad - segment.direction_rad).abs();
-            let penalized_m = if angle_rad < FRAC_PI_3 { distance_m } else { distance_m + 100.0 };
-            if best.is_none_or(|(least_m, ..)| penalized_m < least_m) {
-                best = Some((penalized_m, distance_m, angle_rad));
-            }
-        }
+impl CenterLines {
+    pub(super) fn new(lanes: &LaneGraph) -> Self {
+        let ends: Vec<[Vec2; 2]> = lanes.lanes().iter().flat_map(|lane| ends(&lane.centerline)).collect();
+        let segment = |[start, end]: &[Vec2; 2]| {
+            let along = *end - *start;
+            Segment { start: *start, along, length_squared: along.dot(along), direction_rad: along.angle() }
+        };
+        Self { segments: ends.iter().map(segment).collect(), index: SegmentIndex::new(ends) }
     }
-    best.map(|(penalized_m, _, angle_rad)| (if penalized_m > 100.0 { nearest_m } else { penalized_m }, angle_rad))
+
+    /// The distance to the nearest center line and the angle to it, radians; `None` without lanes.
+    fn nearest(&self, position: Vec2, heading_rad: f64) -> Option<(f64, f64)> {
+        let distance_m = |segment: &Segment| {
+            let from_start = position - segment.start;
+            let share = (from_start.dot(segment.along) / segment.length_squared).clamp(0.0, 1.0);
+            (from_start - segment.along * share).norm()
+        };
+        let angle_rad = |segment: &Segment| wrap_angle(heading_rad - segment.direction_rad).abs();
+        let cost = |i: usize| {
+            let segment = &self.segments[i];
+            let astray_m = if angle_rad(segment) < FRAC_PI_3 { 0.0 } else { ASTRAY_M };
+            Some(distance_m(segment) + astray_m)
+        };
+        let (i, _) = self.index.nearest(position, f64::sqrt, cost)?;
+        Some((distance_m(&self.segments[i]), angle_rad(&self.segments[i])))
+    }
+}
+
+/// The ends of the segments of a line that are long enough to have a direction.
+fn ends(line: &Polyline) -> impl Iterator<Item = [Vec2; 2]> {
+    line.0.windows(2).map(|pair| [pair[0], pair[1]]).filter(|[start, end]| start.distance(*end) > 1e-6)
 }
 
 /// Quadratics fitted to each position and `half` positions on either side; the first and last such quadratic continue

@@ -2,7 +2,7 @@
 
 use super::road_edge::RoadEdges;
 use crate::behavior::footprint::Footprint;
-use crate::geometry::{OrientedBox, Vec2, wrap_angle};
+use crate::geometry::{OrientedBox, wrap_angle};
 use crate::metrics::sample_group::future;
 use crate::scene::{Scene, State, Track};
 
@@ -30,7 +30,7 @@ pub(super) struct FutureFeatures {
 
 impl FutureFeatures {
     /// The features of the agents `judged` in the future of `scene`, which contains the agents `present`.
-    pub(super) fn of(scene: &Scene, present: &[usize], judged: &[usize], mut edges: Option<&mut RoadEdges>) -> Self {
+    pub(super) fn of(scene: &Scene, present: &[usize], judged: &[usize], edges: Option<&RoadEdges>) -> Self {
         let bodies: Vec<Body> = present.iter().map(|idx| Body::new(scene, &scene.tracks[*idx])).collect();
         let mut found =
             Self { n_timesteps: future(scene).len(), has_edges: edges.is_some(), series: Default::default() };
@@ -47,7 +47,7 @@ impl FutureFeatures {
                     [
                         place.distance_to_nearest_m(others().map(|(place, _)| place)),
                         place.time_to_collision_s(body.speeds[timestep], others()),
-                        edges.as_mut().map_or(f64::NAN, |edges| edges.most_off_road_m(&place.outline.corners)),
+                        edges.map_or(f64::NAN, |edges| edges.most_off_road_m(&place.outline.corners)),
                     ]
                 });
                 let motion = [&body.speeds, &body.accelerations, &body.yaw_rates, &body.yaw_accelerations];
@@ -146,7 +146,7 @@ impl Place {
     /// The gap along the heading to an agent that this one follows.
     fn gap_to_followed_m(&self, other: &Self) -> Option<f64> {
         let (own, theirs) = (&self.outline, &other.outline);
-        let left = Vec2::new(-own.forward.y, own.forward.x);
+        let left = own.forward.left();
         let between = theirs.center - own.center;
         let gap_m = between.dot(own.forward) - own.half_length_m - theirs.half_extent_m(own.forward);
         let beside_m = between.dot(left).abs() - own.half_width_m - theirs.half_extent_m(left);
@@ -161,7 +161,7 @@ impl Place {
 /// The distance between two boxes; if they overlap, minus the shortest displacement that separates them.
 fn signed_distance_m(a: &Footprint, b: &Footprint) -> f64 {
     let between = b.center - a.center;
-    let axes = [a, b].into_iter().flat_map(|body| [body.forward, Vec2::new(-body.forward.y, body.forward.x)]);
+    let axes = [a, b].into_iter().flat_map(|body| [body.forward, body.forward.left()]);
     let apart_m = axes.map(|axis| between.dot(axis).abs() - a.half_extent_m(axis) - b.half_extent_m(axis));
     let apart_m = apart_m.fold(f64::NEG_INFINITY, f64::max);
     if apart_m > 0.0 { a.distance_m(b) } else { apart_m }

@@ -198,12 +198,12 @@ impl Likelihoods {
         n_samples: usize,
     ) -> [Self; N] {
         let edges = has_road.then(|| RoadEdges::of(&recorded.lanes)).flatten();
-        Self::with_edges(recorded, edges, groups, n_samples)
+        Self::with_edges(recorded, edges.as_ref(), groups, n_samples)
     }
 
     fn with_edges<const N: usize>(
         recorded: &Scene,
-        mut edges: Option<RoadEdges>,
+        edges: Option<&RoadEdges>,
         groups: [&[Scene]; N],
         n_samples: usize,
     ) -> [Self; N] {
@@ -214,7 +214,7 @@ impl Likelihoods {
             .copied()
             .filter(|idx| future(recorded).any(|timestep| is_recorded(*idx, timestep)))
             .collect();
-        let mut of = |scene: &Scene| FutureFeatures::of(scene, &present, &judged, edges.as_mut());
+        let of = |scene: &Scene| FutureFeatures::of(scene, &present, &judged, edges);
         let states = |idx: &usize| future(recorded).map(|timestep| is_recorded(*idx, timestep)).collect();
         let reference = Reference {
             features: of(recorded),
@@ -222,7 +222,7 @@ impl Likelihoods {
             classes: judged.iter().map(|idx| recorded.tracks[*idx].class).collect(),
         };
         groups.map(|scenes| {
-            let once: Vec<FutureFeatures> = scenes.iter().map(&mut of).collect();
+            let once: Vec<FutureFeatures> = scenes.iter().map(of).collect();
             let samples: Vec<&FutureFeatures> = once.iter().cycle().take(n_samples).collect();
             Self(std::array::from_fn(|i| reference.likelihood(&FEATURES[i], &samples).filter(|_| !samples.is_empty())))
         })
@@ -239,7 +239,7 @@ impl Likelihoods {
         let is_meant = |feature: &Feature| group.is_none_or(|group| feature.group == group);
         let meant = FEATURES.iter().zip(self.0).filter(|(feature, _)| is_meant(feature));
         let (sum, weight) = meant.fold((0.0, 0.0), |(sum, weight), (feature, value)| match value {
-            Some(value) => (feature.weight.mul_add(value, sum), weight + feature.weight),
+            Some(value) => (sum + feature.weight * value, weight + feature.weight),
             None => (sum, weight),
         });
         (weight > 0.0).then(|| sum / weight)

@@ -5,10 +5,9 @@
 
 use crate::behavior::footprint::Bounds;
 use crate::behavior::lane_relation::is_in_polygon;
-use crate::geometry::Vec2;
+use crate::geometry::{SegmentIndex, Vec2};
 use crate::metrics::road::map_ends;
 use crate::scene::LaneGraph;
-use std::collections::HashMap;
 
 /// Boundaries are cut into pieces of at most this length, meters, each an edge or not.
 const PIECE_M: f64 = 0.5;
@@ -16,13 +15,10 @@ const PIECE_M: f64 = 0.5;
 const GAP_M: f64 = 0.3;
 /// An edge is continued by another that begins within this distance, meters; around tips, for example.
 const JOIN_M: f64 = 1.0;
-/// The side of the cells that remember which segments can be nearest, meters.
-const CELL_M: f64 = 4.0;
 
 pub(super) struct RoadEdges {
     segments: Vec<Segment>,
-    /// Which segments can be nearest to a point in a cell, for the cells that were needed.
-    cells: HashMap<[i64; 2], Vec<usize>>,
+    index: SegmentIndex,
 }
 
 struct Segment {
@@ -67,7 +63,7 @@ impl RoadEdges {
             segments.extend(ends.filter(|(_, along)| along.norm() > 1e-6).map(|(start, along)| Segment {
                 start,
                 along,
-                length_squared: along.dot(along),
+                length_squared: along.norm_squared(),
                 neighbors: [None; 2],
             }));
             let is_closed = line.first().zip(line.last()).is_some_and(|(a, b)| a.distance(*b) < JOIN_M);
@@ -82,40 +78,33 @@ impl RoadEdges {
                 }
             }
         }
-        Self { segments, cells: HashMap::new() }
+        let index = SegmentIndex::new(segments.iter().map(|segment| [segment.start, segment.start + segment.along]));
+        Self { segments, index }
     }
 
     /// The greatest signed distance of these points: above 0 off the road.
-    pub(super) fn most_off_road_m(&mut self, points: &[Vec2]) -> f64 {
+    pub(super) fn most_off_road_m(&self, points: &[Vec2]) -> f64 {
         points.iter().map(|point| self.signed_distance_m(*point)).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// The distance from the nearest edge, below 0 on the road.
-    fn signed_distance_m(&mut self, point: Vec2) -> f64 {
-        let cell = [point.x, point.y].map(|at| (at / CELL_M).floor() as i64);
-        let Self { segments, cells } = self;
-        let candidates = cells.entry(cell).or_insert_with(|| {
-            let center = Vec2::new(cell[0] as f64 + 0.5, cell[1] as f64 + 0.5) * CELL_M;
-            let distances: Vec<f64> = segments.iter().map(|segment| segment.distance_squared(center).sqrt()).collect();
-            let reach = distances.iter().copied().fold(f64::INFINITY, f64::min) + CELL_M * std::f64::consts::SQRT_2;
-            (0..segments.len()).filter(|i| distances[*i] <= reach + 1e-6).collect()
-        });
-        let nearest = candidates.iter().map(|i| (*i, segments[*i].distance_squared(point)));
-        let Some((nearest, squared)) = nearest.min_by(|a, b| a.1.total_cmp(&b.1)) else { return f64::NAN };
-        side(segments, nearest, point) * squared.sqrt()
+    fn signed_distance_m(&self, point: Vec2) -> f64 {
+        let distance_squared = |i: usize| Some(self.segments[i].distance_squared(point));
+        let Some((nearest, squared)) = self.index.nearest(point, |squared| squared, distance_squared) else {
+            return f64::NAN;
+        };
+        side(&self.segments, nearest, point) * squared.sqrt()
     }
 }
 
 impl Segment {
     /// The foot of `point`, as a share of the segment.
     fn share(&self, point: Vec2) -> f64 {
-        let Vec2 { x, y } = point - self.start;
-        (x * self.along.x + y * self.along.y) / self.length_squared
+        (point - self.start).dot(self.along) / self.length_squared
     }
 
     fn distance_squared(&self, point: Vec2) -> f64 {
-        let Vec2 { x, y } = point - self.start - self.along * self.share(point).clamp(0.0, 1.0);
-        x * x + y * y
+        (point - self.start - self.along * self.share(point).clamp(0.0, 1.0)).norm_squared()
     }
 
     /// 1 for a point to the right, -1 for one to the left.

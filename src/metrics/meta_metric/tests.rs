@@ -68,7 +68,7 @@ fn likelihoods_are_those_of_the_challenge() {
         };
         let samples: Vec<Scene> = case.samples.iter().map(sample).collect();
         let edges = Some(RoadEdges::new(&lines));
-        let [found] = Likelihoods::with_edges(&recorded, edges, [&samples], samples.len());
+        let [found] = Likelihoods::with_edges(&recorded, edges.as_ref(), [&samples], samples.len());
         assert_eq!(case.likelihoods.len(), FEATURES.len());
         for (feature, value) in FEATURES.iter().zip(found.0) {
             let expected = case.likelihoods[feature.id.strip_prefix("realism_").unwrap()];
@@ -149,7 +149,7 @@ fn edges_are_where_no_lane_goes_on() {
         fork,
         ending,
     ]);
-    let mut edges = RoadEdges::of(&lanes).unwrap();
+    let edges = RoadEdges::of(&lanes).unwrap();
     for ((x, y), expected_m) in [
         ((15.0, 3.0), -0.5),
         ((15.0, 5.0), 1.5),

@@ -55,7 +55,7 @@ impl PairPath {
     /// norms.
     pub fn distance_m(&self, other: &Self) -> f64 {
         let apart = |(a, b): (&[f32; 2], &[f32; 2])| {
-            (f64::from(a[0]) - f64::from(b[0])).hypot(f64::from(a[1]) - f64::from(b[1]))
+            Vec2::new(f64::from(a[0]) - f64::from(b[0]), f64::from(a[1]) - f64::from(b[1])).norm()
         };
         let sum: f64 = self.points.iter().zip(&other.points).map(apart).sum();
         sum / self.points.len().max(1) as f64

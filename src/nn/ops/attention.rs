@@ -115,8 +115,10 @@ impl FusedSelfAttention {
         let head_dim = dim / self.n_heads;
         for (i, weights) in weights.chunks_exact_mut(rows.len() * rows.len()).enumerate() {
             let head = self.head(qkv, dim, i);
-            let (query, key) = (head.query.gather(rows), head.key.gather(rows));
-            scatter(mixed, i * head_dim, &attend(weights, &query, &key, &head.value.gather(rows), head_dim));
+            let [mut query, mut key, mut value] = [(); 3].map(|()| Vec::new());
+            let (query, key) = (head.query.matrix(rows, &mut query), head.key.matrix(rows, &mut key));
+            let parts = [query, key, head.value.matrix(rows, &mut value)];
+            scatter(mixed, i * head_dim, &attend(weights, rows.len(), head_dim, parts));
         }
     }
 

@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use candle_core::{CpuStorage, CustomOp2, D, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
+use super::gemm::Matrix;
 use super::heads::{HeadColumns, add_mixed_back, attend, attend_backward, mix, scatter};
 use super::host::{gradient, slice, values};
 use super::masked_softmax;
@@ -232,9 +233,11 @@ impl CustomOp2 for FusedCrossAttention {
         work.collect::<Vec<_>>().into_par_iter().for_each(|((task, mixed), weights)| {
             let n_weights = weights.len() / self.n_heads;
             for (head, weights) in weights.chunks_exact_mut(n_weights).enumerate() {
-                let query = self.head(query, dim, head).gather(task.states);
-                let (key, value) = (&key[task.map][head], &value[task.map][head]);
-                scatter(mixed, head * n, &attend(weights, &query, key, value, n));
+                let mut dense = Vec::new();
+                let query = self.head(query, dim, head).matrix(task.states, &mut dense);
+                let [key, value] = [&key, &value].map(|packed| Matrix::new(&packed[task.map][head], n));
+                let n_keys = self.maps[task.map].lanes.len();
+                scatter(mixed, head * n, &attend(weights, n_keys, n, [query, key, value]));
             }
         });
         if self.is_tracked && self.weights.set(weights).is_err() {

@@ -18,6 +18,11 @@ impl<'a> Matrix<'a> {
         Self { data, n_rows: data.len() / n_cols.max(1), n_cols, row_stride: n_cols, col_stride: 1 }
     }
 
+    /// `n_rows` rows of `n_cols`, one every `row_stride`.
+    pub(super) const fn strided(data: &'a [f32], n_rows: usize, n_cols: usize, row_stride: usize) -> Self {
+        Self { data, n_rows, n_cols, row_stride, col_stride: 1 }
+    }
+
     /// The transposed matrix, without moving anything.
     pub(super) const fn t(self) -> Self {
         Self {

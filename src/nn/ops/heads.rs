@@ -19,7 +19,26 @@ pub(super) struct HeadColumns<'a> {
     pub(super) n: usize,
 }
 
-impl HeadColumns<'_> {
+impl<'a> HeadColumns<'a> {
+    /// These columns of the given rows (ascending): where they are if the rows are evenly spaced, otherwise copied to
+    /// `dense`.
+    pub(super) fn matrix<'b>(self, rows: &[u32], dense: &'b mut Vec<f32>) -> Matrix<'b>
+    where
+        'a: 'b,
+    {
+        let step = if let [first, second, ..] = rows { second - first } else { 1 };
+        match rows.first() {
+            Some(first) if rows.windows(2).all(|pair| pair[1] - pair[0] == step) => {
+                let data = &self.data[*first as usize * self.width + self.first..];
+                Matrix::strided(data, rows.len(), self.n, step as usize * self.width)
+            }
+            _ => {
+                *dense = self.gather(rows);
+                Matrix::new(dense, self.n)
+            }
+        }
+    }
+
     /// These columns of the given rows, as a dense matrix (rows, n).
     pub(super) fn gather(self, rows: &[u32]) -> Vec<f32> {
         let mut dense = Vec::with_capacity(rows.len() * self.n);
@@ -35,14 +54,18 @@ fn scale(head_dim: usize) -> f32 {
     1.0 / (head_dim as f32).sqrt()
 }
 
-/// softmax(Q Kᵀ / √d) V for queries (n, d), keys (m, d) and values (m, d). Fills `weights` (n, m) and returns
-/// (n, d).
-pub(super) fn attend(weights: &mut [f32], query: &[f32], key: &[f32], value: &[f32], head_dim: usize) -> Vec<f32> {
-    let n_keys = value.len() / head_dim;
-    matmul(weights, Into::Replace, scale(head_dim), Matrix::new(query, head_dim), Matrix::new(key, head_dim).t());
+/// softmax(Q Kᵀ / √d) V for queries (n, d), keys (m, d) and values (m, d), each row of `weights` (n, m) for a row of
+/// `n_keys`. Fills `weights` and returns (n, d).
+pub(super) fn attend(
+    weights: &mut [f32],
+    n_keys: usize,
+    head_dim: usize,
+    [query, key, value]: [Matrix<'_>; 3],
+) -> Vec<f32> {
+    matmul(weights, Into::Replace, scale(head_dim), query, key.t());
     softmax_rows(weights, n_keys);
-    let mut mixed = vec![0.0; query.len()];
-    matmul(&mut mixed, Into::Replace, 1.0, Matrix::new(weights, n_keys), Matrix::new(value, head_dim));
+    let mut mixed = vec![0.0; weights.len() / n_keys * head_dim];
+    matmul(&mut mixed, Into::Replace, 1.0, Matrix::new(weights, n_keys), value);
     mixed
 }
 

@@ -4,6 +4,7 @@ use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::host::{slice, values};
+use super::kernels::{sum_pairs, vectorized};
 
 /// The plain implementation: see [`mode_filter`](super::mode_filter).
 pub(super) fn reference(x: &Tensor, modes: &Tensor, gains: &Tensor) -> Result<Tensor> {
@@ -36,20 +37,22 @@ impl FusedModeFilter {
         let agents = y.par_chunks_mut(t * d).zip(x.par_chunks(t * d));
         agents.zip(modes.par_chunks(d * t * t)).zip(gains.par_chunks(d * t)).for_each(|(((y, x), modes), gains)| {
             let (mut column, mut filtered) = (vec![0.0f32; t], vec![0.0f32; t]);
-            for dim in 0..d {
-                (0..t).for_each(|i| column[i] = x[i * d + dim]);
-                filtered.fill(0.0);
-                for mode in 0..t {
-                    let gain = gains[dim * t + mode];
-                    if gain == 0.0 {
-                        continue;
+            vectorized(|| {
+                for dim in 0..d {
+                    (0..t).for_each(|i| column[i] = x[i * d + dim]);
+                    filtered.fill(0.0);
+                    for mode in 0..t {
+                        let gain = gains[dim * t + mode];
+                        if gain == 0.0 {
+                            continue;
+                        }
+                        let mode = &modes[(dim * t + mode) * t..(dim * t + mode + 1) * t];
+                        let share = sum_pairs(mode, &column, |u, x| u * x) * gain;
+                        filtered.iter_mut().zip(mode).for_each(|(y, u)| *y += share * u);
                     }
-                    let mode = &modes[(dim * t + mode) * t..(dim * t + mode + 1) * t];
-                    let share: f32 = mode.iter().zip(&column).map(|(u, x)| u * x).sum::<f32>() * gain;
-                    filtered.iter_mut().zip(mode).for_each(|(y, u)| *y += share * u);
+                    (0..t).for_each(|i| y[i * d + dim] = filtered[i]);
                 }
-                (0..t).for_each(|i| y[i * d + dim] = filtered[i]);
-            }
+            });
         });
         Ok(y)
     }
