@@ -1,5 +1,7 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards survive an interruption.
 
+#[cfg(test)]
+mod held_out_tests;
 mod ready;
 mod rounds;
 mod sample_folder;
@@ -22,7 +24,7 @@ use crate::nn::{Compute, Precision};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::store::{SceneStore, read_json};
-use crate::train::DistillTrainingConfig;
+use crate::train::{DistillTrainingConfig, SceneChoice};
 use serde_json::{Value, json};
 
 /// The stage.
@@ -42,6 +44,8 @@ pub struct Generate<'a> {
     pub classified_behavior: Option<&'a str>,
     /// The distillation of the pipeline's denoiser, if it does that itself.
     pub distill: Option<&'a DistillTrainingConfig>,
+    /// The scenes that models of the pipeline learn from: none of them is sampled as held out.
+    pub learns_from: Vec<SceneChoice<'a>>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
 }
@@ -52,7 +56,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        20
+        21
     }
 
     fn check(&self) -> Result<()> {
@@ -86,6 +90,7 @@ impl Stage for Generate<'_> {
         if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
             config["duplicate_distance_m"] = json!(self.duplicate_distance_m);
         }
+        config["learns_from"] = serde_json::to_value(&self.learns_from)?;
         Ok(with_precision(config, Some(self.precision)))
     }
 

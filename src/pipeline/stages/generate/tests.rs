@@ -72,6 +72,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
             classified_behavior: None,
             distill: None,
+            learns_from: Vec::new(),
             layout: &Layout::below(dir.path()),
         };
         stage.settings_for_maps(&store).unwrap()
