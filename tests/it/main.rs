@@ -12,6 +12,7 @@ mod documents;
 mod drive;
 mod export;
 mod fuzz;
+mod golden;
 mod malformed;
 mod mixture;
 mod parts;
