@@ -43,13 +43,25 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
 use crate::pipeline::layout::Layout;
 use std::fmt::Write;
+use std::num::NonZero;
 use std::path::Path;
+
+/// The most threads of a core.
+const THREADS_PER_CORE: usize = 8;
+
+/// What to do when the system refuses another thread.
+pub(super) const NO_THREADS: &str =
+    "allow the user or the container more processes (`ulimit -u` shows how many), or ask for fewer --threads";
 
 /// Sets up the worker threads: as many as the command line requests, or else as `configured`; 0 for all cores. rayon
 /// keeps one pool for the process, so every command calls this once, before it works.
 fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
-    let n_threads = output.threads.unwrap_or(configured);
-    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
+    let n_cores = std::thread::available_parallelism().map_or(1, NonZero::get);
+    // More threads than that only get in each other's way, until nothing goes on.
+    let n_threads = output.threads.unwrap_or(configured).min(THREADS_PER_CORE * n_cores);
+    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(|error| {
+        Failure::fault(anyhow::anyhow!("cannot start the worker threads: {error}")).with_hint(NO_THREADS)
+    })
 }
 
 /// Finishes the work in a folder, whatever its outcome: uploads the results if the folder is in an object store.
