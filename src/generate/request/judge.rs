@@ -294,7 +294,7 @@ mod tests {
         let (within, beyond) = (RequestOutcome::Accepted, RequestOutcome::BeyondLimits);
         for (limits, expected) in [
             ("", [beyond; 2]),
-            ("limits = { min_distance_m = { at_most = 1e3 } }", [beyond; 2]),
+            ("limits = { min_scene_ade_m = { at_most = 1e3 } }", [beyond; 2]),
             (ANYTHING, [within; 2]),
             ("limits = { validity_rate = 0.0, collision_rate = 0.0 }", [within, beyond]),
         ] {

@@ -34,13 +34,15 @@ pub enum Check {
     Collision,
     /// A vehicle leaves the road.
     Offroad,
+    /// Nobody is left on the road.
+    Deserted,
     /// The subject of the requested event is about to drive into somebody, too late to avoid it.
     ContactAfterEnd,
 }
 
 impl Check {
     /// Every check, in the order of tables.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Acceleration,
         Self::Deceleration,
         Self::LateralAcceleration,
@@ -54,6 +56,7 @@ impl Check {
         Self::StartAcceleration,
         Self::Collision,
         Self::Offroad,
+        Self::Deserted,
         Self::ContactAfterEnd,
     ];
 
@@ -73,6 +76,7 @@ impl Check {
             Self::StartAcceleration => "start_acceleration",
             Self::Collision => "collision",
             Self::Offroad => "offroad",
+            Self::Deserted => "deserted",
             Self::ContactAfterEnd => "contact_after_end",
         }
     }
@@ -90,6 +94,7 @@ impl Check {
             Self::YawRate | Self::Curvature => "rad/s",
             Self::Heading | Self::StartHeading => "rad",
             Self::Reverse | Self::StartPosition | Self::Offroad => "m",
+            Self::Deserted => "s",
             Self::Collision | Self::ContactAfterEnd => "m/s",
         }
     }
@@ -123,6 +128,7 @@ impl Check {
             }
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",
+            Self::Deserted => "all have left, and for longer than the limit nobody arrives until the end",
             Self::ContactAfterEnd => {
                 "within a second after the end, the subject of the requested event touches somebody ahead of it if all \
                  go on, although a careful driver takes over at the last state; the value is their relative speed"

@@ -11,6 +11,7 @@
 mod check;
 mod collision;
 mod config;
+mod deserted;
 mod fit;
 mod map_fit;
 mod motion;
@@ -87,6 +88,7 @@ impl<'a> Judged<'a> {
             found.extend(seam::violations(self, config));
         }
         found.extend(collision::worst(self, config));
+        found.extend(deserted::worst(self));
         if !not_checked.contains(&Check::Offroad) {
             found.extend(offroad::worst(self, config));
         }

@@ -401,6 +401,19 @@ fn who_moves_off_or_stops_at_the_present_may_do_so_at_once() {
 }
 
 #[test]
+fn somebody_is_left() {
+    let left_after = |n_timesteps: usize| {
+        let mut scene = scene(10.0, "");
+        let states = scene.tracks[0].trajectory.entries().iter().take(n_timesteps).copied();
+        scene.tracks[0].trajectory = Trajectory::new(states.chain(std::iter::repeat(None)).take(40).collect());
+        scene
+    };
+    let (check, value, timestep) = only(&left_after(15), &defaults());
+    assert!(check == Check::Deserted && (value - 2.5).abs() < 1e-9 && timestep == 14, "{value} at {timestep}");
+    assert_eq!(checks(&left_after(30), &defaults()), [""; 0]);
+}
+
+#[test]
 fn vehicles_do_not_drive_backward_unless_they_were_seen_to() {
     // Braking with 1 m/s² from 1.5 m/s half a second before the present, and on.
     let braking = |stops: bool, heading_rad: f64| {
