@@ -12,9 +12,9 @@ import pathlib
 import pickle
 import sys
 
-import numpy as np
+from djinn.corpus import Corpus  # First: it says what to install.
 
-from djinn.corpus import Corpus
+import numpy as np
 
 # Class of a corpus -> type in either format, and a size for road users whose size was not recorded.
 KINDS = {

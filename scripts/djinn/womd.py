@@ -3,9 +3,9 @@
 import collections
 import struct
 
-import numpy as np
+from djinn.corpus import resampled  # First: it says what to install.
 
-from djinn.corpus import resampled
+import numpy as np
 from djinn.export import FREEWAYS, HEIGHT_M, KINDS, sizes_of
 
 N_AGENTS, N_POINTS, N_LIGHTS, SPANS = 128, 30_000, 16, {"past": 10, "current": 1, "future": 80}

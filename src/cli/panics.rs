@@ -1,5 +1,6 @@
 //! What does the user read when the program has a bug?
 
+use super::commands::NO_THREADS;
 use crate::containment::is_contained;
 use crate::engine::{Failure, Result};
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
@@ -29,6 +30,9 @@ fn description(panic: &PanicHookInfo<'_>) -> String {
 
 fn failure() -> Failure {
     let what = FIRST.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+    if let Some((_, why)) = what.split_once("failed to spawn thread: ") {
+        return Failure::fault(anyhow::anyhow!("cannot start another thread: {why}")).with_hint(NO_THREADS);
+    }
     Failure::fault(anyhow::anyhow!("djinn {} failed because of a bug at {what}", env!("CARGO_PKG_VERSION"))).with_hint(
         "please report these lines with the command, its configuration and the run folder's log.txt; finished work is \
          kept, and the same command continues from there",

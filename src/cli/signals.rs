@@ -71,7 +71,8 @@ pub(super) fn watch() {
     let wanted = [SIGTERM, SIGINT, SIGHUP, SIGUSR1].into_iter().filter(|signal| ignored & (1 << (signal - 1)) == 0);
     // If signals cannot be watched, they end the program without a message.
     let Ok(mut signals) = Signals::new(wanted) else { return };
-    std::thread::spawn(move || {
+    // As above, if there can be no thread.
+    drop(std::thread::Builder::new().spawn(move || {
         for signal in signals.forever() {
             let name = signal_name(signal).unwrap_or("a signal");
             let left = left().clone();
@@ -92,7 +93,7 @@ pub(super) fn watch() {
                 std::thread::spawn(move || end_unless_listening(ended));
             }
         }
-    });
+    }));
 }
 
 /// Ends the program once the present phase does not listen or its time is up.

@@ -7,7 +7,7 @@ use super::record::{StageRecord, done_path, unreadable};
 use super::stage::{Stage, StageInput};
 use super::timings::TIMINGS_FILE;
 use crate::cloud::ObjectUrl;
-use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere};
+use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere, resolve};
 use crate::store::{Error as StoreError, read_record};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -64,6 +64,7 @@ pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()>
         let message = format!("{} is not a folder; output is written into a folder", file.display());
         return Err(Failure::input_message(message).with_hint("name another folder with --output"));
     }
+    check_no_output(root, kinds)?;
     let mut found = Vec::new();
     let mut check = |name: &str, is_ours: &dyn Fn() -> bool| {
         let path = root.join(name);
@@ -86,6 +87,21 @@ pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()>
         check(&name, &|| is_ours);
     }
     if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path: root.to_owned(), found }.into()) }
+}
+
+/// Rejects a folder within an output of a finished stage: it would not be whole any more.
+fn check_no_output(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
+    let root = resolve(root)?;
+    for above in root.ancestors().skip(1) {
+        for kind in kinds.iter().filter(|kind| done_path(above, kind).is_file()) {
+            let within = root.strip_prefix(above).unwrap_or(&root);
+            if let Some(output) = kind.outputs.iter().find(|output| within.starts_with(output)) {
+                let message = format!("{} lies in {output}, an output of stage {kind}", root.display());
+                return Err(Failure::input_message(message).with_hint("name another folder with --output"));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Whether lines may be added to the log in `root`: it is empty, was begun by a command of djinn, or lies beside other

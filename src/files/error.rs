@@ -76,6 +76,12 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// A file in place of a folder.
+    #[error("{} is a file; choose a new folder", .path.display())]
+    IsFile {
+        /// The file.
+        path: PathBuf,
+    },
     /// A path without a name at its end, such as `..`.
     #[error("{} cannot name a new folder", .path.display())]
     Unnamed {

@@ -52,7 +52,8 @@ impl Lock {
         let mut name = OsString::from(".");
         name.push(path.file_name().ok_or_else(|| Error::Unnamed { path: path.to_owned() })?);
         name.push(LOCK_FILE);
-        let lock = path.with_file_name(name);
+        // Messages name the folder that cannot be written, if that is the current one.
+        let lock = std::path::absolute(path.with_file_name(name))?;
         loop {
             let (file, is_enforced) = acquire(&lock, path)?;
             // A previous holder of the lock may have removed the file after it was opened here.

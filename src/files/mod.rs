@@ -21,7 +21,7 @@ mod regular;
 mod tests;
 mod written;
 
-pub use as_text::{path_as_text, paths_as_text};
+pub use as_text::{for_shell, path_as_text, paths_as_text};
 pub use atomic::{
     AtomicFile, FileStamp, PARTIAL_SUFFIX, is_partial_of, link_or_copy, remove_if_present, unique_partial,
     write_atomically,
@@ -30,7 +30,7 @@ pub use error::{Error, PathRelation, Result};
 pub use exchange::exchange;
 pub use lock::{LOCK_FILE, Lock};
 pub use mirror::{Mirror, call, in_their_names, mirror, mirror_above, name_elsewhere, tell_committed, unmirror};
-pub use new_folder::NewFolder;
+pub use new_folder::{NewFolder, check_free};
 pub use overlap::{check_overlap, resolve};
 pub use regular::regular;
 pub use written::{

@@ -25,7 +25,8 @@ impl NewFolder {
     /// description. The remains of killed attempts are removed.
     ///
     /// # Errors
-    /// [`Error::Overlap`], [`Error::Exists`], [`Error::Link`], [`Error::Busy`]; errors of the file system.
+    /// [`Error::Overlap`], [`Error::Exists`], [`Error::IsFile`], [`Error::Link`], [`Error::Busy`]; errors of the file
+    /// system.
     pub fn begin<'a>(out: &Path, inputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<Self> {
         check_overlap(out, inputs)?;
         if out.file_name().is_none() {
@@ -77,12 +78,18 @@ impl Drop for NewFolder {
     }
 }
 
-fn check_free(out: &Path) -> Result<()> {
+/// Refuses a place that is not free for a new folder: an empty folder is.
+///
+/// # Errors
+/// [`Error::Exists`], [`Error::IsFile`], [`Error::Link`]; errors of the file system.
+pub fn check_free(out: &Path) -> Result<()> {
     if is_link(out) {
         return Err(Error::Link { path: out.to_owned() });
     }
+    if out.is_file() {
+        return Err(Error::IsFile { path: out.to_owned() });
+    }
     let is_free = match fs::read_dir(out) {
-        _ if out.is_file() => false,
         Ok(mut entries) => entries.next().is_none(),
         Err(error) if error.kind() == io::ErrorKind::NotFound => true,
         Err(error) => return Err(error.into()),

@@ -38,7 +38,10 @@ fn relation(output: &Path, input: &Path) -> Option<PathRelation> {
 /// # Errors
 /// When links form a loop, or there is no current folder.
 pub fn resolve(path: &Path) -> io::Result<PathBuf> {
-    let mut at = std::env::current_dir()?;
+    let gone = |error: io::Error| {
+        io::Error::new(error.kind(), format!("the folder that {} is relative to is gone: {error}", path.display()))
+    };
+    let mut at = if path.is_absolute() { PathBuf::new() } else { std::env::current_dir().map_err(gone)? };
     let mut pending: Vec<PathPart> = parts(path);
     let mut n_links = 0;
     while let Some(part) = pending.pop() {

@@ -17,7 +17,8 @@ const DEFAULT_VALIDITY_STRENGTH: f64 = 200.0;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GenerateConfig {
-    /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split.
+    /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split, but none that
+    /// models of the run learn from.
     #[schemars(extend("uniqueItems" = true))]
     pub splits: Vec<Split>,
     /// Places whose scenes are continued. Empty: all.
@@ -121,6 +122,7 @@ impl GenerateConfig {
         let mut resolved = ResolvedGeneration {
             splits: self.splits.clone(),
             places: self.places.clone(),
+            learned: BTreeSet::new(),
             batch_size: self.batch_size,
             scenes_per_shard: self.scenes_per_shard,
             seed: self.seed,

@@ -108,7 +108,7 @@ impl Generator<'_> {
                 None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Roles::default())]).collect(),
             };
             if scenes.is_empty() {
-                return Err(no_scenes(format!("sweep {}", sweep.name), order.len()));
+                return Err(self.no_scenes(format!("sweep {}", sweep.name), order.len()));
             }
             if scenes.len() < sweep.n_scenes {
                 let (n_wanted, n_found) = (sweep.n_scenes, scenes.len());
@@ -134,11 +134,11 @@ impl Generator<'_> {
         let Some(behavior) = self.behavior(sweep) else { return Ok(Vec::new()) };
         let order = self.scenes_in_order(index, is_possible);
         let scenes = self.scenes_with_pairs(sweep, behavior, &order)?;
-        if scenes.is_empty() { Err(no_scenes(format!("request {name}"), order.len())) } else { Ok(scenes) }
+        if scenes.is_empty() { Err(self.no_scenes(format!("request {name}"), order.len())) } else { Ok(scenes) }
     }
 
     /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids
-    /// alone.
+    /// alone. Unless splits are chosen, they are held out of the run's trainings.
     fn scenes_in_order<'i>(
         &self,
         index: &'i SceneIndex,
@@ -146,12 +146,12 @@ impl Generator<'_> {
     ) -> Vec<ListedScene<'i>> {
         let has_val = index.iter().any(|entry| entry.split == Split::Val);
         let default_split = if has_val { Split::Val } else { Split::Unsplit };
-        let ResolvedGeneration { splits, places, .. } = self.config;
+        let ResolvedGeneration { splits, places, learned, .. } = self.config;
         let mut scenes: Vec<(u64, ListedScene<'i>)> = index
             .iter()
             .enumerate()
-            .filter(|(_, entry)| match splits.is_empty() {
-                true => entry.split == default_split,
+            .filter(|(idx, entry)| match splits.is_empty() {
+                true => entry.split == default_split && !learned.contains(idx),
                 false => splits.contains(&entry.split),
             })
             .filter(|(_, entry)| places.is_empty() || places.iter().any(|place| place == entry.place))
@@ -207,15 +207,19 @@ impl Generator<'_> {
         });
         Ok(Some(cells.collect()))
     }
-}
 
-/// The error that none of this many scenes fits a sweep or request.
-fn no_scenes(of: String, n_considered: usize) -> Error {
-    let hint = match n_considered {
-        0 => "; choose other generate.splits or generate.places",
-        _ => ": no pair in them can show the behavior; add recordings, or raise pairs.max_distance_m",
-    };
-    Error::NoScenes { of, n_considered, hint }
+    /// The error that none of this many scenes fits a sweep or request.
+    fn no_scenes(&self, of: String, n_considered: usize) -> Error {
+        let hint = match n_considered {
+            0 if self.config.splits.is_empty() && !self.config.learned.is_empty() => {
+                ", for the models of the run learn from all others: nothing is held out; add recordings, or name \
+                 splits in generate.splits to sample even scenes that were trained on"
+            }
+            0 => "; choose other generate.splits or generate.places",
+            _ => ": no pair in them can show the behavior; add recordings, or raise pairs.max_distance_m",
+        };
+        Error::NoScenes { of, n_considered, hint }
+    }
 }
 
 /// A scene of the store.

@@ -1,14 +1,15 @@
 //! Reads, parses and assembles in parallel, and passes on the scenes in the order of the recordings.
 
-use super::archive::visit_entries;
+use super::archive::{Entry, visit_entries};
 use super::assemble::assemble;
 use super::batches::{Batch, BatchSender};
 use super::config::IngestConfig;
+use super::copies::copies_among;
 use super::error::{BoxError, Error};
 use super::files::{is_archive, is_copy, passed_over};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
-use super::places::{Places, flaw_of};
+use super::places::{Places, flaw_of, name_blank_place};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
@@ -16,8 +17,9 @@ use super::table::TableMapping;
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId, Scene};
 use rayon::prelude::*;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, mpsc};
 
 /// Scenes of consecutive units, in the order of the recordings.
@@ -142,6 +144,7 @@ fn read_batches(
         }
         is_recording || is_archive(path)
     };
+    let copies = copies_among(&config.inputs, &|path| source.is_recording(path) && !source.is_companion(path));
     let mut units = source.unit_reader();
     let mut emit = |unit: Result<RawUnit, Reject>| {
         let n_bytes = unit.as_ref().map_or(0, |unit| source.n_bytes_parsed(unit));
@@ -150,11 +153,17 @@ fn read_batches(
     let mut read_all = || -> Result<(), Error> {
         for pass in 0.. {
             seen.take();
+            let mut told = BTreeSet::new();
             let mut is_stopped = false;
             visit_entries(&config.inputs, &is_wanted, &mut |entry, reader| {
-                let reject = match &entry.path {
-                    path if is_archive(path) => Some(passed_over(path, reader)),
-                    path => is_copy(path).then(|| copy(path)),
+                let original = copied(entry, &copies);
+                if original.is_some_and(|(file, _)| file == &entry.container && !told.insert(file.clone())) {
+                    return Ok(ControlFlow::Continue(()));
+                }
+                let reject = match (&entry.path, original) {
+                    (path, _) if is_archive(path) => Some(passed_over(path, reader)),
+                    (_, Some((file, original))) => Some(same_bytes(entry, file, original)),
+                    (path, None) => is_copy(path).then(|| copy(path)),
                 };
                 let flow = match reject {
                     Some(reject) if pass == 0 => emit(Err(reject)),
@@ -173,6 +182,21 @@ fn read_batches(
     let result = read_all();
     sender.finish(result);
     seen.into_inner()
+}
+
+/// The file that holds an entry, if it is among `copies`, and its original. An archive holds all of its entries.
+fn copied<'c>(entry: &Entry, copies: &'c BTreeMap<PathBuf, PathBuf>) -> Option<(&'c PathBuf, &'c PathBuf)> {
+    let itself = entry.container.join(&entry.path);
+    let packed = entry.container.join(format!("{}.gz", entry.path));
+    [&entry.container, &itself, &packed].into_iter().find_map(|path| copies.get_key_value(path))
+}
+
+/// The reject for a file with the bytes of another one: its scenes would count twice.
+fn same_bytes(entry: &Entry, file: &Path, original: &Path) -> Reject {
+    // Names without the folder of the input, as in other rejects.
+    let folder: &Path = if file == entry.container { file.parent().unwrap_or(file) } else { &entry.container };
+    let name = |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
+    Reject { reason: "recording_repeated", detail: format!("{}: has the same bytes as {}", name(file), name(original)) }
 }
 
 /// The reject for a file that is named as a copy of another: its scenes would count twice.
@@ -331,6 +355,7 @@ impl UnitParser<'_> {
                 detail: format!("{}: {flaw}", scene.source.file),
             });
         }
+        name_blank_place(&mut scene);
         self.places.note(Some(&scene.source.place));
         if !self.config.wants_place(&scene.source.place) {
             return UnitOutcome::Unwanted(OTHER_PLACES);

@@ -55,7 +55,7 @@ pub(super) fn split_of_path(path: &str) -> Option<Split> {
     path.rsplit('/').find_map(split_of_name)
 }
 
-/// The split that the folders of an entry name, or otherwise the name of its container (or of the folder around it).
+/// The split that the folders of an entry name, or otherwise its container or the folder around that.
 pub(super) fn split_of_entry(entry: &Entry) -> Split {
     let name_of = |path: &Path| path.file_name().and_then(|name| split_of_name(&name.to_string_lossy()));
     split_of_path(&entry.path)
@@ -64,14 +64,15 @@ pub(super) fn split_of_entry(entry: &Entry) -> Split {
         .unwrap_or(Split::Unsplit)
 }
 
-/// `train`, `val` or `test` as a word of a name: `forecasting_train_v1.1`, `test_multi-agent`, `val`.
+/// The split that a folder is called for. A name that only has such a word in it may be that of a recording.
 fn split_of_name(name: &str) -> Option<Split> {
-    name.split(|c: char| !c.is_ascii_alphanumeric()).find_map(|word| match word.to_ascii_lowercase().as_str() {
+    match name.to_ascii_lowercase().as_str() {
         "train" | "training" => Some(Split::Train),
         "val" | "validation" => Some(Split::Val),
-        "test" | "testing" => Some(Split::Test),
+        // Argoverse 1 calls its test sequences, which end at the present, so.
+        "test" | "testing" | "test_obs" => Some(Split::Test),
         _ => None,
-    })
+    }
 }
 
 /// The bytes of an entry. An entry that cannot be read or is too large is a reject: one broken file among many.
@@ -98,10 +99,12 @@ mod tests {
     #[test]
     fn splits_come_from_the_innermost_name_that_tells() {
         for (container, path, split) in [
-            ("argoverse1_forecasting_train.tar.gz", "val/data/3.csv", Split::Val),
-            ("argoverse1_forecasting_train.tar.gz", "data/3.csv", Split::Train),
+            ("forecasting_train_v1.1.tar.gz", "val/data/3.csv", Split::Val),
+            ("scenarios/A_train.tar", "A_train.xml", Split::Unsplit),
             ("/data/forecasting/val/data", "3.csv", Split::Val),
-            ("a.zip", "INTERACTION/test_multi-agent/X_obs.csv", Split::Test),
+            ("/data/train/a.zip", "b/3.csv", Split::Train),
+            ("a.zip", "Test_obs/data/3.csv", Split::Test),
+            ("/data", "val_2024/3.csv", Split::Unsplit),
             ("/home/training_course/a/b", "data/3.csv", Split::Unsplit),
             ("/data/tests/valley", "trainer/3.csv", Split::Unsplit),
         ] {

@@ -17,6 +17,7 @@ mod batches;
 mod cells;
 mod commonroad;
 mod config;
+mod copies;
 mod csv_rows;
 mod decimal;
 mod driver;

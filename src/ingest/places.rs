@@ -2,6 +2,8 @@
 
 use super::config::IngestConfig;
 use super::error::Error;
+use super::raw::RawScene;
+use crate::scene::SceneId;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
@@ -42,6 +44,17 @@ impl<'a> Places<'a> {
         let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
         let missing = listed(self.config.places.iter().filter(|place| !found.contains(*place)));
         (!missing.is_empty()).then(|| format!("ingest.places names {missing}, of which there is nothing"))
+    }
+}
+
+/// What recordings without a place are said to be of, as files of a corpus without rows.
+const NO_PLACE: &str = "none";
+
+/// Calls a place without a name so that corpora can have a folder for it.
+pub(super) fn name_blank_place(scene: &mut RawScene) {
+    if scene.source.place.trim().is_empty() {
+        let blank = std::mem::replace(&mut scene.source.place, NO_PLACE.to_owned());
+        scene.id = SceneId(scene.id.0.replacen(&format!("/{blank}/"), &format!("/{NO_PLACE}/"), 1));
     }
 }
 

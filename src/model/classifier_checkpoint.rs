@@ -1,6 +1,6 @@
 //! The description of a behavior classifier in its checkpoint, beside the weights.
 
-use super::{BehaviorClassifier, BehaviorClassifierConfig, ModelSpec, TrainedModel};
+use super::{BehaviorClassifier, BehaviorClassifierConfig, ModelSpec, SceneShape, TrainedModel};
 use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
@@ -65,6 +65,11 @@ impl ClassifierSpec {
 
 impl ModelSpec for ClassifierSpec {
     type Network = BehaviorClassifier;
+
+    fn shape(&self) -> SceneShape<'_> {
+        let Self { normalizer, n_history, n_timesteps, dt_s, .. } = self;
+        SceneShape { normalizer, n_history: *n_history, n_timesteps: *n_timesteps, dt_s: *dt_s }
+    }
 
     fn build(&self, params: &mut Params, seed: Seed) -> Result<BehaviorClassifier> {
         let state_dim = self.normalizer.state_dim;

@@ -1,9 +1,10 @@
 //! The description of a denoiser in its checkpoint, beside the weights.
 
-use super::{ModelSpec, NetworkConfig, SceneDenoiser, TrainedModel};
+use super::{ModelSpec, NetworkConfig, SceneDenoiser, SceneShape, TrainedModel};
 use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
+use crate::settings::{self, Issue};
 use crate::tensor::{Collator, Normalizer, Sight};
 use serde::{Deserialize, Deserializer, Serialize, de};
 
@@ -170,6 +171,19 @@ impl DenoiserSpec {
 
 impl ModelSpec for DenoiserSpec {
     type Network = SceneDenoiser;
+
+    fn shape(&self) -> SceneShape<'_> {
+        let Self { normalizer, n_history, n_timesteps, dt_s, .. } = self;
+        SceneShape { normalizer, n_history: *n_history, n_timesteps: *n_timesteps, dt_s: *dt_s }
+    }
+
+    fn check_network(&self) -> settings::Result {
+        settings::check_ranges(&self.network).map_err(|issue| issue.within("network"))?;
+        match self.max_agents {
+            0 => Err(Issue::new("max_agents", "is 0, expected at least 1")),
+            _ => Ok(()),
+        }
+    }
 
     fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<SceneDenoiser> {
         SceneDenoiser::new(params, &self.network, self.normalizer.state_dim, self.edm, seed)

@@ -35,4 +35,4 @@ pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};
 pub use scene_transformer_checkpoint::{SceneTransformerKind, SceneTransformerSpec, TrainedSceneTransformer};
-pub use trained::{ModelSpec, TrainedModel};
+pub use trained::{ModelSpec, SceneShape, TrainedModel};

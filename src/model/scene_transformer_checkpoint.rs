@@ -1,6 +1,6 @@
 //! The description of a Scene Transformer in its checkpoint, beside the weights.
 
-use super::{ModelSpec, SceneTransformer, SceneTransformerConfig, TrainedModel};
+use super::{ModelSpec, SceneShape, SceneTransformer, SceneTransformerConfig, TrainedModel};
 use crate::nn::Params;
 use crate::seed::Seed;
 use crate::tensor::{Collator, Normalizer};
@@ -57,6 +57,11 @@ impl SceneTransformerSpec {
 
 impl ModelSpec for SceneTransformerSpec {
     type Network = SceneTransformer;
+
+    fn shape(&self) -> SceneShape<'_> {
+        let Self { normalizer, n_history, n_timesteps, dt_s, .. } = self;
+        SceneShape { normalizer, n_history: *n_history, n_timesteps: *n_timesteps, dt_s: *dt_s }
+    }
 
     fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<SceneTransformer> {
         let Normalizer { state_dim, parametrization, .. } = self.normalizer;

@@ -35,6 +35,14 @@ pub enum Error {
         /// The reader's error.
         source: serde_json::Error,
     },
+    /// A model that cannot work.
+    #[error("{path} is no model that can work: {what}; use a checkpoint as `djinn train` wrote it")]
+    Unfit {
+        /// The file.
+        path: PathBuf,
+        /// The part that is wrong.
+        what: String,
+    },
     /// Tensors could not be moved between memory and the device.
     #[error("cannot move the tensors of {path} between memory and the device")]
     Tensor {

@@ -11,6 +11,7 @@ use crate::generate::{Generator, Ledger, ResolvedGeneration, SampleKey, ShardOut
 use crate::nn::Compute;
 use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
+use crate::scene::Split;
 use crate::store::{CorpusReader, Difference, SceneStore, differences, sample_ids};
 use std::path::Path;
 
@@ -51,7 +52,13 @@ pub fn regenerate(id: &str, layout: &Layout, corpus: Option<&Path>, compute: &Co
     let (shard_at, rows) = rows_until(id, &manifest, &layout.samples, &store, from_corpus.as_ref())?;
     let Some(row) = rows.last() else { return Err(unknown(id, &layout.samples)) };
 
-    let load = |idx: usize| Ok(store.scene(idx)?);
+    // The run that sampled a scene knew whether it was held out of its trainings.
+    let split = row.scenario.scene.source.split;
+    let load = |idx: usize| {
+        let mut scene = store.scene(idx)?;
+        scene.source.split = if scene.source.split == Split::Unsplit { split } else { scene.source.split };
+        Ok(scene)
+    };
     let metric_settings = settings.metric_settings.unwrap_or_default();
     let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, metric_settings, &compute.device)?;
     let found = find_shard(&layout.samples, row.shard)?;

@@ -116,7 +116,8 @@ fn sources(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
 const LOADING: &str = r#"## How to load it
 
 The folder names of `scenarios`, `tracks` and `recordings` hold columns (`behavior`, `place`), which all readers below understand.
-In this folder, or with `datasets.load_dataset("path/of/the/corpus", "tracks")`:
+`datasets.load_dataset("path/of/the/corpus", "tracks")` reads the rows without them; in this folder,
+`datasets.Dataset.from_polars(pl.read_parquet("tracks/**/*.parquet", hive_partitioning=True))` has them, too.
 
 ```sql
 -- DuckDB

@@ -58,7 +58,7 @@ pub struct OwnScenes<'a> {
 }
 
 /// Which scenes a section trains on.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize)]
 pub struct SceneChoice<'a> {
     /// The section.
     pub section: &'static str,

@@ -13,6 +13,7 @@ mod drive;
 mod drive_frames;
 mod export;
 mod fuzz;
+mod golden;
 mod malformed;
 mod mixture;
 mod parts;

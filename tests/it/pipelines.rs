@@ -1,6 +1,7 @@
-//! Every pipeline in `tests/pipelines`: the same bytes on one thread and on two, after being killed, and by several
-//! workers.
+//! Every pipeline in `tests/pipelines`: what it gave before, and the same bytes on one thread and on two, after being
+//! killed, and by several workers.
 
+use crate::golden;
 use crate::support::{Workspace, assert_same, files, start, wait_for_part};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -112,6 +113,7 @@ fn every_pipeline_writes_the_same_bytes_however_it_is_run() {
         let whole = began.elapsed();
         let expected = files(&workspace.run_folder("whole"));
         assert!(expected.contains_key("corpus/manifest.json") && expected.contains_key("report.html"));
+        golden::check(path.file_stem().unwrap().to_str().unwrap(), &workspace.run_folder("whole"));
         workspace.run("two", &["--threads", "2"]).expect(0);
         assert_same(&expected, &files(&workspace.run_folder("two")));
         killed(&workspace, whole, &expected);

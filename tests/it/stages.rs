@@ -83,6 +83,13 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     assert!(outcome.stderr.contains("other/predictions: it holds mine.csv"), "{}", outcome.stderr);
     assert_eq!(fs_err::read_to_string(workspace.path("other/predictions/mine.csv")).unwrap(), "years of work");
 
+    // Nothing else is written into an output.
+    for output in ["corpus", "figures"] {
+        let refused = djinn(&["report", "--from", &place(""), "--output", &place(output), "-q"]).expect(1);
+        assert!(refused.stderr.contains(&format!("lies in {output}, an output of stage")), "{}", refused.stderr);
+    }
+    assert_same(&before, &files(&root));
+
     // Everything can be inspected, as text and as JSON.
     for (name, kind) in [
         ("", "run folder"),

@@ -66,14 +66,34 @@ fn other_pipelines_come_with_the_models_that_they_name() {
     assert!(unknown.stderr.contains("cut_in_request") && !workspace.path("other").exists(), "{}", unknown.stderr);
 }
 
+#[cfg(unix)]
+#[test]
+fn a_current_folder_that_is_gone_is_told_as_that() {
+    let workspace = Workspace::new();
+    let script = "mkdir \"$1\" && cd \"$1\" && rmdir \"$1\" && exec \"$2\" init first";
+    let gone = workspace.arg("gone");
+    let args = ["-c", script, "sh", &gone, env!("CARGO_BIN_EXE_djinn")];
+    let output = std::process::Command::new("sh").args(args).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("the folder that first is relative to is gone"), "{told}");
+}
+
 #[test]
 fn a_folder_that_holds_anything_stays_as_it_is() {
     let workspace = Workspace::new();
     let before = files(&workspace.path(""));
     let refused = djinn(&["init", &workspace.arg("")]).expect(1);
     assert!(refused.stderr.contains("is not empty; choose a new folder"), "{}", refused.stderr);
-    djinn(&["init", &workspace.arg("small.toml")]).expect(1);
+    let refused = djinn(&["init", &workspace.arg("small.toml")]).expect(1);
+    assert!(refused.stderr.contains("small.toml is a file; choose a new folder"), "{}", refused.stderr);
     assert_eq!(files(&workspace.path("")), before);
+    let told = djinn(&["init", &workspace.arg("my first")]).expect(0).stderr;
+    assert!(told.contains(&format!("next: cd '{}' && djinn run", workspace.arg("my first"))), "{told}");
+    fs_err::create_dir(workspace.path("here")).unwrap();
+    let output = command(&["init", "."]).current_dir(workspace.path("here")).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("next: djinn run quickstart.toml"), "{told}");
+    assert!(workspace.path("here/quickstart.toml").is_file());
     fs_err::create_dir(workspace.path("empty")).unwrap();
     djinn(&["init", &workspace.arg("empty"), "scene_transformer"]).expect(0);
     assert!(workspace.path("empty/scene_transformer.toml").is_file());

@@ -49,7 +49,7 @@ pub(in crate::cli) struct OutputArgs {
     /// When messages are colored
     #[arg(long, value_name = "WHEN", global = true, help_heading = "Global options", default_value = "auto")]
     pub(in crate::cli) color: ColorChoice,
-    /// Number of worker threads; 0 uses every core. Results do not depend on it
+    /// Number of worker threads, at most eight a core; 0 uses every core. Results do not depend on it
     #[arg(long, value_name = "N", global = true, help_heading = "Global options", value_parser = up_to(1024))]
     pub(in crate::cli) threads: Option<usize>,
     /// Where to keep what is read from object stores [default: DJINN_CACHE_DIR, or djinn in the user's cache folder]

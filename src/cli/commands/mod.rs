@@ -45,13 +45,19 @@ use crate::pipeline::layout::Layout;
 use std::fmt::Write;
 use std::path::Path;
 
+/// What to do when the system refuses another thread.
+pub(super) const NO_THREADS: &str =
+    "allow the user or the container more processes (`ulimit -u` shows how many), or ask for fewer --threads";
+
 /// Sets up the worker threads: as many as the command line requests, or else as `configured`; 0 for all cores, and
 /// never more, because threads that share a core only take turns. rayon keeps one pool for the process, so every
 /// command calls this once, before it works.
 fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
     let n_cores = std::thread::available_parallelism().map_or(usize::MAX, usize::from);
     let n_threads = output.threads.unwrap_or(configured).min(n_cores);
-    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(Failure::fault)
+    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build_global().map_err(|error| {
+        Failure::fault(anyhow::anyhow!("cannot start the worker threads: {error}")).with_hint(NO_THREADS)
+    })
 }
 
 /// Finishes the work in a folder, whatever its outcome: uploads the results if the folder is in an object store.

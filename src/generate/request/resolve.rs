@@ -14,10 +14,13 @@ use std::collections::BTreeSet;
 /// The section `[generate]`, checked and resolved, with sweeps in place of requests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResolvedGeneration {
-    /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split.
+    /// Splits whose scenes are continued. Empty: `val`, or all unsplit scenes if there is no such split, none of them
+    /// `learned`.
     pub splits: Vec<Split>,
     /// Places whose scenes are continued; empty: all.
     pub places: Vec<String>,
+    /// Scenes, by index, that models of the run learned from: none is sampled unless `splits` wants it.
+    pub learned: BTreeSet<usize>,
     /// Samples that are denoised together.
     pub batch_size: usize,
     /// Scenes of a shard.

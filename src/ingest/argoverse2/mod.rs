@@ -6,7 +6,7 @@ mod tracks;
 use super::config::IngestConfig;
 use super::error::Error;
 use super::files::split_of_path;
-use super::pairing::{PairNames, PairReader};
+use super::pairing::{PairNames, PairPart, PairReader};
 use super::raw::{RawScene, RawUnit, Reject};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use std::sync::Arc;
@@ -43,6 +43,10 @@ impl RecordingSource for Argoverse2<'_> {
 
     fn is_recording(&self, path: &str) -> bool {
         self.names().part_of(path).is_some() && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+    }
+
+    fn is_companion(&self, path: &str) -> bool {
+        self.names().part_of(path).is_some_and(|(_, part)| part == PairPart::Companion)
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {

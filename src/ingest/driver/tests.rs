@@ -30,7 +30,7 @@ fn folder(n_scenes: usize) -> tempfile::TempDir {
     fs_err::create_dir_all(&data).expect("writable");
     fs_err::write(folder.path().join("pruned_argoverse_PIT_10314_vector_map.xml"), MAP).expect("writable");
     for i in 0..n_scenes {
-        let text = csv_text(50);
+        let text = csv_text(50).replace("parked", &format!("parked-{i}"));
         let text = if i % 10 == 9 { text.replace("AGENT", "OTHERS") } else { text };
         fs_err::write(data.join(format!("{i:04}.csv")), text).expect("writable");
     }
@@ -150,6 +150,21 @@ fn copies_of_recordings_are_rejected() {
     let (_, report) = run(&config(folder.path()), None).expect("the others are whole");
     assert_eq!((report.n_scenes, report.n_units), (3, 4));
     assert!(report.rejects["recording_repeated"].examples[0].starts_with("train/data/0001 (1).csv: "));
+
+    // Equal bytes are one recording, whatever it is called and wherever it lies; others of the same size are none.
+    let text = fs_err::read_to_string(file("0001.csv")).expect("text");
+    fs_err::remove_file(file("0001 (1).csv")).expect("writable");
+    let aside = folder.path().join("val/data/0001_copy.csv");
+    fs_err::create_dir_all(aside.parent().expect("a folder")).expect("writable");
+    for path in [&file("0001 - Kopie.csv"), &aside] {
+        fs_err::write(path, &text).expect("writable");
+    }
+    fs_err::write(file("0009.csv"), text.replacen("2003.5", "2003.6", 1)).expect("writable");
+    let (_, report) = run(&config(folder.path()), None).expect("the others are whole");
+    let repeated = &report.rejects["recording_repeated"];
+    assert_eq!((repeated.count, report.n_units), (2, 6), "{report:?}");
+    let told = "train/data/0001 - Kopie.csv: has the same bytes as train/data/0001.csv";
+    assert_eq!(repeated.examples[0], told);
 }
 
 #[test]
@@ -276,7 +291,7 @@ fn argoverse_2_scenarios_need_their_maps() {
     for (id, map) in [("a", Some(map.as_str())), ("b", Some(&map[..80])), ("c", None)] {
         let scenario = folder.path().join("val").join(id);
         fs_err::create_dir_all(&scenario).expect("writable");
-        fs_err::write(scenario.join(format!("scenario_{id}.parquet")), scenario_bytes()).expect("writable");
+        fs_err::write(scenario.join(format!("scenario_{id}.parquet")), scenario_bytes(id)).expect("writable");
         if let Some(map) = map {
             fs_err::write(scenario.join(format!("log_map_archive_{id}.json")), map).expect("writable");
         }
@@ -352,4 +367,21 @@ fn interaction_recordings_are_cut_into_windows() {
     assert_eq!(batches.iter().map(|batch| batch.maps.len()).sum::<usize>(), 3);
     assert!(report.scenes_by["train/SIM_Merging"] > 3 * report.scenes_by["val/SIM_Merging"]);
     assert!(scenes(&batches).iter().all(|scene| scene.n_timesteps == 40 && !scene.lanes.is_empty()));
+}
+
+#[test]
+fn a_blank_place_is_called_none() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut text = String::from("id,t,x,y,l,w,place\n");
+    for (i, id) in (0..60).flat_map(|i| [(i, 1), (i, 2)]) {
+        let t = f64::from(i) / 10.0;
+        text += &format!("{id},{t:.1},{:.2},{},4.5,1.8,\n", 10.0 * t, 4 * id);
+    }
+    fs_err::write(folder.path().join("a.csv"), text).expect("writable");
+    let columns =
+        "columns = { track = 'id', time = 't', x = 'x', y = 'y', length = 'l', width = 'w', place = 'place' }";
+    let toml = format!("dataset = 'table'\ninputs = [{:?}]\nmaps = 'none'\n[table]\n{columns}", folder.path());
+    let (batches, _) = run(&toml::from_str(&toml).expect("a mapping"), None).expect("a table");
+    let scene = &scenes(&batches)[0];
+    assert_eq!((scene.source.place.as_str(), scene.id.0.as_str()), ("none", "table/train/none/a@0"));
 }

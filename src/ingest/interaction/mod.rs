@@ -20,7 +20,8 @@
 //! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
 //!   after a second header;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
-//! - `recording_repeated`: a file of a recording comes twice, or is named as a copy (`… (1).csv`);
+//! - `recording_repeated`: a file of a recording comes twice, has the bytes of another one, or is named as a copy
+//!   (`… (1).csv`);
 //! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`Recording::windows`](super::windows);
 //! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
@@ -75,6 +76,10 @@ impl RecordingSource for Interaction<'_> {
 
     fn is_recording(&self, path: &str) -> bool {
         TrackFile::of_path(path).is_some_and(|file| self.wants(&file))
+    }
+
+    fn is_companion(&self, path: &str) -> bool {
+        TrackFile::of_path(path).and_then(|file| file.recording).is_some_and(|part| part.is_pedestrians)
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {

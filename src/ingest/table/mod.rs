@@ -32,7 +32,7 @@ pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use self::parts::{PartReader, SIZES, Sizes};
 use super::archive::Entry;
 use super::files::{file_stem, split_of_path};
-use super::pairing::{PairNames, PairReader};
+use super::pairing::{PairNames, PairPart, PairReader};
 use super::windows::Recording;
 use super::{
     Error, Horizon, IngestConfig, MapFile, PendingScene, RawUnit, RecordingSource, Reject, UnitReader, UnitSplit,
@@ -83,6 +83,10 @@ impl RecordingSource for Tables<'_> {
 
     fn is_recording(&self, path: &str) -> bool {
         self.names().part_of(path).is_some() && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+    }
+
+    fn is_companion(&self, path: &str) -> bool {
+        self.names().part_of(path).is_some_and(|(_, part)| part == PairPart::Companion)
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {

@@ -9,6 +9,7 @@ use super::feed::{complaint, feed};
 use super::jobs::WORKER;
 use super::{ClusterConfig, Completion, Job, JobGraph};
 use crate::engine::{Classify, Failure, Result};
+use crate::files::for_shell;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -33,9 +34,9 @@ pub fn script(graph: &JobGraph, job: &Job, cluster: &ClusterConfig) -> String {
     let number = if job.workers.is_some() { "%A_%a" } else { "%j" };
     let output = graph.run_folder.join(OUTPUTS).join(format!("{}-{number}.txt", job.name));
     let mut directives = vec![
-        format!("--job-name={}", quoted(&format!("djinn-{}-{}", graph.pipeline, job.name))),
-        format!("--chdir={}", quoted(&graph.directory.to_string_lossy())),
-        format!("--output={}", quoted(&graph.directory.join(output).to_string_lossy())),
+        format!("--job-name={}", for_shell(&format!("djinn-{}-{}", graph.pipeline, job.name))),
+        format!("--chdir={}", for_shell(&graph.directory.to_string_lossy())),
+        format!("--output={}", for_shell(&graph.directory.join(output).to_string_lossy())),
         "--open-mode=append".to_owned(),
         "--requeue".to_owned(),
         format!("--signal=B:USR1@{NOTICE_S}"),
@@ -131,17 +132,8 @@ pub fn describe(graph: &JobGraph, cluster: &ClusterConfig) -> String {
 
 /// A word of a command. The number of a worker becomes the index of the job in its array.
 fn shell_word(word: &str) -> String {
-    let with_number = word.split(WORKER).map(quoted).collect::<Vec<_>>().join("\"$SLURM_ARRAY_TASK_ID\"");
+    let with_number = word.split(WORKER).map(for_shell).collect::<Vec<_>>().join("\"$SLURM_ARRAY_TASK_ID\"");
     if word.contains(WORKER) { with_number.replace("''", "") } else { with_number }
-}
-
-/// A text quoted for the shell and `sbatch`; unchanged if it has no special characters.
-fn quoted(text: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+%@".contains(c);
-    match !text.is_empty() && text.chars().all(is_plain) {
-        true => text.to_owned(),
-        false => format!("'{}'", text.replace('\'', r"'\''")),
-    }
 }
 
 /// The folder of the jobs' outputs.

@@ -64,6 +64,7 @@ pub struct PipelineConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct TrainConfig {
     /// Splits of this run's scenes to train on. Empty: `train`, or all unsplit scenes if there is no such split.
+    /// Without `val`, a tenth of the recordings is held out, or of the time of a single one.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(extend("uniqueItems" = true))]
     pub splits: Vec<Split>,
@@ -96,7 +97,7 @@ pub struct RunConfig {
     pub name: String,
     /// Seed of everything random; samples are drawn with `generate.seed` if that is set.
     pub seed: u64,
-    /// Number of worker threads; 0 uses every core. Results do not depend on it.
+    /// Number of worker threads, at most eight a core; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
     pub threads: usize,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.

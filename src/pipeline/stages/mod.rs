@@ -3,9 +3,11 @@
 mod error_causes;
 mod evaluate;
 mod generate;
+mod held_out;
 mod ingest;
 mod mine;
 mod models;
+mod moments;
 mod report;
 mod train;
 mod train_baseline;
@@ -135,6 +137,7 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         duplicate_distance_m: evaluate.as_ref().map_or(DUPLICATE_DISTANCE_M, |evaluate| evaluate.duplicate_distance_m),
         classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
         // A folder of models that the command line names may hold one that was distilled with other settings.
+        learns_from: train::scenes_learned_from(train),
         distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
         horizon: ingest.as_ref().and_then(|ingest| usual_horizon(ingest).ok()),
         layout,
@@ -200,7 +203,7 @@ mod tests {
         let trained = ["train_denoiser", "train_distill", "train_classifier", "train_baseline"];
         for (request, setting, expected) in [
             ("", "run.precision=bf16", [&trained[..], &["generate"]].concat()),
-            ("", "train.splits=[\"val\"]", trained.to_vec()),
+            ("", "train.splits=[\"val\"]", [&trained[..], &["generate"]].concat()),
             ("", "evaluate.duplicate_distance_m=0.7", vec!["evaluate"]),
             (request, "evaluate.duplicate_distance_m=0.7", vec!["generate", "evaluate"]),
         ] {

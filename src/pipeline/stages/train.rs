@@ -4,8 +4,9 @@ use super::training_scenes::check_folders;
 use super::with_precision;
 use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::model::{ModelSpec, TrainedModel};
-use crate::nn::{Checkpoint, Precision, read_checkpoint};
+use crate::nn::{Checkpoint, Compute, Precision, read_checkpoint};
 use crate::pipeline::StageId;
+use crate::pipeline::config::TrainConfig;
 use crate::pipeline::layout::Layout;
 use crate::seed::Seed;
 use crate::store::write_atomically;
@@ -25,7 +26,7 @@ pub struct Source<'a> {
     pub calibrates: bool,
     /// The checkpoint to start from.
     pub start_from: Option<&'a Path>,
-    /// The scenes to train on, if they may come from several runs.
+    /// The scenes to train on.
     pub scenes: Option<SceneChoice<'a>>,
 }
 
@@ -118,11 +119,14 @@ impl<R: Recipe> Stage for Train<'_, R> {
         if let Some(choice) = source.scenes.filter(|_| source.learns()) {
             check_folders(choice, &self.layout.scenes)?;
         }
-        // A missing one is noticed among the inputs.
+        // Missing ones are noticed among the inputs.
+        if let Some(file) = source.start_from.map(checkpoint_file).filter(|file| file.exists()) {
+            TrainedModel::<R::Spec>::read(&file, &Compute::cpu())?;
+        }
         match source.checkpoint.map(checkpoint_file).filter(|file| file.exists()) {
             Some(file) => {
-                let checkpoint = read_checkpoint::<R::Spec>(&file, &Device::Cpu)?;
-                R::check_kind(&checkpoint.metadata).map_err(|what| {
+                let model = TrainedModel::<R::Spec>::read(&file, &Compute::cpu())?;
+                R::check_kind(&model.spec).map_err(|what| {
                     Failure::input_message(format_args!("{}: {} {what}", R::STAGE.name(), file.display()))
                 })
             }
@@ -196,6 +200,22 @@ impl<R: Recipe> Whole for Train<'_, R> {
         summary["fingerprint"] = json!(calibrated.unwrap_or(trained.fingerprint));
         Ok(summary)
     }
+}
+
+/// The scenes that the models of a pipeline learn from, section by section.
+pub(super) fn scenes_learned_from(train: &TrainConfig) -> Vec<SceneChoice<'_>> {
+    fn of<'a, R: Recipe>(recipe: Option<&'a R>, own: OwnScenes<'a>) -> Option<SceneChoice<'a>> {
+        let source = recipe?.source(own);
+        source.scenes.filter(|_| source.learns())
+    }
+    let (TrainConfig { denoiser, distill, classifier, baseline, .. }, own) = (train, train.own_scenes());
+    let choices = [
+        of(denoiser.as_ref(), own),
+        of(distill.as_ref(), own),
+        of(classifier.as_ref(), own),
+        of(baseline.as_ref(), own),
+    ];
+    choices.into_iter().flatten().collect()
 }
 
 /// The file of a checkpoint that is given by its file or by the folder of the model.

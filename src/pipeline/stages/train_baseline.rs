@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 impl Recipe for BaselineTrainingConfig {
     type Spec = SceneTransformerSpec;
     const STAGE: StageId = StageId::TrainBaseline;
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
 
     fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
@@ -29,7 +29,7 @@ impl Recipe for BaselineTrainingConfig {
     }
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let scenes = OpenedScenes::open(Self::scene_choice(own), &layout.scenes)?;
+        let scenes = OpenedScenes::open(Self::scene_choice(own), &layout.scenes, job.progress)?;
         let data = scenes.training_data(None, false)?;
         let outcome = train_baseline(&self.resolve()?, &data, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))

@@ -1,7 +1,7 @@
 //! Mined pairs to the classifier that guides generation.
 
+use super::held_out::TrainingScenes;
 use super::train::{Recipe, Source, checkpoint_file};
-use super::training_scenes::TrainingScenes;
 use crate::behavior::BehaviorEvent;
 use crate::engine::{Failure, Result, fingerprint_path};
 use crate::model::{ClassifierSpec, TrainedDenoiser};
@@ -9,8 +9,8 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::store::{SceneStore, read_events};
 use crate::train::{
-    ClassifierTrainingConfig, LabeledPair, MAX_EXAMPLES, MAX_HELD_OUT, MinedEvent, OwnScenes, PairData, TrainJob,
-    train_classifier,
+    ClassifierTrainingConfig, LabeledPair, MAX_EXAMPLES, MAX_HELD_OUT, MinedEvent, OwnScenes, PairData, SceneChoice,
+    TrainJob, train_classifier,
 };
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -18,11 +18,12 @@ use std::collections::BTreeMap;
 impl Recipe for ClassifierTrainingConfig {
     type Spec = ClassifierSpec;
     const STAGE: StageId = StageId::TrainClassifier;
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::Mine, StageId::TrainDenoiser];
 
-    fn source<'a>(&'a self, _: OwnScenes<'a>) -> Source<'a> {
-        Source { checkpoint: self.checkpoint.as_deref(), ..Source::default() }
+    fn source<'a>(&'a self, own: OwnScenes<'a>) -> Source<'a> {
+        let scenes = SceneChoice { section: Self::SECTION, own: chosen(self, own), own_weight: 1.0, data: &[] };
+        Source { checkpoint: self.checkpoint.as_deref(), scenes: Some(scenes), ..Source::default() }
     }
 
     fn resolved(&self) -> std::result::Result<Option<Value>, crate::train::Error> {
@@ -40,7 +41,7 @@ impl Recipe for ClassifierTrainingConfig {
         let denoiser = TrainedDenoiser::read(&checkpoint_file(&layout.denoiser), job.compute)?;
         let events = read_events(&layout.events, |event| event.behavior == self.behavior)?;
         let roles = roles(&self.behavior, &events)?;
-        let TrainingScenes { train, held_out } = TrainingScenes::new(store.index(), chosen(self, own));
+        let TrainingScenes { train, held_out, .. } = TrainingScenes::of(&store, chosen(self, own), job.progress)?;
         let pairs = |scenes: &[usize], max_pairs: usize, purpose: &str| {
             LabeledPair::of_events(&mined(&store, &events, scenes), max_pairs, job.seed.derive(purpose, &[]))
         };

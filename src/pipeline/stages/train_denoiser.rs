@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDenoiser;
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
     const CALIBRATE: Option<Calibrate<DenoiserSpec>> = Some(calibrate);
 
@@ -41,7 +41,7 @@ impl Recipe for DenoiserTrainingConfig {
     }
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
-        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
+        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes, job.progress)?;
         let start = self.read_start(&job.compute.device)?;
         let state_dim = self.state_dim.or_else(|| start.as_ref().map(|start| start.metadata.normalizer.state_dim));
         let data = scenes.training_data(state_dim, self.resolve()?.network.geometry.is_some())?;

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 impl Recipe for DistillTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDistill;
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest, StageId::TrainDenoiser];
     const CALIBRATE: Option<Calibrate<DenoiserSpec>> = Some(calibrate);
 
@@ -45,7 +45,7 @@ impl Recipe for DistillTrainingConfig {
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
         let teacher = read_checkpoint::<DenoiserSpec>(&checkpoint_file(&layout.denoiser), &job.compute.device)?;
-        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes)?;
+        let scenes = OpenedScenes::open(self.scene_choice(own), &layout.scenes, job.progress)?;
         let data = scenes.data_of(&teacher.metadata)?;
         let outcome = distill_denoiser(&self.resolve()?, &data, &teacher, job)?;
         Ok(training_summary(&data, outcome.spec.steps, &outcome))

@@ -1,13 +1,15 @@
-//! Which scenes of which stores does a model train on, and which are held out?
+//! The scenes of one or several stores, as the data of a training.
 
+use super::held_out::TrainingScenes;
 use crate::engine::Failure;
 use crate::engine::Result as StageResult;
 use crate::engine::fingerprint_value;
 use crate::model::DenoiserSpec;
 use crate::nn::Checkpoint;
 use crate::pipeline::layout::{Layout, SCENES};
+use crate::progress::Progress;
 use crate::scene::{Scene, Split};
-use crate::store::{SceneIndex, SceneIndexEntry, SceneManifest, SceneStore};
+use crate::store::{SceneManifest, SceneStore};
 use crate::train::{
     MoreScenes, OwnScenes, SceneChoice, SceneDataset, TrainJob, TrainOutcome, TrainingData, TrainingSource,
     calibrate_denoiser,
@@ -15,88 +17,50 @@ use crate::train::{
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// If the store has no `val` split, one in this many scenes is held out.
-const HOLD_OUT_EVERY: usize = 20;
-
 impl SceneDataset for SceneStore {
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
         Ok(Self::scene(self, idx)?)
     }
 }
 
-/// Scenes by index, in the store's order.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct TrainingScenes {
-    /// Scenes to train on.
-    pub(super) train: Vec<usize>,
-    pub(super) held_out: Vec<usize>,
-}
-
-impl TrainingScenes {
-    /// Trains on the given splits (none: `train`, or everything unsplit if there is no such split) and places (none:
-    /// all), and holds out the `val` scenes of these places.
-    pub(super) fn new(index: &SceneIndex, OwnScenes { splits, places }: OwnScenes<'_>) -> Self {
-        let here = |entry: &SceneIndexEntry<'_>| places.is_empty() || places.iter().any(|place| place == entry.place);
-        let of = |wanted: &dyn Fn(Split) -> bool| -> Vec<usize> {
-            let chosen = index.iter().enumerate().filter(|(_, entry)| here(entry) && wanted(entry.split));
-            chosen.map(|(idx, _)| idx).collect()
-        };
-        let mut train = of(&|split| splits.contains(&split));
-        if splits.is_empty() {
-            let default =
-                if index.iter().any(|entry| entry.split == Split::Train) { Split::Train } else { Split::Unsplit };
-            train = of(&|split| split == default);
-        }
-        let mut held_out = of(&|split| split == Split::Val && !splits.contains(&split));
-        if held_out.is_empty() && train.len() >= HOLD_OUT_EVERY {
-            (held_out, train) = {
-                let held = |position: usize| position % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1;
-                let part = |wanted: bool| {
-                    train.iter().enumerate().filter(move |(at, _)| held(*at) == wanted).map(|(_, idx)| *idx).collect()
-                };
-                (part(true), part(false))
-            };
-        }
-        Self { train, held_out }
-    }
-}
-
 /// The scenes from which a training draws: those of the run, and of others.
-pub(super) struct OpenedScenes<'a> {
+pub(super) struct OpenedScenes {
     section: &'static str,
-    sources: Vec<OpenedSource<'a>>,
+    sources: Vec<OpenedSource>,
 }
 
 /// An ingest, and the part of it to train on.
-struct OpenedSource<'a> {
+struct OpenedSource {
     /// Its name for the user: its key, or the run's own scenes.
     name: String,
     store: SceneStore,
     /// Index of its first scene among those of all sources.
     first: usize,
     weight: f64,
-    chosen: OwnScenes<'a>,
+    chosen: TrainingScenes,
 }
 
-impl SceneDataset for OpenedScenes<'_> {
+impl SceneDataset for OpenedScenes {
     fn scene(&self, idx: usize) -> Result<Scene, Box<dyn std::error::Error + Send + Sync>> {
         let source = self.sources.iter().rfind(|source| source.first <= idx).ok_or("there are no scenes")?;
         Ok(source.store.scene(idx - source.first)?)
     }
 }
 
-impl<'a> OpenedScenes<'a> {
+impl OpenedScenes {
     /// Opens the run's `own` scenes, unless they have no weight, and the chosen others.
-    pub(super) fn open(choice: SceneChoice<'a>, own: &Path) -> StageResult<Self> {
+    pub(super) fn open(choice: SceneChoice<'_>, own: &Path, progress: &dyn Progress) -> StageResult<Self> {
         let SceneChoice { section, own: chosen, own_weight, data } = choice;
         let own = (own_weight > 0.0).then(|| ("the ingest of this run".to_owned(), own, own_weight, chosen));
         let more = data.iter().enumerate().map(|(i, MoreScenes { scenes, weight })| {
             (format!("{section}.data.{i}"), scenes.as_path(), *weight, OwnScenes::default())
         });
-        let mut sources: Vec<OpenedSource<'a>> = Vec::new();
+        let mut sources: Vec<OpenedSource> = Vec::new();
         for (name, path, weight, chosen) in own.into_iter().chain(more) {
             let first = sources.last().map_or(0, |last| last.first + last.store.len());
-            sources.push(OpenedSource { name, store: SceneStore::open(path)?, first, weight, chosen });
+            let store = SceneStore::open(path)?;
+            let chosen = TrainingScenes::of(&store, chosen, progress)?;
+            sources.push(OpenedSource { name, store, first, weight, chosen });
         }
         Ok(Self { section, sources })
     }
@@ -116,14 +80,13 @@ impl<'a> OpenedScenes<'a> {
         let mut sources: Vec<TrainingSource> = Vec::new();
         let mut has_headings = Vec::new();
         for source in &self.sources {
-            let chosen = TrainingScenes::new(source.store.index(), source.chosen);
-            let Some(first) = chosen.train.first() else {
+            let Some(first) = source.chosen.train.first() else {
                 let message = format_args!("{} has no scene to train on in train.splits and train.places", source.name);
                 return Err(Failure::input_message(message));
             };
             has_headings.push(source.store.index().get(*first).dataset.facts().has_headings);
             let n_places = sources.iter().flat_map(|source| &source.places).max().map_or(0, |last| last + 1);
-            sources.push(source.training_source(chosen, n_places));
+            sources.push(source.training_source(n_places));
         }
         self.check_shapes(&sources)?;
         // If headings are derived from positions, those of samples are, too.
@@ -173,13 +136,10 @@ impl<'a> OpenedScenes<'a> {
     }
 }
 
-impl OpenedSource<'_> {
+impl OpenedSource {
     /// The chosen scenes, whose places are numbered from `first_place`.
-    fn training_source(
-        &self,
-        TrainingScenes { train, held_out }: TrainingScenes,
-        first_place: usize,
-    ) -> TrainingSource {
+    fn training_source(&self, first_place: usize) -> TrainingSource {
+        let TrainingScenes { train, held_out, .. } = &self.chosen;
         let place = |idx: &usize| self.store.index().get(*idx).place;
         let mut names: Vec<&str> = train.iter().map(place).collect();
         names.sort_unstable();
@@ -189,8 +149,8 @@ impl OpenedSource<'_> {
         TrainingSource {
             weight: self.weight,
             places: train.iter().map(number).collect(),
-            train: among_all(&train),
-            held_out: among_all(&held_out),
+            train: among_all(train),
+            held_out: among_all(held_out),
         }
     }
 }
@@ -252,44 +212,6 @@ pub(super) fn calibrate(
     layout: &Layout,
     job: TrainJob<'_>,
 ) -> StageResult<String> {
-    let scenes = OpenedScenes::open(choice, &layout.scenes)?;
+    let scenes = OpenedScenes::open(choice, &layout.scenes, job.progress)?;
     Ok(calibrate_denoiser(checkpoint, &scenes.data_of(&checkpoint.metadata)?, job)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scene::Dataset;
-
-    fn index(splits: &[(Split, &str)]) -> SceneIndex {
-        let entries = splits.iter().map(|(split, place)| SceneIndexEntry {
-            id: "",
-            dataset: Dataset::Interaction,
-            split: *split,
-            place,
-            n_agents: 3,
-            n_timesteps: 40,
-        });
-        entries.collect()
-    }
-
-    #[test]
-    fn train_and_val_are_kept_apart_and_places_are_honored() {
-        let index = index(&[(Split::Train, "A"), (Split::Val, "A"), (Split::Train, "B"), (Split::Test, "A")]);
-        let all = TrainingScenes::new(&index, OwnScenes::default());
-        assert_eq!((all.train, all.held_out), (vec![0, 2], vec![1]));
-        let only_a = TrainingScenes::new(&index, OwnScenes { places: &["A".to_owned()], ..OwnScenes::default() });
-        assert_eq!((only_a.train, only_a.held_out), (vec![0], vec![1]));
-        let on_val =
-            TrainingScenes::new(&index, OwnScenes { splits: &[Split::Train, Split::Val], ..OwnScenes::default() });
-        assert_eq!((on_val.train, on_val.held_out), (vec![0, 1, 2], vec![]));
-    }
-
-    #[test]
-    fn unsplit_scenes_hold_out_a_twentieth() {
-        let index = index(&[(Split::Unsplit, "A"); 40]);
-        let selection = TrainingScenes::new(&index, OwnScenes::default());
-        assert_eq!(selection.held_out, vec![19, 39]);
-        assert_eq!(selection.train.len(), 38);
-    }
 }

@@ -39,8 +39,9 @@ fn columns(n_timesteps: usize) -> Vec<(&'static str, ArrayRef)> {
 }
 
 /// A whole scenario file.
-pub(in crate::ingest) fn scenario_bytes() -> Vec<u8> {
-    parquet_bytes(columns(110))
+/// A scenario in a file that names its writer.
+pub(in crate::ingest) fn scenario_bytes(writer: &str) -> Vec<u8> {
+    parquet_bytes_with(columns(110), WriterProperties::builder().set_created_by(writer.to_owned()).build())
 }
 
 fn parquet_bytes(columns: Vec<(&'static str, ArrayRef)>) -> Vec<u8> {

@@ -1,5 +1,7 @@
 //! Recorded histories and models to generated scenarios, shard by shard; finished shards survive an interruption.
 
+#[cfg(test)]
+mod held_out_tests;
 mod ready;
 mod rounds;
 mod sample_folder;
@@ -25,7 +27,7 @@ use crate::pipeline::layout::Layout;
 use crate::scene::INGESTED_DT_S;
 use crate::settings::Issue;
 use crate::store::{SceneStore, read_json};
-use crate::train::DistillTrainingConfig;
+use crate::train::{DistillTrainingConfig, SceneChoice};
 use serde_json::{Value, json};
 
 /// The stage.
@@ -47,6 +49,8 @@ pub struct Generate<'a> {
     pub distill: Option<&'a DistillTrainingConfig>,
     /// The timesteps of scenes that the pipeline ingests itself.
     pub horizon: Option<Horizon>,
+    /// The scenes that models of the pipeline learn from: none of them is sampled as held out.
+    pub learns_from: Vec<SceneChoice<'a>>,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
 }
@@ -57,7 +61,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        20
+        21
     }
 
     fn check(&self) -> Result<()> {
@@ -96,6 +100,7 @@ impl Stage for Generate<'_> {
         if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
             config["duplicate_distance_m"] = json!(self.duplicate_distance_m);
         }
+        config["learns_from"] = serde_json::to_value(&self.learns_from)?;
         Ok(with_precision(config, Some(self.precision)))
     }
 

@@ -7,9 +7,12 @@ use crate::generate::{Generator, Plan, Pool, ResolvedGeneration, ShardOutput, Sh
 use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
+use crate::pipeline::stages::held_out::learned;
 use crate::pipeline::stages::{LoadedModels, roll_out};
 use crate::progress::Progress;
+use crate::scene::{Scene, Split};
 use crate::store::SceneStore;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Scenes, models and settings for sampling.
@@ -25,23 +28,38 @@ pub(super) struct Ready<'a> {
 }
 
 impl Generate<'_> {
-    /// Reads and checks everything that sampling needs, and calls `work` with it. The settings of metrics depend on how
-    /// well all maps fit, unless that is known already.
+    /// Reads and checks everything that sampling needs, and calls `work` with it. Where the settings of metrics are not
+    /// known yet, a plan is to be made: they depend on how well all maps fit, and it on what models learn from.
     pub(super) fn with_ready<R>(
         &self,
         compute: &Compute,
         metric_settings: Option<MetricSettings>,
         work: impl FnOnce(&Ready<'_>) -> Result<R>,
     ) -> Result<R> {
-        let resolved = self.resolve()?;
+        let mut resolved = self.resolve()?;
         let store = SceneStore::open(&self.layout.scenes)?;
+        if metric_settings.is_none() {
+            resolved.learned = learned(&self.learns_from, &store)?;
+        }
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
-        let load = |idx: usize| Ok(store.scene(idx)?);
+        let load = |idx: usize| Ok(self.scene_of(&store, idx)?);
         let metric_settings = metric_settings.map_or_else(|| self.settings_for_maps(&store), Ok)?;
         let settings = metric_settings.clone();
         let generator = Generator::new(&resolved, models.borrowed(), &behaviors, &load, settings, &compute.device)?;
         work(&Ready { resolved: &resolved, store: &store, models: &models, generator, metric_settings })
+    }
+}
+
+impl Generate<'_> {
+    /// A scene as it is sampled: unsplit ones that a run with trainings samples unasked are held out of these.
+    pub(super) fn scene_of(&self, store: &SceneStore, idx: usize) -> crate::store::Result<Scene> {
+        let mut scene = store.scene(idx)?;
+        let is_divided = self.config.splits.is_empty() && !self.learns_from.is_empty();
+        if is_divided && scene.source.split == Split::Unsplit {
+            scene.source.split = Split::Val;
+        }
+        Ok(scene)
     }
 }
 
@@ -61,8 +79,11 @@ impl Ready<'_> {
     }
 
     /// The models and settings with which the shards of the plan are sampled.
-    pub(super) fn sampled_with(&self, plan: &Plan) -> SampledWith {
+    pub(super) fn sampled_with(&self, plan: &Plan, pools: &[Pool]) -> SampledWith {
         let models = self.models;
+        let of_sweeps = plan.shards.iter().flat_map(|shard| &shard.cells);
+        let cells = of_sweeps.chain(pools.iter().flat_map(|pool| &pool.cells));
+        let scenes: BTreeSet<usize> = cells.map(|cell| cell.scene_idx).collect();
         SampledWith {
             scenes: self.store.fingerprint().to_owned(),
             denoiser: models.fingerprint(StageId::TrainDenoiser).unwrap_or_default(),
@@ -70,6 +91,7 @@ impl Ready<'_> {
             distilled: models.fingerprint(StageId::TrainDistill),
             baseline: models.fingerprint(StageId::TrainBaseline),
             shortfalls: plan.shortfalls.clone(),
+            n_learned: scenes.intersection(&self.resolved.learned).count(),
         }
     }
 

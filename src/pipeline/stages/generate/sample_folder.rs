@@ -76,6 +76,22 @@ pub struct SampledWith {
     pub baseline: Option<String>,
     /// Sweeps with fewer suitable scenes than requested.
     pub shortfalls: Vec<Shortfall>,
+    /// The number of sampled scenes that models of the run learned from, as `generate.splits` wanted it.
+    #[serde(default)]
+    pub n_learned: usize,
+}
+
+impl SampledWith {
+    /// A caution about figures that are not those of held-out scenes.
+    pub fn caution(&self) -> Option<String> {
+        let n = self.n_learned;
+        (n > 0).then(|| {
+            format!(
+                "models of this run learned from {n} of the scenes that are sampled, as generate.splits wants it: \
+                 figures say nothing about scenes that are held out"
+            )
+        })
+    }
 }
 
 /// A folder of generated scenarios that is being written.

@@ -43,7 +43,8 @@ impl Sharded for Generate<'_> {
     fn plan(&self, compute: &Compute, progress: &dyn Progress) -> Result<Division> {
         self.with_ready(compute, None, |ready| {
             let sweeps = ready.plan(progress)?;
-            let (pools, sampled_with) = (ready.pools()?, ready.sampled_with(&sweeps));
+            let pools = ready.pools()?;
+            let sampled_with = ready.sampled_with(&sweeps, &pools);
             let metric_settings = ready.metric_settings.clone();
             Division::new(sweeps.shards.len(), &GenerationPlan { sweeps, pools, sampled_with, metric_settings })
         })
@@ -68,6 +69,7 @@ impl Sharded for Generate<'_> {
         for Shortfall { sweep, n_wanted, n_found } in &sweeps.shortfalls {
             context.progress.warn(&format!("sweep {sweep}: {n_wanted} scenes requested, {n_found} suitable"));
         }
+        sampled_with.caution().into_iter().for_each(|caution| context.progress.warn(&caution));
         summaries.iter().for_each(|summary| warn_of_short(summary, context.progress));
         let folder = SampleFolder::create(&context.root.join(SAMPLES))?;
         let (mine, generate) = (self.mine.clone(), self.config.clone());

@@ -73,6 +73,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
             classified_behavior: None,
             distill: None,
             horizon: None,
+            learns_from: Vec::new(),
             layout: &Layout::below(dir.path()),
         };
         stage.settings_for_maps(&store).unwrap()

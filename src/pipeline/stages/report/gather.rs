@@ -164,6 +164,8 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
         );
         model.warnings.push(warning(StageId::Generate, message));
     }
+    let learned = manifest.sampled_with.caution();
+    model.warnings.extend(learned.map(|message| warning(StageId::Generate, message)));
     if manifest.n_rejected > 0 {
         let message = format!("{} samples had non-finite values and were rejected.", manifest.n_rejected);
         model.warnings.push(warning(StageId::Generate, message));
