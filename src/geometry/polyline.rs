@@ -22,18 +22,26 @@ pub struct Projection {
 impl Polyline {
     /// Length, meters.
     pub fn length_m(&self) -> f64 {
-        self.0.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
+        self.lengths_m().sum()
+    }
+
+    fn lengths_m(&self) -> impl Iterator<Item = f64> {
+        self.0.windows(2).map(|pair| pair[0].distance(pair[1]))
     }
 
     /// The point `station_m` along the polyline, held at its ends. `None` when there are no points.
     pub fn point_at(&self, station_m: f64) -> Option<Vec2> {
+        self.point_along(self.lengths_m(), station_m)
+    }
+
+    /// The point `station_m` along the polyline, whose segments have these lengths.
+    fn point_along(&self, lengths_m: impl Iterator<Item = f64>, station_m: f64) -> Option<Vec2> {
         let mut left_m = station_m.max(0.0);
-        for pair in self.0.windows(2) {
-            let length = pair[0].distance(pair[1]);
-            if left_m <= length && length > 0.0 {
-                return Some(pair[0].lerp(pair[1], left_m / length));
+        for (pair, length_m) in self.0.windows(2).zip(lengths_m) {
+            if left_m <= length_m && length_m > 0.0 {
+                return Some(pair[0].lerp(pair[1], left_m / length_m));
             }
-            left_m -= length;
+            left_m -= length_m;
         }
         self.0.last().copied()
     }
@@ -41,9 +49,11 @@ impl Polyline {
     /// `n_points` points at equal distances from the first to the last. Empty when there are no points or `n_points`
     /// is 0.
     pub fn resampled(&self, n_points: usize) -> Self {
-        let length_m = self.length_m();
-        let spacing = length_m / (n_points.max(2) - 1) as f64;
-        Self((0..n_points).filter_map(|i| self.point_at(i as f64 * spacing)).collect())
+        // Their roots would take most of the time.
+        let lengths_m: Vec<f64> = self.lengths_m().collect();
+        let spacing_m = lengths_m.iter().sum::<f64>() / (n_points.max(2) - 1) as f64;
+        let point = |i: usize| self.point_along(lengths_m.iter().copied(), i as f64 * spacing_m);
+        Self((0..n_points).filter_map(point).collect())
     }
 
     /// The closest point of the polyline to `point`. `None` with fewer than two distinct points.

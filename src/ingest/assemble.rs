@@ -6,6 +6,7 @@ use super::lane_index::{Circle, LaneIndex};
 use super::plausible_tracks::{judge, judge_place};
 use super::raw::{HeadingGap, RawScene, Reject};
 use super::report::IngestReport;
+use super::vicinity::Vicinity;
 use crate::geometry::{Transform2, Vec2};
 use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
 use crate::seed::Seed;
@@ -23,7 +24,7 @@ const MAX_VELOCITY_ERROR_MPS: f64 = 0.1;
 /// Lanes belong to a scene if they are within this distance of a place that an agent can reach, meters.
 const SURROUNDINGS_M: f64 = 10.0;
 
-/// States beyond these limits are errors of the recording: places are within kilometers of their origin. Single
+/// States beyond these limits are errors of the recording: places are within kilometers of their middle. Single
 /// precision, in which scenes are stored, does not allow much more.
 pub(super) const MAX_COORDINATE_M: f64 = 1e6;
 const MAX_SPEED_MPS: f64 = 1e6;
@@ -133,6 +134,10 @@ fn check_states(raw: &RawScene) -> Result<(), Reject> {
     if let Some((track, _)) = states(raw).find(|(_, state)| !state.is_finite()) {
         return Err(reject(raw, "non_finite", format!("track {} has a state that is not finite", track.id)));
     }
+    let vicinity = Vicinity::of(|| states(raw).map(|(_, state)| state.position));
+    let is_possible = |state: &State| {
+        vicinity.holds(state.position) && state.velocity.dot(state.velocity) <= MAX_SPEED_MPS * MAX_SPEED_MPS
+    };
     match states(raw).find(|(_, state)| !is_possible(state)) {
         Some((track, state)) => {
             let (Vec2 { x, y }, speed) = (state.position, state.velocity.norm());
@@ -154,12 +159,6 @@ fn reach(track: &Track, present: usize, future_s: f64) -> Option<Circle> {
 
 fn states(raw: &RawScene) -> impl Iterator<Item = (&Track, &State)> {
     raw.tracks.iter().flat_map(|track| track.trajectory.valid().map(move |(_, state)| (track, state)))
-}
-
-fn is_possible(state: &State) -> bool {
-    let State { position, velocity, .. } = state;
-    position.x.abs().max(position.y.abs()) <= MAX_COORDINATE_M
-        && velocity.dot(*velocity) <= MAX_SPEED_MPS * MAX_SPEED_MPS
 }
 
 fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, State)> {

@@ -10,7 +10,7 @@ use super::files::{is_archive, is_copy, passed_over};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
 use super::places::{Places, flaw_of, name_blank_place};
-use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
+use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
 use super::table::TableMapping;
@@ -224,10 +224,12 @@ enum UnitOutcome {
         counts: IngestReport,
         own_map: Option<Arc<LaneGraph>>,
     },
-    Rejected(Reject),
+    /// With the doubts that may explain it.
+    Rejected(Reject, Vec<Finding>),
     /// Left out by the configuration, with the reason.
     Unwanted(&'static str),
-    MissingMap(MapId),
+    /// The map, and the file of the recording.
+    MissingMap(MapId, String),
 }
 
 struct UnitParser<'a> {
@@ -278,7 +280,7 @@ impl UnitParser<'_> {
     fn parse_unit(&self, unit: Result<RawUnit, Reject>) -> Vec<Pending<'_>> {
         let n_bytes = unit.as_ref().map_or(0, RawUnit::n_bytes);
         let outcomes: Vec<PendingOutcome<'_>> = match unit {
-            Err(reject) => vec![Box::new(|| UnitOutcome::Rejected(reject))],
+            Err(reject) => vec![Box::new(|| UnitOutcome::Rejected(reject, Vec::new()))],
             Ok(unit) => match self.reason_unwanted(&unit) {
                 Some(what) => vec![Box::new(move || UnitOutcome::Unwanted(what))],
                 None => {
@@ -311,10 +313,12 @@ impl UnitParser<'_> {
     ) -> Result<IngestBatch, Error> {
         let outcomes: Vec<(Option<u64>, UnitOutcome)> =
             pending.into_par_iter().map(|pending| (pending.n_unit_bytes, (pending.make)())).collect();
-        let missing: BTreeSet<MapId> = outcomes
-            .iter()
-            .filter_map(|(_, outcome)| if let UnitOutcome::MissingMap(id) = outcome { Some(id.clone()) } else { None })
-            .collect();
+        let mut missing: BTreeMap<MapId, String> = BTreeMap::new();
+        for (_, outcome) in &outcomes {
+            if let UnitOutcome::MissingMap(id, file) = outcome {
+                missing.entry(id.clone()).or_insert_with(|| file.clone());
+            }
+        }
         self.maps.require(missing.into_iter())?;
 
         let mut collected = IngestBatch::default();
@@ -328,9 +332,12 @@ impl UnitParser<'_> {
                 collected.report.n_bytes += n_bytes;
             }
             match outcome {
-                UnitOutcome::Rejected(reject) => collected.report.count_reject(&reject),
+                UnitOutcome::Rejected(reject, findings) => {
+                    collected.report.count_reject(&reject);
+                    findings.into_iter().for_each(|finding| collected.report.count_warning(finding));
+                }
                 UnitOutcome::Unwanted(what) => collected.report.count_dropped(what, 1),
-                UnitOutcome::MissingMap(_) => {}
+                UnitOutcome::MissingMap(..) => {}
                 UnitOutcome::Kept { scene, counts, own_map } => {
                     collected.report.merge(&counts);
                     self.hand_out_map(&scene, own_map, handed_out, &mut collected.maps);
@@ -344,16 +351,14 @@ impl UnitParser<'_> {
     fn finish_scene(&self, scene: Result<RawScene, Reject>) -> UnitOutcome {
         let mut scene = match scene {
             Ok(scene) => scene,
-            Err(reject) => return UnitOutcome::Rejected(reject),
+            Err(reject) => return UnitOutcome::Rejected(reject, Vec::new()),
         };
         if !self.config.wants_split(scene.source.split) {
             return UnitOutcome::Unwanted(OTHER_SPLITS);
         }
         if let Some(flaw) = flaw_of(&scene.source.place) {
-            return UnitOutcome::Rejected(Reject {
-                reason: "bad_place",
-                detail: format!("{}: {flaw}", scene.source.file),
-            });
+            let detail = format!("{}: {flaw}", scene.source.file);
+            return UnitOutcome::Rejected(Reject { reason: "bad_place", detail }, scene.findings);
         }
         name_blank_place(&mut scene);
         self.places.note(Some(&scene.source.place));
@@ -366,13 +371,14 @@ impl UnitParser<'_> {
         if map.is_none() && self.config.wants_maps() {
             if self.source.has_own_maps() {
                 let detail = format!("{}: has no lane; ingest.maps = \"none\" reads it without", scene.source.file);
-                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail });
+                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail }, scene.findings);
             }
-            return UnitOutcome::MissingMap(scene.map_id);
+            return UnitOutcome::MissingMap(scene.map_id, scene.source.file);
         }
+        let findings = scene.findings.clone();
         match assemble(scene, map, self.config) {
             Ok((scene, counts)) => UnitOutcome::Kept { scene: Box::new(scene), counts, own_map },
-            Err(reject) => UnitOutcome::Rejected(reject),
+            Err(reject) => UnitOutcome::Rejected(reject, findings),
         }
     }
 

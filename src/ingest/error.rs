@@ -92,7 +92,7 @@ pub enum Error {
         passed_over_in_words(.passed_over)
     )]
     MissingMaps {
-        /// Places without a map.
+        /// Places without a map, each with the file of a recording.
         missing: Vec<String>,
         /// Maps that were found.
         found: Vec<String>,

@@ -65,11 +65,13 @@ impl MapCatalog {
             return Ok(Self::default());
         }
         let inputs = if config.map_inputs.is_empty() { &config.inputs } else { &config.map_inputs };
-        let (needed, passed_over) = (RefCell::new(BTreeSet::new()), RefCell::new(BTreeSet::new()));
+        let (needed, passed_over) = (RefCell::new(BTreeMap::new()), RefCell::new(BTreeSet::new()));
         let is_wanted = |path: &str| {
             places.note(source.place_at(path).as_deref());
             if source.is_recording(path) {
-                needed.borrow_mut().extend(source.map_of(path));
+                if let Some(id) = source.map_of(path) {
+                    needed.borrow_mut().entry(id).or_insert_with(|| path.to_owned());
+                }
             }
             if is_archive(path) {
                 passed_over.borrow_mut().insert(path.to_owned());
@@ -90,10 +92,10 @@ impl MapCatalog {
             let passed_over = catalog.passed_over.into_iter().collect();
             return Err(Error::NoMaps { dataset: config.dataset.name(), searched: searched.join(", "), passed_over });
         }
-        catalog.require(needed.into_inner().into_iter().filter(|id| !catalog.maps.contains_key(id)))?;
-        let broken = catalog.broken.values();
-        let broken =
-            broken.map(|map| format!("{}; it is passed over, as no recording is known to need it", map.error()));
+        catalog.require(needed.into_inner().into_iter().filter(|(id, _)| !catalog.maps.contains_key(id)))?;
+        let broken = catalog.broken.iter().map(|(id, map)| {
+            format!("{}; it is left out, so that recordings of {id}, if there are any, cannot be read", map.error())
+        });
         for detail in broken.collect::<Vec<_>>() {
             catalog.say("maps_passed_over", detail, progress);
         }
@@ -163,17 +165,17 @@ impl MapCatalog {
         self.maps.get(id).map(|listed| &listed.lanes)
     }
 
-    /// Fails if any map is missing.
+    /// Fails if any map is missing, each with a recording that needs it.
     ///
     /// # Errors
     /// [`Error::Map`] for one that cannot be read; otherwise [`Error::MissingMaps`], which names the missing maps and
     /// those that were found.
-    pub(super) fn require(&self, missing: impl Iterator<Item = MapId>) -> Result<(), Error> {
-        let missing: Vec<MapId> = missing.collect();
-        if let Some(broken) = missing.iter().find_map(|id| self.broken.get(id)) {
+    pub(super) fn require(&self, missing: impl Iterator<Item = (MapId, String)>) -> Result<(), Error> {
+        let missing: Vec<(MapId, String)> = missing.collect();
+        if let Some(broken) = missing.iter().find_map(|(id, _)| self.broken.get(id)) {
             return Err(broken.error());
         }
-        let missing: Vec<String> = missing.into_iter().map(|id| id.0).collect();
+        let missing: Vec<String> = missing.into_iter().map(|(id, file)| format!("{id} (of {file})")).collect();
         if missing.is_empty() {
             return Ok(());
         }
@@ -260,6 +262,10 @@ mod tests {
         fs_err::remove_file(folder.path().join("maps/FIX_Elsewhere.osm")).unwrap();
         let Err(Error::MissingMaps { missing, found, .. }) = read() else { panic!("a map is missing") };
         assert_eq!((missing.len(), found.len()), (1, 1));
+        assert_eq!(
+            missing[0],
+            "interaction/FIX_Elsewhere (of recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv)"
+        );
         assert!(missing[0].contains("FIX_Elsewhere") && found[0].contains("FIX_Intersection"), "{missing:?} {found:?}");
     }
 }

@@ -48,6 +48,7 @@ mod standing;
 mod table;
 #[cfg(test)]
 mod test_data;
+mod vicinity;
 mod windows;
 mod xml_tree;
 

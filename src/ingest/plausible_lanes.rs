@@ -18,8 +18,9 @@ const MAX_TURN_RAD: f64 = 170.0 / 180.0 * std::f64::consts::PI;
 const MIN_SEGMENT_M: f64 = 0.5;
 /// The tolerance for lines where lanes begin and end in a point, meters.
 const SLACK_M: f64 = 0.3;
-/// The fewest points at which a lane is judged.
+/// The fewest points at which a lane is judged, and about the most: each is compared with all of the bounds.
 const MIN_POINTS: usize = 5;
+const MAX_POINTS: usize = 1000;
 
 /// Why a lane is left out: reason and detail.
 type Flaw = (&'static str, String);
@@ -68,7 +69,7 @@ fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
     let resampled = (lane.centerline.0.len() < MIN_POINTS).then(|| lane.centerline.resampled(MIN_POINTS));
     let points = &resampled.as_ref().unwrap_or(&lane.centerline).0;
     let (mut widths_m, mut n_on_wrong_side) = (Vec::with_capacity(points.len()), 0);
-    for (i, point) in points.iter().enumerate() {
+    for (i, point) in points.iter().enumerate().step_by(points.len().div_ceil(MAX_POINTS)) {
         let (Some(left), Some(right)) = (lane.left.project(*point), lane.right.project(*point)) else { return Ok(()) };
         let (to_left, to_right) = (left.point - *point, right.point - *point);
         let (left_m, right_m) = (to_left.norm(), to_right.norm());
@@ -86,7 +87,7 @@ fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
         let detail = format!("it is {usual_m:.1} m wide in the middle and {greatest_m:.1} m at most");
         return Err(("lanes_of_implausible_width", detail));
     }
-    if n_on_wrong_side > points.len() / 2 {
+    if n_on_wrong_side > widths_m.len() / 2 {
         return Err(("lanes_of_contradictory_lines", "its left bound is right of its right one".to_owned()));
     }
     let [center_m, left_m, right_m] = [&lane.centerline, &lane.left, &lane.right].map(Polyline::length_m);
@@ -196,6 +197,18 @@ mod tests {
             assert!(examples.iter().any(|example| example.starts_with(&expected)), "{reason}: {examples:?}");
         }
         assert_eq!(report.warnings.values().map(|found| found.count).sum::<u64>(), faulty.len() as u64);
+    }
+
+    #[test]
+    fn long_lanes_are_judged_in_time() {
+        // Comparing all points with all others would take minutes.
+        let lane = |width_m: f64| {
+            let line = |y: f64| Polyline((0..200_000).map(|x| Vec2::new(f64::from(x) * 0.01, y)).collect());
+            Lane::unconnected(1, line(0.0), [line(width_m / 2.0), line(-width_m / 2.0)])
+        };
+        let mut report = MapReport::default();
+        assert_eq!(plausible(vec![lane(3.0)], &mut report).len(), 1);
+        assert_eq!(plausible(vec![lane(0.5)], &mut report).len(), 0);
     }
 
     #[test]

@@ -92,7 +92,7 @@ impl Element {
     }
 
     /// The elements with this name in it.
-    pub(super) fn all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Self> {
+    pub(super) fn all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Self> + Clone {
         self.children.iter().filter(move |child| child.name == name)
     }
 

@@ -78,7 +78,7 @@ impl Argoverse2<'_> {
             let (graph, report) = map::parse(&companion.bytes)
                 .map_err(|detail| Reject { reason: "bad_map", detail: format!("{}: {detail}", companion.file) })?;
             scene.own_map = Some(Arc::new(graph));
-            scene.findings = report.findings(&companion.file);
+            scene.findings.extend(report.findings(&companion.file));
         }
         Ok(scene)
     }

@@ -53,7 +53,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
     let first = RECORDED.n_history - horizon.n_history;
     let last = timesteps.n_recorded.min(RECORDED.n_history + horizon.n_future);
 
-    let (mut tracks, findings) = read_tracks(unit, &table, &timesteps)?;
+    let (mut tracks, mut findings) = read_tracks(unit, &table, &timesteps)?;
     for track in &mut tracks {
         track.trajectory = Trajectory::new(track.trajectory.entries()[first..last].to_vec());
     }
@@ -66,6 +66,10 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
     }
     let case_id = table.text("scenario_id").map_err(malformed)?.value(0).to_owned();
     let place = table.text("city").map_err(malformed)?.value(0).to_owned();
+    if place.trim().is_empty() {
+        let detail = format!("{}: column city is blank, so that its place has no name", unit.file);
+        findings.push(Finding { what: "scenarios_without_city", n: 1, detail });
+    }
     Ok(RawScene {
         id: SceneId(format!("{}/{}/{place}/{case_id}", Dataset::Argoverse2.name(), split.name())),
         map_id: map_id(Dataset::Argoverse2, &case_id),

@@ -4,6 +4,7 @@
 //! planning problem is not among the obstacles, and is left out.
 
 mod map;
+mod shape;
 #[cfg(test)]
 mod tests;
 mod tracks;
@@ -18,7 +19,7 @@ use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use super::xml_tree::Element;
 use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, Split};
 use std::sync::Arc;
-use tracks::Obstacle;
+use tracks::{Obstacle, Obstacles};
 
 /// One second of past and three of future, as in INTERACTION.
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
@@ -90,7 +91,7 @@ impl Scenario {
             return Err(unit.reject("not_commonroad", detail));
         }
         let step_s = root.attribute("timeStepSize").and_then(|text| text.parse::<f64>().ok());
-        if step_s.is_none_or(|step_s| (step_s - DT_S).abs() > 1e-9) {
+        if !step_s.is_some_and(|step_s| (step_s - DT_S).abs() <= 1e-9) {
             let found = root.attribute("timeStepSize").unwrap_or("missing");
             return Err(unit.reject("other_time_step", format!("timeStepSize is {found}, expected {DT_S} s")));
         }
@@ -98,8 +99,9 @@ impl Scenario {
         if let Some(id) = root.attribute("benchmarkID").filter(|id| !id.is_empty()) {
             unit.case_id = id.to_owned();
         }
-        let (map, report) = map::read(&root);
-        let (obstacles, left_out) = tracks::read(&root);
+        let vicinity = map::vicinity_of(&root);
+        let (map, report) = map::read(&root, vicinity);
+        let Obstacles { read: obstacles, left_out, ignored } = tracks::read(&root, vicinity);
         let mut findings = report.findings(&unit.file);
         let version = root.attribute("commonRoadVersion").unwrap_or_default();
         if !VERSIONS.contains(&version) {
@@ -110,9 +112,10 @@ impl Scenario {
             );
             findings.push(Finding { what: "unknown_versions", n: 1, detail });
         }
-        if let Some(first) = left_out.first() {
-            let detail = format!("{}: {first}", unit.file);
-            findings.push(Finding { what: "obstacles_left_out", n: left_out.len() as u64, detail });
+        for (what, elements) in [("obstacles_left_out", left_out), ("predicted_obstacles_ignored", ignored)] {
+            if let Some(first) = elements.first() {
+                findings.push(Finding { what, n: elements.len() as u64, detail: format!("{}: {first}", unit.file) });
+            }
         }
         Ok(Self {
             place: place_of(&unit.case_id),
@@ -129,11 +132,18 @@ impl Scenario {
         let (n_timesteps, stride) = (horizon.n_timesteps() as i64, stride.max(1) as i64);
         let n_steps = tracks::time_steps(&self.obstacles).map_or(0, |(first, last)| last - first + 1);
         if n_steps < n_timesteps {
-            let reject = if n_steps == 0 {
-                self.unit.reject("no_obstacles", "has no obstacle that moves; its planning problems are not read")
-            } else {
-                self.unit.reject("recording_too_short", horizon.too_long_for(n_steps, "time steps"))
+            let (reason, mut detail) = match n_steps {
+                0 => (
+                    "no_obstacles",
+                    "has no obstacle that moves and can be read; its planning problems are not read".to_owned(),
+                ),
+                _ => ("recording_too_short", horizon.too_long_for(n_steps, "time steps")),
             };
+            // They may say why.
+            for Finding { what, n, detail: of_finding } in &self.findings {
+                detail += &format!("; {n} {}: {of_finding}", what.replace('_', " "));
+            }
+            let reject = self.unit.reject(reason, detail);
             return vec![Box::new(|| Err(reject))];
         }
         let first = tracks::time_steps(&self.obstacles).map_or(0, |(first, _)| first);
@@ -168,7 +178,7 @@ impl Scenario {
             dt_s: DT_S,
             n_timesteps,
             n_history: horizon.n_history,
-            tracks: self.obstacles.iter().filter_map(|obstacle| obstacle.cut(first, n_timesteps)).collect(),
+            tracks: self.obstacles.iter().filter_map(|obstacle| obstacle.cut(first, horizon)).collect(),
             heading_gaps: Vec::new(),
             map_id: map_id(dataset, case_id),
             own_map: self.map.clone(),

@@ -152,10 +152,120 @@ fn a_file_that_is_no_scenario_is_rejected_with_the_reason() {
         ("<!DOCTYPE x><commonRoad/>", "bad_xml", "document type"),
         (short.as_str(), "recording_too_short", "21 time steps, a scene has 40"),
         (&whole.replace("\"0.1\"", "\"0.04\""), "other_time_step", "timeStepSize is 0.04, expected 0.1 s"),
+        (&whole.replace("\"0.1\"", "\"nan\""), "other_time_step", "timeStepSize is nan, expected 0.1 s"),
     ] {
         let error = read(text).unwrap_err().to_string();
         assert!(error.contains(reason) && error.contains(detail) && error.contains("a.xml"), "{error}");
     }
     let deep = "<a>".repeat(40) + &"</a>".repeat(40);
     assert!(Element::parse(&deep).unwrap_err().to_string().contains("more than 32 elements"));
+}
+
+/// The scenario of a car, an obstacle 9 with this shape, which drives north, and these elements.
+fn with_shape(shape: &str, more: &str) -> String {
+    let car = moving("dynamicObstacle", 7, "car", [0, 45], 0.0);
+    let north = (moving("dynamicObstacle", 9, "truck", [0, 45], 8.0))
+        .replace("<rectangle><length>4.4</length><width>1.8</width></rectangle>", shape)
+        .replace("<orientation><exact>0.0", "<orientation><exact>1.5707963267948966");
+    scenario(&(lanelet(1, 0.0, more) + &car + &north))
+}
+
+#[test]
+fn the_position_is_the_center_of_the_box_around_all_shapes() {
+    let rectangle =
+        |length: f64, more: &str| format!("<rectangle><length>{length}</length><width>2</width>{more}</rectangle>");
+    let center = |x: f64, y: f64| format!("<center><x>{x}</x><y>{y}</y></center>");
+    let corners = [(-1.0, -1.0), (5.0, -1.0), (5.0, 1.0), (-1.0, 1.0)].map(|(x, y)| point(x, y)).concat();
+    for (shape, size, [ahead, left]) in [
+        (rectangle(4.0, &center(1.5, 0.25)), [4.0, 2.0], [1.5, 0.25]),
+        (rectangle(4.0, "<orientation>1.5707963267948966</orientation>"), [2.0, 4.0], [0.0, 0.0]),
+        // A tractor of 4 m, and a trailer of 8 m whose middle is 6.5 m behind the middle of the tractor.
+        (rectangle(4.0, "") + &rectangle(8.0, &center(-6.5, 0.0)), [12.5, 2.0], [-4.25, 0.0]),
+        (format!("<circle><radius>1</radius>{}</circle>", center(2.0, 0.0)), [2.0, 2.0], [2.0, 0.0]),
+        (format!("<polygon>{corners}</polygon>"), [6.0, 2.0], [2.0, 0.0]),
+    ] {
+        let (scenes, _) = read(&with_shape(&shape, "")).unwrap();
+        let track = scenes[0].tracks.iter().position(|track| track.id.0 == "9").unwrap();
+        let extent = scenes[0].tracks[track].extent.unwrap();
+        assert!((extent.length_m - size[0]).abs().max((extent.width_m - size[1]).abs()) < 1e-9, "{extent:?}");
+        for timestep in [0, 9, 39] {
+            // North is ahead, west is to the left.
+            let at = scenes[0].world_from_scene.point(scenes[0].state(track, timestep).unwrap().position);
+            let (x, y) = (timestep as f64 - left, 8.0 + ahead);
+            assert!((at.x - x).abs().max((at.y - y).abs()) < 1e-9, "{shape}: {at:?}");
+        }
+    }
+    for (length, expected) in [("-4.4", "-4.4 by 2 m"), ("1e308", "1e308 by 2 m"), ("nan", "is \"nan\"")] {
+        let shape = rectangle(4.0, "").replace(">4<", &format!(">{length}<"));
+        let (_, report) = read(&with_shape(&shape, "")).unwrap();
+        assert!(report.warnings["obstacles_left_out"].examples[0].contains(expected), "{report:?}");
+    }
+}
+
+#[test]
+fn lanelets_for_both_directions_are_for_both() {
+    for (more, one_way) in [
+        ("<userBidirectional>vehicle</userBidirectional>", false),
+        ("<userOneWay>car</userOneWay><userBidirectional>bicycle</userBidirectional>", true),
+    ] {
+        let (scenes, _) = read(&with_shape("<circle><radius>1</radius></circle>", more)).unwrap();
+        assert_eq!(scenes[0].lanes.get(LaneId(1)).unwrap().attributes.one_way, one_way);
+    }
+}
+
+#[test]
+fn states_without_orientation_head_as_they_move() {
+    // Positions and velocities alone, as of point masses: 10 m/s along y.
+    let orientation = "<orientation><exact>0.0</exact></orientation>";
+    let mut text = moving("dynamicObstacle", 7, "car", [0, 45], 3.0).replace(orientation, "");
+    for time in 0..=45 {
+        text = text.replace(&point(f64::from(time), 3.0), &point(3.0, f64::from(time)));
+    }
+    let text = text.replace("<velocity><exact>10", "<velocityY><exact>10").replace("</velocity>", "</velocityY>");
+    let (scenes, report) = read(&scenario(&(lanelet(1, 0.0, "") + &text))).unwrap();
+    assert_eq!(report.warnings.len(), 0, "{report:?}");
+    let heading_rad = scenes[0].world_from_scene.heading(scenes[0].state(0, 0).unwrap().heading_rad);
+    assert!((heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9, "{heading_rad}");
+}
+
+#[test]
+fn what_is_left_out_is_said_where_nothing_is_left() {
+    let car = moving("dynamicObstacle", 7, "car", [0, 45], 0.0);
+    let others = "<phantomObstacle id=\"3\"/><environmentObstacle id=\"4\"/>";
+    let ignored = car.replace("<trajectory>", "<occupancySet/><trajectory>");
+    let (_, report) = read(&scenario(&(lanelet(1, 0.0, "") + &ignored + others))).unwrap();
+    assert_eq!(report.warnings["predicted_obstacles_ignored"].count, 3, "{report:?}");
+    for (bad, expected) in [
+        (car.replace("<x>5</x>", "<x>1e300</x>"), "obstacle 7 on line 1: lies at (1e300, 0)"),
+        (car.replace("<length>4.4", "<length>nan"), "1 obstacles left out: a.xml: obstacle 7 on line 1"),
+        (car.replace("<exact>45</exact>", "<exact>1e9</exact>"), "has time 1000000000,"),
+    ] {
+        let error = read(&scenario(&(lanelet(1, 0.0, "") + &bad))).unwrap_err().to_string();
+        assert!(error.contains("no_obstacles") && error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn places_far_from_the_origin_are_read_and_kept() {
+    // In UTM: everything moved by (691,000, 5,335,000) m.
+    let (east, north) = (691_000.0, 5_335_000.0);
+    let car = |x0: f64, y0: f64| {
+        let states =
+            (0..=45).map(|t| state(if t == 0 { "initialState" } else { "state" }, f64::from(t), x0 + f64::from(t), y0));
+        let states: Vec<String> = states.collect();
+        let shape = "<shape><rectangle><length>4.4</length><width>1.8</width></rectangle></shape>";
+        format!(
+            "<dynamicObstacle id=\"7\"><type>car</type>{shape}{}<trajectory>{}</trajectory></dynamicObstacle>",
+            states[0],
+            states[1..].concat()
+        )
+    };
+    let bound = |name: &str, y: f64| {
+        format!("<{name}>{}{}</{name}>", point(east - 50.0, north + y), point(east + 150.0, north + y))
+    };
+    let lanelet = format!("<lanelet id=\"1\">{}{}</lanelet>", bound("leftBound", 1.75), bound("rightBound", -1.75));
+    let (scenes, report) = read(&scenario(&(lanelet + &car(east, north)))).unwrap();
+    assert_eq!((scenes[0].lanes.lanes().len(), report.warnings.len()), (1, 0), "{report:?}");
+    let at = scenes[0].world_from_scene.point(scenes[0].state(0, 39).unwrap().position);
+    assert!((at.x - east - 39.0).abs().max((at.y - north).abs()) < 1e-6, "{at:?}");
 }

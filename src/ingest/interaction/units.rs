@@ -139,7 +139,13 @@ impl UnitReader for TableReader<'_> {
             unit.header = header.into();
             let unsurveyed = Survey::default();
             let survey = self.surveys.get(entry_idx).unwrap_or(&unsurveyed);
-            return Ok(survey.split_cases(pass, &mut lines, &columns, &unit, emit));
+            let mut n_emitted = 0;
+            let flow = survey.split_cases(pass, &mut lines, &columns, &unit, &mut |case| {
+                n_emitted += 1;
+                emit(case)
+            });
+            let is_empty = n_emitted == 0 && survey.n_gathering_passes == 0;
+            return Ok(if is_empty { emit(Err(unit.reject("no_rows", "has a header and no rows"))) } else { flow });
         }
         unit.version = "v1.1";
         unit.split = file.unit_split(true);

@@ -1,9 +1,8 @@
-//! Which lanes continue in which: by the links of lanes and roads, and the connections of junctions.
+//! Which ends of lanes touch: by the links of lanes and roads, and the connections of junctions.
 
-use super::road::{Road, RoadLink, end_of};
-use crate::ingest::error::Malformed;
+use super::road::{Faults, Road, RoadLink, end_of};
 use crate::ingest::xml_tree::Element;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A lane of a section of a road.
 pub(super) type LaneKey = (usize, usize, i64);
@@ -25,58 +24,123 @@ pub(super) struct Connection {
 
 impl Connection {
     /// The connections of a junction.
-    pub(super) fn all(junction: &Element) -> Result<Vec<Self>, Malformed> {
+    pub(super) fn all(junction: &Element, faults: &mut Faults<'_>) -> Vec<Self> {
         let id = junction.attribute("id").unwrap_or_default();
-        let connection = |element: &Element| -> Result<Option<Self>, Malformed> {
+        let mut connection = |element: &Element| -> Option<Self> {
             let [incoming, connecting] = ["incomingRoad", "connectingRoad"].map(|name| element.attribute(name));
             // Direct junctions link the lanes of two roads without one between them.
-            let Some((incoming, connecting)) = incoming.zip(connecting.or(element.attribute("linkedRoad"))) else {
-                return Ok(None);
-            };
-            let lanes = element.all("laneLink").map(|link| Ok([link.id("from")?, link.id("to")?]));
-            Ok(Some(Self {
+            let (incoming, connecting) = incoming.zip(connecting.or(element.attribute("linkedRoad")))?;
+            let contact = end_of(element, element.attribute("contactPoint"));
+            let lane_link = |link: &Element| Ok([link.id("from")?, link.id("to")?]);
+            Some(Self {
                 junction: id.to_owned(),
                 incoming: incoming.to_owned(),
                 connecting: connecting.to_owned(),
-                contact: end_of(element, element.attribute("contactPoint"))?,
-                lanes: lanes.collect::<Result<Vec<_>, Malformed>>()?,
-            }))
+                contact: faults.sound("broken_junctions", contact).unwrap_or_default(),
+                lanes: (element.all("laneLink"))
+                    .filter_map(|link| faults.sound("broken_junctions", lane_link(link)))
+                    .collect(),
+            })
         };
-        junction.all("connection").filter_map(|element| connection(element).transpose()).collect()
+        junction.all("connection").filter_map(&mut connection).collect()
     }
 }
 
-/// All pairs of ends of lanes that touch.
-pub(super) fn touching(roads: &[Road], connections: &[Connection]) -> Vec<[LaneEnd; 2]> {
-    let by_id: BTreeMap<&str, usize> = roads.iter().enumerate().map(|(idx, road)| (road.id.as_str(), idx)).collect();
-    let section_at = |road: usize, end: usize| if end == 0 { 0 } else { roads[road].sections.len().saturating_sub(1) };
-    let mut found = Vec::new();
-    for (idx, road) in roads.iter().enumerate() {
-        for (section_idx, section) in road.sections.iter().enumerate() {
-            for (lane, end) in section.lanes.iter().flat_map(|lane| [0, 1].map(|end| (lane, end))) {
-                let Some(linked) = lane.links[end] else { continue };
-                let own = ((idx, section_idx, lane.id), end);
-                let beside = if end == 0 { section_idx.checked_sub(1) } else { Some(section_idx + 1) };
-                if let Some(beside) = beside.filter(|beside| *beside < road.sections.len()) {
-                    found.push([own, ((idx, beside, linked), 1 - end)]);
+/// The ends of lanes that touch by what a map says.
+#[derive(Debug, Default)]
+pub(super) struct Touching {
+    pub(super) pairs: BTreeSet<[LaneEnd; 2]>,
+    /// Ends with a link that cannot be followed.
+    pub(super) loose: BTreeSet<LaneEnd>,
+    /// Ends of an incoming and a connecting road, by index, some lanes of which touch, and the connection.
+    pub(super) unnamed: Vec<([(usize, usize); 2], usize)>,
+}
+
+impl Touching {
+    pub(super) fn of(roads: &[Road], connections: &[Connection]) -> Self {
+        let by_id: BTreeMap<&str, usize> =
+            roads.iter().enumerate().map(|(idx, road)| (road.id.as_str(), idx)).collect();
+        let mut found = Self::default();
+        for (idx, road) in roads.iter().enumerate() {
+            for (section_idx, section) in road.sections.iter().enumerate() {
+                let ends = section.lanes.iter().flat_map(|lane| [0, 1].map(|end| (lane, end)));
+                for (lane, end) in ends.filter(|(lane, end)| !lane.links[*end].is_empty()) {
+                    let own = ((idx, section_idx, lane.id), end);
+                    let beside = road.beside(section_idx, end);
+                    let other = match (&road.links[end], beside) {
+                        (_, Some(beside)) => Some((idx, beside, 1 - end)),
+                        (Some(RoadLink::Road(other, contact)), None) => by_id
+                            .get(other.as_str())
+                            .map(|other| (*other, roads[*other].section_at(*contact, lane.links[end][0]), *contact)),
+                        (Some(RoadLink::Broken), None) => None,
+                        (Some(RoadLink::Junction(_)) | None, None) => continue,
+                    };
+                    let Some((road, section, contact)) = other else {
+                        found.loose.insert(own);
+                        continue;
+                    };
+                    lane.links[end].iter().for_each(|linked| found.add(own, ((road, section, *linked), contact)));
+                }
+            }
+        }
+        for (connection_idx, connection) in connections.iter().enumerate() {
+            let ids = [&connection.incoming, &connection.connecting].map(|id| by_id.get(id.as_str()).copied());
+            let [Some(incoming), Some(connecting)] = ids else { continue };
+            let at_junction = RoadLink::Junction(connection.junction.clone());
+            let mut ends: Vec<usize> =
+                [0, 1].into_iter().filter(|end| roads[incoming].links[*end].as_ref() == Some(&at_junction)).collect();
+            let (is_named, is_there, contact) = (!connection.lanes.is_empty(), !ends.is_empty(), connection.contact);
+            if is_there {
+                // Of a loop, one end is meant.
+                let apart_m =
+                    |end: &usize| roads[incoming].point_at(*end).distance(roads[connecting].point_at(contact));
+                ends.sort_by(|a, b| apart_m(a).total_cmp(&apart_m(b)));
+                ends.truncate(1);
+            } else {
+                ends = vec![0, 1];
+            }
+            for end in ends {
+                if !(is_named && is_there) {
+                    found.unnamed.push(([(incoming, end), (connecting, contact)], connection_idx));
                     continue;
                 }
-                let Some(RoadLink::Road(other, contact)) = &road.links[end] else { continue };
-                let Some(other) = by_id.get(other.as_str()) else { continue };
-                found.push([own, ((*other, section_at(*other, *contact), linked), *contact)]);
+                for [from, to] in connection.lanes.iter().copied() {
+                    let incoming = ((incoming, roads[incoming].section_at(end, from), from), end);
+                    found.add(incoming, ((connecting, roads[connecting].section_at(contact, to), to), contact));
+                }
+            }
+        }
+        found
+    }
+
+    fn add(&mut self, one: LaneEnd, other: LaneEnd) {
+        self.pairs.insert(if one <= other { [one, other] } else { [other, one] });
+    }
+
+    /// Lets lanes that are too short to be lanes hand on what touches them: an end that touches such a lane touches what
+    /// lies beyond it.
+    pub(super) fn pass_on(&mut self, is_short: impl Fn(&LaneKey) -> bool) {
+        let touches_short = |pair: &[LaneEnd; 2]| pair.iter().any(|(key, _)| is_short(key));
+        let pairs: Vec<[LaneEnd; 2]> = self.pairs.iter().copied().filter(touches_short).collect();
+        let mut beyond: BTreeMap<LaneEnd, Vec<LaneEnd>> = BTreeMap::new();
+        for [one, other] in &pairs {
+            self.pairs.remove(&[*one, *other]);
+            beyond.entry(*one).or_default().push(*other);
+            beyond.entry(*other).or_default().push(*one);
+        }
+        for own in beyond.keys().filter(|(key, _)| !is_short(key)) {
+            let (mut open, mut seen, mut is_found) = (beyond[own].clone(), BTreeSet::new(), false);
+            while let Some((key, end)) = open.pop() {
+                if !is_short(&key) {
+                    is_found = true;
+                    self.add(*own, (key, end));
+                } else if seen.insert((key, end)) {
+                    open.extend(beyond.get(&(key, 1 - end)).into_iter().flatten());
+                }
+            }
+            if !is_found {
+                self.loose.insert(*own);
             }
         }
     }
-    for connection in connections {
-        let ids = [&connection.incoming, &connection.connecting].map(|id| by_id.get(id.as_str()).copied());
-        let [Some(incoming), Some(connecting)] = ids else { continue };
-        let at_junction = RoadLink::Junction(connection.junction.clone());
-        let ends = [0, 1].into_iter().filter(|end| roads[incoming].links[*end].as_ref() == Some(&at_junction));
-        for (end, [from, to]) in ends.flat_map(|end| connection.lanes.iter().map(move |lanes| (end, *lanes))) {
-            let incoming = ((incoming, section_at(incoming, end), from), end);
-            let connecting = ((connecting, section_at(connecting, connection.contact), to), connection.contact);
-            found.push([incoming, connecting]);
-        }
-    }
-    found
 }

@@ -1,9 +1,10 @@
 //! The edges of lanes as points.
 
-use super::SAME_M;
 use super::cubic::{bend_between, value_at};
 use super::plan_view::pose_at;
-use super::road::{Road, RoadLane};
+use super::road::Road;
+use super::section::{RoadLane, Section};
+use super::{MAX_ROUNDING_M, SAME_M};
 use crate::geometry::{Polyline, Vec2, angle_difference};
 
 /// Points are at most this far apart along the road, meters, and as close as a bend requires for an error of
@@ -14,10 +15,9 @@ const MAX_ERROR_M: f64 = 0.005;
 
 /// The edges of each lane of a section, from left to right in the direction of the road: the left edge of the first,
 /// the right one of the first, … Points of all edges correspond. `None` if the section has no length.
-pub(super) fn edges(road: &Road, section: usize) -> Option<Vec<Edges>> {
-    let [start_m, end_m] = road.range_of(section);
-    let distances_m = distances(road, section, [start_m, end_m])?;
-    let lanes = &road.sections[section].lanes;
+pub(super) fn edges(road: &Road, section: &Section) -> Option<Vec<Edges>> {
+    let Section { start_m, lanes, .. } = section;
+    let distances_m = distances(road, section)?;
     let mut edges: Vec<Edges> = lanes.iter().map(|_| Edges::default()).collect();
     for s_m in distances_m {
         let (at, heading_rad) = pose_at(&road.plan_view, s_m)?;
@@ -31,13 +31,13 @@ pub(super) fn edges(road: &Road, section: usize) -> Option<Vec<Edges>> {
         let mut outward_m = 0.0;
         for (index, lane) in lanes.iter().enumerate().rev().filter(|(_, lane)| lane.id > 0) {
             let inner_m = outward_m;
-            outward_m = outer_m(lane, s_m - start_m, inner_m, 1.0);
+            outward_m = outer_m(lane, s_m - *start_m, inner_m, 1.0);
             place(index, [outward_m, inner_m]);
         }
         outward_m = 0.0;
         for (index, lane) in lanes.iter().enumerate().filter(|(_, lane)| lane.id < 0) {
             let inner_m = outward_m;
-            outward_m = outer_m(lane, s_m - start_m, inner_m, -1.0);
+            outward_m = outer_m(lane, s_m - *start_m, inner_m, -1.0);
             place(index, [inner_m, outward_m]);
         }
     }
@@ -52,16 +52,32 @@ pub(super) struct Edges {
 }
 
 impl Edges {
-    /// Center, left and right edge in the direction of traffic.
-    pub(super) fn in_direction(self, is_along: bool) -> [Polyline; 3] {
-        let Self { mut left, mut right } = self;
-        if !is_along {
-            left.0.reverse();
-            right.0.reverse();
-            (left, right) = (right, left);
+    /// The part of a lane from where it opens to where it closes again, each in a point; `None` if it has no width.
+    pub(super) fn open(mut self) -> Option<Self> {
+        let is_open = |(left, right): (&Vec2, &Vec2)| left.distance(*right) > MAX_ROUNDING_M;
+        let mut places = self.left.0.iter().zip(&self.right.0);
+        let first = places.clone().position(is_open)?;
+        let last = places.rposition(is_open)?;
+        for line in [&mut self.left, &mut self.right] {
+            line.0.truncate(last + 2);
+            line.0.drain(..first.saturating_sub(1));
         }
-        let center = left.0.iter().zip(&right.0).map(|(left, right)| left.lerp(*right, 0.5)).collect();
-        [Polyline(center), left, right]
+        Some(self)
+    }
+
+    /// The line midway between the edges.
+    pub(super) fn middle(&self) -> Polyline {
+        Polyline(self.left.0.iter().zip(&self.right.0).map(|(left, right)| left.lerp(*right, 0.5)).collect())
+    }
+
+    /// Center, left and right edge in the direction of traffic.
+    pub(super) fn in_direction(mut self, is_along: bool) -> [Polyline; 3] {
+        if !is_along {
+            self.left.0.reverse();
+            self.right.0.reverse();
+            std::mem::swap(&mut self.left, &mut self.right);
+        }
+        [self.middle(), self.left, self.right]
     }
 }
 
@@ -74,15 +90,19 @@ fn outer_m(lane: &RoadLane, along_m: f64, inner_m: f64, side: f64) -> f64 {
 }
 
 /// The distances along a road at which the edges of a section have points.
-fn distances(road: &Road, section: usize, [start_m, end_m]: [f64; 2]) -> Option<Vec<f64>> {
+fn distances(road: &Road, section: &Section) -> Option<Vec<f64>> {
+    let Section { start_m, end_m, lanes, .. } = section;
+    let (start_m, end_m) = (*start_m, *end_m);
     if end_m - start_m < SAME_M {
         return None;
     }
-    let lanes = &road.sections[section].lanes;
     let of_lanes =
         lanes.iter().flat_map(|lane| lane.widths.iter().chain(&lane.borders)).map(|cubic| cubic.start_m + start_m);
-    let of_road =
-        road.plan_view.iter().map(|piece| piece.start_m).chain(road.lane_offset.iter().map(|cubic| cubic.start_m));
+    let is_before = |from_m: f64| from_m <= start_m;
+    let pieces = road.plan_view.iter().skip(road.plan_view.partition_point(|piece| is_before(piece.start_m)));
+    let offsets = road.lane_offset.iter().skip(road.lane_offset.partition_point(|cubic| is_before(cubic.start_m)));
+    let of_road = pieces.map(|piece| piece.start_m).take_while(|s_m| *s_m < end_m);
+    let of_road = of_road.chain(offsets.map(|cubic| cubic.start_m).take_while(|s_m| *s_m < end_m));
     let within = of_lanes.chain(of_road).filter(|s_m| *s_m > start_m + SAME_M && *s_m < end_m - SAME_M);
     let mut knots_m: Vec<f64> = within.chain([start_m, end_m]).collect();
     knots_m.sort_by(f64::total_cmp);

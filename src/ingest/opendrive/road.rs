@@ -1,29 +1,33 @@
-//! Roads as described by their elements.
+//! Roads as described by their elements. What is bad in one is left out and told; the rest of the road is read.
 
 use super::cubic::Cubic;
 use super::plan_view::{Piece, pose_at};
+use super::section::{Section, Side, cubics, sections};
+use crate::geometry::Vec2;
 use crate::ingest::error::Malformed;
+use crate::ingest::map_report::MapReport;
 use crate::ingest::xml_tree::Element;
-
-/// Types of lanes on which motor vehicles drive.
-const DRIVABLE: [&str; 13] = [
-    "driving",
-    "entry",
-    "exit",
-    "onRamp",
-    "offRamp",
-    "connectingRamp",
-    "slipLane",
-    "bidirectional",
-    "bus",
-    "taxi",
-    "HOV",
-    "roadWorks",
-    "mwyEntry",
-];
 
 /// Pieces of a reference line that are farther apart than this are not consecutive, meters.
 const MAX_GAP_M: f64 = 1.0;
+
+/// Tells what is left out of an element.
+pub(super) struct Faults<'r> {
+    pub(super) report: &'r mut MapReport,
+    /// The element in messages, such as `road 7`.
+    pub(super) of: String,
+}
+
+impl Faults<'_> {
+    pub(super) fn tell(&mut self, what: &'static str, detail: impl std::fmt::Display) {
+        self.report.warn(what, format!("{}: {detail}", self.of));
+    }
+
+    /// What was found, unless it is bad.
+    pub(super) fn sound<T>(&mut self, what: &'static str, found: Result<T, Malformed>) -> Option<T> {
+        found.map_err(|fault| self.tell(what, fault)).ok()
+    }
+}
 
 /// A road.
 #[derive(Debug)]
@@ -38,6 +42,7 @@ pub(super) struct Road {
     pub(super) speed_limit_mps: Option<String>,
     pub(super) plan_view: Vec<Piece>,
     pub(super) lane_offset: Vec<Cubic>,
+    /// By ascending start.
     pub(super) sections: Vec<Section>,
     /// The links at its start and its end.
     pub(super) links: [Option<RoadLink>; 2],
@@ -49,63 +54,40 @@ pub(super) enum RoadLink {
     /// A road that touches it with its start (0) or its end (1).
     Road(String, usize),
     Junction(String),
-}
-
-/// A stretch of a road with the same lanes.
-#[derive(Debug)]
-pub(super) struct Section {
-    pub(super) start_m: f64,
-    /// From left to right in the direction of the road, without the center.
-    pub(super) lanes: Vec<RoadLane>,
-}
-
-/// A lane of a section.
-#[derive(Debug)]
-pub(super) struct RoadLane {
-    /// Positive on the left of the reference line, ascending away from it.
-    pub(super) id: i64,
-    pub(super) kind: String,
-    /// By ascending start within the section.
-    pub(super) widths: Vec<Cubic>,
-    /// The position of its outer edge, if no widths are given.
-    pub(super) borders: Vec<Cubic>,
-    /// The lanes that it is linked to at the start and at the end of the section.
-    pub(super) links: [Option<i64>; 2],
-}
-
-impl RoadLane {
-    pub(super) fn is_drivable(&self) -> bool {
-        DRIVABLE.contains(&self.kind.as_str())
-    }
-
-    pub(super) fn is_both_ways(&self) -> bool {
-        self.kind == "bidirectional"
-    }
+    /// A link that cannot be read.
+    Broken,
 }
 
 impl Road {
-    pub(super) fn of(element: &Element) -> Result<Self, Malformed> {
-        let length_m = element.float("length", None)?;
+    pub(super) fn of(element: &Element, report: &mut MapReport) -> Result<Self, Malformed> {
+        let id = element.attribute("id").ok_or("has no id")?.to_owned();
         let mut plan_view = children(element, "planView", "geometry").map(Piece::of).collect::<Result<Vec<_>, _>>()?;
         plan_view.sort_by(|a, b| a.start_m.total_cmp(&b.start_m));
-        if plan_view.is_empty() {
-            return Err("has no geometry".into());
+        let Some(last) = plan_view.last() else { return Err("has no geometry".into()) };
+        let faults = &mut Faults { report, of: format!("road {id} on line {}", element.line) };
+        let length_m = faults.sound("broken_lengths", element.float("length", None));
+        let length_m = length_m.unwrap_or(last.start_m + last.length_m);
+        if length_m == 0.0 {
+            faults.tell("roads_without_length", "is 0 m long, expected more than 0");
         }
-        let link = |name| element.find(&["link", name]).map(road_link).transpose();
-        let sections = children(element, "lanes", "laneSection").map(section).collect::<Result<Vec<_>, _>>()?;
+        let sections = sections(children(element, "lanes", "laneSection"), length_m, faults);
         if sections.is_empty() {
             return Err("has no <laneSection> in <lanes>".into());
         }
+        let link = |name: &str, faults: &mut Faults<'_>| {
+            let link = element.find(&["link", name])?;
+            Some(faults.sound("broken_links", road_link(link)).unwrap_or(RoadLink::Broken))
+        };
         Ok(Self {
-            id: element.attribute("id").ok_or("has no id")?.to_owned(),
             length_m,
             junction: element.attribute("junction").filter(|junction| *junction != "-1").map(str::to_owned),
             is_left_hand: element.attribute("rule") == Some("LHT"),
             speed_limit_mps: element.find(&["type", "speed"]).and_then(speed_limit),
             plan_view,
-            lane_offset: cubics(element.find(&["lanes"]), "laneOffset", "s")?,
-            sections: sorted(sections),
-            links: [link("predecessor")?, link("successor")?],
+            lane_offset: cubics(element.find(&["lanes"]), "laneOffset", "s", faults),
+            sections,
+            links: ["predecessor", "successor"].map(|name| link(name, faults)),
+            id,
         })
     }
 
@@ -123,27 +105,31 @@ impl Road {
         pieces.next().or_else(|| is_short.then(taken_on))
     }
 
-    /// The start and end of a section along the road.
-    pub(super) fn range_of(&self, section: usize) -> [f64; 2] {
-        let end_m = self.sections.get(section + 1).map_or(self.length_m, |next| next.start_m);
-        [self.sections[section].start_m, end_m]
+    /// Where its reference line starts (0) or ends (1).
+    pub(super) fn point_at(&self, end: usize) -> Vec2 {
+        pose_at(&self.plan_view, self.length_m * end as f64).map_or(Vec2::ZERO, |(point, _)| point)
+    }
+
+    /// The section that a section touches with its start (0) or its end (1).
+    pub(super) fn beside(&self, section: usize, end: usize) -> Option<usize> {
+        let is_beside = |idx: &usize| self.sections[*idx].side == self.sections[section].side;
+        if end == 0 { (0..section).rev().find(is_beside) } else { (section + 1..self.sections.len()).find(is_beside) }
+    }
+
+    /// The section of a lane at the start (0) or at the end (1) of the road.
+    pub(super) fn section_at(&self, end: usize, lane: i64) -> usize {
+        let has_side = |section: &Section| section.side.is_none_or(|side| side == Side::of_lane(lane));
+        let at_end = |idx: Option<usize>| idx.unwrap_or(self.sections.len());
+        at_end(if end == 0 {
+            self.sections.iter().position(has_side)
+        } else {
+            self.sections.iter().rposition(has_side)
+        })
     }
 }
 
-fn children<'a>(element: &'a Element, group: &str, name: &'a str) -> impl Iterator<Item = &'a Element> {
+fn children<'a>(element: &'a Element, group: &str, name: &'a str) -> impl Iterator<Item = &'a Element> + Clone {
     element.find(&[group]).into_iter().flat_map(move |group| group.all(name))
-}
-
-fn sorted(mut sections: Vec<Section>) -> Vec<Section> {
-    sections.sort_by(|a, b| a.start_m.total_cmp(&b.start_m));
-    sections
-}
-
-fn cubics(group: Option<&Element>, name: &str, start: &str) -> Result<Vec<Cubic>, Malformed> {
-    let found = group.into_iter().flat_map(|group| group.all(name)).map(|element| Cubic::of(element, start));
-    let mut found = found.collect::<Result<Vec<_>, _>>()?;
-    found.sort_by(|a, b| a.start_m.total_cmp(&b.start_m));
-    Ok(found)
 }
 
 fn road_link(element: &Element) -> Result<RoadLink, Malformed> {
@@ -164,33 +150,8 @@ pub(super) fn end_of(element: &Element, contact: Option<&str>) -> Result<usize, 
     }
 }
 
-fn unlisted(element: &Element, name: &str, found: &str, expected: &str) -> Malformed {
+pub(super) fn unlisted(element: &Element, name: &str, found: &str, expected: &str) -> Malformed {
     format!("<{}> on line {} has {name} \"{found}\", expected {expected}", element.name, element.line).into()
-}
-
-fn section(element: &Element) -> Result<Section, Malformed> {
-    let sides = ["left", "right"].into_iter().filter_map(|side| element.find(&[side]));
-    let mut lanes = sides.flat_map(|side| side.all("lane")).map(lane).collect::<Result<Vec<_>, _>>()?;
-    lanes.sort_by_key(|lane| std::cmp::Reverse(lane.id));
-    if let Some(twice) = lanes.windows(2).find(|pair| pair[0].id == pair[1].id) {
-        return Err(format!("has lane {} twice in a section", twice[0].id).into());
-    }
-    Ok(Section { start_m: element.float("s", None)?, lanes })
-}
-
-fn lane(element: &Element) -> Result<RoadLane, Malformed> {
-    let id = element.id("id")?;
-    if id == 0 {
-        return Err("has a lane 0 beside the center".into());
-    }
-    let link = |name| element.find(&["link", name]).map(|link| link.id("id")).transpose();
-    Ok(RoadLane {
-        id,
-        kind: element.attribute("type").unwrap_or_default().to_owned(),
-        widths: cubics(Some(element), "width", "sOffset")?,
-        borders: cubics(Some(element), "border", "sOffset")?,
-        links: [link("predecessor")?, link("successor")?],
-    })
 }
 
 fn speed_limit(element: &Element) -> Option<String> {

@@ -1,7 +1,10 @@
 //! From a document to lanes.
 
+mod continuity;
+
 use super::*;
-use crate::scene::LaneId;
+use crate::geometry::Vec2;
+use crate::scene::{Lane, LaneId, TurnDirection};
 
 fn road(id: &str, more: &str, plan_view: &str, sections: &str) -> String {
     format!(
@@ -170,7 +173,21 @@ fn broken_parts_are_reported_and_the_rest_is_read() {
         (good.replace("<line/>", "<helix/>"), "road 1 on line 1: <geometry> holds <helix>"),
         (good.replace("length='100' >", "length='1e9' >"), "road 1 on line 1: is 1000000000 m long"),
         (good.replace("id='-1'", "id='one'"), "<lane> on line 1 has id \"one\", expected a whole number"),
-        (good.replace("id='-2'", "id='-1'"), "road 1 on line 1: has lane -1 twice"),
+        (
+            good.replace("id='-2'", "id='-1'"),
+            "road 1 on line 1: has lane -1 twice in a section; it and the lanes beyond",
+        ),
+        (good.replace("a='2'", "a='NaN'"), "road 1 on line 1: lane -2 on line 1 has no width where it begins; it and"),
+        (good.replace("<width sOffset='0' a='2'", "<width sOffset='0' a='2'/><width sOffset='9' a='x'"), "has a \"x\""),
+        (good.replace("length='100' >", ">"), "road 1 on line 1: <road> on line 1 has no length, expected a number"),
+        (
+            good.replace("</lanes>", "<laneSection s='100.01'/></lanes>"),
+            "road 1 on line 1: has lanes from 100.01 m on, but is",
+        ),
+        (
+            good.replace("<link></link>", "<link><successor/></link>"),
+            "road 1 on line 1: <successor> on line 1 has id \"\"",
+        ),
         (road("1", "", "", &two_way()), "road 1 on line 1: has no geometry"),
         (
             "<junction id='7'><connection incomingRoad='1' connectingRoad='2'><laneLink from='x'/></connection>

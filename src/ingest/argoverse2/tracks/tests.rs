@@ -91,6 +91,14 @@ fn a_file_becomes_a_scene() {
 }
 
 #[test]
+fn a_scenario_without_city_is_told() {
+    let blank = |column: &ArrayRef| Arc::new(StringArray::from(vec![" "; column.len()])) as ArrayRef;
+    let scene = parse_columns(replaced("city", blank)).expect("well formed");
+    let found: Vec<&str> = scene.findings.iter().map(|finding| finding.what).collect();
+    assert_eq!(found, ["scenarios_without_city"]);
+}
+
+#[test]
 fn the_encoding_of_columns_does_not_matter() {
     let plain = parse_columns(columns(110)).expect("well formed");
     let dictionary = DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8));

@@ -41,6 +41,8 @@ fn tables_without_their_columns_are_rejected() {
         let detail = &scenes[0].as_ref().unwrap_err().detail;
         assert!(detail.starts_with(name) && detail.contains("line 1") && detail.contains(expected), "{detail}");
     }
+    let scenes = scenes_of(&[("train/SIM_A_train.csv", V1_2)]);
+    assert_eq!(scenes[0].as_ref().unwrap_err().detail, "train/SIM_A_train.csv: has a header and no rows");
     // A file that is no table does not affect others.
     let table = [V1_2, &car("1.0,", 7, 1..=40)].concat();
     let scenes = scenes_of(&[("notes.csv", "to do:\n"), ("train/SIM_A_train.csv", &table)]);
