@@ -24,9 +24,10 @@ const MAX_VELOCITY_ERROR_MPS: f64 = 0.1;
 /// Lanes belong to a scene if they are within this distance of a place that an agent can reach, meters.
 const SURROUNDINGS_M: f64 = 10.0;
 
-/// States beyond these limits are errors of the recording: places are within kilometers of their middle. Single
-/// precision, in which scenes are stored, does not allow much more.
-pub(super) const MAX_COORDINATE_M: f64 = 1e6;
+/// States beyond these limits are errors of the recording: UTM counts meters from the equator, and Web Mercator goes
+/// around the earth. In double precision that is exact to nanometers, and scenes, which are stored in single precision,
+/// have their own frame.
+pub(super) const MAX_COORDINATE_M: f64 = 2.1e7;
 const MAX_SPEED_MPS: f64 = 1e6;
 
 /// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.

@@ -226,8 +226,8 @@ enum UnitOutcome {
     },
     /// With the doubts that may explain it.
     Rejected(Reject, Vec<Finding>),
-    /// Left out by the configuration, with the reason.
-    Unwanted(&'static str),
+    /// Left out by the configuration, with the reason, and what was found about its recording.
+    Unwanted(&'static str, Vec<Finding>),
     /// The map, and the file of the recording.
     MissingMap(MapId, String),
 }
@@ -282,7 +282,7 @@ impl UnitParser<'_> {
         let outcomes: Vec<PendingOutcome<'_>> = match unit {
             Err(reject) => vec![Box::new(|| UnitOutcome::Rejected(reject, Vec::new()))],
             Ok(unit) => match self.reason_unwanted(&unit) {
-                Some(what) => vec![Box::new(move || UnitOutcome::Unwanted(what))],
+                Some(what) => vec![Box::new(move || UnitOutcome::Unwanted(what, Vec::new()))],
                 None => {
                     let scenes = self.source.parse(unit).into_iter();
                     scenes.map(|scene| Box::new(|| self.finish_scene(scene())) as PendingOutcome<'_>).collect()
@@ -336,7 +336,10 @@ impl UnitParser<'_> {
                     collected.report.count_reject(&reject);
                     findings.into_iter().for_each(|finding| collected.report.count_warning(finding));
                 }
-                UnitOutcome::Unwanted(what) => collected.report.count_dropped(what, 1),
+                UnitOutcome::Unwanted(what, findings) => {
+                    collected.report.count_dropped(what, 1);
+                    findings.into_iter().for_each(|finding| collected.report.count_warning(finding));
+                }
                 UnitOutcome::MissingMap(..) => {}
                 UnitOutcome::Kept { scene, counts, own_map } => {
                     collected.report.merge(&counts);
@@ -353,17 +356,18 @@ impl UnitParser<'_> {
             Ok(scene) => scene,
             Err(reject) => return UnitOutcome::Rejected(reject, Vec::new()),
         };
+        let findings = scene.findings.clone();
         if !self.config.wants_split(scene.source.split) {
-            return UnitOutcome::Unwanted(OTHER_SPLITS);
+            return UnitOutcome::Unwanted(OTHER_SPLITS, findings);
         }
         if let Some(flaw) = flaw_of(&scene.source.place) {
             let detail = format!("{}: {flaw}", scene.source.file);
-            return UnitOutcome::Rejected(Reject { reason: "bad_place", detail }, scene.findings);
+            return UnitOutcome::Rejected(Reject { reason: "bad_place", detail }, findings);
         }
         name_blank_place(&mut scene);
         self.places.note(Some(&scene.source.place));
         if !self.config.wants_place(&scene.source.place) {
-            return UnitOutcome::Unwanted(OTHER_PLACES);
+            return UnitOutcome::Unwanted(OTHER_PLACES, findings);
         }
         let own_map = if self.config.wants_maps() { scene.own_map.take() } else { None };
         let own_index = own_map.clone().map(LaneIndex::new);
@@ -371,11 +375,10 @@ impl UnitParser<'_> {
         if map.is_none() && self.config.wants_maps() {
             if self.source.has_own_maps() {
                 let detail = format!("{}: has no lane; ingest.maps = \"none\" reads it without", scene.source.file);
-                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail }, scene.findings);
+                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail }, findings);
             }
             return UnitOutcome::MissingMap(scene.map_id, scene.source.file);
         }
-        let findings = scene.findings.clone();
         match assemble(scene, map, self.config) {
             Ok((scene, counts)) => UnitOutcome::Kept { scene: Box::new(scene), counts, own_map },
             Err(reject) => UnitOutcome::Rejected(reject, findings),

@@ -9,6 +9,8 @@ use std::fmt::{self, Display};
 
 /// Agents faster than this have a direction of motion, m/s.
 const MOVING_MPS: f64 = 1.0;
+/// If fewer of the moving vehicles drive along lanes, positions and map do not fit.
+const MIN_ALONG_LANES: f64 = 0.5;
 /// A vehicle this near to the center of a lane is on it, meters.
 const ON_LANE_M: f64 = 2.0;
 
@@ -52,7 +54,13 @@ impl Explanation {
             ),
             ("positions", extent_of(scenes)),
         ];
-        facts.extend(on_lanes(scenes).map(|share| ("lanes", share)));
+        if let Some((share, along)) = on_lanes(scenes) {
+            facts.push(("lanes", share));
+            if along < MIN_ALONG_LANES {
+                let doubt = "few vehicles drive along lanes: are positions, directions and map in one frame?";
+                facts.push(("doubt", doubt.to_owned()));
+            }
+        }
         facts.extend(report.assumed.iter().map(|(what, n)| ("assumed", format!("{n} {}", what.replace('_', " ")))));
         Self { facts, classes: classes(scenes) }
     }
@@ -118,8 +126,9 @@ fn extent_of(scenes: &[Scene]) -> String {
     )
 }
 
-/// How many of the vehicles that move at present are on a lane and along it; `None` without lanes.
-fn on_lanes(scenes: &[Scene]) -> Option<String> {
+/// How many of the vehicles that move at present are on a lane and along it, and the latter's share; `None` without
+/// lanes.
+fn on_lanes(scenes: &[Scene]) -> Option<(String, f64)> {
     let (mut n, mut n_on, mut n_along) = (0_u32, 0_u32, 0_u32);
     for (scene, track) in
         tracks(scenes).filter(|(scene, track)| !scene.lanes.lanes().is_empty() && track.class.is_motorized())
@@ -137,11 +146,12 @@ fn on_lanes(scenes: &[Scene]) -> Option<String> {
     }
     let percent = |count: u32| 100.0 * f64::from(count) / f64::from(n);
     (n > 0).then(|| {
-        format!(
+        let share = format!(
             "{:.0} % of moving vehicles are within {ON_LANE_M} m of the center of a lane, {:.0} % of all along it",
             percent(n_on),
             percent(n_along)
-        )
+        );
+        (share, f64::from(n_along) / f64::from(n))
     })
 }
 
@@ -198,6 +208,14 @@ mod tests {
             row.contains(" 2 ") && row.contains("0.0, ") && row.contains(", 10.0 m/s") && row.contains("0.0 deg"),
             "{row}"
         );
-        assert!(text.contains("100 % of moving vehicles are within 2 m"), "{text}");
+        assert!(text.contains("100 % of moving vehicles are within 2 m") && !text.contains("doubt"), "{text}");
+        let mut against = scene(&[moving, standing]);
+        for track in &mut against.tracks {
+            let turned = |state: &State| State { heading_rad: state.heading_rad + 3.0, ..*state };
+            let states = track.trajectory.entries().iter().map(|state| state.as_ref().map(turned)).collect();
+            track.trajectory = crate::scene::Trajectory::new(states);
+        }
+        let text = Explanation::of(&[against], &IngestReport::default()).to_string();
+        assert!(text.contains("doubt") && text.contains("few vehicles drive along lanes"), "{text}");
     }
 }

@@ -20,26 +20,49 @@ const MAX_OFF_SIZE_M: f64 = 0.5;
 pub(super) fn mend(raw: &mut RawScene, counts: &mut IngestReport) {
     let max_gap = (MAX_GAP_S / raw.dt_s).round() as usize;
     let is_benchmark = matches!(raw.source.dataset, Dataset::Argoverse1 | Dataset::Argoverse2);
+    let starts = (0..raw.tracks.len()).filter(|_| !is_benchmark).filter_map(|idx| {
+        let (start, first) = raw.tracks[idx].trajectory.valid().next()?;
+        Some((start, first.position.x, idx))
+    });
+    let mut starts: Vec<(usize, f64, usize)> = starts.collect();
+    // Crowds have thousands of tracks: only those are compared that begin when and where one ends.
+    starts.sort_by(|(a, x, _), (b, other_x, _)| a.cmp(b).then(x.total_cmp(other_x)));
+    let near = |start: usize, x: f64| {
+        let at = |x: f64| starts.partition_point(|(from, at, _)| (*from, *at) < (start, x));
+        starts[at(x - MAX_OFF_M)..at((x + MAX_OFF_M).next_up())].iter().map(|(.., idx)| *idx)
+    };
     let mut joined: Option<String> = None;
-    let mut n_joined = 0;
+    let mut is_gone = vec![false; raw.tracks.len()];
     let mut idx = 0;
     while idx < raw.tracks.len() {
+        let Some((end, last)) = raw.tracks[idx].trajectory.valid().next_back().filter(|_| !is_gone[idx]) else {
+            idx += 1;
+            continue;
+        };
+        let reached_x = |start: usize| last.position.x + last.velocity.x * (start - end) as f64 * raw.dt_s;
+        let begin = (end + 1..=end + max_gap).flat_map(|start| near(start, reached_x(start)));
         let next = |later: &usize| continues(&raw.tracks[idx], &raw.tracks[*later], raw.dt_s, max_gap);
-        let others = (0..raw.tracks.len()).filter(|later| *later != idx && !is_benchmark);
-        let candidates: Vec<usize> = others.filter(next).collect();
+        let candidates: Vec<usize> = begin.filter(|later| *later != idx && !is_gone[*later]).filter(next).collect();
         // Among several, none is certain.
         let [later] = candidates[..] else {
             idx += 1;
             continue;
         };
-        n_joined += 1;
         joined.get_or_insert_with(|| format!("track {} is {} again", raw.tracks[later].id, raw.tracks[idx].id));
         let whole = join(&raw.tracks[idx], &raw.tracks[later]);
         raw.tracks[idx] = whole;
-        raw.tracks.remove(later);
-        raw.heading_gaps.retain(|gap| gap.track_idx != later);
-        raw.heading_gaps.iter_mut().filter(|gap| gap.track_idx > later).for_each(|gap| gap.track_idx -= 1);
-        idx -= usize::from(later < idx);
+        is_gone[later] = true;
+    }
+    let n_joined = is_gone.iter().filter(|is_gone| **is_gone).count() as u64;
+    if n_joined > 0 {
+        let places: Vec<usize> = is_gone
+            .iter()
+            .scan(0, |place, is_gone| Some(std::mem::replace(place, *place + usize::from(!is_gone))))
+            .collect();
+        raw.heading_gaps.retain(|gap| !is_gone[gap.track_idx]);
+        raw.heading_gaps.iter_mut().for_each(|gap| gap.track_idx = places[gap.track_idx]);
+        let mut kept = is_gone.iter().map(|is_gone| !is_gone);
+        raw.tracks.retain(|_| kept.next().unwrap_or(true));
     }
     if let Some(first) = joined {
         let detail = format!("{}: scene {}: {first}", raw.source.file, raw.id);
@@ -129,6 +152,15 @@ mod tests {
         assert_eq!(mended(|scene| scene.tracks.swap(0, 1))[0], ["1: 9", "3: 10"]);
         let of_benchmark = mended(|scene| scene.source.dataset = Dataset::Argoverse1);
         assert_eq!(of_benchmark[0].len(), 3, "{of_benchmark:?}");
+    }
+
+    #[test]
+    fn crowds_take_no_longer_than_their_number() {
+        let [tracks, _] = mended(|scene| {
+            let standing = scene.tracks[2].clone();
+            scene.tracks.extend((0..50_000).map(|_| standing.clone()));
+        });
+        assert_eq!(tracks.len(), 50_002);
     }
 
     #[test]

@@ -1,6 +1,5 @@
 //! Which coordinates belong together: those around their middle, wherever the origin of their frame is.
 
-use super::assemble::MAX_COORDINATE_M;
 use super::error::Malformed;
 use crate::geometry::Vec2;
 
@@ -13,7 +12,10 @@ pub(super) fn in_words(number: f64) -> String {
     if number.abs() < 1e15 { number.to_string() } else { format!("{number:e}") }
 }
 
-/// The points within [`MAX_COORDINATE_M`] of the middle of a map or a scene.
+/// Places are within kilometers of their middle, meters.
+const MAX_FROM_MIDDLE_M: f64 = 1e6;
+
+/// The points within [`MAX_FROM_MIDDLE_M`] of the middle of a map or a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Vicinity {
     middle: Vec2,
@@ -38,7 +40,7 @@ impl Vicinity {
 
     pub(super) fn holds(&self, at: Vec2) -> bool {
         let from_middle = at - self.middle;
-        at.is_finite() && from_middle.x.abs().max(from_middle.y.abs()) <= MAX_COORDINATE_M
+        at.is_finite() && from_middle.x.abs().max(from_middle.y.abs()) <= MAX_FROM_MIDDLE_M
     }
 
     /// The point, if it belongs to the others.
@@ -48,7 +50,7 @@ impl Vicinity {
             true => Ok(at),
             false => {
                 let what = format!("lies at ({}, {})", in_words(at.x), in_words(at.y));
-                Err(format!("{what}, expected at most {MAX_COORDINATE_M} m from ({x}, {y}), around which most lies")
+                Err(format!("{what}, expected at most {MAX_FROM_MIDDLE_M} m from ({x}, {y}), around which most lies")
                     .into())
             }
         }

@@ -324,7 +324,7 @@ mod tests {
         for (fault, n_lanes, expected) in [
             (WAYS.replace(r#"<nd ref="2"/>"#, r#"<nd ref="9"/>"#), 2, "way 101: refers to missing node 9"),
             (WAYS.replace("20", "NaN"), 1, "node coordinate x is `NaN`, expected a number"),
-            (WAYS.replace("20", "1e7"), 1, "node coordinate x is `1e7`, expected a number"),
+            (WAYS.replace("20", "1e8"), 1, "node coordinate x is `1e8`, expected a number"),
             (WAYS.replace("\"True\"", "\"yes\""), 2, "way 100: has_traffic_control is `yes`"),
             (WAYS.replace(r#"<nd ref="3"/>"#, ""), 2, "lane 102: its centerline has fewer than 2 distinct points"),
             (WAYS.replace("lane_id=\"102", "lane_id=\"100"), 2, "lane 100: the first of this id is kept"),

@@ -252,7 +252,7 @@ proptest! {
 #[test]
 fn impossible_states_are_rejected_before_they_are_stored() {
     // Single precision holds neither; the first would be stored unchanged, the second would become infinite.
-    for (x, reason) in [(1e7, "out_of_range"), (1e39, "out_of_range"), (f64::INFINITY, "non_finite")] {
+    for (x, reason) in [(1e8, "out_of_range"), (1e39, "out_of_range"), (f64::INFINITY, "non_finite")] {
         let reject = assemble(raw(vec![context("a", 0.0, 0.0), context("b", x, 0.0)]), None, &config()).unwrap_err();
         assert_eq!(reject.reason, reason);
         assert!(reject.detail.contains("val/X_val.csv") && reject.detail.contains("track b"), "{}", reject.detail);
