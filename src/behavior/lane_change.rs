@@ -1,10 +1,11 @@
 //! Lane change: does an agent move over to the lane beside its own and stay there?
 
+use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::lane_tracker::{LaneMove, LaneTrace};
 use super::maneuver::Maneuver;
 use super::{Behavior, BehaviorEvent, EventLabel};
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,6 +23,14 @@ const MIN_STAY_S: f64 = 1.0;
 /// How far the center must be beyond the lane's side before it has left the lane, meters: more than the center of a
 /// vehicle along a side wavers.
 const HYSTERESIS_M: f64 = 0.3;
+/// Lanes go on beside each other if they are at least this far apart up to this far before and after the crossing,
+/// meters.
+const APART_M: f64 = 2.0;
+const BESIDE_M: f64 = 8.0;
+/// A lane that has turned by more than the first over that distance, and turns by less than the second from the
+/// crossing on, comes out of a turn, radians.
+const TURNED_RAD: f64 = 0.5;
+const STRAIGHT_RAD: f64 = 0.3;
 /// How far the center must be from the old center line for the change to have begun, meters.
 const START_OFFSET_M: f64 = 0.5;
 /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, meters.
@@ -37,8 +46,9 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 /// - It is *complete* when the center has been in the new lane for 1 s. Crossing several lanes, each in less than
 ///   that, is one event: the last crossing.
 /// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
-///   moving over to an oncoming lane; weaving within 0.3 m of a line; changes that the scene ends too early to
-///   confirm.
+///   crossing between lanes that are less than 2 m apart 8 m before or after, as where they fork, merge or overlap;
+///   coming out of a turn in another lane; moving over to an oncoming lane; weaving within 0.3 m of a line; changes
+///   that the scene ends too early to confirm.
 ///
 /// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its center comes within
 /// 0.5 m of a lane beside its own.
@@ -64,6 +74,9 @@ impl LaneChange {
             let is_soon = |next: &LaneMove<'_>| next.timestep < crossing.timestep + stay;
             let back = crossings.next_if(|next| is_soon(next) && next.side != crossing.side);
             let goes_on = crossings.peek().is_some_and(|next| is_soon(next));
+            if !is_between_neighbors(lanes, crossing) {
+                continue;
+            }
             let (label, end) = match back {
                 Some(back) => (EventLabel::Negative, back.timestep),
                 None if goes_on || crossing.last_followed < crossing.timestep + stay => continue,
@@ -110,6 +123,27 @@ impl LaneChange {
                 .with("duration_s", (last.timestep - first.timestep) as f64 * scene.dt_s);
         Some(event)
     }
+}
+
+/// Whether the lanes of a crossing go on beside each other, before and after it, and neither comes out of a turn there.
+fn is_between_neighbors(lanes: &SceneLanes<'_>, crossing: &LaneMove<'_>) -> bool {
+    let [old, new] = [crossing.from, crossing.lane].map(|lane| KeptLane::from_lane(lanes, lane));
+    let heading_rad = |lane: &KeptLane, ahead_m: f64| {
+        let station_m = lane.project(crossing.position)?.station_m + ahead_m;
+        lane.project(lane.point_at(station_m)?).map(|place| place.heading_rad)
+    };
+    let apart_m = |ahead_m: f64| {
+        let station_m = new.project(crossing.position)?.station_m + ahead_m;
+        old.project(new.point_at(station_m)?).map(|place| place.offset_m.abs())
+    };
+    let turn_rad = |lane: &KeptLane, from_m: f64, to_m: f64| {
+        let (from, to) = heading_rad(lane, from_m).zip(heading_rad(lane, to_m))?;
+        Some(angle_difference(to, from).abs())
+    };
+    let turned = turn_rad(&old, -BESIDE_M, 0.0).is_some_and(|turn| turn > TURNED_RAD);
+    let comes_out = turned && turn_rad(&new, 0.0, BESIDE_M).is_some_and(|turn| turn < STRAIGHT_RAD);
+    let is_apart = |ahead_m: &f64| apart_m(*ahead_m).is_some_and(|apart_m| apart_m >= APART_M);
+    [-BESIDE_M, 0.0, BESIDE_M].iter().all(is_apart) && !comes_out
 }
 
 impl Behavior for LaneChange {

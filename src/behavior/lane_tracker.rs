@@ -21,7 +21,11 @@ pub(crate) struct LaneMove<'a> {
     pub(crate) heading_rad: f64,
     /// The last timestep up to which the agent is tracked without being lost.
     pub(crate) last_followed: usize,
-    lane: &'a IndexedLane<'a>,
+    /// The place of the agent then.
+    pub(crate) position: Vec2,
+    /// The old lane and the new one.
+    pub(crate) from: &'a IndexedLane<'a>,
+    pub(crate) lane: &'a IndexedLane<'a>,
 }
 
 /// A timestep at which an agent is close to a lane beside its own.
@@ -106,7 +110,8 @@ impl<'a> LaneTrace<'a> {
             .copied()?;
         if relation == LaneRelation::Beside {
             let side = from.lane.centerline.project(state.position).map_or(1.0, |p| p.offset_m.signum());
-            let crossing = LaneMove { timestep, side, heading_rad: place.heading_rad, last_followed: timestep, lane };
+            let (heading_rad, position) = (place.heading_rad, state.position);
+            let crossing = LaneMove { timestep, side, heading_rad, last_followed: timestep, position, from, lane };
             self.crossings.push(crossing);
         }
         Some((lane, place))

@@ -206,15 +206,6 @@ Examples:
   djinn corpus sample output/all --n 1000 --out output/thousand
   djinn corpus sample output/all --n 60 --by behavior --seed 7 --out output/balanced";
 
-/// Help after the options of `corpus diff`.
-pub(super) const CORPUS_DIFF: &str = "\
-Compares counts by behavior and place, lists scenarios that were added, removed or changed (and in which columns), and \
-shows how distributions shifted. The exit code is 0 whether or not the corpora differ.
-
-Examples:
-  djinn corpus diff output/quickstart/before/corpus output/quickstart/main/corpus
-  djinn corpus diff output/a output/b --json | jq .n_changed";
-
 /// Help after the options of `regenerate`.
 pub(super) const REGENERATE: &str = "\
 Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the \

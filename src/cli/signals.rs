@@ -2,6 +2,7 @@
 
 use super::exit;
 use super::printer::stderr_line;
+use crate::drive::kill_planners;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGUSR1};
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::{self, emulate_default_handler, signal_name};
@@ -62,8 +63,9 @@ pub(super) fn phase_begins() {
 /// the work has to begin anew. If the same command resumes it, they let a phase that listens save its work, and the
 /// exit code tells that it can be resumed.
 ///
-/// Nothing is cleaned up: at every moment, each file is whole under its name or marked as partial, and the next command
-/// handles the rest. Signals that the parent ignores, as `nohup` does with SIGHUP, stay ignored.
+/// No file is cleaned up: at every moment, each is whole under its name or marked as partial, and the next command
+/// handles the rest. Planners are ended, with all that they have started. Signals that the parent ignores, as `nohup`
+/// does with SIGHUP, stay ignored.
 pub(super) fn watch() {
     let ignored = ignored_signals();
     let wanted = [SIGTERM, SIGINT, SIGHUP, SIGUSR1].into_iter().filter(|signal| ignored & (1 << (signal - 1)) == 0);
@@ -80,6 +82,7 @@ pub(super) fn watch() {
             );
             if !resumes {
                 tell(ended);
+                kill_planners();
                 // Returns only if the signal cannot be raised; then the next one is awaited.
                 let _ = emulate_default_handler(signal);
             } else if !MUST_STOP.swap(true, Ordering::Relaxed) {
@@ -99,6 +102,7 @@ fn end_unless_listening(ended: String) {
         std::thread::sleep(Duration::from_millis(50));
     }
     tell(ended);
+    kill_planners();
     low_level::exit(i32::from(exit::LATER));
 }
 

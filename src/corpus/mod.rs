@@ -1,4 +1,4 @@
-//! Tools for finished corpora: they check, merge, filter, sample and compare them.
+//! Tools for finished corpora: they check, merge, filter and sample them.
 //!
 //! Every tool reads a corpus from its beginning to its end, a few scenarios at a time, so that memory does not grow
 //! with states, but only with hashes of ids. Tools that write make a new folder beside the final one and rename it when
@@ -6,7 +6,6 @@
 
 mod condition;
 mod copy;
-mod diff;
 mod error;
 mod filter;
 mod merge;
@@ -20,7 +19,6 @@ mod validate;
 
 pub use condition::Condition;
 pub use copy::CopyOutcome;
-pub use diff::{DiffReport, DistributionShift, diff};
 pub use error::{Error, Result};
 pub use filter::{FilterOptions, Top, filter};
 pub use merge::merge;

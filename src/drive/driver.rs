@@ -1,5 +1,6 @@
 //! Who moves the ego?
 
+use super::Error;
 use super::situation::Situation;
 use super::world::World;
 use crate::generate::NamedDriver;
@@ -46,32 +47,35 @@ pub trait Driver: Send {
         true
     }
 
-    /// Ends the drive, with its outcome and the reason.
-    fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) {}
+    /// Ends the drive, with its outcome and the reason. Returns what the driver has said to people meanwhile.
+    fn end(&mut self, _outcome: super::Outcome, _why: Option<&str>) -> String {
+        String::new()
+    }
 }
 
-/// The failure of a driver.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Failed {
-    /// Whether it was too slow.
-    pub fault: Fault,
-    /// A description of the failure.
-    pub why: String,
-}
-
-/// The kind of a failure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Fault {
-    /// Too slow.
-    TimedOut,
-    /// Anything else.
-    Failed,
+/// Why a driver does not drive on, with the reason for people.
+#[derive(Debug)]
+pub enum Failed {
+    /// It is too slow.
+    TimedOut(String),
+    /// Anything else that it does wrong.
+    Driver(String),
+    /// The model has no future that it asks for.
+    NotSampled(String),
+    /// What ends the drives of all scenarios.
+    Error(Error),
 }
 
 impl Failed {
-    /// A failure with this reason.
+    /// A failure of the driver.
     pub fn because(why: impl Into<String>) -> Self {
-        Self { fault: Fault::Failed, why: why.into() }
+        Self::Driver(why.into())
+    }
+}
+
+impl From<Error> for Failed {
+    fn from(error: Error) -> Self {
+        Self::Error(error)
     }
 }
 

@@ -9,6 +9,17 @@ pub enum Error {
     /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
+    /// A planner that never runs.
+    #[error("the planner `{command}` does not run: {why}")]
+    Planner {
+        /// The command.
+        command: String,
+        /// What happens to it.
+        why: String,
+    },
+    /// The machine has no more processes, threads or memory.
+    #[error("{0}")]
+    Machine(String),
     /// A scenario that the model cannot continue.
     #[error("scenario {scenario_id} {why}")]
     Unfit {

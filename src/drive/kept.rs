@@ -5,7 +5,7 @@ use super::{Error, Result};
 use crate::files::{self, keep_list, listed, remove_listed};
 use crate::store::{self, read_binary, write_binary_atomically};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Drives by scenario, each a file.
 pub(super) struct Kept {
@@ -13,6 +13,8 @@ pub(super) struct Kept {
     /// The format of the files, which distinguishes the program, corpus, model and settings of the drives.
     format: String,
     n_found: AtomicUsize,
+    /// Whether the folder is new and nothing has been kept in it.
+    is_unused: AtomicBool,
 }
 
 impl Kept {
@@ -21,6 +23,7 @@ impl Kept {
         let mut name = out.file_name().unwrap_or_default().to_owned();
         name.push(".drives");
         let dir = out.with_file_name(name);
+        let is_unused = AtomicBool::new(!dir.exists());
         if !dir.exists() {
             fs_err::create_dir(&dir)?;
             keep_list(&dir)?;
@@ -28,7 +31,7 @@ impl Kept {
             return Err(files::Error::Exists { path: dir }.into());
         }
         let format = format!("drives.{}", blake3::hash(identity.as_bytes()).to_hex());
-        Ok(Self { dir, format, n_found: AtomicUsize::new(0) })
+        Ok(Self { dir, format, n_found: AtomicUsize::new(0), is_unused })
     }
 
     /// The drives of a scenario, if it was driven before.
@@ -46,6 +49,7 @@ impl Kept {
 
     /// Keeps the drives of a scenario.
     pub(super) fn put(&self, scenario_id: &str, drives: &Drives) -> Result<()> {
+        self.is_unused.store(false, Ordering::Relaxed);
         Ok(write_binary_atomically(&self.path(scenario_id), &self.format, drives).map(drop)?)
     }
 
@@ -55,7 +59,7 @@ impl Kept {
     }
 
     /// Removes the kept drives, once the output is in its place.
-    pub(super) fn remove(self) -> Result<()> {
+    pub(super) fn remove(&self) -> Result<()> {
         let ours = listed(&self.dir)?.unwrap_or_default();
         remove_listed(&self.dir, &ours).map(drop).map_err(Error::from)
     }
@@ -63,6 +67,15 @@ impl Kept {
     fn path(&self, scenario_id: &str) -> PathBuf {
         // Ids of a foreign corpus may be no names of files.
         self.dir.join(blake3::hash(scenario_id.as_bytes()).to_hex().as_str())
+    }
+}
+
+impl Drop for Kept {
+    /// A drive that was refused leaves nothing behind.
+    fn drop(&mut self) {
+        if self.is_unused.load(Ordering::Relaxed) {
+            drop(self.remove());
+        }
     }
 }
 

@@ -32,6 +32,7 @@
 mod action;
 mod aim;
 mod arrivals;
+mod bends;
 mod driver;
 mod drivers;
 mod error;
@@ -43,6 +44,7 @@ mod margin;
 mod outcome;
 mod page;
 mod peek;
+mod process;
 pub mod protocol;
 mod reaction;
 mod report;
@@ -60,14 +62,16 @@ mod traffic;
 mod workers;
 mod world;
 
-pub use driver::{Driver, EgoDriver, Failed, Fault, Peeker};
+pub use driver::{Driver, EgoDriver, Failed, Peeker};
 pub use error::{Error, Result};
 pub use margin::{DelaySurvived, Margin, Margins};
 pub use outcome::{Contact, Outcome, Side};
+pub use process::kill_planners;
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};
 pub use run::{
-    DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, STATES_DIR, SaveAt, drive_corpus,
+    DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, PLANNER_LOG, STATES_DIR, SaveAt,
+    drive_corpus,
 };
 pub use score::score;
 pub use situation::Situation;

@@ -1,7 +1,7 @@
 //! Samples possible futures of everybody, without advancing.
 
 use super::reaction::brake;
-use super::{Failed, Result, Situation, World};
+use super::{Error, Failed, Result, Situation, World};
 use crate::generate::{Continued, Futures};
 use crate::scene::Scene;
 
@@ -20,11 +20,11 @@ pub(super) fn peek(
     let name = format!("{} peek", situation.scenario_id);
     let (center_idx, step) = (situation.ego_idx, world.now() * MOST_FUTURES);
     let asked = Continued { scene: &scene, mask: &mask, center_idx, name: &name, step };
-    let failed = |why: String| Failed::because(format!("the model has no futures to peek into: {why}"));
-    let drawn = futures.several(&asked, n).map_err(|error| failed(error.to_string()))?;
+    let drawn = futures.several(&asked, n).map_err(Error::from)?;
     let everybody: Vec<usize> = (0..world.n_tracks()).collect();
     let braked = drawn.into_iter().map(|future| {
-        let mut future = future.map_err(|unfit| failed(unfit.to_string()))?;
+        let unfit = |unfit| Failed::NotSampled(format!("the model has no futures to peek into: {unfit}"));
+        let mut future = future.map_err(unfit)?;
         brake(situation, &mut future, &everybody);
         Ok(future)
     });

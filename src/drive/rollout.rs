@@ -7,7 +7,7 @@ use super::reaction::{brake, go_on};
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
-use super::{Contact, Driver, Error, Failed, Fault, Outcome, Result};
+use super::{Contact, Driver, Error, Failed, Outcome, Result};
 use crate::generate::{Continued, Futures};
 use crate::scene::{Scene, State, UnfitScene};
 use serde::{Deserialize, Serialize};
@@ -101,6 +101,8 @@ pub struct Driven {
     pub traffic: Traffic,
     /// The world at the first replanning at or after the requested timestep.
     pub saved: Option<World>,
+    /// What the driver has said to people.
+    pub said: String,
 }
 
 /// The end of a drive, and more about it.
@@ -141,7 +143,7 @@ pub fn roll_out(
     let world = world.with_tracks(scene.tracks.len());
     let mut drive = Drive { situation, world, driver, min_ttc_s: None, contact: None, gave_up_plan: false };
     let mut saved = None;
-    let mut end = drive.driver.begin(situation, &drive.world).err().map(failed);
+    let mut end = drive.driver.begin(situation, &drive.world).err().map(ended).transpose()?;
     while end.is_none() && drive.world.now() < last {
         if save_at.is_some_and(|timestep| saved.is_none() && drive.world.now() >= timestep) {
             saved = Some(drive.world.clone());
@@ -149,7 +151,7 @@ pub fn roll_out(
         end = drive.replan(others, n_plan.min(last - drive.world.now()))?;
     }
     let (outcome, why) = end.unwrap_or_else(|| drive.came_through());
-    drive.driver.end(outcome, why.as_deref());
+    let said = drive.driver.end(outcome, why.as_deref());
     let Drive { world, min_ttc_s, contact, gave_up_plan, .. } = drive;
     let ego = |timestep: usize| world.state(situation.ego_idx, timestep);
     let steps = (scene.n_history..world.n_timesteps()).filter_map(|t| ego(t - 1).zip(ego(t)));
@@ -172,12 +174,18 @@ pub fn roll_out(
         event_happens,
         traffic,
         saved,
+        said,
     })
 }
 
-fn failed(Failed { fault, why }: Failed) -> End {
-    let outcome = if fault == Fault::TimedOut { Outcome::TimedOut } else { Outcome::PlannerFailed };
-    (outcome, Some(why))
+/// The end of a drive whose driver does not drive on.
+fn ended(failed: Failed) -> Result<End> {
+    match failed {
+        Failed::TimedOut(why) => Ok((Outcome::TimedOut, Some(why))),
+        Failed::Driver(why) => Ok((Outcome::PlannerFailed, Some(why))),
+        Failed::NotSampled(why) => Ok((Outcome::NotSampled, Some(why))),
+        Failed::Error(error) => Err(error),
+    }
 }
 
 /// An ongoing drive.
@@ -213,7 +221,7 @@ impl Drive<'_> {
             None => Err(Failed::because("others that do not answer have no futures")),
         };
         if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
-            return Ok(Some(failed(why)));
+            return ended(why).map(Some);
         }
         for step in 0..n_steps {
             let then = |agent_idx: usize| match &sampled {
@@ -226,7 +234,7 @@ impl Drive<'_> {
             };
             let ego = match ego {
                 Ok(ego) => ego,
-                Err(why) => return Ok(Some(failed(why))),
+                Err(why) => return ended(why).map(Some),
             };
             let timestep = self.world.n_timesteps();
             let next = |agent_idx: usize| match agent_idx == center_idx {

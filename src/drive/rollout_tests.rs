@@ -196,7 +196,7 @@ fn nonsense_is_refused_and_a_driver_that_fails_is_an_outcome() {
     struct Fails;
     impl Driver for Fails {
         fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
-            Err(Failed { fault: Fault::TimedOut, why: "no answer".to_owned() })
+            Err(Failed::TimedOut("no answer".to_owned()))
         }
         fn next(&mut self, _: &Situation, _: &World, _: Option<State>) -> Result<State, Failed> {
             Err(Failed::because("asked without a beginning"))

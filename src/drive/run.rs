@@ -13,7 +13,7 @@ use super::told_apart::Tracks;
 use super::workers::{CHUNK, in_parallel, pool_of_worker};
 use super::{Driven, Driver, EgoDriver, Error, Outcome, Result, RolloutConfig, World};
 use crate::export::{EgoChoice, Selection};
-use crate::files::NewFolder;
+use crate::files::{AtomicFile, NewFolder};
 use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::report::render_drives;
@@ -23,6 +23,8 @@ use rayon::ThreadPool;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// The table of drives.
 pub const DRIVES_FILE: &str = "drives.parquet";
@@ -32,6 +34,8 @@ pub const DRIVEN_FILE: &str = "driven.parquet";
 pub const DRIVE_FILE: &str = "drive.json";
 /// The report for people.
 pub const DRIVE_PAGE: &str = "drive.html";
+/// What a planner writes to its standard error, by scenario; missing if it writes nothing.
+pub const PLANNER_LOG: &str = "planner.log";
 /// The folder of saved states.
 pub const STATES_DIR: &str = "states";
 
@@ -99,6 +103,10 @@ pub fn drive_corpus(
     progress: &dyn Progress,
 ) -> Result<DriveReport> {
     config.rollout.check(futures)?;
+    if config.ego.name().trim().is_empty() {
+        let names = NamedDriver::ALL.map(NamedDriver::name).join(", ");
+        return Err(Error::Config(format!("--ego is empty, expected {names} or the command of a planner")));
+    }
     if !(config.time_limit_s > 0.0 && config.time_limit_s <= 3600.0) {
         let limit_s = config.time_limit_s;
         return Err(Error::Config(format!("time_limit_s is {limit_s}, expected more than 0 and at most 3600 s")));
@@ -116,8 +124,10 @@ pub fn drive_corpus(
     let kept = Kept::begin(out, &(identity(&reader, from, ego, config, futures) + of_scenes))?;
     let mut report = DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint());
     let states = DrivenWriter::create(&folder.path().join(DRIVEN_FILE))?;
-    let mut output = Output { states, rows: Vec::new(), margins: Vec::new() };
-    let mut workers: Vec<Worker> = (0..config.n_workers.max(1)).map(|_| Worker::new(config)).collect::<Result<_>>()?;
+    let mut output = Output { states, rows: Vec::new(), margins: Vec::new(), log: None };
+    let runs = Arc::default();
+    let mut workers: Vec<Worker> =
+        (0..config.n_workers.max(1)).map(|_| Worker::new(config, &runs)).collect::<Result<_>>()?;
     let (mut tracks, mut cards) = (Tracks::default(), Cards::default());
     let mut positions = positions.into_iter();
     let mut n_chosen = 0;
@@ -177,8 +187,9 @@ pub fn drive_corpus(
         };
         return Err(Error::NothingSelected { corpus: corpus.to_owned(), n_scenarios: reader.len(), wanted });
     }
-    let Output { states, rows, margins } = output;
+    let Output { states, rows, margins, log } = output;
     states.finish()?;
+    log.map(AtomicFile::commit).transpose()?;
     write_drives(&folder.path().join(DRIVES_FILE), &rows)?;
     report.finish(&rows, own_name(&config.ego));
     report.told_apart = tracks.tell_apart();
@@ -231,10 +242,11 @@ struct Worker {
 }
 
 impl Worker {
-    fn new(config: &DriveConfig) -> Result<Self> {
+    /// The drivers of a thread; `runs` is shared by all processes of a planner.
+    fn new(config: &DriveConfig, runs: &Arc<AtomicBool>) -> Result<Self> {
         let asked: Box<dyn Driver> = match &config.ego {
             EgoDriver::Named(driver) => named(*driver),
-            EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s)),
+            EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s, runs)),
         };
         let careful = (config.ego != EgoDriver::Named(NamedDriver::Careful)).then(Careful::default);
         Ok(Self { asked, careful, pool: pool_of_worker()? })
@@ -310,6 +322,7 @@ struct Output {
     states: DrivenWriter,
     rows: Vec<DriveRow>,
     margins: Vec<Margin>,
+    log: Option<AtomicFile>,
 }
 
 impl Output {
@@ -335,6 +348,7 @@ impl Output {
             self.states.push([&situation.scenario_id, name], &scene, &moved_by)?;
             report.count(name, driven);
             self.rows.push(row(situation, name, driven, careful_survives));
+            self.log(&situation.scenario_id, driven, out)?;
         }
         if let Some(saved) = drives.first().and_then(|driven| driven.saved.as_ref()) {
             let folder = out.join(STATES_DIR);
@@ -347,6 +361,18 @@ impl Output {
             report.n_saved += 1;
         }
         Ok(())
+    }
+
+    /// Adds what the driver said in a scenario to the log.
+    fn log(&mut self, scenario_id: &str, driven: &Driven, out: &Path) -> Result<()> {
+        if driven.said.is_empty() {
+            return Ok(());
+        }
+        let log = match &mut self.log {
+            Some(log) => log,
+            None => self.log.insert(AtomicFile::create(&out.join(PLANNER_LOG))?),
+        };
+        Ok(writeln!(log, "== {scenario_id}: {}\n{}", driven.outcome.name(), driven.said.trim_end())?)
     }
 }
 

@@ -1,6 +1,7 @@
 //! A scenario of a corpus as the start of a drive: its past, its map, its event, and the route of its ego.
 
 use super::arrivals::{Arrivals, Ends, Recorded};
+use super::bends::{BendSpeeds, rounded};
 use super::event::is_decided_by_ego;
 use super::margin::later;
 use super::world::World;
@@ -52,6 +53,8 @@ pub struct Situation {
     pub target_speed_mps: f64,
     /// The route of the ego: its path in the scenario, and on along its lane.
     pub(crate) route: DrivenPath,
+    /// How fast it takes the bends after the scenario.
+    bend_speeds: BendSpeeds,
     /// The arrivals: the last tracks of the scene, absent at present.
     pub(super) arrivals: Arrivals,
     road: Arc<Road>,
@@ -84,12 +87,14 @@ impl Situation {
         let target_speed_mps = driven.iter().map(|state| state.speed_mps()).fold(0.0, f64::max);
         let mut points: Vec<Vec2> = driven.iter().map(|state| state.position).collect();
         let ended = Scene { n_timesteps: present + driven.len(), ..scene.clone() };
-        points.extend(way_on(&ended, ego_idx, WAY_ON_M));
+        let (last, on) = (points[points.len() - 1], way_on(&ended, ego_idx, WAY_ON_M));
+        points.extend(rounded(&[vec![last], on].concat()));
         if points.iter().all(|point| point.distance(now.position) < 1.0) {
             points = vec![now.position, now.position + Vec2::from_angle(now.heading_rad) * WAY_ON_M];
         }
         let length_m = ego.extent_or_nominal().length_m;
         let route = DrivenPath::along(&points, length_m).ok_or_else(|| unfit("has no way for its ego"))?;
+        let bend_speeds = BendSpeeds::new(&route, route.driven_m(last).unwrap_or_default());
         let event = record.main_event();
         let roles: Vec<usize> = event
             .map_or_else(Vec::new, |event| event.roles.tracks().filter_map(|track| scene.track_idx(track)).collect());
@@ -105,6 +110,7 @@ impl Situation {
             aims: !is_decided_by_ego(record.requested_behavior.as_deref()),
             target_speed_mps,
             route,
+            bend_speeds,
             arrivals: Arrivals::default(),
             road: Arc::new(Road::new(&scene.lanes)),
             lane_bounds: bounds(&scene.lanes),
@@ -170,6 +176,12 @@ impl Situation {
         // Many an event is complete before its maneuver is: a vehicle cutting in is not in the lane yet. See `let_go`.
         let ends = if is_decided_by_ego(self.behavior.as_deref()) { self.event[1] } else { self.scene.n_timesteps };
         World::new(&self.scenario_id, seed, ends.min(self.scene.n_timesteps - 1), tracks)
+    }
+
+    /// The speed at which the ego would like to drive at a place of its route, m/s.
+    pub(super) fn wanted_speed_mps(&self, at: Vec2) -> f64 {
+        let in_bend_mps = self.route.driven_m(at).map_or(f64::INFINITY, |driven_m| self.bend_speeds.at(driven_m));
+        self.target_speed_mps.min(in_bend_mps)
     }
 
     /// The box of an agent in this state; the least of its class if its size is unknown.

@@ -3,7 +3,8 @@
 use super::{Error, Result};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread::Builder;
 
 /// Scenarios in memory at a time, for each worker.
 pub(super) const CHUNK: usize = 8;
@@ -11,31 +12,44 @@ pub(super) const CHUNK: usize = 8;
 /// A pool for the network of one worker: it does too little in parallel to hand work around between threads.
 pub(super) fn pool_of_worker() -> Result<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(1).build();
-    pool.map_err(|error| Error::Config(format!("no thread can be started: {error}")))
+    pool.map_err(|error| no_thread(&error))
 }
 
-/// The results of `work` on each item in their order, whichever worker does it.
+fn no_thread(error: &dyn std::error::Error) -> Error {
+    Error::Machine(format!("no thread can be started: {error}"))
+}
+
+/// The results of `work` on each item in their order, whichever worker does it. The first error ends the work.
 pub(super) fn in_parallel<T: Sync, W: Send, R: Send>(
     items: &[T],
     workers: &mut [W],
     work: impl Fn(&mut W, &T) -> Result<R> + Sync,
 ) -> Result<Vec<R>> {
-    let next = AtomicUsize::new(0);
+    let (next, has_failed) = (AtomicUsize::new(0), AtomicBool::new(false));
     let found: Vec<Mutex<Option<Result<R>>>> = items.iter().map(|_| Mutex::new(None)).collect();
-    std::thread::scope(|scope| {
+    let started = std::thread::scope(|scope| {
         for worker in workers {
-            scope.spawn(|| {
-                loop {
+            let works = || {
+                while !has_failed.load(Ordering::Relaxed) {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let (Some(item), Some(place)) = (items.get(at), found.get(at)) else { break };
                     let result = work(worker, item);
+                    has_failed.fetch_or(result.is_err(), Ordering::Relaxed);
                     if let Ok(mut place) = place.lock() {
                         *place = Some(result);
                     }
                 }
-            });
+            };
+            let started = Builder::new().spawn_scoped(scope, works);
+            started.inspect_err(|_| has_failed.store(true, Ordering::Relaxed))?;
         }
+        Ok(())
     });
-    let found = found.into_iter().map(|place| place.into_inner().ok().flatten());
-    found.map(|result| result.unwrap_or_else(|| Err(Error::Config("a drive was not finished".to_owned())))).collect()
+    started.map_err(|error: std::io::Error| no_thread(&error))?;
+    let found = found.into_iter().filter_map(|place| place.into_inner().ok().flatten());
+    let results = found.collect::<Result<Vec<R>>>()?;
+    match results.len() == items.len() {
+        true => Ok(results),
+        false => Err(Error::Config("a drive was not finished".to_owned())),
+    }
 }

@@ -4,11 +4,11 @@ use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_veloc
 use super::guide::{Guided, Wishes};
 use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
-use crate::guidance::{ClassifierFreeDenoiser, MaskChange};
+use crate::guidance::{ClassifierFreeDenoiser, ForwardDenoiser, MaskChange};
 use crate::progress::Progress;
 use crate::scene::{GuidanceLevel, Scene, UnfitScene};
 use crate::seed::Seed;
-use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use crate::tensor::{FutureValidity, LeastProgress, SceneBatch, SceneView};
 use candle_core::Tensor;
 use std::ops::Range;
 
@@ -86,7 +86,13 @@ impl Generator<'_> {
             samples: batch.samples.clone(),
             places_without_road: &self.metric_settings.validity.places_without_road,
         };
+        let given: Vec<&Scene> = batch.cells.iter().map(|(_, given)| &given.scene).collect();
+        let least = LeastProgress::new(own, &given, n_samples)?;
         let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, denoiser, progress);
+        let forward = |inner: &dyn Denoiser| match &least {
+            Some(least) => self.guided(&guided, &ForwardDenoiser { inner, batch: &tensors, least }, denoise),
+            None => self.guided(&guided, inner, denoise),
+        };
         let x = match wanted {
             Some(extended) => {
                 let change = MaskChange::new(&tensors, &extended)?;
@@ -97,9 +103,9 @@ impl Generator<'_> {
                     change: &change,
                     weight: batch.level.weight,
                 };
-                self.guided(&guided, &leaning, denoise)?
+                forward(&leaning)?
             }
-            None => self.guided(&guided, &bound, denoise)?,
+            None => forward(&bound)?,
         };
         let sources: Vec<&Scene> =
             batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();

@@ -115,8 +115,13 @@ fn at_weight_one_samples_are_as_if_goals_were_observed() {
     let wanted = generate(&sweep(&format!("{start}\n{goal} [1.0], mask_velocity = false }}")));
     let ignored = generate(&sweep(start));
     for ((a, b), c) in observed.iter().zip(&wanted).zip(&ignored) {
-        assert!(difference_m(&a.scenario.scene, &b.scenario.scene) < ROUNDING_M);
-        assert!(difference_m(&a.scenario.scene, &c.scenario.scene) > 2.0 * ROUNDING_M, "the goal matters");
+        // An untrained network moves the bystander to and fro on its way: after all observed states that is removed.
+        let others = |record: &ScenarioRecord| Scene {
+            tracks: record.scenario.scene.tracks.iter().filter(|track| track.id.0 != "bystander").cloned().collect(),
+            ..record.scenario.scene.clone()
+        };
+        assert!(difference_m(&others(a), &others(b)) < ROUNDING_M);
+        assert!(difference_m(&others(a), &others(c)) > 2.0 * ROUNDING_M, "the goal matters");
     }
 }
 

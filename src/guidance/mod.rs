@@ -12,6 +12,7 @@ mod classifier;
 mod classifier_free;
 mod clean_guided_denoiser;
 mod estimate_potential;
+mod forward_denoiser;
 mod guided_denoiser;
 mod lane_ways;
 mod mask_change;
@@ -31,6 +32,7 @@ pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum};
 pub use estimate_potential::EstimatePotential;
+pub use forward_denoiser::ForwardDenoiser;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{

@@ -64,14 +64,6 @@ pub(crate) use test_data::test_data;
 
 use crate::scene::Dataset;
 
-/// The configured timesteps of scenes.
-///
-/// # Errors
-/// When more are configured than the dataset has.
-pub fn usual_horizon(config: &IngestConfig) -> Result<Horizon, Error> {
-    Ok(source_of(config)?.horizon())
-}
-
 /// The formats of the configured dataset.
 fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Error> {
     Ok(match config.dataset {

@@ -220,6 +220,11 @@ fn schema_of(metadata: &ParquetMetaData) -> Result<Schema, Malformed> {
     Ok(parquet_to_arrow_schema(file.schema_descr(), file.key_value_metadata())?)
 }
 
+/// The names of all columns of a file with this footer.
+pub(super) fn columns_of(footer: &ParquetMetaData) -> Result<Vec<String>, Malformed> {
+    Ok(names_of(&schema_of(footer)?))
+}
+
 fn names_of(schema: &Schema) -> Vec<String> {
     schema.fields().iter().map(|field| field.name().clone()).collect()
 }

@@ -13,7 +13,6 @@ mod geometric_network;
 #[cfg(test)]
 mod geometric_tests;
 mod known_input;
-mod memory;
 mod named_edm;
 mod network;
 mod relations;
@@ -32,7 +31,6 @@ pub use classifier_checkpoint::{ClassifierKind, ClassifierSpec, TrainedClassifie
 pub use denoiser_checkpoint::{
     ChangedLoss, DenoiserKind, DenoiserSpec, Distillation, PlaceLoss, SceneChange, TrainedDenoiser,
 };
-pub use memory::{NumberCounts, SceneSize};
 pub use network::{GeometryConfig, NetworkConfig, SceneNetwork};
 pub use scene_denoiser::{BoundDenoiser, SceneDenoiser};
 pub use scene_transformer::{JointFutures, SceneTransformer, SceneTransformerConfig};

@@ -1,5 +1,5 @@
-//! The cost of generation: samples and evaluations by sweep and request, and the time if there is a denoiser to
-//! measure.
+//! The cost of generation: samples and evaluations by sweep and request, and what a batch takes if there is a denoiser
+//! to try.
 
 use super::config::PipelineConfig;
 use super::layout::Layout;
@@ -54,10 +54,11 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
         None => "time unknown: no denoiser to measure yet".to_owned(),
         Some((rate, what)) => {
             let seconds = n_evaluations as f64 / rate;
+            let (threads, memory) = (rayon::current_num_threads(), peak_memory().unwrap_or_default());
             format!(
-                "{} at {rate:.0} evaluations per second (measured now on {what} with {} threads; excludes guidance)",
+                "{} at {rate:.0} evaluations per second (measured now on a batch of {what} with {threads} \
+                 threads{memory}; excludes guidance)",
                 duration(seconds),
-                rayon::current_num_threads()
             )
         }
     };
@@ -197,6 +198,13 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
         map_id: None,
         lanes: Arc::new(LaneGraph::new((0..N_LANES).map(lane).collect())),
     }
+}
+
+/// The most memory that the process has had so far, such as `, 0.4 GB of memory`. `None` if the system does not tell.
+fn peak_memory() -> Option<String> {
+    let status = fs_err::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix("kB")?;
+    Some(format!(", {:.1} GB of memory", kilobytes.trim().parse::<f64>().ok()? * 1024.0 / 1e9))
 }
 
 /// `about 40 s`, `about 12 min`, `about 3.4 h`.

@@ -11,7 +11,6 @@ pub mod driven_by;
 pub mod estimate;
 pub mod inspect;
 pub mod layout;
-pub mod memory;
 pub mod regenerate;
 mod stage_id;
 pub mod stages;

@@ -1,6 +1,7 @@
 //! The agents of a row and their frame, and the conversion of its samples to scenes.
 
 use super::ending::{HeadingSource, derive_motion, hold_still, stands_still, stay, turn_into_motion};
+use super::forward::{drives_forward, stay_forward};
 use super::lane_keeping::lane_keepers;
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::{ObservationMask, Scene, State, Track, Trajectory};
@@ -83,6 +84,9 @@ impl AgentFrame {
                     keeper.keep(&mut entries, &latent[slot]);
                 }
                 stay(&mut entries, &latent[slot], source.dt_s);
+                if drives_forward(track) {
+                    stay_forward(&mut entries, &latent[slot]);
+                }
                 if holds {
                     hold_still(&mut entries, &latent[slot], source.dt_s);
                 }

@@ -5,8 +5,8 @@
 //! network into a small error of velocity instead of a jerk. Diffused values have no meaning by themselves:
 //! [`SceneBatch::decode`] turns them into meters and radians, linearly.
 //!
-//! Decoded samples are finished like recordings: standing agents are still (`ending`), and agents that keep their lanes
-//! to the millimeter continue to do so (`lane_keeping`).
+//! Decoded samples are finished like recordings: standing agents are still (`ending`), vehicles do not drive on
+//! backward (`forward`), and agents that keep their lanes to the millimeter continue to do so (`lane_keeping`).
 //!
 //! With a `Sight`, the collator also looks around each agent: lane pieces that it can reach, in its own frame, and the
 //! modes of its motion.
@@ -19,6 +19,7 @@ mod continuation;
 mod eigen;
 mod ending;
 mod features;
+mod forward;
 mod hidden_states;
 mod lane_keeping;
 mod lane_pieces;
@@ -42,6 +43,7 @@ mod texture;
 pub use agent_frame::AgentFrame;
 pub use collate::{Collator, FutureValidity, SceneView};
 pub use features::{FeatureLayout, LANE_POINTS};
+pub use forward::LeastProgress;
 pub use lane_pieces::{LanePiece, LanePoint, PIECE_FLAGS, PIECE_POINTS};
 pub use mask_sampler::{MaskSampler, MaskTask, TaskWeights};
 pub use motion_modes::MotionCovariance;

@@ -47,8 +47,6 @@ fn the_tools_work_from_the_command_line() {
     let outcome = djinn(&["corpus", "filter", CORPUS, "--where", "verified", "--out", &verified]).expect(0);
     assert!(outcome.stdout.is_empty() && outcome.stderr.contains("6 scenarios (6 verified) of "), "{}", outcome.stderr);
     djinn(&["corpus", "sample", &verified, "--n", "1", "--seed", "3", "--out", &two]).expect(0);
-    let shown = djinn(&["corpus", "diff", &verified, &two]).expect(0).stdout;
-    assert!(shown.contains("same: 1, changed: 0, only in A: 5, only in B: 0"), "{shown}");
     let card = fs_err::read_to_string(workspace.path("two/README.md")).unwrap();
     assert!(
         card.contains("then filtered where verified from corpus") && card.contains("then sampled 1 with seed 3"),

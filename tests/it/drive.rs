@@ -147,8 +147,8 @@ fn whatever_a_planner_does_is_an_outcome() {
     let none = planner("print(json.dumps({'type': 'peek', 'n': 0}))");
     for (name, command, outcome, why) in [
         ("peeks", none.as_str(), "planner_failed", "peeks into 0 futures, expected 1 to 64"),
-        ("dies", "echo no map for this place >&2; false", "planner_failed", "its last words: no map for this place"),
-        ("missing", "./no-such-planner", "planner_failed", "no-such-planner"),
+        ("dies", "read hello; echo no map >&2; (exit 7)", "planner_failed", "exit status 7; its last words: no map"),
+        ("killed", "read hello; kill -SEGV $$", "planner_failed", "it ended by signal 11"),
         ("floods", "yes nonsense", "planner_failed", ""),
         ("endless", "cat /dev/zero", "planner_failed", "more than 1048576 bytes"),
         ("nan", nan.as_str(), "planner_failed", "expected an action"),
@@ -165,6 +165,68 @@ fn whatever_a_planner_does_is_an_outcome() {
         assert!(is_told, "{name}: {found}\n{}", said.stdout);
         assert_eq!(found["n_scenarios"], 1, "{name}");
     }
+}
+
+#[test]
+fn a_planner_that_never_runs_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out");
+    for (command, why) in [
+        ("idmm", "did you mean idm?"),
+        ("./no-such-planner --fast", "exit status 127"),
+        ("./Cargo.toml", "exit status 126"),
+        ("python3 no_such_planner.py", "can't open file"),
+        ("cd no-such-folder && cat", "no-such-folder"),
+        ("", "--ego is empty, expected model, log"),
+        (" ", "--ego is empty"),
+    ] {
+        let refused = drive(command, &out, &["--horizon-s", "1", "--threads", "2"]).expect(1);
+        assert!(refused.stderr.contains(why), "{command}: {}", refused.stderr);
+        assert_eq!(fs_err::read_dir(dir.path()).unwrap().count(), 0, "{command}");
+    }
+}
+
+/// Whether a process runs.
+fn is_there(pid: &str) -> bool {
+    let status = fs_err::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+    !status.is_empty() && !status.contains(") Z ")
+}
+
+#[test]
+fn a_command_is_what_one_writes_in_a_shell_and_nothing_of_it_outlives_the_drive() {
+    let dir = tempfile::tempdir().unwrap();
+    let (out, pid, end) = (dir.path().join("out"), dir.path().join("pid"), dir.path().join("end"));
+    // Its child would stay, and it takes a while to end.
+    let command = format!(
+        "sleep 1000 & echo $! > {}; cd scripts && HOW=--late; echo starts >&2; A=1 python3 example_planner.py $HOW | \
+         tee /dev/null; sleep 0.5; touch {}",
+        pid.display(),
+        end.display()
+    );
+    drive(&command, &out, &["--horizon-s", "1", "--threads", "1"]).expect(0);
+    let found = report(&out);
+    assert!(found["outcomes"]["planner"].get("planner_failed").is_none(), "{found}");
+    assert!(end.exists() && !is_there(&fs_err::read_to_string(&pid).unwrap()));
+    let log = fs_err::read_to_string(out.join("planner.log")).unwrap();
+    assert!(log.starts_with("== ") && log.ends_with("\nstarts\n"), "{log}");
+    assert_eq!(log.matches("== ").count(), 1, "it starts in the first scenario: {log}");
+
+    // A signal ends all of it, too, and the same command goes on.
+    let out = dir.path().join("again");
+    fs_err::remove_file(&pid).unwrap();
+    let command = format!("echo $$ > {0}.of && mv {0}.of {0}; sleep 1000", pid.display());
+    let args = ["drive", CORPUS, "--ego", &command, "--model", MODEL, "--out", out.to_str().unwrap()];
+    let child = crate::support::command(&args).stderr(std::process::Stdio::piped()).spawn().unwrap();
+    while !pid.exists() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let planner = fs_err::read_to_string(&pid).unwrap();
+    assert!(is_there(&planner));
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(ended.status.code() == Some(75) && said.contains("run the same command again"), "{said}");
+    assert!(!is_there(&planner));
 }
 
 /// The ids of the accepted scenarios.

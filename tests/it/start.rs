@@ -98,6 +98,11 @@ fn lists_name_everything_with_a_line() {
         assert!(rows.len() >= n_least && rows.iter().all(|(_, text)| !text.trim().is_empty()), "{text}");
         assert!(rows.iter().any(|row| row.0 == name && row.1.trim() == line), "{text}");
     }
+    let behaviors = djinn(&["list", "behaviors"]).expect(0).stdout;
+    let of_tailgating = behaviors.lines().skip_while(|line| !line.starts_with("tailgating")).nth(1).unwrap();
+    for part in ["time_headway_s", "; templates aim at time_headway_s, mean_speed_mps"] {
+        assert!(of_tailgating.contains(part), "{of_tailgating}");
+    }
     let refused = djinn(&["list", "stages"]).expect(1);
     assert!(refused.stderr.contains("behaviors"), "{}", refused.stderr);
 }

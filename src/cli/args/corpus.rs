@@ -19,9 +19,6 @@ pub(in crate::cli) enum CorpusCommand {
     /// Draw scenarios at random
     #[command(after_help = help::CORPUS_SAMPLE)]
     Sample(CorpusSampleArgs),
-    /// Show how two corpora differ
-    #[command(after_help = help::CORPUS_DIFF)]
-    Diff(CorpusDiffArgs),
 }
 
 #[derive(Debug, clap::Args)]
@@ -86,17 +83,4 @@ pub(in crate::cli) struct CorpusSampleArgs {
     /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,
-}
-
-#[derive(Debug, clap::Args)]
-pub(in crate::cli) struct CorpusDiffArgs {
-    /// The folder of the first corpus
-    #[arg(value_name = "A")]
-    pub(in crate::cli) a: PathBuf,
-    /// The folder of the second corpus
-    #[arg(value_name = "B")]
-    pub(in crate::cli) b: PathBuf,
-    /// Print JSON instead of text
-    #[arg(long)]
-    pub(in crate::cli) json: bool,
 }

@@ -5,8 +5,8 @@ use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
 use crate::corpus::{
-    Condition, CopyOutcome, DiffReport, FilterOptions, Finding, SampleOptions, Severity, Top, ValidationReport, diff,
-    filter, merge, sample, validate,
+    Condition, CopyOutcome, FilterOptions, Finding, SampleOptions, Severity, Top, ValidationReport, filter, merge,
+    sample, validate,
 };
 use crate::engine::{Failure, Result};
 use serde::Serialize;
@@ -51,10 +51,6 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
             let outcome = sample(read(&args.corpus)?.path(), &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
-        }
-        CorpusCommand::Diff(args) => {
-            let report = diff(read(&args.a)?.path(), read(&args.b)?.path(), &progress)?;
-            print(printer, args.json, &report, diff_text)
         }
     }
 }
@@ -143,54 +139,5 @@ fn validation_text(report: &ValidationReport) -> String {
         "{verdict}: {n_damages} errors, {n_remarks} remarks in {n_files} files, {n_scenarios} scenarios, {n_states} \
          states"
     );
-    text
-}
-
-fn diff_text(report: &DiffReport) -> String {
-    let mut text = String::new();
-    let [n_a, n_b] = report.n_scenarios;
-    let [only_a, only_b] = report.n_only_in;
-    let _ = writeln!(text, "scenarios: {n_a} in A, {n_b} in B");
-    let _ = writeln!(
-        text,
-        "  same: {}, changed: {}, only in A: {only_a}, only in B: {only_b}",
-        report.n_same, report.n_changed
-    );
-    for (title, ids, n) in [
-        ("only in A", &report.only_in[0], only_a),
-        ("only in B", &report.only_in[1], only_b),
-        ("changed", &report.changed, report.n_changed),
-    ] {
-        if !ids.is_empty() {
-            let more = if n > ids.len() as u64 { ", …" } else { "" };
-            let _ = writeln!(text, "  {title}: {}{more}", ids.join(", "));
-        }
-    }
-    for (column, n) in &report.changed_by_column {
-        let _ = writeln!(text, "  {column} differs in {n}");
-    }
-    for (side, columns) in ["A", "B"].iter().zip(&report.columns_only_in) {
-        if !columns.is_empty() {
-            let _ = writeln!(text, "columns only in {side}: {}", columns.join(", "));
-        }
-    }
-    if !report.partitions.is_empty() {
-        let _ = writeln!(text, "partitions (scenarios, verified):");
-    }
-    for part in &report.partitions {
-        let ([a, b], [verified_a, verified_b]) = (part.n_scenarios, part.n_verified);
-        let (behavior, place) = (&part.behavior, &part.place);
-        let _ = writeln!(text, "  {behavior} at {place}: {a} → {b}, {verified_a} → {verified_b}");
-    }
-    if !report.shifts.is_empty() {
-        let _ = writeln!(text, "numbers (n, mean ± standard deviation, range):");
-    }
-    for shift in &report.shifts {
-        let [a, b] =
-            shift.summaries.map(|s| format!("{} {:.4} ± {:.4} [{:.4}, {:.4}]", s.n, s.mean, s.std, s.min, s.max));
-        let by =
-            shift.mean_shift_std.map_or(String::new(), |by| format!(", mean shifted by {by:+.2} standard deviations"));
-        let _ = writeln!(text, "  {}: {a} → {b}{by}", shift.name);
-    }
     text
 }

@@ -5,6 +5,7 @@ use super::{begins_anew, use_threads};
 use crate::cli::args::{DriveArgs, DriveGates, OutputArgs, ScoreArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
+use crate::cli::signals;
 use crate::cloud::{Access, Place};
 use crate::drive::{
     DriveConfig, DriveReport, EgoDriver, Origin, RolloutConfig, World, drive_corpus, score as score_planned,
@@ -36,7 +37,10 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
         program: version()?,
         scenes: args.scenes.clone(),
     };
-    begins_anew(&args.out);
+    signals::leaves_resumable(format!(
+        "finished drives are kept in {}.drives; run the same command again to continue",
+        args.out.display()
+    ));
     let progress = TerminalProgress::new(output, *printer);
     let ego = EgoChoice::from_name(&args.chosen.ego_track);
     let report = drive_corpus((corpus.path(), &args.out), &from, &ego, &config, &futures, &progress)?;

@@ -1,18 +1,19 @@
 //! `djinn list`: the names that pipelines, commands and tables can use, and what they mean.
 
+use crate::behavior::{self, BehaviorConfig, BehaviorEntry};
 use crate::cli::args::Listed;
 use crate::cli::printer::Printer;
 use crate::engine::Result;
 use crate::export::ExportFormat;
 use crate::guidance::ObjectiveKind;
+use crate::metrics;
 use crate::scene::Dataset;
-use crate::{behavior, metrics};
 use schemars::{Schema, schema_for};
 use serde_json::Value;
 
 pub(in crate::cli) fn list(what: Listed, printer: &Printer) -> Result<()> {
     let rows: Vec<(String, String)> = match what {
-        Listed::Behaviors => described(behavior::ALL.iter().map(|entry| (entry.id, entry.description))),
+        Listed::Behaviors => behavior::ALL.iter().flat_map(with_parameters).collect(),
         Listed::Objectives => of_schema(&schema_for!(ObjectiveKind)),
         Listed::Datasets => of_schema(&schema_for!(Dataset)),
         Listed::Formats => described(ExportFormat::ALL.iter().map(|format| (format.name(), format.description()))),
@@ -20,6 +21,14 @@ pub(in crate::cli) fn list(what: Listed, printer: &Printer) -> Result<()> {
     };
     let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or_default();
     printer.data(&rows.iter().map(|(name, text)| format!("{name:width$}  {text}\n")).collect::<String>())
+}
+
+/// A behavior, and below it the parameters of its events, which requests divide into buckets.
+fn with_parameters(entry: &BehaviorEntry) -> [(String, String); 2] {
+    let template = BehaviorConfig::from_id(entry.id).map(|config| config.build().template_parameters().join(", "));
+    let of_templates = template.filter(|names| !names.is_empty()).map(|names| format!("; templates aim at {names}"));
+    let parameters = format!("  {}{}", entry.parameters.join(", "), of_templates.unwrap_or_default());
+    [(entry.id.to_owned(), entry.description.to_owned()), (String::new(), parameters)]
 }
 
 fn described<'a>(rows: impl Iterator<Item = (&'a str, &'a str)>) -> Vec<(String, String)> {

@@ -42,7 +42,6 @@ use crate::pipeline::StageId;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
 use crate::pipeline::layout::Layout;
-use crate::pipeline::memory::{check_memory, estimate_memory, machine_memory};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -95,10 +94,6 @@ fn print_dry_run(
             let _ = writeln!(text, "#   {:<18}the current {name} is moved to {as_name}", "");
         }
     }
-    let stages: Vec<StageId> = planned.iter().filter_map(|planned| StageId::of(planned.stage.kind())).collect();
-    for memory in estimate_memory(config, layout, &stages)? {
-        let _ = writeln!(text, "#   {:<18}{}", memory.stage.name(), memory.describe());
-    }
     // Costs are those of the whole section, whatever parts of it are done already.
     if planned.iter().any(|planned| planned.stage.kind() == StageId::Generate.kind()) {
         for line in estimate(config, layout)? {
@@ -106,11 +101,6 @@ fn print_dry_run(
         }
     }
     printer.data(&text)
-}
-
-/// Rejects planned stages that need more memory than the machine has.
-fn refuse_too_large(config: &PipelineConfig, layout: &Layout, planned: &[PlannedStage<'_>]) -> Result<()> {
-    check_memory(config, layout, planned, machine_memory())
 }
 
 /// Prints the planned actions of the stages; without `--verbose`, only those on existing results.

@@ -1,6 +1,6 @@
 //! `djinn run`: all stages of a pipeline file.
 
-use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
+use super::{announce, print_dry_run, resumes_in, use_threads};
 use crate::cli::args::{OutputArgs, RunArgs, RunPlace};
 use crate::cli::bundled::PIPELINES;
 use crate::cli::printer::Printer;
@@ -42,7 +42,6 @@ fn run_in(
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
         let planned = plan::plan(root, &KINDS, stages::of_pipeline(config, &layout)?, &kinds(&args.redo))?;
         let planned = if args.stage.is_empty() { planned } else { plan::select(planned, &kinds(&args.stage))? };
-        refuse_too_large(config, &layout, &planned)?;
         Ok(planned)
     };
     config.remarks().iter().for_each(|remark| printer.message(printer.warning_line(remark)));

@@ -1,6 +1,6 @@
 //! The commands that run one stage alone, on explicit inputs and into an explicit folder.
 
-use super::{announce, print_dry_run, refuse_too_large, resumes_in, use_threads};
+use super::{announce, print_dry_run, resumes_in, use_threads};
 use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
@@ -52,7 +52,6 @@ fn run_in(
     let redo = if args.redo { vec![id.kind()] } else { Vec::new() };
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
         let planned = plan::plan(root, &KINDS, vec![stages::alone(id, config, layout)?], &redo)?;
-        refuse_too_large(config, layout, &planned)?;
         Ok(planned)
     };
     if args.dry_run {

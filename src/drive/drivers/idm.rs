@@ -74,10 +74,10 @@ pub(in crate::drive) fn free_m(situation: &Situation, world: &World) -> f64 {
     leaders(situation, &seen(situation, world, world.now())).map(|(_, seen)| seen.gap_m).fold(f64::INFINITY, f64::min)
 }
 
-/// The model's acceleration behind these leaders, m/s².
+/// The model's acceleration behind these leaders, m/s²; without any, that on a free road.
 pub(super) fn acceleration(situation: &Situation, ego: &State, leaders: impl Iterator<Item = Seen>) -> f64 {
-    let (speed_mps, wanted_mps) = (ego.speed_mps(), situation.target_speed_mps.max(1.0));
-    let free = 1.0 - (speed_mps / wanted_mps).powi(4);
+    let (speed_mps, wanted_mps) = (ego.speed_mps(), situation.wanted_speed_mps(ego.position).max(1.0));
+    let free = (1.0 - (speed_mps / wanted_mps).powi(4)).max(-BRAKES_MPS2 / ACCELERATES_MPS2);
     let held = leaders.map(|seen| {
         let closing_m = speed_mps * seen.closing_mps / (2.0 * (ACCELERATES_MPS2 * BRAKES_MPS2).sqrt());
         let wanted_m = LEAST_GAP_M + (speed_mps * HEADWAY_S + closing_m).max(0.0);

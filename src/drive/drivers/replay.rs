@@ -1,5 +1,6 @@
 //! Drivers that do not react: the scenario's own states, and a constant speed; and the model, which is sampled.
 
+use super::idm::acceleration;
 use super::way::{advanced, ego};
 use crate::drive::driver::{Driver, Failed};
 use crate::drive::{Situation, World};
@@ -10,7 +11,7 @@ use crate::scene::State;
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct Model;
 
-/// The ego as in the scenario; after its end, along its route at the last speed.
+/// The ego as in the scenario; after its end, along its route at the last speed, or as fast as bends allow.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::drive) struct Log;
 
@@ -40,7 +41,10 @@ impl Driver for Log {
     fn next(&mut self, situation: &Situation, world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         match situation.scene.state(situation.ego_idx, world.n_timesteps()) {
             Some(state) => Ok(*state),
-            None => Ok(advanced(situation, &ego(situation, world)?, 0.0)),
+            None => {
+                let state = ego(situation, world)?;
+                Ok(advanced(situation, &state, acceleration(situation, &state, std::iter::empty()).min(0.0)))
+            }
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::super::{Limit, PairSelectionConfig};
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -35,8 +35,9 @@ pub struct RequestConfig {
     /// of texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
     #[serde(default, rename = "where")]
     pub conditions: BTreeMap<String, Requirement>,
-    /// Limits on metrics of the single scenario, such as validity and criticality, as in a sweep's `select`.
-    #[serde(default)]
+    /// Limits on metrics of the single scenario, such as criticality, as in a sweep's `select`. Unless it is limited
+    /// otherwise, `validity_rate` is 1: a corpus of accepted scenarios holds valid ones only.
+    #[serde(default = "only_valid", deserialize_with = "with_validity")]
     pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
     pub arms: Vec<String>,
@@ -64,6 +65,16 @@ pub struct RequestConfig {
     pub shards_per_round: usize,
     /// The budget; when it is spent, unfilled buckets stay short.
     pub budget: BudgetConfig,
+}
+
+/// The limits of a request that names none.
+fn only_valid() -> BTreeMap<String, Limit> {
+    BTreeMap::from([("validity_rate".to_owned(), Limit::Worst(1.0))])
+}
+
+fn with_validity<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, Limit>, D::Error> {
+    let named = BTreeMap::deserialize(deserializer)?;
+    Ok(only_valid().into_iter().chain(named).collect())
 }
 
 const fn default_n_scenes() -> usize {

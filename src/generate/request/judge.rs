@@ -81,9 +81,6 @@ impl Generator<'_> {
         let facts = Facts { scene, event };
         let is_allowed = request.config.conditions.iter().all(|(name, condition)| facts.satisfies(name, condition));
         let Some(bucket) = request.buckets.place(&facts).filter(|_| is_allowed) else { return Ok(Placement::Outside) };
-        if request.config.limits.is_empty() {
-            return Ok(Placement::Hit(bucket));
-        }
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
         let asked = &record.scenario.provenance.guidance.roles;
         let asked_to_collide = record.asks_for_collision();
@@ -215,6 +212,8 @@ mod tests {
         arms = ['plain']
         per_bucket = 9
         budget = { n_samples = 9 }";
+    /// The cars of the scenes jump at the present.
+    const ANYTHING: &str = "limits = { validity_rate = 0.0 }";
 
     /// A scenario of the scene in which the agents in the roles show a cut-in with this gap.
     fn record(scene: &Scene, roles: &Roles, gap_m: f64) -> ScenarioRecord {
@@ -280,23 +279,30 @@ mod tests {
         let cells = [cell(1, &there), cell(2, &there), cell(2, &back)];
         let records =
             vec![record(&scene(2), &back, 2.0), record(&scene(2), &there, 7.0), record(&scene(1), &there, 2.0)];
-        let (outcomes, tallies) = judged("", &cells, records.clone()).unwrap();
+        let (outcomes, tallies) = judged(ANYTHING, &cells, records.clone()).unwrap();
         assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::Outside, RequestOutcome::Accepted]);
         let counts =
             |tally: &CellTally| (tally.n_found, tally.n_outside, tally.hits.get(&0).map_or(0, |hits| hits.n_accepted));
         assert_eq!(tallies.iter().map(counts).collect::<Vec<_>>(), [(1, 0, 1), (1, 1, 0), (1, 0, 1)]);
-        assert!(matches!(judged("", &cells[1..], records), Err(Error::Stale { .. })));
+        assert!(matches!(judged(ANYTHING, &cells[1..], records), Err(Error::Stale { .. })));
     }
 
     #[test]
-    fn limits_are_on_each_scenario_and_without_them_everything_in_a_bucket_is_a_hit() {
+    fn limits_are_on_each_scenario_and_without_others_those_of_validity_are() {
         let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
         let records = || vec![record(&scene(1), &roles, 2.0), record(&collided(1), &roles, 2.0)];
-        let (outcomes, _) = judged("", &[cell(1, &roles)], records()).unwrap();
-        assert_eq!(outcomes, [RequestOutcome::Accepted; 2]);
-        let (outcomes, tallies) = judged("limits = { collision_rate = 0.0 }", &[cell(1, &roles)], records()).unwrap();
-        assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::BeyondLimits]);
-        assert_eq!((tallies[0].n_beyond_limits, tallies[0].n_found), (1, 2));
+        let (within, beyond) = (RequestOutcome::Accepted, RequestOutcome::BeyondLimits);
+        for (limits, expected) in [
+            ("", [beyond; 2]),
+            ("limits = { min_scene_ade_m = { at_most = 1e3 } }", [beyond; 2]),
+            (ANYTHING, [within; 2]),
+            ("limits = { validity_rate = 0.0, collision_rate = 0.0 }", [within, beyond]),
+        ] {
+            let (outcomes, tallies) = judged(limits, &[cell(1, &roles)], records()).unwrap();
+            assert_eq!(outcomes, expected, "{limits}");
+            let n_beyond = expected.iter().filter(|outcome| **outcome == beyond).count();
+            assert_eq!((tallies[0].n_beyond_limits, tallies[0].n_found), (n_beyond as u64, 2));
+        }
     }
 
     #[test]
@@ -312,7 +318,8 @@ mod tests {
             record(&scene, &roles, 2.0)
         };
         // The mean over two agents, one of which is moved: 0.2 and 0.3 m.
-        let (outcomes, tallies) = judged("", &[cell(1, &roles)], vec![moved(0.0), moved(0.4), moved(0.6)]).unwrap();
+        let (outcomes, tallies) =
+            judged(ANYTHING, &[cell(1, &roles)], vec![moved(0.0), moved(0.4), moved(0.6)]).unwrap();
         assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::NearDuplicate, RequestOutcome::Accepted]);
         let hits = tallies[0].hits[&0];
         assert_eq!((hits.n_accepted, hits.n_near_duplicates, hits.n(), tallies[0].accepted_paths.len()), (2, 1, 2, 2));

@@ -160,9 +160,7 @@ impl RequestConfig {
             checked.map_err(|issue| issue.within("where"))?;
         }
         self.validate_counts()?;
-        if !self.limits.is_empty() {
-            self.limits().validate(&[], behavior.roles.len() > 1)?;
-        }
+        self.limits().validate(&[], behavior.roles.len() > 1)?;
         if self.arms.is_empty() {
             return refuse("arms", "is empty; list at least one of [[generate.arms]]");
         }

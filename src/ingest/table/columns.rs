@@ -1,7 +1,7 @@
 //! The columns of a table that a mapping names, from CSV or Parquet.
 
 use crate::ingest::error::Malformed;
-use crate::ingest::parquet_columns::{Columns, Limits};
+use crate::ingest::parquet_columns::{Columns, Limits, columns_of, read_footer};
 use crate::ingest::quotes::printable;
 use std::collections::BTreeMap;
 
@@ -17,6 +17,18 @@ pub(super) enum Kind {
     /// Blank cells are NaN.
     Number,
     Text,
+    /// Text of a column that nobody named: types of agents, by the column's own name.
+    Types,
+}
+
+/// The index of the column that holds types of agents by its name.
+pub(super) fn types_among<T: AsRef<[u8]>>(names: impl IntoIterator<Item = T>) -> Option<usize> {
+    const WHOSE: [&str; 7] = ["", "agent", "obj", "object", "v", "veh", "vehicle"];
+    names.into_iter().position(|name| {
+        let name = String::from_utf8_lossy(name.as_ref()).to_ascii_lowercase();
+        let whose = ["type", "class", "category"].iter().find_map(|what| name.strip_suffix(what));
+        whose.is_some_and(|whose| WHOSE.contains(&whose.trim_end_matches('_')))
+    })
 }
 
 /// Texts, without duplicates.
@@ -48,6 +60,8 @@ pub(super) struct Table {
     pub(super) n_rows: usize,
     numbers: BTreeMap<String, Vec<f64>>,
     texts: BTreeMap<String, Texts>,
+    /// A column of types that is not among the named ones.
+    pub(super) types: Option<String>,
     /// The line of each row; empty if the table is not text.
     lines: Vec<u32>,
     /// The unit of `lines`.
@@ -103,13 +117,13 @@ impl Table {
         let names: Vec<String> = reader.byte_headers()?.iter().map(printable).collect();
         let mut table = Self { names, counted: "line", ..Self::default() };
         let mut found = Vec::new();
-        for (name, kind) in wanted {
-            let mut places = table.names.iter().enumerate().filter(|(_, found)| found == name);
+        for (name, kind) in with_types(wanted, &table.names) {
+            let mut places = table.names.iter().enumerate().filter(|(_, found)| **found == name);
             let Some((index, _)) = places.next() else { continue };
             if places.next().is_some() {
                 return Err(format!("line 1: the column {name} appears twice").into());
             }
-            found.push((index, *name, *kind));
+            found.push((index, name, kind));
         }
         let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); found.len()];
         let mut texts: Vec<Texts> = found.iter().map(|_| Texts::default()).collect();
@@ -132,7 +146,7 @@ impl Table {
                 let text = std::str::from_utf8(cell)
                     .map_err(|_| format!("line {line}: column {name} is not in UTF-8: {}", printable(cell)))?;
                 match kind {
-                    Kind::Text => texts[slot].push(text),
+                    Kind::Text | Kind::Types => texts[slot].push(text),
                     Kind::Number if text.is_empty() => numbers[slot].push(f64::NAN),
                     Kind::Number => numbers[slot].push(text.parse().map_err(|_| {
                         let point = if cell.contains(&b',') { " with a decimal point" } else { "" };
@@ -145,31 +159,46 @@ impl Table {
         table.n_rows = table.lines.len();
         for ((_, name, kind), (numbers, texts)) in found.into_iter().zip(numbers.into_iter().zip(texts)) {
             match kind {
-                Kind::Number => drop(table.numbers.insert(name.to_owned(), numbers)),
-                Kind::Text => drop(table.texts.insert(name.to_owned(), texts)),
+                Kind::Number => drop(table.numbers.insert(name, numbers)),
+                Kind::Text | Kind::Types => {
+                    table.types = table.types.or_else(|| (kind == Kind::Types).then(|| name.clone()));
+                    table.texts.insert(name, texts);
+                }
             }
         }
         Ok(table)
     }
 
     fn of_parquet(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
-        let names: Vec<&str> = wanted.iter().map(|(name, _)| *name).collect();
+        let footer = read_footer(bytes, bytes.len() as u64)?.ok_or("the file is cut short")?;
+        let wanted = with_types(wanted, &columns_of(&footer)?);
+        let names: Vec<&str> = wanted.iter().map(|(name, _)| name.as_str()).collect();
         let columns = Columns::read(bytes, &names, &[], LIMITS)?;
         let mut table = Self { n_rows: columns.n_rows(), ..Self::default() };
         let missing = columns.missing(&names);
-        for (name, kind) in wanted.iter().filter(|(name, _)| !missing.contains(name)) {
+        for (name, kind) in wanted.iter().filter(|(name, _)| !missing.contains(&name.as_str())) {
             match kind {
-                Kind::Number => drop(table.numbers.insert((*name).to_owned(), columns.float_or_nan(name)?)),
-                Kind::Text => {
+                Kind::Number => drop(table.numbers.insert(name.clone(), columns.float_or_nan(name)?)),
+                Kind::Text | Kind::Types => {
                     let mut texts = Texts::default();
                     columns.text_or_null(name)?.iter().for_each(|text| texts.push(text.unwrap_or_default().trim()));
-                    table.texts.insert((*name).to_owned(), texts);
+                    table.texts.insert(name.clone(), texts);
+                    table.types = table.types.or_else(|| (*kind == Kind::Types).then(|| name.clone()));
                 }
             }
         }
         table.names = columns.into_names();
         Ok(table)
     }
+}
+
+/// The `wanted` columns of a table with these columns, that of types by its name, if there is one.
+pub(super) fn with_types(wanted: &[(&str, Kind)], names: &[String]) -> Vec<(String, Kind)> {
+    let name_of = |(name, kind): &(&str, Kind)| match kind {
+        Kind::Types => Some((names[types_among(names)?].clone(), *kind)),
+        _ => Some(((*name).to_owned(), *kind)),
+    };
+    wanted.iter().filter_map(name_of).collect()
 }
 
 /// The separator of cells, found in the header of a table.

@@ -2,7 +2,7 @@
 
 use super::columns::{Kind, Table, Texts};
 use super::mapping::{TableColumns, TableMapping};
-use crate::ingest::raw::{Part, RawUnit, Reject};
+use crate::ingest::raw::{Finding, Part, RawUnit, Reject};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -66,6 +66,7 @@ impl<'a> Rows<'a> {
         let has = |name: &str, kind: Kind, table: &Table| match kind {
             Kind::Number => table.number(Some(name)).is_some(),
             Kind::Text => table.text(Some(name)).is_some(),
+            Kind::Types => true,
         };
         let TableColumns { track, x, y, time, frame, heading, recording, place, .. } = &mapping.columns;
         let of_rows = [
@@ -91,6 +92,27 @@ impl<'a> Rows<'a> {
             return Err(unit.reject("no_rows", "the table has no rows"));
         }
         Ok(Self { mapping, file: unit.file.clone(), part: unit.part.clone(), table, of_tracks })
+    }
+
+    /// A column of types that the mapping does not name, of the table or the table of tracks.
+    pub(super) fn unmapped_types(&self) -> Option<Finding> {
+        const N_NAMED: usize = 8;
+        let of_tracks = self.of_tracks.as_ref().map(|of_tracks| (&of_tracks.file, &of_tracks.table));
+        let (file, name, texts) = [Some((&self.file, &self.table)), of_tracks]
+            .into_iter()
+            .flatten()
+            .find_map(|(file, table)| Some((file, table.types.as_ref()?, table.text(table.types.as_deref())?)))?;
+        let class = self.mapping.class.name();
+        if texts.different.iter().all(|text| text.is_empty() || text.eq_ignore_ascii_case(class)) {
+            return None;
+        }
+        let named: Vec<&str> = texts.different.iter().map(String::as_str).take(N_NAMED).collect();
+        let detail = format!(
+            "{file}: column {name} ({}) is not mapped, and everybody is of class {class}; name it in \
+             ingest.table.columns.class, and its texts in ingest.table.classes",
+            named.join(", ")
+        );
+        Some(Finding { what: "columns_of_types_not_mapped", n: 1, detail })
     }
 
     pub(super) fn groups(&self) -> Vec<Group> {
@@ -143,5 +165,6 @@ pub(super) fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
     let texts = [Some(track), class.as_ref(), recording.as_ref(), place.as_ref()];
     let numbers = [Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref(), length.as_ref(), width.as_ref()];
     let texts = texts.into_iter().flatten().map(|name| (name.as_str(), Kind::Text));
-    texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).collect()
+    let types = class.is_none().then_some(("", Kind::Types));
+    texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).chain(types).collect()
 }

@@ -263,3 +263,22 @@ fn damaged_tables_are_rejects_and_oddities_are_counted() {
     let warned = |what: &str| warnings.iter().any(|warning| warning.contains(what));
     assert!(warned("1 gaps filled") && warned("1 rows repeated") && warned("1 rows without track"), "{warnings:?}");
 }
+
+#[test]
+fn types_of_agents_are_mapped_or_named() {
+    let rows = |_, t: f64, x: f64| format!("{t};car0;{x};-3;90;car\n{t};ped0;{};5;90;DEFAULT_PEDTYPE", 30.0 - 0.1 * x);
+    let header = "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type";
+    let folder = file("traffic.csv", &drive(header, 40, rows));
+    let text = fs_err::read_to_string("configs/sumo_fcd.toml").unwrap();
+    let sections: BTreeMap<String, IngestConfig> = toml::from_str(&text).unwrap();
+    let mapped = IngestConfig { inputs: vec![folder.path().to_owned()], ..sections["ingest"].clone() };
+    let (scenes, report) = read(&mapped).unwrap();
+    let classes: Vec<AgentClass> = scenes[0].tracks.iter().map(|track| track.class).collect();
+    assert_eq!(classes, [AgentClass::Vehicle, AgentClass::Pedestrian]);
+    assert!(!report.warnings.contains_key("columns_of_types_not_mapped"));
+    let columns = "columns = { track = 'vehicle_id', x = 'vehicle_x', y = 'vehicle_y', time = 'timestep_time' }";
+    let (_, report) = read(&config(folder.path(), columns)).unwrap();
+    let said = &report.warnings["columns_of_types_not_mapped"].examples[0];
+    let expected = "column vehicle_type (car, DEFAULT_PEDTYPE) is not mapped, and everybody is of class vehicle";
+    assert!(said.contains(expected) && said.contains("ingest.table.columns.class"), "{said}");
+}

@@ -1,10 +1,11 @@
 //! The rows of a table one by one, and those of its parts.
 
-use super::columns::{Kind, csv_reader, separator_of};
+use super::columns::{Kind, csv_reader, separator_of, with_types};
 use super::mapping::{TableColumns, TableMapping};
 use super::rows::wanted;
 use crate::geometry::Vec2;
-use crate::ingest::parquet_columns::Stream;
+use crate::ingest::parquet_columns::{Stream, columns_of};
+use crate::ingest::quotes::printable;
 use crate::ingest::raw::{Part, RawUnit, Reject};
 use arrow::array::{Array, StringArray};
 use parquet::file::metadata::ParquetMetaData;
@@ -39,7 +40,7 @@ pub(super) struct TimedRows<'r> {
     mapping: &'r TableMapping,
     separator: u8,
     /// The columns to read.
-    columns: Vec<(&'r str, Kind)>,
+    columns: Vec<(String, Kind)>,
     /// The indices among them of the time, the track, and the columns that distinguish recordings of one file.
     time: usize,
     position: [usize; 2],
@@ -81,15 +82,18 @@ impl<'r> TimedRows<'r> {
         let (source, separator, columns) = match footer {
             None => Source::text(table, &all)?,
             Some(footer) => {
-                let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
+                let all = with_types(&all, &columns_of(footer).ok()?);
+                let names: Vec<&str> = all.iter().map(|(name, _)| name.as_str()).collect();
                 let stream = Stream::of(table, footer, &names).ok()?;
-                let is_there = |(name, _): &&(&str, Kind)| stream.names().iter().any(|found| found == name);
-                let columns = all.iter().filter(is_there).copied().collect();
+                let columns = all.iter().filter(|(name, _)| stream.names().contains(name)).cloned().collect();
                 (Source::Parquet { stream, cells: Vec::new(), n_rows: 0, n_done: 0 }, b',', columns)
             }
         };
         // Other columns are in the table of tracks.
-        if columns.len() < all.len() && mapping.track_files.is_none() {
+        let is_there = |(name, kind): &(&str, Kind)| {
+            *kind == Kind::Types || columns.iter().any(|(found, _): &(String, Kind)| found == name)
+        };
+        if mapping.track_files.is_none() && !all.iter().all(is_there) {
             return None;
         }
         let TableColumns { time, frame, track, x, y, recording, place, .. } = &mapping.columns;
@@ -117,9 +121,9 @@ impl<'r> TimedRows<'r> {
             Source::Parquet { stream, cells, n_rows, n_done } => {
                 while *n_done == *n_rows {
                     let Some(rows) = stream.next().ok()? else { return Some(None) };
-                    let of_column = |(name, kind): &(&str, Kind)| match kind {
+                    let of_column = |(name, kind): &(String, Kind)| match kind {
                         Kind::Number => Some(Cells::Numbers(rows.float_or_nan(name).ok()?)),
-                        Kind::Text => Some(Cells::Texts(rows.text_or_null(name).ok()?)),
+                        Kind::Text | Kind::Types => Some(Cells::Texts(rows.text_or_null(name).ok()?)),
                     };
                     *cells = self.columns.iter().map(of_column).collect::<Option<_>>()?;
                     (*n_rows, *n_done) = (rows.n_rows(), 0);
@@ -218,7 +222,7 @@ impl<'r> TimedRows<'r> {
 impl<'r> Source<'r> {
     /// The rows of a table in CSV with its separator and the `wanted` columns that it has.
     #[expect(clippy::type_complexity, reason = "the three are apart again at once")]
-    fn text(table: &'r mut dyn BufRead, wanted: &[(&'r str, Kind)]) -> Option<(Self, u8, Vec<(&'r str, Kind)>)> {
+    fn text(table: &'r mut dyn BufRead, wanted: &[(&str, Kind)]) -> Option<(Self, u8, Vec<(String, Kind)>)> {
         let mut header = Vec::new();
         Read::take(&mut *table, 1 << 16).read_until(b'\n', &mut header).ok()?;
         let header = header.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&header).to_vec();
@@ -226,13 +230,14 @@ impl<'r> Source<'r> {
         let whole: Box<dyn Read + 'r> = Box::new(std::io::Cursor::new(header).chain(table));
         let mut reader = csv_reader(separator).from_reader(whole);
         let names = reader.byte_headers().ok()?.clone();
+        let names_as_text: Vec<String> = names.iter().map(printable).collect();
         let (mut places, mut columns) = (Vec::new(), Vec::new());
-        for (name, kind) in wanted {
-            let mut found = names.iter().enumerate().filter(|(_, found)| *found == name.as_bytes());
+        for (name, kind) in with_types(wanted, &names_as_text) {
+            let mut found = names_as_text.iter().enumerate().filter(|(_, found)| **found == name);
             match (found.next(), found.next()) {
                 (Some((place, _)), None) => {
                     places.push(place);
-                    columns.push((*name, *kind));
+                    columns.push((name, kind));
                 }
                 (None, _) => {}
                 _ => return None,

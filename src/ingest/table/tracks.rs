@@ -70,7 +70,9 @@ impl Rows<'_> {
         }
         let away_m = tracks.iter().map(farthest_m).fold(0.0, f64::max);
         counts.at_rest_m = (self.part.is_none() && !tracks.is_empty() && away_m < MAX_AT_REST_M).then_some(away_m);
-        let findings = counts.findings(&self.file);
+        let is_first = self.part.as_ref().is_none_or(|part| part.windows.start == 0);
+        let findings =
+            self.unmapped_types().filter(|_| is_first).into_iter().chain(counts.findings(&self.file)).collect();
         Ok(Recording { dataset: Dataset::Table, unit, tracks, findings })
     }
 

@@ -22,23 +22,27 @@ pub enum Check {
     Curvature,
     /// A vehicle does not move in the direction of its heading.
     Heading,
+    /// A vehicle drives backward.
+    Reverse,
     /// A road user jumps where given and generated states meet.
     StartPosition,
     /// A road user turns at once where given and generated states meet.
     StartHeading,
-    /// A vehicle's acceleration changes at once where given and generated states meet.
+    /// The acceleration of a vehicle in motion changes at once where given and generated states meet.
     StartAcceleration,
     /// Two road users drive into each other.
     Collision,
     /// A vehicle leaves the road.
     Offroad,
+    /// Nobody is left on the road.
+    Deserted,
     /// The subject of the requested event is about to drive into somebody, too late to avoid it.
     ContactAfterEnd,
 }
 
 impl Check {
     /// Every check, in the order of tables.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::Acceleration,
         Self::Deceleration,
         Self::LateralAcceleration,
@@ -46,11 +50,13 @@ impl Check {
         Self::YawRate,
         Self::Curvature,
         Self::Heading,
+        Self::Reverse,
         Self::StartPosition,
         Self::StartHeading,
         Self::StartAcceleration,
         Self::Collision,
         Self::Offroad,
+        Self::Deserted,
         Self::ContactAfterEnd,
     ];
 
@@ -64,11 +70,13 @@ impl Check {
             Self::YawRate => "yaw_rate",
             Self::Curvature => "curvature",
             Self::Heading => "heading",
+            Self::Reverse => "reverse",
             Self::StartPosition => "start_position",
             Self::StartHeading => "start_heading",
             Self::StartAcceleration => "start_acceleration",
             Self::Collision => "collision",
             Self::Offroad => "offroad",
+            Self::Deserted => "deserted",
             Self::ContactAfterEnd => "contact_after_end",
         }
     }
@@ -85,7 +93,8 @@ impl Check {
             Self::Jerk => "m/s^3",
             Self::YawRate | Self::Curvature => "rad/s",
             Self::Heading | Self::StartHeading => "rad",
-            Self::StartPosition | Self::Offroad => "m",
+            Self::Reverse | Self::StartPosition | Self::Offroad => "m",
+            Self::Deserted => "s",
             Self::Collision | Self::ContactAfterEnd => "m/s",
         }
     }
@@ -103,6 +112,9 @@ impl Check {
                 "a vehicle moves at an angle to its heading that is larger than its turning explains, by more than the \
                  limit beyond the largest such angle among its given states"
             }
+            Self::Reverse => {
+                "a vehicle goes back by more than the limit, which it was not seen to do in its given states"
+            }
             Self::StartPosition => {
                 "a road user is farther than the limit from where its motion leads, where given and generated states \
                  meet"
@@ -111,11 +123,12 @@ impl Check {
                 "a road user turns by more than the limit in one timestep, where given and generated states meet"
             }
             Self::StartAcceleration => {
-                "a vehicle's acceleration changes within two timesteps, where given and generated states meet, by more \
-                 than the limit beyond the largest such change among its given states"
+                "a vehicle in motion changes its acceleration within two timesteps, where given and generated states \
+                 meet, by more than the limit beyond the largest such change among its given states"
             }
             Self::Collision => "two road users touch that did not at present; the value is their relative speed",
             Self::Offroad => "a vehicle that is on the road at present leaves it by more than the limit",
+            Self::Deserted => "all have left, and for longer than the limit nobody arrives until the end",
             Self::ContactAfterEnd => {
                 "within a second after the end, the subject of the requested event touches somebody ahead of it if all \
                  go on, although a careful driver takes over at the last state; the value is their relative speed"

@@ -11,10 +11,12 @@
 mod check;
 mod collision;
 mod config;
+mod deserted;
 mod fit;
 mod map_fit;
 mod motion;
 mod offroad;
+mod reverse;
 mod seam;
 #[cfg(test)]
 mod tests;
@@ -82,9 +84,11 @@ impl<'a> Judged<'a> {
         let mut found = Vec::new();
         if config.checks_motion_of(self.scene.source.dataset) {
             found.extend(motion::violations(self, config));
+            found.extend(reverse::worst(self));
             found.extend(seam::violations(self, config));
         }
         found.extend(collision::worst(self, config));
+        found.extend(deserted::worst(self));
         if !not_checked.contains(&Check::Offroad) {
             found.extend(offroad::worst(self, config));
         }

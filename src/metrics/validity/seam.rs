@@ -8,6 +8,8 @@ use crate::scene::State;
 /// Largest change of acceleration within two timesteps, m/s², beyond the largest one among the given states of the
 /// vehicle, which shows how smooth its recording is.
 const MAX_START_ACCELERATION_MPS2: f64 = 2.0;
+/// Who is slower than this at the present or around it, m/s, moves off or stops: it may do so at once.
+const IN_MOTION_MPS: f64 = 0.5;
 /// Motion is extrapolated from the mean velocity over at most this many timesteps.
 const N_BEFORE: usize = 3;
 
@@ -49,7 +51,8 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
 }
 
 /// The change of acceleration from before `timestep`, the first generated one, to the two timesteps after, beyond the
-/// largest such change among the observed states before, m/s². `None` if there are too few states.
+/// largest such change among the observed states before, m/s². `None` if there are too few states, or the vehicle moves
+/// off or stops in them.
 fn acceleration_step(judged: &Judged<'_>, agent_idx: usize, timestep: usize) -> Option<f64> {
     let (scene, first) = (judged.scene, timestep.checked_sub(N_BEFORE)?);
     let acceleration = |from: usize| -> Option<Vec2> {
@@ -65,5 +68,11 @@ fn acceleration_step(judged: &Judged<'_>, agent_idx: usize, timestep: usize) -> 
     let is_given = |timestep: usize| !judged.is_generated(agent_idx, timestep);
     let of_given = (0..first.saturating_sub(1)).filter(|from| (*from..=from + 4).all(is_given)).filter_map(change);
     let is_start = judged.is_generated(agent_idx, timestep) && (first..timestep).all(is_given);
+    let step_m = |from: usize| -> Option<f64> {
+        Some(scene.state(agent_idx, from)?.position.distance(scene.state(agent_idx, from + 1)?.position))
+    };
+    if (first..timestep + 1).filter_map(step_m).any(|step_m| step_m < IN_MOTION_MPS * scene.dt_s) {
+        return None;
+    }
     Some(change(first).filter(|_| is_start)? - of_given.fold(0.0, f64::max))
 }

@@ -384,3 +384,49 @@ fn what_is_not_checked_is_said() {
     let of_noisy = not_checked(&noisy, &ValidityConfig { skip: vec![Check::Collision], ..defaults() });
     assert_eq!(of_noisy, Check::ALL);
 }
+
+#[test]
+fn who_moves_off_or_stops_at_the_present_may_do_so_at_once() {
+    // Moving off with 3 m/s² from a stand, or braking with them to one.
+    let moved = |at_m: &dyn Fn(f64) -> f64| {
+        let moved = changed(scene(10.0, ""), |timestep, state| State {
+            position: Vec2::new(at_m(0.1 * (timestep as f64 - 9.0)), 0.0),
+            ..state
+        });
+        checks(&moved, &defaults())
+    };
+    assert_eq!(moved(&|s| 1.5 * s.max(0.0).powi(2)), [""; 0]);
+    assert_eq!(moved(&|s| -1.5 * s.min(0.0).powi(2)), [""; 0]);
+    assert_eq!(moved(&|s| s + 1.5 * s.max(0.0).powi(2)), ["start_acceleration"]);
+}
+
+#[test]
+fn somebody_is_left() {
+    let left_after = |n_timesteps: usize| {
+        let mut scene = scene(10.0, "");
+        let states = scene.tracks[0].trajectory.entries().iter().take(n_timesteps).copied();
+        scene.tracks[0].trajectory = Trajectory::new(states.chain(std::iter::repeat(None)).take(40).collect());
+        scene
+    };
+    let (check, value, timestep) = only(&left_after(15), &defaults());
+    assert!(check == Check::Deserted && (value - 2.5).abs() < 1e-9 && timestep == 14, "{value} at {timestep}");
+    assert_eq!(checks(&left_after(30), &defaults()), [""; 0]);
+}
+
+#[test]
+fn vehicles_do_not_drive_backward_unless_they_were_seen_to() {
+    // Braking with 1 m/s² from 1.5 m/s half a second before the present, and on.
+    let braking = |stops: bool, heading_rad: f64| {
+        changed(scene(10.0, ""), |timestep, state| {
+            let s = 0.1 * (timestep as f64 - 4.0);
+            let s = if stops { s.min(1.5) } else { s };
+            State { position: Vec2::new(1.5 * s - 0.5 * s * s, 0.0), heading_rad, ..state }
+        })
+    };
+    let (check, value, timestep) = only(&braking(false, 0.0), &defaults());
+    let last = scene(10.0, "").n_timesteps - 1;
+    let back_m = 0.5 * (0.1 * (last as f64 - 19.0)).powi(2);
+    assert!(check == Check::Reverse && (value - back_m).abs() < 1e-9 && timestep == last, "{value} at {timestep}");
+    assert_eq!(checks(&braking(true, 0.0), &defaults()), [""; 0]);
+    assert_eq!(checks(&braking(true, std::f64::consts::PI), &defaults()), [""; 0], "it was seen to go backward");
+}

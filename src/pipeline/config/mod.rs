@@ -99,10 +99,6 @@ pub struct RunConfig {
     /// Number of worker threads; 0 uses every core. Results do not depend on it.
     #[schemars(range(max = 1_024))]
     pub threads: usize,
-    /// What training and sampling on the processor may take by the estimate of `--dry-run`, gigabytes (10⁹ bytes);
-    /// stages that would take more are refused. Left out: the memory of the machine, or the limit of its control group.
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub memory_limit_gb: Option<f64>,
     /// What networks compute on: `cpu`, or `cuda` or `cuda:N` for a GPU.
     pub device: DeviceChoice,
     /// Precision of the matrix products of networks: `f32`, or `tf32` or `bf16` for the tensor cores of a GPU.
@@ -118,7 +114,6 @@ impl Default for RunConfig {
             name: String::new(),
             seed: 0,
             threads: 0,
-            memory_limit_gb: None,
             device: DeviceChoice::default(),
             precision: Precision::default(),
             output: PathBuf::from("output"),
@@ -227,8 +222,8 @@ impl PipelineConfig {
     #[must_use]
     pub fn portable(&self) -> Self {
         let mut config = self.clone();
-        let RunConfig { threads, memory_limit_gb, output, .. } = RunConfig::default();
-        config.run = RunConfig { threads, memory_limit_gb, output, ..config.run };
+        let RunConfig { threads, output, .. } = RunConfig::default();
+        config.run = RunConfig { threads, output, ..config.run };
         config.cluster = None;
         config
     }

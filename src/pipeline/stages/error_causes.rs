@@ -95,6 +95,7 @@ impl From<drive::Error> for Failure {
             drive::Error::Store(error) => error.into(),
             drive::Error::Files(error) => error.into(),
             drive::Error::Io(io) => of_named_path(io),
+            error @ drive::Error::Machine(_) => Self::fault(error),
             error => Self::input(error),
         }
     }

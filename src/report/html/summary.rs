@@ -14,6 +14,9 @@ pub(super) fn summary(model: &ReportModel) -> Markup {
                 (answer("Asked", &asked(model)))
                 (answer("Got", &got(model)))
                 (answer("Cost", &cost(model)))
+                @if !model.requests.is_empty() {
+                    li class="wide" { h2 { "Requested and delivered" } (requested(model)) }
+                }
             } @else if let Some(ingest) = &model.ingest {
                 (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) }
                     " recorded scenes; nothing was generated." } }))
@@ -28,27 +31,33 @@ fn answer(question: &str, body: &Markup) -> Markup {
 }
 
 fn asked(model: &ReportModel) -> Markup {
+    // Samples of a request are named after it, and serve what it wants.
+    let is_of_request = |row: &&SamplingRow| {
+        let request = row.sweep.split_once('/').map(|(request, _)| request);
+        model.requests.iter().any(|known| Some(known.name.as_str()) == request)
+    };
+    let of_sweeps: Vec<&SamplingRow> = model.evaluation.sampling.iter().filter(|row| !is_of_request(row)).collect();
     let n_of = |behavior: Option<&str>| -> u64 {
-        let rows = model.evaluation.sampling.iter().filter(|row| row.behavior.as_deref() == behavior);
+        let rows = of_sweeps.iter().filter(|row| row.behavior.as_deref() == behavior);
         rows.map(|row| row.n_scenarios).sum()
     };
     let mut behaviors: Vec<Option<&str>> = Vec::new();
-    for row in &model.evaluation.sampling {
+    for row in &of_sweeps {
         if !behaviors.contains(&row.behavior.as_deref()) {
             behaviors.push(row.behavior.as_deref());
         }
     }
     html! {
-        @for request in &model.requests {
+        @if !model.requests.is_empty() {
             p {
-                strong { (count(request.n_wanted)) } " accepted scenarios of " (request.behavior.replace('_', " "))
-                ", by their parameters (" (request.name) ")"
+                strong { (count(model.requests.iter().map(|request| request.n_wanted).sum())) }
+                " accepted scenarios in buckets of their parameters"
             }
         }
         @for behavior in behaviors {
-            p { strong { (count(n_of(behavior))) } " futures "
+            p { strong { (count(n_of(behavior))) } " futures"
                 @match behavior {
-                    Some(behavior) => { "with a " (behavior.replace('_', " ")) } None => "as traffic may go on"
+                    Some(behavior) => { ", requested: " (behavior.replace('_', " ")) } None => " as traffic may go on"
                 }
             }
         }
@@ -86,12 +95,26 @@ fn got(model: &ReportModel) -> Markup {
                 " verified: the miner finds the requested behavior; "
                 (count(sum(&asked, |row| row.n_new))) " of them are not in the recording" }
         }
-        @for request in &model.requests {
-            p {
-                strong { (count(request.n_accepted)) } " of " (count(request.n_wanted)) " for the request "
-                (request.name)
-            }
-        }
+    }
+}
+
+/// What each request wanted and what the corpus holds of it.
+fn requested(model: &ReportModel) -> Markup {
+    html! {
+        div class="scroll" { table {
+            thead { tr {
+                th scope="col" { "Request" } th scope="col" { "Behavior" } th scope="col" class="n" { "Wanted" }
+                th scope="col" class="n" { "Accepted" } th scope="col" class="n" { "Scenes tried" }
+                th scope="col" class="n" { "Samples" }
+            } }
+            tbody { @for request in &model.requests {
+                tr class=[(request.n_accepted < request.n_wanted).then_some("short")] {
+                    td { (request.name) } td { (request.behavior.replace('_', " ")) }
+                    td class="n" { (count(request.n_wanted)) } td class="n" { (count(request.n_accepted)) }
+                    td class="n" { (count(request.n_scenes as u64)) } td class="n" { (count(request.n_samples)) }
+                }
+            } }
+        } }
     }
 }
 
