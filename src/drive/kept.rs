@@ -21,8 +21,8 @@ pub(super) struct Kept {
 }
 
 impl Kept {
-    /// Drives for the folder `out`, whose lock must be held, that depend only on these named parts. Returns the names of
-    /// those that have changed since an interrupted attempt, whose drives then count for nothing.
+    /// Drives for the folder `out`, whose lock must be held, that depend only on these named parts. Returns the names
+    /// of those that have changed since an interrupted attempt, whose drives then count for nothing.
     pub(super) fn begin<'p>(out: &Path, parts: &[(&'p str, String)]) -> Result<(Self, Vec<&'p str>)> {
         let mut name = out.file_name().unwrap_or_default().to_owned();
         name.push(".drives");
