@@ -21,12 +21,18 @@ pub(crate) struct Lines<'a> {
     number: u64,
     /// Empty lines since the last other one.
     n_empty: usize,
+    keeps_quotes: bool,
 }
 
 impl<'a> Lines<'a> {
     /// The lines of `reader`, which must stand at the start of the stream.
     pub(crate) fn new(reader: &'a mut dyn BufRead) -> Self {
-        Self { reader, n_shown: 0, line: Vec::new(), number: 0, n_empty: 0 }
+        Self { reader, n_shown: 0, line: Vec::new(), number: 0, n_empty: 0, keeps_quotes: false }
+    }
+
+    /// The same lines with the quotes around their cells.
+    pub(crate) fn with_quotes(self) -> Self {
+        Self { keeps_quotes: true, ..self }
     }
 
     /// The next line without its end, and its number, counted from 1; `None` at the end of the stream.
@@ -53,7 +59,7 @@ impl<'a> Lines<'a> {
                 let message = format!("more than {MAX_EMPTY_LINES} empty lines up to line {}", self.number);
                 return Err(io::Error::new(io::ErrorKind::InvalidData, message));
             }
-            if memchr(b'"', line).is_none() {
+            if self.keeps_quotes || memchr(b'"', line).is_none() {
                 return Ok(Some((self.number, line)));
             }
             self.line.clear();
@@ -70,7 +76,7 @@ impl<'a> Lines<'a> {
             let message = format!("line {} is longer than {} KiB", self.number, MAX_LINE_BYTES / 1024);
             return Err(io::Error::new(io::ErrorKind::InvalidData, message));
         }
-        if memchr(b'"', &self.line).is_some() {
+        if !self.keeps_quotes && memchr(b'"', &self.line).is_some() {
             let quoted = std::mem::take(&mut self.line);
             append_plain(clean(&quoted, self.number), &mut self.line);
         }

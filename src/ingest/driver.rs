@@ -9,7 +9,7 @@ use super::files::{is_archive, is_copy, passed_over};
 use super::lane_index::LaneIndex;
 use super::map_catalog::MapCatalog;
 use super::places::{Places, flaw_of};
-use super::raw::{RawScene, RawUnit, Reject, UnitSplit};
+use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit};
 use super::report::IngestReport;
 use super::source::RecordingSource;
 use super::table::TableMapping;
@@ -200,9 +200,10 @@ enum UnitOutcome {
         counts: IngestReport,
         own_map: Option<Arc<LaneGraph>>,
     },
-    Rejected(Reject),
-    /// Left out by the configuration, with the reason.
-    Unwanted(&'static str),
+    /// With what was found before, which may explain it.
+    Rejected(Reject, Vec<Finding>),
+    /// Left out by the configuration, with the reason, and what was found about its recording.
+    Unwanted(&'static str, Vec<Finding>),
     MissingMap(MapId),
 }
 
@@ -254,9 +255,9 @@ impl UnitParser<'_> {
     fn parse_unit(&self, unit: Result<RawUnit, Reject>) -> Vec<Pending<'_>> {
         let n_bytes = unit.as_ref().map_or(0, RawUnit::n_bytes);
         let outcomes: Vec<PendingOutcome<'_>> = match unit {
-            Err(reject) => vec![Box::new(|| UnitOutcome::Rejected(reject))],
+            Err(reject) => vec![Box::new(|| UnitOutcome::Rejected(reject, Vec::new()))],
             Ok(unit) => match self.reason_unwanted(&unit) {
-                Some(what) => vec![Box::new(move || UnitOutcome::Unwanted(what))],
+                Some(what) => vec![Box::new(move || UnitOutcome::Unwanted(what, Vec::new()))],
                 None => {
                     let scenes = self.source.parse(unit).into_iter();
                     scenes.map(|scene| Box::new(|| self.finish_scene(scene())) as PendingOutcome<'_>).collect()
@@ -304,8 +305,14 @@ impl UnitParser<'_> {
                 collected.report.n_bytes += n_bytes;
             }
             match outcome {
-                UnitOutcome::Rejected(reject) => collected.report.count_reject(&reject),
-                UnitOutcome::Unwanted(what) => collected.report.count_dropped(what, 1),
+                UnitOutcome::Rejected(reject, findings) => {
+                    collected.report.count_reject(&reject);
+                    findings.into_iter().for_each(|finding| collected.report.count_warning(finding));
+                }
+                UnitOutcome::Unwanted(what, findings) => {
+                    collected.report.count_dropped(what, 1);
+                    findings.into_iter().for_each(|finding| collected.report.count_warning(finding));
+                }
                 UnitOutcome::MissingMap(_) => {}
                 UnitOutcome::Kept { scene, counts, own_map } => {
                     collected.report.merge(&counts);
@@ -320,20 +327,19 @@ impl UnitParser<'_> {
     fn finish_scene(&self, scene: Result<RawScene, Reject>) -> UnitOutcome {
         let mut scene = match scene {
             Ok(scene) => scene,
-            Err(reject) => return UnitOutcome::Rejected(reject),
+            Err(reject) => return UnitOutcome::Rejected(reject, Vec::new()),
         };
+        let findings = scene.findings.clone();
         if !self.config.wants_split(scene.source.split) {
-            return UnitOutcome::Unwanted(OTHER_SPLITS);
+            return UnitOutcome::Unwanted(OTHER_SPLITS, findings);
         }
         if let Some(flaw) = flaw_of(&scene.source.place) {
-            return UnitOutcome::Rejected(Reject {
-                reason: "bad_place",
-                detail: format!("{}: {flaw}", scene.source.file),
-            });
+            let detail = format!("{}: {flaw}", scene.source.file);
+            return UnitOutcome::Rejected(Reject { reason: "bad_place", detail }, findings);
         }
         self.places.note(Some(&scene.source.place));
         if !self.config.wants_place(&scene.source.place) {
-            return UnitOutcome::Unwanted(OTHER_PLACES);
+            return UnitOutcome::Unwanted(OTHER_PLACES, findings);
         }
         let own_map = if self.config.wants_maps() { scene.own_map.take() } else { None };
         let own_index = own_map.clone().map(LaneIndex::new);
@@ -341,13 +347,13 @@ impl UnitParser<'_> {
         if map.is_none() && self.config.wants_maps() {
             if self.source.has_own_maps() {
                 let detail = format!("{}: has no lane; ingest.maps = \"none\" reads it without", scene.source.file);
-                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail });
+                return UnitOutcome::Rejected(Reject { reason: "no_lanes", detail }, findings);
             }
             return UnitOutcome::MissingMap(scene.map_id);
         }
         match assemble(scene, map, self.config) {
             Ok((scene, counts)) => UnitOutcome::Kept { scene: Box::new(scene), counts, own_map },
-            Err(reject) => UnitOutcome::Rejected(reject),
+            Err(reject) => UnitOutcome::Rejected(reject, findings),
         }
     }
 

@@ -20,6 +20,15 @@ pub(super) fn in_words(what: &str, pair: [&[u8]; 2]) -> String {
     format!("{what} {first} is also written {id}; write each id in one way")
 }
 
+/// A whole number without the zeros behind its point, as which programs write it that count in floating-point numbers;
+/// any other text unchanged.
+pub(super) fn whole_number(text: &str) -> &str {
+    let Some((whole, zeros)) = text.split_once('.') else { return text };
+    let is_whole =
+        !whole.is_empty() && whole.strip_prefix('-').unwrap_or(whole).bytes().all(|byte| byte.is_ascii_digit());
+    if is_whole && !zeros.is_empty() && zeros.bytes().all(|byte| byte == b'0') { whole } else { text }
+}
+
 /// The digits of an id that is a whole number, without optional ones.
 fn number(id: &[u8]) -> Option<&[u8]> {
     let id = id.strip_prefix(b"+").unwrap_or(id);

@@ -56,7 +56,7 @@ fn star_of<'p>(pattern: &str, name: &'p str) -> Option<&'p str> {
 
 /// Emits a recording as soon as its companion has arrived, or at once if it needs none.
 pub(super) struct PairReader<'a> {
-    names: PairNames<'a>,
+    pub(super) names: PairNames<'a>,
     /// Companions by folder and recording.
     companions: BTreeMap<String, Companion>,
     /// Recordings by folder and recording, with the order of arrival.

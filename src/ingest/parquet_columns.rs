@@ -4,7 +4,7 @@ use super::error::Malformed;
 use crate::containment::contained;
 use arrow::array::{Array, ArrayRef, AsArray, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::{cast, concat_batches};
-use arrow::datatypes::{DataType, FieldRef, Fields, Schema, SchemaRef};
+use arrow::datatypes::{DataType, FieldRef, Fields, Float64Type, Schema, SchemaRef, TimeUnit};
 use parquet::DecodeResult;
 use parquet::arrow::arrow_reader::ArrowReaderOptions;
 use parquet::arrow::push_decoder::{ParquetPushDecoder, ParquetPushDecoderBuilder};
@@ -25,8 +25,6 @@ pub(super) struct Limits {
 /// Some columns of a file in memory.
 pub(super) struct Columns {
     batch: RecordBatch,
-    /// The names of all columns of the file.
-    names: Vec<String>,
     max_text_bytes: usize,
 }
 
@@ -34,9 +32,8 @@ impl Columns {
     /// Decodes the columns of a Parquet file with these `names`; those in `numbers` must be numbers.
     pub(super) fn read(bytes: &[u8], names: &[&str], numbers: &[&str], limits: Limits) -> Result<Self, Malformed> {
         let damaged = || Err("the file is damaged beyond decoding".into());
-        let decoded = contained(|| decode(bytes, names, numbers, limits)).unwrap_or_else(damaged)?;
-        let (batch, names) = decoded;
-        Ok(Self { batch, names, max_text_bytes: limits.n_bytes })
+        let batch = contained(|| decode(bytes, names, numbers, limits)).unwrap_or_else(damaged)?;
+        Ok(Self { batch, max_text_bytes: limits.n_bytes })
     }
 
     /// Number of rows.
@@ -77,21 +74,23 @@ impl Columns {
 
     /// A column of numbers of any width; missing ones are NaN.
     pub(super) fn float_or_nan(&self, name: &str) -> Result<Vec<f64>, Malformed> {
-        let column = self.converted(name, &DataType::Float64, "numbers", DataType::is_numeric)?;
+        let is_number = |found: &DataType| found.is_numeric() || seconds_in(found).is_some();
+        let column = self.converted(name, &DataType::Float64, "numbers", is_number)?;
         let numbers: Float64Array = column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))?;
         Ok(numbers.iter().map(|number| number.unwrap_or(f64::NAN)).collect())
     }
 
-    /// A column of text or whole numbers, some of which may be missing.
+    /// A column of text or numbers, which can be names, too, whole ones without a point; some may be missing.
     pub(super) fn text_or_null(&self, name: &str) -> Result<StringArray, Malformed> {
+        let column = self.batch.column_by_name(name).ok_or_else(|| format!("no column {name}"))?;
+        let found = values_of(column.data_type());
+        if found.is_floating() || found.is_decimal() {
+            let text = |number: f64| (!number.is_nan()).then(|| number.to_string());
+            return Ok(self.float_or_nan(name)?.into_iter().map(text).collect());
+        }
         let is_text = |found: &DataType| is_string(found) || found.is_integer();
         let column = self.converted(name, &DataType::Utf8, "text", is_text)?;
         column.as_any().downcast_ref().cloned().ok_or_else(|| lost(name))
-    }
-
-    /// The names of all columns of the file.
-    pub(super) fn into_names(self) -> Vec<String> {
-        self.names
     }
 
     /// The column in type `wanted`, without missing values.
@@ -117,10 +116,7 @@ impl Columns {
         accepted: impl Fn(&DataType) -> bool,
     ) -> Result<ArrayRef, Malformed> {
         let column = self.batch.column_by_name(name).ok_or_else(|| format!("no column {name}"))?;
-        let found = match column.data_type() {
-            DataType::Dictionary(_, values) => values,
-            plain => plain,
-        };
+        let found = values_of(column.data_type());
         if !accepted(found) {
             let found = if is_string(found) { "text".to_owned() } else { column.data_type().to_string() };
             return Err(format!("column {name} is of type {found}, expected {expected}").into());
@@ -133,7 +129,14 @@ impl Columns {
                 return Err(format!("column {name} has {n_mib} MiB of text, expected at most {most}").into());
             }
         }
-        cast(column, wanted).map_err(|error| format!("column {name}: {error}").into())
+        let cast = |column: &ArrayRef, wanted: &DataType| {
+            cast(column, wanted).map_err(|error| Malformed::from(format!("column {name}: {error}")))
+        };
+        let Some(unit_s) = seconds_in(found) else { return cast(column, wanted) };
+        // Times are counted in a unit of their own.
+        let counts = cast(&cast(&cast(column, found)?, &DataType::Int64)?, &DataType::Float64)?;
+        let counts: &Float64Array = counts.as_any().downcast_ref().ok_or_else(|| lost(name))?;
+        cast(&(Arc::new(counts.unary::<_, Float64Type>(|count| count / unit_s)) as ArrayRef), wanted)
     }
 }
 
@@ -141,6 +144,26 @@ fn without_null(name: &str, column: &dyn Array) -> Result<(), Malformed> {
     match (0..column.len()).find(|row| column.is_null(*row)) {
         Some(row) => Err(format!("column {name} has no value in row {row}").into()),
         None => Ok(()),
+    }
+}
+
+fn values_of(found: &DataType) -> &DataType {
+    match found {
+        DataType::Dictionary(_, values) => values,
+        plain => plain,
+    }
+}
+
+/// Units of a time in a second, if the type is one of times or durations.
+const fn seconds_in(found: &DataType) -> Option<f64> {
+    match found {
+        DataType::Timestamp(unit, _) | DataType::Duration(unit) => Some(match unit {
+            TimeUnit::Second => 1.0,
+            TimeUnit::Millisecond => 1e3,
+            TimeUnit::Microsecond => 1e6,
+            TimeUnit::Nanosecond => 1e9,
+        }),
+        _ => None,
     }
 }
 
@@ -156,14 +179,12 @@ fn lost(name: &str) -> Malformed {
 /// Rejects columns that are neither numbers nor text.
 fn views(schema: &Schema, names: &[&str]) -> Result<SchemaRef, Malformed> {
     let in_view = |field: &FieldRef| -> Result<FieldRef, Malformed> {
-        let found = match field.data_type() {
-            DataType::Dictionary(_, values) => values,
-            plain => plain,
-        };
+        let found = values_of(field.data_type());
         if is_string(found) {
             return Ok(Arc::new(field.as_ref().clone().with_data_type(DataType::Utf8View)));
         }
-        if names.contains(&field.name().as_str()) && !found.is_numeric() && *found != DataType::Boolean {
+        let is_read = found.is_numeric() || seconds_in(found).is_some() || *found == DataType::Boolean;
+        if names.contains(&field.name().as_str()) && !is_read {
             let (name, found) = (field.name(), field.data_type());
             return Err(format!("column {name} is of type {found}, expected numbers or text").into());
         }
@@ -173,12 +194,7 @@ fn views(schema: &Schema, names: &[&str]) -> Result<SchemaRef, Malformed> {
     Ok(Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone())))
 }
 
-fn decode(
-    bytes: &[u8],
-    names: &[&str],
-    numbers: &[&str],
-    limits: Limits,
-) -> Result<(RecordBatch, Vec<String>), Malformed> {
+fn decode(bytes: &[u8], names: &[&str], numbers: &[&str], limits: Limits) -> Result<RecordBatch, Malformed> {
     let metadata = read_footer(bytes, bytes.len() as u64)?.ok_or("the file is cut short")?;
     let n_rows = metadata.file_metadata().num_rows();
     if !(0..=limits.n_rows as i64).contains(&n_rows) {
@@ -187,9 +203,7 @@ fn decode(
     let schema = schema_of(&metadata)?;
     let is_number = |name: &&&str| schema.field_with_name(name).is_ok_and(|field| field.data_type().is_numeric());
     let names: Vec<&str> = names.iter().chain(numbers.iter().filter(is_number)).copied().collect();
-    let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
-    let wanted = columns.filter(|column| names.contains(&column.column_path().string().as_str()));
-    let n_bytes: u64 = wanted.map(|column| column.uncompressed_size().unsigned_abs()).fold(0, u64::saturating_add);
+    let n_bytes = n_bytes_of(&metadata, &names);
     if n_bytes > limits.n_bytes as u64 {
         return Err(format!("its columns have {} MiB, expected at most {}", n_bytes >> 20, limits.n_bytes >> 20).into());
     }
@@ -204,7 +218,7 @@ fn decode(
         }
     }
     let first = batches.first().ok_or("the file has no rows")?;
-    Ok((concat_batches(&first.schema(), &batches)?, names_of(&schema)))
+    Ok(concat_batches(&first.schema(), &batches)?)
 }
 
 /// The footer of a file of `n_bytes`, from its last bytes; `None` if more of them are needed.
@@ -215,6 +229,18 @@ pub(super) fn read_footer(last: &[u8], n_bytes: u64) -> Result<Option<ParquetMet
     Ok(Some(metadata))
 }
 
+/// The uncompressed size of the columns with these `names`, bytes.
+pub(super) fn n_bytes_of(metadata: &ParquetMetaData, names: &[&str]) -> u64 {
+    chunks(metadata, names).map(|(_, n_bytes)| n_bytes).fold(0, u64::saturating_add)
+}
+
+/// The columns with these `names` in each row group, with their uncompressed sizes in bytes.
+fn chunks(metadata: &ParquetMetaData, names: &[&str]) -> impl Iterator<Item = (String, u64)> {
+    let columns = metadata.row_groups().iter().flat_map(|group| group.columns());
+    let sized = columns.map(|column| (column.column_path().string(), column.uncompressed_size().unsigned_abs()));
+    sized.filter(|(name, _)| names.contains(&name.as_str()))
+}
+
 fn schema_of(metadata: &ParquetMetaData) -> Result<Schema, Malformed> {
     let file = metadata.file_metadata();
     Ok(parquet_to_arrow_schema(file.schema_descr(), file.key_value_metadata())?)
@@ -222,11 +248,7 @@ fn schema_of(metadata: &ParquetMetaData) -> Result<Schema, Malformed> {
 
 /// The names of all columns of a file with this footer.
 pub(super) fn columns_of(footer: &ParquetMetaData) -> Result<Vec<String>, Malformed> {
-    Ok(names_of(&schema_of(footer)?))
-}
-
-fn names_of(schema: &Schema) -> Vec<String> {
-    schema.fields().iter().map(|field| field.name().clone()).collect()
+    Ok(schema_of(footer)?.fields().iter().map(|field| field.name().clone()).collect())
 }
 
 fn decoder(
@@ -242,15 +264,16 @@ fn decoder(
 
 /// Rows that a [`Stream`] decodes at a time.
 const N_ROWS_AT_A_TIME: usize = 8192;
-/// The most bytes of a column that a [`Stream`] holds, compressed.
-const MAX_CHUNK_BYTES: u64 = 1 << 30;
+/// The most bytes of a column in a row group of a [`Stream`], compressed or not, as a page may be all of it.
+const MAX_CHUNK_BYTES: u64 = 1 << 29;
+/// The most bytes of text in a column of the rows that a [`Stream`] decodes at a time.
+const MAX_TEXT_BYTES: usize = 64 << 20;
 
 /// Some columns of a file that arrives as a stream, some rows at a time. Memory is that of a row group, compressed.
 pub(super) struct Stream<'r> {
     file: &'r mut dyn BufRead,
     n_bytes_read: u64,
     decoder: ParquetPushDecoder,
-    names: Vec<String>,
 }
 
 impl<'r> Stream<'r> {
@@ -260,13 +283,12 @@ impl<'r> Stream<'r> {
         metadata: &Arc<ParquetMetaData>,
         names: &[&str],
     ) -> Result<Self, Malformed> {
+        if let Some((name, n_bytes)) = chunks(metadata, names).find(|(_, n_bytes)| *n_bytes > MAX_CHUNK_BYTES) {
+            let (n_mib, most) = (n_bytes >> 20, MAX_CHUNK_BYTES >> 20);
+            return Err(format!("column {name} has {n_mib} MiB in a row group, expected at most {most}").into());
+        }
         let decoder = decoder(metadata, names, N_ROWS_AT_A_TIME)?;
-        Ok(Self { file, n_bytes_read: 0, decoder, names: names_of(&schema_of(metadata)?) })
-    }
-
-    /// The names of all columns of the file.
-    pub(super) fn names(&self) -> &[String] {
-        &self.names
+        Ok(Self { file, n_bytes_read: 0, decoder })
     }
 
     /// The next rows; `None` at the end.
@@ -278,11 +300,7 @@ impl<'r> Stream<'r> {
             match decoded {
                 DecodeResult::Finished => return Ok(None),
                 DecodeResult::Data(batch) => {
-                    return Ok(Some(Columns {
-                        batch,
-                        names: self.names.clone(),
-                        max_text_bytes: MAX_CHUNK_BYTES as usize,
-                    }));
+                    return Ok(Some(Columns { batch, max_text_bytes: MAX_TEXT_BYTES }));
                 }
                 DecodeResult::NeedsData(mut ranges) => {
                     ranges.sort_by_key(|range| range.start);

@@ -14,8 +14,8 @@ const MIN_FAST_STEPS: usize = 5;
 const MAX_SLIP_RAD: f64 = std::f64::consts::FRAC_PI_4;
 /// The limit for headings beyond a full turn, which are degrees or were added up, radians.
 const MAX_SLIP_BEYOND_TURN_RAD: f64 = 0.15;
-/// No vehicle is faster than this, m/s, even with noisy positions or uneven times.
-const MAX_SPEED_MPS: f64 = 80.0;
+/// No vehicle is faster than this, m/s, nor with the noise and the uneven times of some datasets.
+pub(super) const MAX_SPEED_MPS: f64 = 80.0;
 const MAX_NOISY_SPEED_MPS: f64 = 500.0;
 /// Recorded velocities of moving vehicles contradict the positions if they differ by this factor.
 const MAX_SPEED_RATIO: f64 = 2.0;
@@ -99,7 +99,7 @@ pub(super) fn recorded_heading(heading_rad: f64, class: AgentClass) -> f64 {
 
 /// The verdicts on a track, in the order of the faults.
 fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.len()] {
-    let max_speed_mps = if facts.has_clean_motion { MAX_SPEED_MPS } else { MAX_NOISY_SPEED_MPS };
+    let max_speed_mps = if facts.has_uneven_times { MAX_NOISY_SPEED_MPS } else { MAX_SPEED_MPS };
     let (mut n_steps, mut n_fast, mut n_off, mut n_off_beyond) = (0, 0, 0, 0);
     let (mut moved_m, mut recorded_m) = (0.0, 0.0);
     let (mut off, mut beyond, mut jump) = (None, None, None);

@@ -43,6 +43,45 @@ pub(super) fn append_plain(line: &[u8], plain: &mut Vec<u8>) {
     }
 }
 
+/// Replaces `cells` by those of a line, without the quotes and blanks around them.
+///
+/// # Errors
+/// Says that a quote is not closed: it must not swallow the rows after it.
+pub(super) fn split_quoted(line: &[u8], separator: u8, cells: &mut csv::ByteRecord) -> Result<(), &'static str> {
+    cells.clear();
+    if memchr(b'"', line).is_none() {
+        line.split(|byte| *byte == separator).for_each(|cell| cells.push_field(cell.trim_ascii()));
+        return Ok(());
+    }
+    let mut rest = Some(line);
+    while let Some(line) = rest {
+        let n_blanks = line.iter().take_while(|byte| **byte == b' ').count();
+        let mut cell = Vec::new();
+        let mut after = line;
+        if let Some(mut quoted) = line[n_blanks..].strip_prefix(b"\"") {
+            loop {
+                let end = memchr(b'"', quoted).ok_or("a quote on it is not closed")?;
+                cell.extend_from_slice(&quoted[..end]);
+                quoted = &quoted[end + 1..];
+                // Two quotes stand for one.
+                match quoted.strip_prefix(b"\"") {
+                    Some(more) => {
+                        cell.push(b'"');
+                        quoted = more;
+                    }
+                    None => break,
+                }
+            }
+            after = quoted;
+        }
+        let end = memchr(separator, after);
+        cell.extend_from_slice(&after[..end.unwrap_or(after.len())]);
+        cells.push_field(cell.trim_ascii());
+        rest = end.map(|end| &after[end + 1..]);
+    }
+    Ok(())
+}
+
 /// A cell for messages: with its commas, and without other control characters.
 pub(super) fn printable(cell: &[u8]) -> String {
     const MAX_CHARS: usize = 40;
@@ -72,6 +111,22 @@ mod tests {
         assert_eq!(plain("\"1,5\",\"\",2"), "1\u{1f}5,,2\n");
         assert!(matches!(without_quotes(b"1,2\r\n3"), Cow::Borrowed(b"1,2\r\n3")));
         assert_eq!(printable("1\u{1f}5\u{7}".as_bytes()), "1,5\u{fffd}");
+    }
+
+    #[test]
+    fn cells_are_split_at_any_separator() {
+        let cells = |line: &str, separator| {
+            let mut cells = csv::ByteRecord::new();
+            split_quoted(line.as_bytes(), separator, &mut cells)
+                .map(|()| cells.iter().map(|cell| String::from_utf8_lossy(cell).into_owned()).collect::<Vec<_>>())
+        };
+        assert_eq!(
+            cells("1; \"a;b\" ;\"say \"\"go\"\"\";", b';'),
+            Ok(vec!["1", "a;b", "say \"go\"", ""].into_iter().map(str::to_owned).collect())
+        );
+        assert_eq!(cells(" 1\t\t 2.5", b'\t').unwrap(), ["1", "", "2.5"]);
+        assert_eq!(cells("5'10\",2", b','), Ok(vec!["5'10\"".to_owned(), "2".to_owned()]));
+        assert!(cells("1,\"2,3", b',').is_err());
     }
 
     #[test]

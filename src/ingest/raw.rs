@@ -1,5 +1,6 @@
 //! The steps between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
 
+use super::table::Change;
 use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split, Track};
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -53,6 +54,8 @@ pub struct Part {
     pub own_s: Range<f64>,
     /// The times of its rows, some of which adjacent parts have, too.
     pub rows_s: Range<f64>,
+    /// Doubts about the whole table.
+    pub findings: Vec<Finding>,
 }
 
 /// Facts about a track from all rows of a table.
@@ -62,6 +65,10 @@ pub struct SeenTrack {
     pub number: usize,
     /// When it is parked, seconds after frame 0.
     pub parked_s: Vec<RangeInclusive<f64>>,
+    /// From when on its id is that of another agent, and why, by ascending time as in the rows, seconds.
+    pub changes: Vec<(f64, Change)>,
+    /// The times of rows that are out of place.
+    pub jumps_s: Vec<f64>,
 }
 
 /// The second file of a [`RawUnit`].
@@ -163,4 +170,13 @@ pub struct Reject {
     pub reason: &'static str,
     /// File, line and what is wrong there.
     pub detail: String,
+}
+
+impl Reject {
+    /// Adds what was found before, and may explain it.
+    pub(super) fn explain(&mut self, findings: &[Finding]) {
+        for Finding { what, n, detail } in findings {
+            self.detail.push_str(&format!("; {n} {}, the first: {detail}", what.replace('_', " ")));
+        }
+    }
 }

@@ -26,7 +26,11 @@ impl Recording {
     /// If no split is named, the last [`IngestConfig::holdout_share`] of the recording is val and the rest is train.
     /// Windows across the cut are rejects, and so are windows without tracks.
     pub(super) fn windows(mut self, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
-        let rejected = |reject: Reject| -> Vec<PendingScene<'static>> { vec![Box::new(|| Err(reject))] };
+        let of_recording = std::mem::take(&mut self.findings);
+        let rejected = |mut reject: Reject| -> Vec<PendingScene<'static>> {
+            reject.explain(&of_recording);
+            vec![Box::new(|| Err(reject))]
+        };
         let part = self.unit.part.clone();
         let of_table = part.as_ref().map(|part| part.frames);
         let Some((min_frame, max_frame)) = of_table.or_else(|| frames(&self.tracks)) else {
@@ -49,12 +53,15 @@ impl Recording {
         let first_frame = min_frame + windows.start * stride;
         let n_windows = windows.end - windows.start;
         let present = tracks_by_window(&self.tracks, first_frame, n_windows, stride, n_timesteps as i64);
-        let mut findings = std::mem::take(&mut self.findings);
+        let mut findings = of_recording;
+        let is_divided = self.unit.split == UnitSplit::Divided;
         let recording = Arc::new(self);
         let window = |(index, present): (usize, Vec<usize>)| -> PendingScene<'static> {
             let recording = Arc::clone(&recording);
-            let findings = if present.is_empty() { Vec::new() } else { std::mem::take(&mut findings) };
             let first_frame = first_frame + index as i64 * stride;
+            let is_across =
+                is_divided && (first_frame + 1..first_frame + n_timesteps as i64).contains(&first_holdout_frame);
+            let findings = if present.is_empty() || is_across { Vec::new() } else { std::mem::take(&mut findings) };
             Box::new(move || {
                 let scene = recording.window(first_frame, horizon, first_holdout_frame, present)?;
                 Ok(RawScene { findings, ..scene })

@@ -39,6 +39,8 @@ pub struct DatasetFacts {
     pub has_velocities: bool,
     /// Whether positions are good enough to judge motion by: accelerations, jerks, curvature.
     pub has_clean_motion: bool,
+    /// Whether positions are at other times than recorded, so that agents seem to jump.
+    pub has_uneven_times: bool,
     /// Whether the focal agent is the dataset's choice of the agent to predict.
     pub has_chosen_focal: bool,
     /// Whether the first frame of a scene is the time at which it begins, in nanoseconds.
@@ -85,6 +87,7 @@ impl Dataset {
                 has_headings: true,
                 has_velocities: true,
                 has_clean_motion: true,
+                has_uneven_times: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::AlongHeading,
@@ -99,6 +102,7 @@ impl Dataset {
                 has_velocities: false,
                 // Motion of a tracker, unfiltered and at uneven times.
                 has_clean_motion: false,
+                has_uneven_times: true,
                 has_chosen_focal: true,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,
@@ -112,6 +116,7 @@ impl Dataset {
                 has_headings: true,
                 has_velocities: true,
                 has_clean_motion: true,
+                has_uneven_times: false,
                 has_chosen_focal: true,
                 begins_at_ns: true,
                 miss_rule: MissRule::Radial,
@@ -127,6 +132,7 @@ impl Dataset {
                 has_velocities: true,
                 // Of NGSIM's recordings, hardly one is within the limits of accelerations and jerks.
                 has_clean_motion: false,
+                has_uneven_times: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,
@@ -141,6 +147,7 @@ impl Dataset {
                 has_headings: true,
                 has_velocities: false,
                 has_clean_motion: false,
+                has_uneven_times: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,

@@ -1,12 +1,11 @@
 //! The columns of a table that a mapping names, from CSV or Parquet.
 
+use super::table_rows::{Passed, TableRows};
+use crate::containment::contained;
 use crate::ingest::error::Malformed;
-use crate::ingest::parquet_columns::{Columns, Limits, columns_of, read_footer};
-use crate::ingest::quotes::printable;
+use crate::ingest::parquet_columns::read_footer;
 use std::collections::BTreeMap;
-
-/// Limits of a Parquet file: ten hours of dense traffic have half as many rows.
-const LIMITS: Limits = Limits { n_rows: 1 << 27, n_bytes: 4 << 30 };
+use std::sync::Arc;
 
 /// The first bytes of Parquet files.
 pub(super) const PARQUET: &[u8] = b"PAR1";
@@ -14,6 +13,10 @@ pub(super) const PARQUET: &[u8] = b"PAR1";
 /// The kind of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
+    /// The id of an agent; rows of nobody are passed over.
+    Track,
+    /// Rows without the number are passed over.
+    Required,
     /// Blank cells are NaN.
     Number,
     Text,
@@ -41,6 +44,11 @@ pub(super) struct Texts {
 }
 
 impl Texts {
+    /// Whether any row has this text.
+    pub(super) fn has(&self, text: &str) -> bool {
+        self.indices.contains_key(text)
+    }
+
     fn push(&mut self, text: &str) {
         // Rows of a track are usually adjacent.
         let last = self.of_row.last().filter(|last| self.different[**last as usize] == text).copied();
@@ -62,12 +70,13 @@ pub(super) struct Table {
     texts: BTreeMap<String, Texts>,
     /// A column of types that is not among the named ones.
     pub(super) types: Option<String>,
-    /// The line of each row; empty if the table is not text.
-    lines: Vec<u32>,
+    /// The line of each row, or its number.
+    lines: Vec<u64>,
     /// The unit of `lines`.
     pub(super) counted: &'static str,
     /// The names of all columns, for messages.
     names: Vec<String>,
+    pub(super) passed: Passed,
 }
 
 impl Table {
@@ -75,12 +84,15 @@ impl Table {
     ///
     /// `lines` are those of the rows in the file, if they are a part of it.
     pub(super) fn read(bytes: &[u8], lines: &[u64], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
-        match bytes {
-            [] => Err("is empty".into()),
-            [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => Err("is in UTF-16, expected UTF-8: save it in that encoding".into()),
-            _ if bytes.starts_with(PARQUET) => Self::of_parquet(bytes, wanted),
-            _ => Self::of_csv(bytes, lines, wanted),
+        let table = &mut &*bytes;
+        if !bytes.starts_with(PARQUET) {
+            return Self::of(TableRows::of_csv(table, wanted)?, lines);
         }
+        let read = || {
+            let footer = read_footer(bytes, bytes.len() as u64)?.ok_or("the file is cut short")?;
+            Self::of(TableRows::of_parquet(table, &Arc::new(footer), wanted)?, lines)
+        };
+        contained(read).unwrap_or_else(|| Err("the file is damaged beyond decoding".into()))
     }
 
     /// A column of numbers, if the table has it.
@@ -93,103 +105,48 @@ impl Table {
         self.texts.get(name?)
     }
 
-    /// Whether this text of a column is blank.
-    pub(super) fn is_blank(&self, name: &str, text: u32) -> bool {
-        self.text(Some(name)).is_none_or(|texts| texts.different[text as usize].is_empty())
-    }
-
     /// The place of a row, for messages.
     pub(super) fn place_of(&self, row: usize) -> String {
         self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("{} {line}", self.counted))
     }
 
     /// The error that the table has none of these columns.
-    pub(super) fn lacks(&self, names: &[&str]) -> String {
-        let (missing, found) = (names.join(", "), self.names.join(", "));
-        format!("no column {missing}; the table has {found}: name its columns in ingest.table.columns")
+    pub(super) fn lacks(&self, missing: &[&str]) -> String {
+        lacks(&self.names, missing)
     }
 
-    fn of_csv(bytes: &[u8], lines: &[u64], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
-        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
-        let separator = separator_of(header);
-        let mut reader = csv_reader(separator).from_reader(bytes);
-        let names: Vec<String> = reader.byte_headers()?.iter().map(printable).collect();
-        let mut table = Self { names, counted: "line", ..Self::default() };
-        let mut found = Vec::new();
-        for (name, kind) in with_types(wanted, &table.names) {
-            let mut places = table.names.iter().enumerate().filter(|(_, found)| **found == name);
-            let Some((index, _)) = places.next() else { continue };
-            if places.next().is_some() {
-                return Err(format!("line 1: the column {name} appears twice").into());
-            }
-            found.push((index, name, kind));
-        }
-        let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); found.len()];
-        let mut texts: Vec<Texts> = found.iter().map(|_| Texts::default()).collect();
-        let mut record = csv::ByteRecord::new();
-        // The position of a row after CRLF is that of the LF.
-        let n_behind = u64::from(header.ends_with(b"\r"));
-        while reader.read_byte_record(&mut record)? {
-            let own_line = || record.position().map_or(0, csv::Position::line) + n_behind;
-            let line = lines.get(table.lines.len()).copied().unwrap_or_else(own_line);
-            if record.len() != table.names.len() {
-                let (n, expected) = (record.len(), table.names.len());
-                let is_open = record.iter().any(|cell| cell.contains(&b'\n'));
-                let quote = if is_open { "; a quote on it is closed on a later line, or never" } else { "" };
-                let between = char::from(separator);
-                let detail = format!("{n} cells, expected {expected} between {between:?}, as in the header{quote}");
-                return Err(format!("line {line}: {detail}").into());
-            }
-            for (slot, (index, name, kind)) in found.iter().enumerate() {
-                let cell = &record[*index];
-                let text = std::str::from_utf8(cell)
-                    .map_err(|_| format!("line {line}: column {name} is not in UTF-8: {}", printable(cell)))?;
+    /// The table of these rows.
+    fn of(mut rows: TableRows<'_>, lines: &[u64]) -> Result<Self, Malformed> {
+        let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); rows.columns.len()];
+        let mut texts: Vec<Texts> = rows.columns.iter().map(|_| Texts::default()).collect();
+        let mut table = Self { counted: rows.counted(), ..Self::default() };
+        while rows.next()? {
+            for (at, (_, kind)) in rows.columns.iter().enumerate() {
                 match kind {
-                    Kind::Text | Kind::Types => texts[slot].push(text),
-                    Kind::Number if text.is_empty() => numbers[slot].push(f64::NAN),
-                    Kind::Number => numbers[slot].push(text.parse().map_err(|_| {
-                        let point = if cell.contains(&b',') { " with a decimal point" } else { "" };
-                        format!("line {line}: column {name} is \"{}\", expected a number{point}", printable(cell))
-                    })?),
+                    Kind::Required | Kind::Number => numbers[at].push(rows.number(at)),
+                    Kind::Track | Kind::Text | Kind::Types => texts[at].push(&rows.text(at)),
                 }
             }
-            table.lines.push(u32::try_from(line).unwrap_or(u32::MAX));
+            table.lines.push(lines.get(table.lines.len()).copied().unwrap_or(rows.place));
         }
         table.n_rows = table.lines.len();
-        for ((_, name, kind), (numbers, texts)) in found.into_iter().zip(numbers.into_iter().zip(texts)) {
+        for ((name, kind), (numbers, texts)) in rows.columns.into_iter().zip(numbers.into_iter().zip(texts)) {
             match kind {
-                Kind::Number => drop(table.numbers.insert(name, numbers)),
-                Kind::Text | Kind::Types => {
+                Kind::Required | Kind::Number => drop(table.numbers.insert(name, numbers)),
+                Kind::Track | Kind::Text | Kind::Types => {
                     table.types = table.types.or_else(|| (kind == Kind::Types).then(|| name.clone()));
                     table.texts.insert(name, texts);
                 }
             }
         }
-        Ok(table)
+        Ok(Self { names: rows.names, passed: rows.passed, ..table })
     }
+}
 
-    fn of_parquet(bytes: &[u8], wanted: &[(&str, Kind)]) -> Result<Self, Malformed> {
-        let footer = read_footer(bytes, bytes.len() as u64)?.ok_or("the file is cut short")?;
-        let wanted = with_types(wanted, &columns_of(&footer)?);
-        let names: Vec<&str> = wanted.iter().map(|(name, _)| name.as_str()).collect();
-        let columns = Columns::read(bytes, &names, &[], LIMITS)?;
-        let mut table = Self { n_rows: columns.n_rows(), ..Self::default() };
-        let missing = columns.missing(&names);
-        for (name, kind) in wanted.iter().filter(|(name, _)| !missing.contains(&name.as_str())) {
-            match kind {
-                Kind::Number => drop(table.numbers.insert(name.clone(), columns.float_or_nan(name)?)),
-                Kind::Text | Kind::Types => {
-                    let mut texts = Texts::default();
-                    columns.text_or_null(name)?.iter().for_each(|text| texts.push(text.unwrap_or_default().trim()));
-                    table.texts.insert(name.clone(), texts);
-                    table.types = table.types.or_else(|| (*kind == Kind::Types).then(|| name.clone()));
-                }
-            }
-        }
-        table.names = columns.into_names();
-        Ok(table)
-    }
+/// The error that a table with these columns has none of the missing ones.
+pub(super) fn lacks(names: &[String], missing: &[&str]) -> String {
+    let (missing, found) = (missing.join(", "), names.join(", "));
+    format!("no column {missing}; the table has {found}: name its columns in ingest.table.columns")
 }
 
 /// The `wanted` columns of a table with these columns, that of types by its name, if there is one.
@@ -199,19 +156,6 @@ pub(super) fn with_types(wanted: &[(&str, Kind)], names: &[String]) -> Vec<(Stri
         _ => Some(((*name).to_owned(), *kind)),
     };
     wanted.iter().filter_map(name_of).collect()
-}
-
-/// The separator of cells, found in the header of a table.
-pub(super) fn separator_of(header: &[u8]) -> u8 {
-    let count = |separator: &u8| header.iter().filter(|byte| *byte == separator).count();
-    *b",;\t".iter().max_by_key(|separator| count(separator)).unwrap_or(&b',')
-}
-
-/// Reads tables in CSV.
-pub(super) fn csv_reader(separator: u8) -> csv::ReaderBuilder {
-    let mut builder = csv::ReaderBuilder::new();
-    builder.delimiter(separator).flexible(true).trim(csv::Trim::All).buffer_capacity(1 << 16);
-    builder
 }
 
 #[cfg(test)]
@@ -276,10 +220,12 @@ mod tests {
         for (text, expected) in [
             ("id,x\na,1\nb\n", "line 3: 1 cells, expected 2 between ',', as in the header"),
             ("id,x\na,1\nb,one\n", "line 3: column x is \"one\", expected a number"),
-            ("id,x,x\n", "line 1: the column x appears twice"),
+            ("id,x\na,1\n\"b,1\nc,1\n", "line 3: a quote on it is not closed"),
         ] {
-            assert_eq!(read(text).unwrap_err(), expected);
+            let passed = read(text).unwrap().passed;
+            assert!(passed.fault().is_some_and(|fault| fault.starts_with(expected)), "{:?}", passed.fault());
         }
+        assert_eq!(read("id,x,x\n").unwrap_err(), "line 1: the column x appears twice");
         assert!(read("id,x\n").unwrap().lacks(&["y"]).starts_with("no column y; the table has id, x: name"));
     }
 }

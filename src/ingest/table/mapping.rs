@@ -1,6 +1,7 @@
 //! The `[ingest.table]` section: what the columns of recordings mean that are in no format of their own.
 
 use crate::ingest::Error;
+use crate::ingest::ids::whole_number;
 use crate::scene::AgentClass;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
@@ -24,7 +25,8 @@ pub struct TableMapping {
     #[serde(default)]
     #[schemars(range(min = 0.5, max = 1000.0))]
     pub frame_rate_hz: Option<f64>,
-    /// The unit of `columns.time`, seconds: 0.001 where times are in milliseconds.
+    /// The unit of `columns.time`, seconds: 0.001 where times are in milliseconds. Timestamps and durations in Parquet
+    /// are in seconds.
     #[serde(default = "one")]
     #[schemars(range(min = 1e-9, max = 1e3))]
     pub time_unit_s: f64,
@@ -45,7 +47,7 @@ pub struct TableMapping {
     #[serde(default = "vehicle")]
     #[schemars(schema_with = "class_schema")]
     pub class: AgentClass,
-    /// The class for each text of `columns.class`.
+    /// The class for each text of `columns.class`. Agents of others are left out, with a warning.
     #[serde(default)]
     #[schemars(schema_with = "classes_schema")]
     pub classes: BTreeMap<String, AgentClass>,
@@ -63,7 +65,7 @@ pub struct TableMapping {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TableColumns {
-    /// The id of the agent.
+    /// The id of the agent; blank, `nan` or `-1` is nobody.
     pub track: String,
     /// Position.
     pub x: String,
@@ -128,6 +130,12 @@ impl TableMapping {
             Some(rate_hz) if self.columns.time.is_none() => value / rate_hz,
             _ => value * self.time_unit_s,
         }
+    }
+
+    /// The class for a text of `columns.class`.
+    pub(super) fn class_of(&self, text: &str) -> Option<AgentClass> {
+        let other = || self.classes.iter().find(|(name, _)| whole_number(name) == text).map(|(_, class)| class);
+        self.classes.get(text).or_else(other).copied()
     }
 
     /// Refuses mappings that cannot work.

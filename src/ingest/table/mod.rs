@@ -4,30 +4,38 @@
 //! times: they are resampled to 10 Hz. A long one is read in parts ([`parts`]). The scenes of a recording are windows
 //! of it. A map is a file in Lanelet2 or OpenDRIVE with the name of the place.
 //!
+//! What is bad is left out, counted and named: a row that cannot be read or is out of place, an agent whose class, size
+//! or times cannot be. A recording is rejected if more than a tenth of its rows or half of its agents are bad.
+//!
 //! Reasons of rejects, of recordings or whole files:
 //!
-//! - `bad_table`: no CSV or Parquet, rows of different lengths, a cell that is no number;
+//! - `bad_table`: no CSV or Parquet, rows of different lengths, cells that are no numbers, blank positions or times;
 //! - `missing_column`, `missing_track`: of those that the mapping names, and of the table of tracks;
-//! - `non_finite`, `out_of_range`, `implausible_times`: a blank position or time; a position beyond 1000 km, a size
-//!   below zero or beyond 1 km; rows that are seconds or days apart;
+//! - `out_of_range`, `implausible_times`, `implausible_positions`: positions beyond the earth, a size below zero or
+//!   beyond 1 km; rows that are seconds or days apart; jumps that no vehicle makes;
 //! - `duplicate_time`, `duplicate_track`: a track is at two positions at one time, or twice in the table of tracks;
 //! - `unknown_class`: a class that the mapping does not list;
 //! - `no_track_file`: the table of tracks is not beside the recording;
 //! - `no_rows`, `unreadable`, `too_large`, and those of [`windows`](super::windows).
 
+mod agents;
 mod columns;
+mod left_out;
 mod mapping;
+mod owners;
 mod parts;
 #[cfg(test)]
 mod parts_tests;
 mod resample;
 mod rows;
+mod table_rows;
 #[cfg(test)]
 mod tests;
 mod timed_rows;
 mod tracks;
 
 pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
+pub(super) use owners::Change;
 
 use self::parts::{PartReader, SIZES, Sizes};
 use super::archive::Entry;
@@ -44,8 +52,8 @@ use std::io::BufRead;
 /// One second of past and three of future.
 const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
 
-/// Maximum size of a file that is held in memory while it is read.
-const MAX_FILE_BYTES: u64 = 4 << 30;
+/// Maximum size of a table of tracks, and of all files that wait for theirs.
+const MAX_FILE_BYTES: u64 = 512 << 20;
 
 /// Tables with a mapping.
 pub(super) struct Tables<'a> {

@@ -9,20 +9,23 @@
 
 use super::columns::PARQUET;
 use super::mapping::TableMapping;
+use super::owners::Owners;
 use super::rows::wanted;
 use super::timed_rows::{Gathered, TimedRows};
-use super::tracks::first_frame_of;
+use super::tracks::{first_frame_of, is_of_recording};
+use crate::containment::contained;
 use crate::ingest::archive::Entry;
-use crate::ingest::pairing::PairReader;
-use crate::ingest::parquet_columns::read_footer;
+use crate::ingest::error::Malformed;
+use crate::ingest::pairing::{PairPart, PairReader};
+use crate::ingest::parquet_columns::{n_bytes_of, read_footer};
 use crate::ingest::raw::{Part, RawUnit, Reject, SeenTrack};
 use crate::ingest::recorded_track::DT_S;
 use crate::ingest::source::{EmitUnit, Horizon, UnitReader};
-use crate::ingest::standing::Standing;
 use crate::ingest::windows::MAX_RECORDING_FRAMES;
 use crate::ingest::{Error, IngestConfig};
 use parquet::file::metadata::ParquetMetaData;
 use std::collections::{BTreeMap, VecDeque};
+use std::fmt::Display;
 use std::io::{BufRead, Read};
 use std::ops::{ControlFlow, Range};
 use std::path::PathBuf;
@@ -32,6 +35,8 @@ use std::sync::Arc;
 const LEAD_S: f64 = 60.0;
 /// Seconds before the first and after the last scene of a part whose rows are read with it, for motion between rows.
 const NEAR_S: f64 = 1.0;
+/// The most bytes of what is known of tracks.
+const MAX_TRACKS_BYTES: usize = 1 << 30;
 /// The most bytes of a footer, more than in the largest tables.
 const MAX_FOOTER_BYTES: usize = 16 << 20;
 
@@ -80,8 +85,6 @@ struct Long {
 enum Next {
     Times,
     Parts(Plan),
-    /// All of it, since it cannot be cut.
-    Whole,
 }
 
 /// The parts of a table.
@@ -98,14 +101,15 @@ struct Plan {
 /// The rows of one recording, found when the times of the table are read.
 struct KeyedRows {
     number: usize,
-    /// Time of the first row, seconds.
+    /// The time of its first row in the table, and its first and last time, seconds.
+    begun_s: f64,
     first_s: f64,
     last_s: f64,
     /// The range of its rows in the table.
     rows: Range<u64>,
     n_bytes: u64,
     is_sorted: bool,
-    tracks: BTreeMap<String, (usize, Standing)>,
+    tracks: BTreeMap<String, (usize, Owners)>,
 }
 
 impl<'a> PartReader<'a> {
@@ -145,56 +149,105 @@ impl<'a> PartReader<'a> {
         pairs.read(entry, reader, &mut keep)
     }
 
+    /// Takes up the plan of a table; its counterpart, if it needs one, arrives like that of any other.
+    fn keep(
+        &mut self,
+        index: usize,
+        entry: &Entry,
+        plan: Result<Plan, Reject>,
+        emit: &mut EmitUnit<'_>,
+    ) -> Result<ControlFlow<()>, Error> {
+        match plan {
+            Ok(plan) => {
+                self.long[index].next = Next::Parts(plan);
+                self.read_whole(entry, &mut &b""[..], emit)
+            }
+            Err(reject) => {
+                self.long.remove(index);
+                Ok(emit(Err(reject)))
+            }
+        }
+    }
+
     /// Reads the times of a table.
-    fn plan(&self, table: &mut dyn BufRead, footer: Option<&Arc<ParquetMetaData>>) -> Option<Plan> {
-        let mut rows = TimedRows::of(table, footer, self.mapping)?;
+    fn plan(&self, file: &str, table: &mut dyn BufRead, footer: Option<&Arc<ParquetMetaData>>) -> Result<Plan, Reject> {
+        let reject = |reason, detail: &dyn Display| Reject { reason, detail: format!("{file}: {detail}") };
+        let mut rows =
+            TimedRows::of(table, footer, self.mapping).map_err(|(reason, detail)| reject(reason, &detail))?;
         let mut recordings: BTreeMap<String, KeyedRows> = BTreeMap::new();
-        let (mut key, mut n_rows) = (String::new(), 0);
-        while let Some(time_s) = rows.next()? {
-            rows.key(&mut key)?;
+        let (mut key, mut n_rows, mut n_track_bytes) = (String::new(), 0, 0);
+        while let Some(time_s) = rows.next().map_err(|error| reject("bad_table", &error))? {
+            rows.key(&mut key);
+            let n_recordings = recordings.len();
             if !recordings.contains_key(&key) {
-                recordings.insert(key.clone(), KeyedRows::new(recordings.len(), time_s, n_rows));
+                recordings.insert(key.clone(), KeyedRows::new(n_recordings, time_s, n_rows));
             }
             n_rows += 1;
-            let seen = recordings.get_mut(&key)?;
+            let Some(seen) = recordings.get_mut(&key) else { continue };
+            seen.rows.end = n_rows;
+            if !is_of_recording(time_s, seen.begun_s) {
+                continue;
+            }
             seen.is_sorted &= time_s >= seen.last_s;
             (seen.first_s, seen.last_s) = (seen.first_s.min(time_s), seen.last_s.max(time_s));
-            seen.rows.end = n_rows;
-            seen.n_bytes += rows.n_bytes();
-            let (track, n_tracks) = (rows.track()?, seen.tracks.len());
+            seen.n_bytes += rows.rows.n_bytes();
+            let (track, n_tracks) = (rows.track(), seen.tracks.len());
             if !seen.tracks.contains_key(&*track) {
-                seen.tracks.insert(track.clone().into_owned(), (n_tracks, Standing::default()));
+                n_track_bytes += track.len() + size_of::<Owners>();
+                if n_track_bytes > MAX_TRACKS_BYTES {
+                    let detail =
+                        format!("more than {n_tracks} tracks; is column {} their id?", self.mapping.columns.track);
+                    return Err(reject("too_large", &detail));
+                }
+                seen.tracks.insert(track.clone().into_owned(), (n_tracks, Owners::default()));
             }
-            seen.tracks.get_mut(&*track)?.1.see(time_s, rows.position());
+            let seen_now = rows.seen(time_s);
+            if let Some((_, owners)) = seen.tracks.get_mut(&*track).filter(|_| seen_now.is_possible()) {
+                owners.see(seen_now, self.mapping.max_gap_s);
+            }
+        }
+        let passed = &rows.rows.passed;
+        if let Some(fault) = passed.fault() {
+            return Err(reject("bad_table", &fault));
+        }
+        if n_rows == 0 {
+            return Err(reject("no_rows", &"the table has no rows with the id of a track"));
         }
         let mut in_order: Vec<&mut KeyedRows> = recordings.values_mut().collect();
         in_order.sort_by_key(|seen| seen.number);
         let mut ends: Vec<u64> = in_order.iter().map(|seen| seen.rows.end).collect();
         ends.sort_unstable();
         let n_under_way = |seen: &&mut KeyedRows| seen.number + 1 - ends.partition_point(|end| *end <= seen.rows.start);
-        let is_sorted = in_order.iter().map(n_under_way).max()? <= self.sizes.n_at_a_time
+        let is_sorted = in_order.iter().map(n_under_way).max().unwrap_or_default() <= self.sizes.n_at_a_time
             && in_order.iter().all(|seen| seen.is_sorted);
         let (mut parts, mut n_bytes) = (Vec::new(), Vec::new());
         for seen in in_order {
-            let of_recording = self.parts(seen, rows.counted())?;
+            let of_recording =
+                self.parts(seen, rows.rows.counted()).map_err(|detail| reject("frame_out_of_range", &detail))?;
             n_bytes.extend(of_recording.iter().map(|_| seen.n_bytes / of_recording.len() as u64));
             parts.extend(of_recording.into_iter().map(|part| (seen.number, part)));
         }
-        Some(Plan { is_sorted, recordings, parts, n_bytes })
+        if let Some((_, first)) = parts.first_mut() {
+            first.findings = passed.findings(file);
+        }
+        Ok(Plan { is_sorted, recordings, parts, n_bytes })
     }
 
     /// The parts of a recording; one that is too short for a scene is a part without any.
-    fn parts(&self, seen: &mut KeyedRows, counted: &'static str) -> Option<Vec<Part>> {
+    fn parts(&self, seen: &mut KeyedRows, counted: &'static str) -> Result<Vec<Part>, String> {
         let KeyedRows { first_s, last_s, n_bytes, .. } = *seen;
         let first_frame = first_frame_of(first_s);
         let start_s = first_s - first_frame as f64 * DT_S;
         let n_frames = ((last_s - first_s) / DT_S + 1e-3).floor() as i64 + 1;
         if n_frames > MAX_RECORDING_FRAMES {
-            return None;
+            return Err(format!("{n_frames} frames, expected at most {MAX_RECORDING_FRAMES}"));
         }
-        let tracks = std::mem::take(&mut seen.tracks)
-            .into_iter()
-            .map(|(id, (number, standing))| (id, SeenTrack { number, parked_s: standing.parked_s(start_s) }));
+        let seen_track = |(id, (number, mut owners)): (String, (usize, Owners))| {
+            owners.end();
+            let Owners { changes, jumps_s, standing, .. } = owners;
+            (id, SeenTrack { number, parked_s: standing.parked_s(start_s), changes, jumps_s })
+        };
+        let tracks = std::mem::take(&mut seen.tracks).into_iter().map(seen_track);
         let tracks = Arc::new(tracks.collect::<BTreeMap<_, _>>());
         let stride = self.config.window_stride.max(1) as i64;
         let n_windows = ((n_frames - self.horizon.n_timesteps() as i64).div_euclid(stride) + 1).max(0);
@@ -218,18 +271,19 @@ impl<'a> PartReader<'a> {
                 own_s: from(seconds(first))..until(seconds(windows.end)),
                 rows_s: from(seconds(first) - lead_s)..until(behind_s + near_s),
                 windows,
+                findings: Vec::new(),
             }
         };
-        Some((0..n_windows.max(1)).step_by(n_each as usize).map(part).collect())
+        Ok((0..n_windows.max(1)).step_by(n_each as usize).map(part).collect())
     }
 
-    /// The footer of a table in Parquet that begins with `head`, if the table is large enough to be cut.
-    fn footer(&self, head: &[u8], rest: &mut dyn BufRead) -> Option<ParquetMetaData> {
+    /// The footer of a table in Parquet that begins with `head`; `None` if the table is small enough to be read whole.
+    fn footer(&self, head: &[u8], rest: &mut dyn BufRead) -> Result<Option<ParquetMetaData>, Malformed> {
         let mut last: VecDeque<u8> = head.iter().copied().collect();
         let mut n_bytes = head.len() as u64;
         loop {
             last.drain(..last.len().saturating_sub(MAX_FOOTER_BYTES));
-            let read = rest.fill_buf().ok()?;
+            let read = rest.fill_buf().map_err(|error| error.to_string())?;
             if read.is_empty() {
                 break;
             }
@@ -238,16 +292,26 @@ impl<'a> PartReader<'a> {
             n_bytes += n_read as u64;
             rest.consume(n_read);
         }
-        let footer = read_footer(last.make_contiguous(), n_bytes).ok()??;
-        let n_cells = footer.file_metadata().num_rows().unsigned_abs() * wanted(&self.mapping.columns).len() as u64;
-        (n_cells * 8 > self.sizes.whole_bytes).then_some(footer)
+        let is_long = n_bytes > self.sizes.whole_bytes;
+        let footer = match contained(|| read_footer(last.make_contiguous(), n_bytes)) {
+            Some(Ok(Some(footer))) => footer,
+            // What is wrong with a small table is said when it is read.
+            _ if !is_long => return Ok(None),
+            Some(Err(error)) => return Err(error),
+            _ => return Err("the file is cut short".into()),
+        };
+        let names: Vec<&str> = wanted(&self.mapping.columns).into_iter().map(|(name, _)| name).collect();
+        let n_cells = footer.file_metadata().num_rows().unsigned_abs().saturating_mul(names.len() as u64);
+        let n_bytes = n_bytes_of(&footer, &names).max(n_cells.saturating_mul(8));
+        Ok((is_long || n_bytes > self.sizes.whole_bytes).then_some(footer))
     }
 }
 
 impl KeyedRows {
     const fn new(number: usize, time_s: f64, row: u64) -> Self {
         let tracks = BTreeMap::new();
-        Self { number, first_s: time_s, last_s: time_s, rows: row..row, n_bytes: 0, is_sorted: true, tracks }
+        let (begun_s, first_s, last_s) = (time_s, time_s, time_s);
+        Self { number, begun_s, first_s, last_s, rows: row..row, n_bytes: 0, is_sorted: true, tracks }
     }
 }
 
@@ -264,49 +328,45 @@ impl UnitReader for PartReader<'_> {
             let Some(index) = self.long.iter().position(|long| long.entry == number) else {
                 return Ok(ControlFlow::Continue(()));
             };
-            match &self.long[index].next {
-                Next::Whole => {
-                    self.long.remove(index);
-                    return self.pairs.read(entry, reader, emit);
-                }
-                Next::Times => {
-                    let plan = self.plan(reader, self.long[index].footer.as_ref());
-                    let next = &mut self.long[index].next;
-                    *next = plan.map_or(Next::Whole, Next::Parts);
-                    // Its counterpart, if it needs one, has arrived by now.
-                    let is_cut = matches!(next, Next::Parts(_));
-                    return if is_cut {
-                        self.read_whole(entry, &mut &b""[..], emit)
-                    } else {
-                        Ok(ControlFlow::Continue(()))
-                    };
-                }
-                Next::Parts(_) => {
-                    let (long, sizes) = (&mut self.long[index], self.sizes);
-                    return Ok(long.read(reader, self.mapping, sizes, emit));
-                }
+            if let Next::Parts(_) = self.long[index].next {
+                let (long, sizes) = (&mut self.long[index], self.sizes);
+                return Ok(long.read(reader, self.mapping, sizes, emit));
             }
+            let plan = self.plan(&entry.path, reader, self.long[index].footer.as_ref());
+            return self.keep(index, entry, plan, emit);
         }
         let mut head = Vec::new();
         if let Err(error) = (&mut *reader).take(self.sizes.whole_bytes + 1).read_to_end(&mut head) {
             let detail = format!("{}: {error}", entry.path);
             return Ok(emit(Err(Reject { reason: "unreadable", detail })));
         }
-        let (is_parquet, is_long) = (head.starts_with(PARQUET), head.len() as u64 > self.sizes.whole_bytes);
-        let footer = if is_parquet { self.footer(&head, reader).map(Arc::new) } else { None };
+        let is_long = head.len() as u64 > self.sizes.whole_bytes;
+        if self.pairs.names.part_of(&entry.path).is_some_and(|(_, part)| part == PairPart::Companion) {
+            return self.read_whole(entry, &mut head.as_slice().chain(reader), emit);
+        }
+        let footer = match head.starts_with(PARQUET) {
+            true => self.footer(&head, reader).map(|footer| footer.map(Arc::new)),
+            false => Ok(None),
+        };
+        let footer = match footer {
+            Ok(footer) => footer,
+            Err(error) => {
+                let detail = format!("{}: {error}", entry.path);
+                return Ok(emit(Err(Reject { reason: "bad_table", detail })));
+            }
+        };
         if !is_long && footer.is_none() {
             return self.read_whole(entry, &mut head.as_slice(), emit);
         }
-        let next = match &footer {
-            Some(_) => Next::Times,
-            None if is_parquet => Next::Whole,
-            None => self.plan(&mut head.as_slice().chain(reader), None).map_or(Next::Whole, Next::Parts),
-        };
-        let is_cut = matches!(next, Next::Parts(_));
+        let is_parquet = footer.is_some();
         let (container, file) = (entry.container.clone(), entry.path.clone());
-        self.long.push(Long { entry: number, container, file, footer, unit: None, next, n_parts_done: 0 });
-        // Its counterpart, if it needs one, arrives like that of any other.
-        if is_cut { self.read_whole(entry, &mut &b""[..], emit) } else { Ok(ControlFlow::Continue(())) }
+        self.long.push(Long { entry: number, container, file, footer, unit: None, next: Next::Times, n_parts_done: 0 });
+        if is_parquet {
+            // Its columns are read when its footer is known.
+            return Ok(ControlFlow::Continue(()));
+        }
+        let plan = self.plan(&entry.path, &mut head.as_slice().chain(reader), None);
+        self.keep(self.long.len() - 1, entry, plan, emit)
     }
 
     fn next_pass(&mut self) -> bool {
@@ -315,7 +375,7 @@ impl UnitReader for PartReader<'_> {
         let is_done = |long: &Long| match &long.next {
             // A table without its counterpart is a reject at the end.
             Next::Parts(plan) => long.unit.is_none() || long.n_parts_done == plan.parts.len(),
-            Next::Times | Next::Whole => false,
+            Next::Times => false,
         };
         self.long.retain(|long| !is_done(long));
         !self.long.is_empty()
@@ -348,7 +408,7 @@ impl Long {
         let parts = &parts[first..first + n_parts];
         self.n_parts_done += n_parts;
         let changed = || Err(unit.reject("unreadable", "the table changed while it was read"));
-        let Some(mut rows) = TimedRows::of(table, self.footer.as_ref(), mapping) else { return emit(changed()) };
+        let Ok(mut rows) = TimedRows::of(table, self.footer.as_ref(), mapping) else { return emit(changed()) };
         // By recording: its parts to come and its open ones.
         let mut of_recordings: BTreeMap<usize, (VecDeque<&Part>, VecDeque<Gathered<'_>>)> = BTreeMap::new();
         for (recording, part) in parts {
@@ -356,18 +416,21 @@ impl Long {
         }
         let (mut key, mut n_rows) = (String::new(), 0);
         loop {
-            let Some(time_s) = rows.next() else { return emit(changed()) };
+            let Ok(time_s) = rows.next() else { return emit(changed()) };
             let Some(time_s) = time_s else { break };
             n_rows += 1;
-            let Some(seen) = rows.key(&mut key).and_then(|()| recordings.get(&key)) else { return emit(changed()) };
+            rows.key(&mut key);
+            let Some(seen) = recordings.get(&key) else { return emit(changed()) };
             let Some((to_come, open)) = of_recordings.get_mut(&seen.number) else { continue };
             let is_last = *is_sorted && n_rows == seen.rows.end;
-            let begins = |part: &&Part| !is_sorted || is_last || part.rows_s.start <= time_s - part.start_s;
+            let is_of_it = is_of_recording(time_s, seen.begun_s);
+            let begins =
+                |part: &&Part| !is_sorted || is_last || (is_of_it && part.rows_s.start <= time_s - part.start_s);
             while let Some(part) = to_come.front().filter(|part| begins(part)) {
                 open.push_back(rows.gather(part));
                 to_come.pop_front();
             }
-            let is_over = |part: &Part| *is_sorted && part.rows_s.end < time_s - part.start_s;
+            let is_over = |part: &Part| *is_sorted && is_of_it && part.rows_s.end < time_s - part.start_s;
             while open.front().is_some_and(|gathered| is_over(gathered.part)) {
                 open.pop_front().map_or(ControlFlow::Continue(()), |over| emit(over.unit(unit)))?;
             }

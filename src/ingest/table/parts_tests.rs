@@ -1,6 +1,5 @@
 //! Are the scenes of a table that is read in parts those of the table read as a whole?
 
-use super::columns::csv_reader;
 use super::*;
 use crate::ingest::raw::{RawScene, Reject};
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray};
@@ -139,7 +138,7 @@ fn parts_give_the_scenes_of_the_whole() {
 
 /// The table of `text` in Parquet, in row groups of 100 rows.
 fn parquet(text: &str) -> Vec<u8> {
-    let mut reader = csv_reader(b',').from_reader(text.as_bytes());
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
     let names = reader.headers().unwrap().clone();
     let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
     let column = |(index, name): (usize, &str)| -> (String, ArrayRef) {
@@ -183,37 +182,92 @@ fn recordings_of_one_file_are_cut_each_for_itself_however_their_rows_lie() {
 }
 
 #[test]
-fn what_is_wrong_in_a_part_is_said_with_its_line_and_costs_that_part() {
-    let config = config("");
-    let tables = Tables::new(&config).unwrap();
+fn what_is_wrong_in_a_long_table_is_left_out_once_with_its_line() {
+    let config = config("columns.length = 'l'\ncolumns.width = 'w'");
     let mut rows = rows();
-    let whole = scenes(&tables, units(&tables, SMALL, &[("a.csv", &table(&rows))])).0.len();
-    let at = rows.iter().position(|(t, row)| *t > 1080.0 && row.starts_with("truck")).unwrap();
-    rows[at].1 = rows[at].1.replace(",3.5,", ",north,");
-    let (found, _) = scenes(&tables, units(&tables, SMALL, &[("a.csv", &table(&rows))]));
-    // Adjacent parts have its row, too, if it is near.
-    let expected = format!("a.csv: line {}: column y is \"north\", expected a number", at + 2);
-    assert!(found.keys().any(|detail| *detail == expected), "{:?}", found.keys());
-    assert!(found.len() > whole / 3 && found.len() < whole, "{} of {whole}", found.len());
+    let sized = |row: &str, length: f64| format!("{row},{length},2");
+    // The truck's id is a longer one's after a minute without rows; then a row is elsewhere.
+    rows.retain(|(t, row)| !(row.starts_with("truck") && (1080.0..1140.0).contains(t)));
+    for (t, row) in &mut rows {
+        *row = sized(row, if row.starts_with("truck") && *t > 1139.0 { 18.0 } else { 4.5 });
+    }
+    let at = |from_s: f64| rows.iter().position(|(t, row)| *t > from_s && row.starts_with("truck")).unwrap();
+    let (unread, elsewhere, changed) = (at(1060.0), at(1160.0), at(1130.0));
+    rows[unread].1 = rows[unread].1.replace(",3.5,", ",north,");
+    rows[elsewhere].1 = rows[elsewhere].1.replace(",3.5,", ",93.5,");
+    let text = rows.iter().fold("id,t,x,y,c,more,l,w\n".to_owned(), |text, (_, row)| text + row + "\n");
+    let files = [("a.csv", text.into_bytes())];
+    let counts = compared(&config, SMALL.n_at_a_time, &files);
+    let expected = [
+        ("gaps_filled", 3),
+        ("ids_of_another_agent", 1),
+        ("rows_left_out", 1),
+        ("rows_out_of_place", 1),
+        ("rows_repeated", 1),
+        ("rows_without_track", 1),
+    ];
+    assert_eq!(counts.iter().map(|(what, n)| (what.as_str(), *n)).collect::<Vec<_>>(), expected);
+    let tables = Tables::new(&config).unwrap();
+    let mut said = Vec::new();
+    for unit in units(&tables, SMALL, &files) {
+        for scene in tables.parse(unit.unwrap()) {
+            said.extend(scene().map(|scene| scene.findings).unwrap_or_default().into_iter().map(|found| found.detail));
+        }
+    }
+    for expected in [
+        format!("a.csv: line {}: column y is \"north\", expected a number", unread + 2),
+        format!("a.csv, line {}: track truck goes on as truck#2: its size is another", changed + 2),
+        format!("a.csv, line {}: track truck is at", elsewhere + 2),
+    ] {
+        assert!(said.iter().any(|said| said.starts_with(&expected)), "{expected}: {said:?}");
+    }
 }
 
 #[test]
-fn tables_that_cannot_be_cut_are_read_as_a_whole() {
+fn tables_that_cannot_be_read_are_rejects() {
     let config = config("");
     let tables = Tables::new(&config).unwrap();
     let whole = table(&rows());
-    for text in [
-        whole.replace("id,t,x", "id,t,t"),
-        whole.replace(",x\r\n", "\r\n"),
-        whole.replacen("1000.1,", ",", 1),
-        format!("PAR1{whole}"),
-        whole.replacen("1000.1,", "1e9,", 1),
+    for (text, expected) in [
+        (whole.replace("id,t,x", "id,t,t"), "a.csv: line 1: the column t appears twice"),
+        (whole.replace("id,t,x", "id,t,z"), "a.csv: no column x; the table has id, t, z"),
+        (whole.replace(",x\r\n", "\r\n"), "a.csv: line 2: 5 cells, expected 6"),
+        (format!("PAR1{whole}"), "a.csv: "),
     ] {
         let found = units(&tables, SMALL, &[("a.csv", &text)]);
-        assert!(matches!(&found[..], [Ok(unit)] if unit.bytes == text.as_bytes() && unit.part.is_none()));
+        assert!(matches!(&found[..], [Err(reject)] if reject.detail.starts_with(expected)), "{found:?}");
     }
+    // A time that cannot be costs its row.
+    let mut odd = rows();
+    (odd[0].1, odd[2].1) = ("truck,,0,3.5,truck,x".to_owned(), "truck,1e9,2,3.5,truck,x".to_owned());
+    let (found, counts) = scenes(&tables, units(&tables, SMALL, &[("a.csv", &table(&odd))]));
+    assert!(found.len() > 150 && counts["rows_left_out"] == 1, "{} scenes, {counts:?}", found.len());
     let alone = self::config("track_files = '*.meta'");
     let tables = Tables::new(&alone).unwrap();
     let found = units(&tables, SMALL, &[("a.csv", &whole)]);
     assert!(matches!(&found[..], [Err(Reject { reason: "no_track_file", .. })]), "{found:?}");
+}
+
+#[test]
+fn endless_lines_are_refused_in_bounded_memory() {
+    let config = config("");
+    let tables = Tables::new(&config).unwrap();
+    let good = table(&rows());
+    let cases: [(&str, u8, &str); 3] = [
+        ("", b'i', "a.csv: line 1 is longer than 64 KiB"),
+        ("id,t,x,y,c\n\"truck", 0, "a.csv: line 2 is longer than 64 KiB"),
+        (&good, 0, " is longer than 64 KiB"),
+    ];
+    for (begin, byte, expected) in cases {
+        let mut reader = tables.part_reader(SMALL);
+        let mut endless = std::io::BufReader::new(std::io::Read::chain(begin.as_bytes(), std::io::repeat(byte)));
+        let entry = Entry { path: "a.csv".to_owned(), container: "in".into(), size: None };
+        let mut found = Vec::new();
+        let mut emit = |unit: Result<RawUnit, Reject>| {
+            found.push(unit.map(|unit| unit.bytes.len()));
+            ControlFlow::Continue(())
+        };
+        assert!(reader.read(&entry, &mut endless, &mut emit).unwrap().is_continue());
+        assert!(matches!(&found[..], [Err(reject)] if reject.detail.contains(expected)), "{found:?}");
+    }
 }

@@ -37,8 +37,9 @@ impl<'a> Rows<'a> {
     pub(super) fn read(unit: &RawUnit, mapping: &'a TableMapping) -> Result<Self, Reject> {
         let wanted = wanted(&mapping.columns);
         let read = |file: &str, bytes: &[u8], lines: &[u64]| {
-            let bad = |detail| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
-            Table::read(bytes, lines, &wanted).map_err(bad)
+            let bad = |detail: String| Reject { reason: "bad_table", detail: format!("{file}: {detail}") };
+            let table = Table::read(bytes, lines, &wanted).map_err(|error| bad(error.to_string()))?;
+            table.passed.fault().map_or(Ok(table), |fault| Err(bad(fault)))
         };
         let mut table = read(&unit.file, &unit.bytes, &unit.lines)?;
         table.counted = unit.part.as_ref().map_or(table.counted, |part| part.counted);
@@ -64,8 +65,8 @@ impl<'a> Rows<'a> {
             None => None,
         };
         let has = |name: &str, kind: Kind, table: &Table| match kind {
-            Kind::Number => table.number(Some(name)).is_some(),
-            Kind::Text => table.text(Some(name)).is_some(),
+            Kind::Required | Kind::Number => table.number(Some(name)).is_some(),
+            Kind::Track | Kind::Text => table.text(Some(name)).is_some(),
             Kind::Types => true,
         };
         let TableColumns { track, x, y, time, frame, heading, recording, place, .. } = &mapping.columns;
@@ -88,14 +89,31 @@ impl<'a> Rows<'a> {
         if !missing.is_empty() {
             return Err(unit.reject("missing_column", table.lacks(&missing)));
         }
+        if table.n_rows == 0 && table.passed.n_without_track > 0 {
+            let key = &mapping.columns.track;
+            let detail = format!("column {key} is blank in all rows, expected the id of a track");
+            return Err(unit.reject("no_rows", detail));
+        }
         if table.n_rows == 0 {
             return Err(unit.reject("no_rows", "the table has no rows"));
         }
         Ok(Self { mapping, file: unit.file.clone(), part: unit.part.clone(), table, of_tracks })
     }
 
+    /// Doubts about the whole table.
+    pub(super) fn findings(&self) -> Vec<Finding> {
+        let of_table = match &self.part {
+            None => self.table.passed.findings(&self.file),
+            Some(part) if part.windows.start == 0 => part.findings.clone(),
+            // Those were found with the first part.
+            Some(_) => return Vec::new(),
+        };
+        let of_tracks = self.of_tracks.iter().flat_map(|of| of.table.passed.findings(&of.file));
+        of_table.into_iter().chain(of_tracks).chain(self.unmapped_types()).collect()
+    }
+
     /// A column of types that the mapping does not name, of the table or the table of tracks.
-    pub(super) fn unmapped_types(&self) -> Option<Finding> {
+    fn unmapped_types(&self) -> Option<Finding> {
         const N_NAMED: usize = 8;
         let of_tracks = self.of_tracks.as_ref().map(|of_tracks| (&of_tracks.file, &of_tracks.table));
         let (file, name, texts) = [Some((&self.file, &self.table)), of_tracks]
@@ -162,9 +180,26 @@ impl OfTracks {
 /// The columns that a mapping names, with their kinds.
 pub(super) fn wanted(columns: &TableColumns) -> Vec<(&str, Kind)> {
     let TableColumns { track, x, y, time, frame, heading, length, width, class, recording, place } = columns;
-    let texts = [Some(track), class.as_ref(), recording.as_ref(), place.as_ref()];
-    let numbers = [Some(x), Some(y), time.as_ref(), frame.as_ref(), heading.as_ref(), length.as_ref(), width.as_ref()];
-    let texts = texts.into_iter().flatten().map(|name| (name.as_str(), Kind::Text));
+    let all = [
+        (Some(track), Kind::Track),
+        (Some(x), Kind::Required),
+        (Some(y), Kind::Required),
+        (time.as_ref(), Kind::Required),
+        (frame.as_ref(), Kind::Required),
+        (heading.as_ref(), Kind::Number),
+        (length.as_ref(), Kind::Number),
+        (width.as_ref(), Kind::Number),
+        (class.as_ref(), Kind::Text),
+        (recording.as_ref(), Kind::Text),
+        (place.as_ref(), Kind::Text),
+    ];
     let types = class.is_none().then_some(("", Kind::Types));
-    texts.chain(numbers.into_iter().flatten().map(|name| (name.as_str(), Kind::Number))).chain(types).collect()
+    let mut wanted: Vec<(&str, Kind)> = Vec::new();
+    for (name, kind) in all.into_iter().filter_map(|(name, kind)| Some((name?.as_str(), kind))).chain(types) {
+        // A column may have two meanings, such as place and recording.
+        if !wanted.iter().any(|(found, _)| *found == name) {
+            wanted.push((name, kind));
+        }
+    }
+    wanted
 }

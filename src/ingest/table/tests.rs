@@ -183,8 +183,8 @@ fn sizes_and_classes_may_be_in_a_table_of_tracks() {
         [("7".to_owned(), AgentClass::Vehicle, 4.5), ("8".to_owned(), AgentClass::Cyclist, 1.8)]
     );
     for (text, expected) in [
-        ("id,l,w,class\n7,4.5,1.8,Car\n", "01_tracksMeta.csv: no row for track 8"),
-        ("id,l,w,class\n7,4.5,1.8,Car\n8,3,1,Tram\n", "01_tracksMeta.csv, line 3: column class is \\\"Tram\\\""),
+        ("id,l,w,class\n9,4.5,1.8,Car\n", "01_tracksMeta.csv: no row for track 7; 2 of 2 agents cannot be used"),
+        ("id,l,w,class\n7,4.5,1.8,Bus\n8,3,1,Tram\n", "01_tracksMeta.csv, line 2: column class is \\\"Bus\\\""),
         ("id,l,class\n7,4.5,Car\n8,3,Car\n", "01_tracks.csv: no column w; the table has id, frame, x, y"),
     ] {
         meta(text);
@@ -205,10 +205,10 @@ fn a_file_may_have_several_recordings_and_places() {
     let without = "columns = { track = 'id', x = 'x', y = 'y', time = 't', place = 'where' }";
     assert_eq!(read(&config(folder.path(), without)).unwrap().0.len(), 4);
     // A recording that cannot be read does not affect the others.
-    let odd = text.replace("1,1,10,0,b,South", "1,1,,0,b,South");
-    fs_err::write(folder.path().join("train/all.csv"), odd).unwrap();
+    let other = drive("id,t,x,y,run,where", 80, |_, t, x| format!("1,{t},{x},0,a,North\n1,{t},{},0,b,South", 1e3 * x));
+    fs_err::write(folder.path().join("train/all.csv"), other).unwrap();
     let (scenes, report) = read(&config(folder.path(), mapping)).unwrap();
-    assert_eq!((scenes.len(), report.rejects["non_finite"].count), (2, 1));
+    assert_eq!((scenes.len(), report.rejects["implausible_positions"].count), (2, 1));
     let mixed = text.replace(",a,North", ",a,X").replace(",b,South", ",b,X").replace(",0,b", ",9,b");
     fs_err::write(folder.path().join("train/all.csv"), mixed).unwrap();
     assert!(rejects(folder.path(), without).contains("all.csv, line 3: track 1 is at two positions at one time"));
@@ -241,27 +241,246 @@ fn mappings_that_cannot_work_are_refused_with_their_key() {
 }
 
 #[test]
-fn damaged_tables_are_rejects_and_oddities_are_counted() {
-    let whole = plain(60);
+fn damaged_tables_are_rejects() {
     for (text, expected) in [
-        (whole.replace("7,1.2,", "7,,"), "a.csv, line 14: column t is blank or NaN, expected a number"),
-        (whole.replace("7,1.2,12,2", "7,1.2,12"), "a.csv: line 14: 3 cells, expected 4"),
+        (plain(60).replace(",2", ","), "a.csv: line 2: column y is blank or NaN, expected a number; 60 of 60 rows"),
+        (plain(60).replace(",2", ""), "a.csv: line 2: 3 cells, expected 4"),
         ("id,t,x,y\n".to_owned(), "a.csv: the table has no rows"),
         (String::new(), "a.csv: is empty"),
         (plain(20), "a.csv: 20 frames, a scene has 40"),
         (drive("id,t,x,y", 60, |_, t, x| format!("7,{},{x},2", 1e3 * t)), "rows of track 7 are 100.000 s apart"),
+        (
+            drive("id,t,x,y", 60, |_, t, x| format!("7,{t},{},2", 1e3 * x)),
+            "where no vehicle comes from the rows around",
+        ),
         ("\u{0}\u{1}\u{2}".to_owned(), "a.csv: no column id"),
         ("PAR1 and nothing else".to_owned(), "a.csv: "),
+        // What was left out may explain why too little is left.
+        (
+            plain(42).replace("\n7,0,0,2", "\n7,0,,2").replace("\n7,0.1,1,2", "").replace("\n7,0.2,2,2", ""),
+            "; 1 rows left out, the first: ",
+        ),
     ] {
         let found = rejects(file("a.csv", &text).path(), PLAIN);
         assert!(found.contains(expected), "{expected}: {found}");
     }
-    let odd = whole.replace("7,3,30,2\n", "7,3,30,2\n7,3,30,2\n,3,1,1\n").replace("7,2,20,2\n7,2.1,21,2\n", "");
+}
+
+#[test]
+fn what_is_bad_costs_no_more_than_itself_and_is_counted() {
+    // Four cars side by side.
+    let row = |i: usize, t: f64, x: f64| {
+        (1..=4).map(|id| format!("{id},{t},{x},{},4.5,1.8,car", 4 * id)).collect::<Vec<_>>().join("\n")
+            + if i == 30 { "\n,3,9,9,,,\n-1,3,9,9,,,\n-1,3,99,9,,,nan" } else { "" }
+    };
+    let whole = drive("id,t,x,y,l,w,c", 100, row);
+    let mapping = "
+        columns = { track = 'id', x = 'x', y = 'y', time = 't', length = 'l', width = 'w', class = 'c' }
+        classes = { car = 'vehicle' }";
+    let of_agent = |id: usize, cell: &str, by: &str| {
+        let own =
+            |line: &str| if line.starts_with(&format!("{id},")) { line.replace(cell, by) } else { line.to_owned() };
+        whole.lines().map(own).collect::<Vec<_>>().join("\n")
+    };
+    let is_kept = |text: &str, what: &str, n: u64, said: &str, n_states: [usize; 4]| {
+        let folder = file("a.csv", text);
+        let (scenes, report) = read(&config(folder.path(), mapping)).unwrap_or_else(|error| panic!("{what}: {error}"));
+        assert_eq!(report.warnings["rows_without_track"].count, 3);
+        if n > 0 {
+            let found = report.warnings.get(what).unwrap_or_else(|| panic!("{what}: {:?}", report.warnings));
+            assert!(found.count == n && found.examples[0].contains(said), "{found:?}");
+        }
+        let of = |id: usize| {
+            let track = scenes[0].tracks.iter().find(|track| track.id.0 == id.to_string());
+            track.map_or(0, |track| track.trajectory.n_valid())
+        };
+        assert_eq!([1, 2, 3, 4].map(of), n_states, "{what} {said}");
+    };
+    let all = [40; 4];
+    is_kept(&whole, "", 0, "", all);
+    for (from, to, what, said) in [
+        ("2,1.2,12,8,", "2,1.2,,8,", "rows_left_out", "line 51: column x is blank or NaN"),
+        ("2,1.2,12,8,4.5", "2,1.2,12,8,long", "rows_left_out", "line 51: column l is \"long\""),
+        ("2,1.2,12,8,4.5,1.8,car", "2,1.2,12", "rows_left_out", "line 51: 3 cells, expected 7"),
+        ("2,1.2,12,8,4.5,1.8,car", "\"2,1.2,12,8,4.5,1.8,car", "rows_left_out", "line 51: a quote"),
+        ("2,1.2,12,8,", "2,1.2,1e300,8,", "rows_out_of_range", "line 51: column x is 1e300 m"),
+        ("2,1.2,12,8,", "2,1e9,12,8,", "rows_out_of_range", "line 51: is 1000000000 s after the first row"),
+        ("2,1.2,12,8,", "2,1.2,52,8,", "rows_out_of_place", "line 51: track 2 is at (52.0, 8.0) m"),
+        ("2,1.2,12,8,4.5,", "2,1.2,12,8,-4.5,", "", ""),
+    ] {
+        assert!(whole.contains(from));
+        is_kept(&whole.replacen(from, to, 1), what, u64::from(!what.is_empty()), said, all);
+    }
+    let at_once = whole.replacen("2,1.2,12,8,", "2,1.3,52,8,", 1);
+    for (text, what, said) in [
+        (of_agent(2, ",car", ",e-scooter"), "agents_of_unlisted_class", "line 3: column c is \"e-scooter\""),
+        (of_agent(2, ",car", ","), "agents_of_unlisted_class", "line 3: column c is \"\""),
+        (of_agent(2, ",car", ",nan"), "agents_of_unlisted_class", "line 3: column c is \"nan\""),
+        (of_agent(2, ",4.5,1.8", ",-4.5,1.8"), "agents_with_bad_values", "line 3: track 2 is -4.5 by 1.8 m"),
+        (at_once, "agents_at_two_places_at_one_time", "track 2 is at two positions at one time"),
+    ] {
+        is_kept(&text, what, 1, said, [40, 0, 40, 40]);
+    }
+    // An id of another car: after a gap by its size, and at once by its place.
+    let later = |line: &str| {
+        let time_s = |rest: &str| rest.split(',').next().and_then(|t| t.parse().ok()).unwrap_or(0.0);
+        match line.strip_prefix("3,").map(|rest| (rest, time_s(rest))) {
+            Some((_, 1.0..3.0)) => String::new(),
+            Some((rest, 3.0..)) => format!("3,{}\n", rest.replace(",4.5,1.8", ",12,2.5")),
+            _ => format!("{line}\n"),
+        }
+    };
+    let passed_on: String = whole.lines().map(later).collect();
+    is_kept(&passed_on, "ids_of_another_agent", 1, "track 3 goes on as 3#2: its size is another", [40, 40, 10, 40]);
+    let (scenes, _) = read(&config(file("a.csv", &passed_on).path(), mapping)).unwrap();
+    let length_of = |scene: &Scene, id: &str| {
+        scene.tracks.iter().find(|track| track.id.0 == id).map(|track| track.extent.unwrap().length_m)
+    };
+    let lengths = [0, 1].map(|idx: usize| ["3", "3#2"].map(|id| length_of(&scenes[idx], id)));
+    assert_eq!(lengths, [[Some(4.5), None], [None, Some(12.0)]], "of agents at present");
+    let far = |i: usize, t: f64, x: f64| format!("1,{t},{x},0\n2,{t},{},9", if i < 5 { x } else { x + 90.0 });
+    let folder = file("a.csv", &drive("id,t,x,y", 60, far));
+    let (scenes, report) = read(&config(folder.path(), PLAIN)).unwrap();
+    assert_eq!(report.warnings["ids_of_another_agent"].count, 1);
+    let ids: Vec<&str> = scenes[0].tracks.iter().map(|track| track.id.0.as_str()).collect();
+    assert_eq!(ids, ["1", "2#2"], "those at present");
+}
+
+#[test]
+fn oddities_are_counted() {
+    let odd = plain(60).replace("7,3,30,2\n", "7,3,30,2\n7,3,30,2\n,3,1,1\n").replace("7,2,20,2\n7,2.1,21,2\n", "");
     let (scenes, report) = read(&config(file("a.csv", &odd).path(), PLAIN)).unwrap();
     assert_eq!(scenes[0].ego().trajectory.n_valid(), 40);
     let warnings: Vec<String> = report.warnings().collect();
     let warned = |what: &str| warnings.iter().any(|warning| warning.contains(what));
     assert!(warned("1 gaps filled") && warned("1 rows repeated") && warned("1 rows without track"), "{warnings:?}");
+}
+
+#[test]
+fn times_and_places_far_from_zero_are_read_as_they_are() {
+    for begun_s in [0.0, -5e4, 99_000.0, 320_000.0, 999_990.0, 1_118_846_980.2] {
+        for origin in [Vec2::ZERO, Vec2::new(563_048.7, 5_780_028.1), Vec2::new(-1.3e7, 9_990_000.0)] {
+            let row = |_, t: f64, x: f64| format!("7,{:.1},{:.4},{:.4}", begun_s + t, origin.x + x, origin.y);
+            let (scenes, report) = read(&config(file("a.csv", &drive("id,t,x,y", 60, row)).path(), PLAIN)).unwrap();
+            assert_eq!((scenes.len(), report.warnings.len()), (1, 0), "{begun_s} {origin:?}");
+            let scene = &scenes[0];
+            for (i, state) in scene.ego().trajectory.valid() {
+                let at = scene.world_from_scene.point(state.position);
+                assert!(at.distance(origin + Vec2::new(i as f64, 0.0)) < 1e-4, "{begun_s} {origin:?}: {at:?}");
+                assert!((state.velocity.x - 10.0).abs() < 1e-3, "{begun_s} {origin:?}: {state:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn each_unit_and_axis_has_a_value_that_only_the_right_reading_gives() {
+    // A car, 4 m long, that drives at 5 m/s along 30 degrees from x, from (2, 1); written in each way, and read back.
+    let (heading, begin) = (30.0_f64, Vec2::new(2.0, 1.0));
+    let along = Vec2::from_angle(heading.to_radians());
+    type Write = fn(f64, Vec2, f64) -> [f64; 4];
+    let cases: [(&str, Write); 9] = [
+        ("", |t, at, deg| [t, at.x, at.y, deg.to_radians()]),
+        ("heading = 'degrees'", |t, at, deg| [t, at.x, at.y, deg]),
+        ("heading = 'degrees'", |t, at, deg| [t, at.x, at.y, deg - 360.0]),
+        // East is 90 degrees on a compass, and north 0.
+        ("heading = 'compass_degrees'", |t, at, deg| [t, at.x, at.y, 90.0 - deg]),
+        // In an image y points down, and angles from x toward y turn the other way.
+        ("y_points_down = true\nheading = 'degrees'", |t, at, deg| [t, at.x, -at.y, -deg]),
+        ("y_points_down = true", |t, at, deg| [t, at.x, -at.y, -deg.to_radians()]),
+        ("length_unit_m = 0.3048", |t, at, deg| [t, at.x / 0.3048, at.y / 0.3048, deg.to_radians()]),
+        ("time_unit_s = 0.001", |t, at, deg| [1e3 * t, at.x, at.y, deg.to_radians()]),
+        ("frame_rate_hz = 25\ncolumns.frame = 't'", |t, at, deg| [25.0 * t, at.x, at.y, deg.to_radians()]),
+    ];
+    for (mapping, write) in cases {
+        // Where the car is when its front is at `at`, and when the corner of a box along x is.
+        for (position, shift, deg) in
+            [("center", Vec2::ZERO, heading), ("front", along * 2.0, heading), ("corner", Vec2::new(-2.0, -0.9), 0.0)]
+        {
+            let is_down = mapping.contains("down");
+            let is_corner = position == "corner";
+            let along = if is_corner { Vec2::new(1.0, 0.0) } else { along };
+            // The corner with the least y in the image is the upper one.
+            let shift = if is_corner && is_down { Vec2::new(-2.0, 0.9) } else { shift };
+            let unit_m = if mapping.contains("length_unit_m") { 0.3048 } else { 1.0 };
+            let row = |i: usize, _: f64, _: f64| {
+                let t = i as f64 * 0.04;
+                let [t, x, y, h] = write(t, begin + along * (5.0 * t) + shift, deg);
+                format!("7,{t},{x},{y},{h},{},{}", 4.0 / unit_m, 1.8 / unit_m)
+            };
+            let time = if mapping.contains("columns.frame") { "" } else { "columns.time = 't'" };
+            let mapping = format!(
+                "position = '{position}'\ncolumns.track = 'id'\ncolumns.x = 'x'\ncolumns.y = 'y'\n{time}
+                 columns.heading = 'h'\ncolumns.length = 'l'\ncolumns.width = 'w'\n{mapping}"
+            );
+            let folder = file("a.csv", &drive("id,t,x,y,h,l,w", 101, row));
+            let (scenes, report) =
+                read(&config(folder.path(), &mapping)).unwrap_or_else(|error| panic!("{mapping}: {error}"));
+            assert!(report.warnings.is_empty(), "{mapping}: {:?}", report.warnings);
+            let (scene, ego) = (&scenes[0], scenes[0].ego());
+            assert_eq!(ego.trajectory.n_valid(), 40, "{mapping}");
+            assert!((ego.extent.unwrap().length_m - 4.0).abs() < 1e-9, "{mapping}");
+            for (i, state) in ego.trajectory.valid() {
+                let state = state.transformed(&scene.world_from_scene);
+                let at = begin + along * (0.5 * i as f64);
+                assert!(state.position.distance(at) < 1e-6, "{mapping} {i}: {:?}, expected {at:?}", state.position);
+                let off_rad = angle_difference(state.heading_rad, deg.to_radians());
+                assert!(off_rad.abs() < 1e-9, "{mapping} {i}: {}", state.heading_rad);
+                assert!(state.velocity.distance(along * 5.0) < 1e-6, "{mapping} {i}: {:?}", state.velocity);
+            }
+        }
+    }
+}
+
+#[test]
+fn parquet_is_read_whatever_types_its_columns_have() {
+    use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch};
+    use arrow::compute::cast;
+    use arrow::datatypes::{DataType, TimeUnit};
+    use std::sync::Arc;
+    let n = 60;
+    let floats = |of: fn(i64) -> f64| -> ArrayRef { Arc::new(Float64Array::from_iter((0..n).map(of))) };
+    let whole = |of: fn(i64) -> i64| -> ArrayRef { Arc::new(Int64Array::from_iter((0..n).map(of))) };
+    let as_type = |column: ArrayRef, to: DataType| cast(&column, &to).unwrap();
+    let decimal = |column: ArrayRef| as_type(column, DataType::Decimal128(12, 2));
+    let category =
+        |column: ArrayRef| as_type(column, DataType::Dictionary(Box::new(DataType::Int32), Box::new(DataType::Utf8)));
+    let ids = [floats(|_| 1.0), whole(|_| 1), decimal(whole(|_| 1)), category(whole(|_| 1))];
+    let ns = || whole(|i| 1_700_000_000_000_000_000 + i * 100_000_000);
+    let us = |of: DataType| as_type(whole(|i| i * 100_000), of);
+    let times = [
+        floats(|i| i as f64 / 10.0),
+        as_type(ns(), DataType::Timestamp(TimeUnit::Nanosecond, Some("UTC".into()))),
+        us(DataType::Timestamp(TimeUnit::Microsecond, None)),
+        us(DataType::Duration(TimeUnit::Microsecond)),
+        decimal(floats(|i| i as f64 / 10.0)),
+    ];
+    let classes = [floats(|_| 2.0), whole(|_| 2), category(whole(|_| 2))];
+    for (at, time) in times.iter().enumerate() {
+        let columns: [(&str, ArrayRef); 5] = [
+            ("id", Arc::clone(&ids[at % ids.len()])),
+            ("t", Arc::clone(time)),
+            ("x", decimal(whole(|i| i))),
+            ("y", floats(|_| 2.0)),
+            ("c", Arc::clone(&classes[at % classes.len()])),
+        ];
+        let batch = RecordBatch::try_from_iter(columns).unwrap();
+        let mut bytes = Vec::new();
+        let mut writer = parquet::arrow::ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
+        writer.write(&batch).unwrap();
+        writer.close().unwrap();
+        let folder = file("a.meta", "id,l,w\n1.0,4.5,1.8\n");
+        fs_err::write(folder.path().join("train/a.parquet"), bytes).unwrap();
+        let mapping = "
+            files = '*.parquet'
+            track_files = '*.meta'
+            columns = { track = 'id', x = 'x', y = 'y', time = 't', class = 'c', length = 'l', width = 'w' }
+            classes = { 2 = 'bus' }";
+        let (scenes, _) = read(&config(folder.path(), mapping)).unwrap_or_else(|error| panic!("{at}: {error}"));
+        let ego = scenes[0].ego();
+        assert_eq!((ego.id.0.as_str(), ego.class, ego.trajectory.n_valid()), ("1", AgentClass::Bus, 40), "{at}");
+        assert!(ego.extent.is_some() && (ego.trajectory.get(20).unwrap().velocity.x - 10.0).abs() < 1e-3, "{at}");
+    }
 }
 
 #[test]

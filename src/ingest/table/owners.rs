@@ -1,0 +1,193 @@
+//! Finds where an id passes from one agent to another, and rows that are out of place.
+
+use crate::geometry::Vec2;
+use crate::ingest::assemble::MAX_COORDINATE_M;
+use crate::ingest::plausible_tracks::MAX_SPEED_MPS;
+use crate::ingest::standing::Standing;
+use crate::scene::AgentClass;
+
+/// No vehicle speeds up by more, m/s².
+const MAX_ACCELERATION_MPS2: f64 = 10.0;
+/// Positions of trackers err by less, meters; simulated vehicles change lanes within one step.
+const MAX_ERROR_M: f64 = 4.0;
+/// Times without rows up to this are usual, seconds.
+const USUAL_GAP_S: f64 = 1.0;
+/// Over longer times, what an agent has driven until then tells how far it comes, seconds.
+const SHORT_S: f64 = 0.5;
+/// Sizes of one agent differ by less, meters.
+const MAX_OFF_SIZE_M: f64 = 0.5;
+
+/// An agent in one row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Seen {
+    pub(super) time_s: f64,
+    /// Meters, as recorded.
+    position: Vec2,
+    /// Length and width, meters.
+    size_m: Option<[f64; 2]>,
+    class: Option<AgentClass>,
+}
+
+/// Why an id is another agent's from some row on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Change {
+    Size,
+    Class,
+    /// No vehicle comes there from where the agent was.
+    Place,
+}
+
+/// What the rows of an id show, by ascending time.
+#[derive(Debug, Default)]
+pub(super) struct Owners {
+    last: Option<Seen>,
+    /// A row that the agent of the last one cannot reach: out of place, or of another agent.
+    suspect: Option<Seen>,
+    /// Rows of the present agent, and how fast it has been.
+    n_rows: usize,
+    fastest_mps: f64,
+    /// From when on the id is that of another agent, in the unit of rows, seconds.
+    pub(super) changes: Vec<(f64, Change)>,
+    /// Rows that are out of place.
+    pub(super) jumps_s: Vec<f64>,
+    pub(super) standing: Standing,
+}
+
+impl Seen {
+    pub(super) fn new(time_s: f64, position: Vec2, size_m: Option<[f64; 2]>, class: Option<AgentClass>) -> Self {
+        // Blank sizes, and those of pedestrians, are none.
+        Self { time_s, position, size_m: size_m.filter(|size_m| size_m.iter().all(|size_m| *size_m > 0.0)), class }
+    }
+
+    /// Whether it is on the earth.
+    pub(super) fn is_possible(&self) -> bool {
+        self.position.x.abs().max(self.position.y.abs()) <= MAX_COORDINATE_M
+    }
+}
+
+impl Owners {
+    /// Adds the next row of the id. Rows out of order, which few tables have, and repeated ones tell nothing.
+    pub(super) fn see(&mut self, seen: Seen, max_gap_s: f64) {
+        let Some(last) = self.last else { return self.accept(seen) };
+        if seen.time_s - last.time_s < 1e-9 {
+            return;
+        }
+        let gap_s = seen.time_s - last.time_s;
+        if gap_s > USUAL_GAP_S.max(max_gap_s) + 1e-4
+            && let Some(change) = change(&last, &seen)
+        {
+            self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
+            return self.pass_to(seen, change);
+        }
+        let fastest_mps = if self.n_rows > 1 { self.fastest_mps } else { MAX_SPEED_MPS };
+        if is_reached(&last, &seen, fastest_mps) {
+            self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
+            return self.accept(seen);
+        }
+        match self.suspect.replace(seen) {
+            Some(other) if other.time_s < seen.time_s && is_reached(&other, &seen, MAX_SPEED_MPS) => {
+                self.suspect = None;
+                if self.n_rows == 1 && self.changes.is_empty() {
+                    // The first row is the one out of place.
+                    self.jumps_s.push(last.time_s);
+                    self.last = None;
+                    self.n_rows = 0;
+                    self.accept(other);
+                } else {
+                    self.pass_to(other, Change::Place);
+                }
+                self.accept(seen);
+            }
+            other => self.jumps_s.extend(other.map(|other| other.time_s)),
+        }
+    }
+
+    /// Ends the rows.
+    pub(super) fn end(&mut self) {
+        self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
+        self.jumps_s.sort_by(f64::total_cmp);
+    }
+
+    fn pass_to(&mut self, seen: Seen, change: Change) {
+        self.changes.push((seen.time_s, change));
+        (self.n_rows, self.fastest_mps, self.last) = (0, 0.0, None);
+        self.accept(seen);
+    }
+
+    fn accept(&mut self, seen: Seen) {
+        if let Some(last) = self.last {
+            let gap_s = seen.time_s - last.time_s;
+            self.fastest_mps = self.fastest_mps.max(seen.position.distance(last.position) / gap_s.max(0.1));
+        }
+        self.n_rows += 1;
+        self.standing.see(seen.time_s, seen.position);
+        // Its size may be blank in some rows.
+        let size_m = seen.size_m.or(self.last.and_then(|last| last.size_m));
+        self.last = Some(Seen { size_m, ..seen });
+    }
+}
+
+/// Another size or class.
+fn change(last: &Seen, seen: &Seen) -> Option<Change> {
+    let sizes = last.size_m.zip(seen.size_m);
+    let is_other_size = sizes.is_some_and(|(a, b)| a.iter().zip(b).any(|(a, b)| (a - b).abs() > MAX_OFF_SIZE_M));
+    let is_other_class = last.class.zip(seen.class).is_some_and(|(a, b)| a != b);
+    if is_other_size { Some(Change::Size) } else { is_other_class.then_some(Change::Class) }
+}
+
+fn is_reached(from: &Seen, to: &Seen, fastest_mps: f64) -> bool {
+    let gap_s = to.time_s - from.time_s;
+    let speed_mps = match gap_s > SHORT_S {
+        true => MAX_SPEED_MPS.min(fastest_mps + MAX_ACCELERATION_MPS2 * gap_s),
+        false => MAX_SPEED_MPS,
+    };
+    from.position.distance(to.position) <= speed_mps * gap_s + MAX_ERROR_M
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What rows of time, x, length and class show.
+    fn owners(rows: &[(f64, f64, f64, AgentClass)]) -> (Vec<(f64, Change)>, Vec<f64>) {
+        let mut owners = Owners::default();
+        for (time_s, x, length_m, class) in rows {
+            owners.see(Seen::new(*time_s, Vec2::new(*x, 0.0), Some([*length_m, 2.0]), Some(*class)), 1.0);
+        }
+        owners.end();
+        (owners.changes, owners.jumps_s)
+    }
+
+    #[test]
+    fn an_id_passes_on_by_size_class_or_place_and_no_other_way() {
+        use AgentClass::{Bus, Vehicle};
+        // A car that drives at 10 m/s for two seconds, then what follows.
+        let drive: Vec<_> = (0..20).map(|i| (f64::from(i) * 0.1, f64::from(i), 4.5, Vehicle)).collect();
+        let goes_on = |from: (f64, f64, f64, AgentClass)| {
+            let (t, x, length_m, class) = from;
+            (0..3).map(move |i| (t + 0.1 * f64::from(i), x + f64::from(i), length_m, class)).collect::<Vec<_>>()
+        };
+        for (next, expected) in [
+            ((2.0, 20.0, 4.5, Vehicle), None),
+            ((2.0, 23.0, 4.5, Vehicle), None),
+            ((2.0, 20.0, 12.0, Bus), None),
+            ((2.0, 60.0, 4.5, Vehicle), Some(Change::Place)),
+            ((2.8, 28.0, 4.5, Vehicle), None),
+            ((2.8, 68.0, 4.5, Vehicle), Some(Change::Place)),
+            ((50.0, 0.0, 4.4, Vehicle), None),
+            ((50.0, 0.0, 12.0, Vehicle), Some(Change::Size)),
+            ((50.0, 0.0, 4.5, Bus), Some(Change::Class)),
+            ((50.0, 9000.0, 4.5, Vehicle), Some(Change::Place)),
+        ] {
+            let rows = [drive.clone(), goes_on(next)].concat();
+            let found: Vec<(f64, Change)> = expected.map(|change| (next.0, change)).into_iter().collect();
+            assert_eq!(owners(&rows), (found, vec![]), "{next:?}");
+        }
+        // A single row that is elsewhere, within, at the beginning and at the end.
+        for out_of_place in [0, 7, 19] {
+            let mut rows = drive.clone();
+            rows[out_of_place].1 += 40.0;
+            assert_eq!(owners(&rows), (vec![], vec![rows[out_of_place].0]), "{out_of_place}");
+        }
+    }
+}
