@@ -283,7 +283,7 @@ impl<'r> Stream<'r> {
         metadata: &Arc<ParquetMetaData>,
         names: &[&str],
     ) -> Result<Self, Malformed> {
-        for (name, n_bytes) in chunks(metadata, names).filter(|(_, n_bytes)| *n_bytes > MAX_CHUNK_BYTES) {
+        if let Some((name, n_bytes)) = chunks(metadata, names).find(|(_, n_bytes)| *n_bytes > MAX_CHUNK_BYTES) {
             let (n_mib, most) = (n_bytes >> 20, MAX_CHUNK_BYTES >> 20);
             return Err(format!("column {name} has {n_mib} MiB in a row group, expected at most {most}").into());
         }
