@@ -79,8 +79,9 @@ fn figures(root: &Path) -> BTreeMap<String, Value> {
     let metrics = read(&root.join("metrics.json"));
     let row = |row: &Value| {
         let [group, sweep, place, metric] = ["group", "sweep", "place", "metric"].map(|key| row[key].as_str());
-        // Which arms a request tries, and how often, depends on the last digits.
-        let is_chosen = place == Some("") && !sweep?.contains('/') && METRICS.contains(&metric?);
+        // Which arms a request tries, and how often, depends on the last digits, and closed loops magnify them.
+        let is_open = !sweep?.contains('/') && sweep? != "closed_loops";
+        let is_chosen = place == Some("") && is_open && METRICS.contains(&metric?);
         let name = format!("{} {} {} {}", group?, sweep?, row["strength"], metric?);
         (is_chosen && row["value"].as_f64() != Some(0.0)).then(|| (name, row["value"].clone()))
     };

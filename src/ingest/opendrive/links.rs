@@ -117,8 +117,8 @@ impl Touching {
         self.pairs.insert(if one <= other { [one, other] } else { [other, one] });
     }
 
-    /// Lets lanes that are too short to be lanes hand on what touches them: an end that touches such a lane touches what
-    /// lies beyond it.
+    /// Lets lanes that are too short to be lanes hand on what touches them: an end that touches such a lane touches
+    /// what lies beyond it.
     pub(super) fn pass_on(&mut self, is_short: impl Fn(&LaneKey) -> bool) {
         let touches_short = |pair: &[LaneEnd; 2]| pair.iter().any(|(key, _)| is_short(key));
         let pairs: Vec<[LaneEnd; 2]> = self.pairs.iter().copied().filter(touches_short).collect();
