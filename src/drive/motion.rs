@@ -21,8 +21,10 @@ const ALIKE_RAD: f64 = 0.15;
 /// A position is recognized as one in another frame if it is this close to the last one there, meters, and this far
 /// away here.
 const NEAR_M: f64 = 5.0;
+/// Makes a heading of one that is written in another way.
+type ToHeading = fn(f64) -> f64;
 /// Other ways of writing a heading.
-const WRITTEN: [(&str, fn(f64) -> f64); 3] = [
+const WRITTEN: [(&str, ToHeading); 3] = [
     ("in degrees", f64::to_radians),
     ("clockwise from north", |heading| FRAC_PI_2 - heading),
     ("in degrees clockwise from north", |heading| FRAC_PI_2 - heading.to_radians()),

@@ -68,10 +68,8 @@ impl MapCatalog {
         let (needed, passed_over) = (RefCell::new(BTreeMap::new()), RefCell::new(BTreeSet::new()));
         let is_wanted = |path: &str| {
             places.note(source.place_at(path).as_deref());
-            if source.is_recording(path) {
-                if let Some(id) = source.map_of(path) {
-                    needed.borrow_mut().entry(id).or_insert_with(|| path.to_owned());
-                }
+            if let Some(id) = source.map_of(path).filter(|_| source.is_recording(path)) {
+                needed.borrow_mut().entry(id).or_insert_with(|| path.to_owned());
             }
             if is_archive(path) {
                 passed_over.borrow_mut().insert(path.to_owned());

@@ -196,7 +196,8 @@ fn planned_states_of_the_scenario_are_scored_as_the_scenario_in_any_frame() {
     let [own, scenario] = ["planner", "scenario"].map(|driver| rows(&out.join("drives.parquet"), driver));
     assert_same_rows(own, scenario);
     // What is written in another way is refused, and named.
-    let told: [(fn([f64; 4]) -> [f64; 4], &str); 4] = [
+    type Change = fn([f64; 4]) -> [f64; 4];
+    let told: [(Change, &str); 4] = [
         (|[t, x, y, h]| [t, x, y, h.to_degrees()], "in degrees"),
         (|[t, x, y, h]| [t, x, y, h + 1.57], "is a turn by 1.5"),
         (|[t, x, y, h]| [t - 10.0, x, y, h], "they begin at 0, but timesteps count from the beginning of the past"),

@@ -97,7 +97,8 @@ fn nothing_that_is_sampled_was_trained_on() {
     let flat = [fixture("argoverse1/train/data", "all"), fixture("argoverse1/map_files", "maps")].concat();
     let of_a_minute = (0..4).map(|i| commonroad(&scenario(i), 0, [150 * i, 300])).collect();
     let copies = (0..6).map(|i| commonroad(&scenario(i), i / 2, [0, 60])).collect();
-    let cases: [(&str, Dataset, Vec<(String, Vec<u8>)>); 8] = [
+    type Files = Vec<(String, Vec<u8>)>;
+    let cases: [(&str, Dataset, Files); 8] = [
         ("a flat folder", Dataset::Argoverse1, flat),
         ("train and val", Dataset::Argoverse1, fixture("argoverse1", "av1")),
         ("a recording that the ingest divides", Dataset::Interaction, fixture("interaction_v1_1", "v1")),
