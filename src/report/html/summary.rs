@@ -14,14 +14,14 @@ pub(super) fn summary(model: &ReportModel) -> Markup {
                 (answer("Asked", &asked(model)))
                 (answer("Got", &got(model)))
                 (answer("Cost", &cost(model)))
-                @if !model.requests.is_empty() {
-                    li class="wide" { h2 { "Requested and delivered" } (requested(model)) }
-                }
             } @else if let Some(ingest) = &model.ingest {
                 (answer("Got", &html! { p { strong { (count(ingest.n_scenes)) }
                     " recorded scenes; nothing was generated." } }))
             }
             (answer("Can you trust it?", &trust(model)))
+            @if !model.requests.is_empty() {
+                li class="wide" { h2 { "Requested and delivered" } (requested(model)) }
+            }
         }
     }
 }
