@@ -3,7 +3,7 @@
 use super::check::exceeds;
 use super::{Check, Judged, Violation, keep_worse};
 use crate::geometry::Vec2;
-use crate::scene::AgentClass;
+use crate::scene::{AgentClass, State};
 
 /// A vehicle goes back by at most this, meters, unless it went back farther in its given states: whoever parks is seen
 /// to. Of recorded vehicles that come to a stand, 3 in 1,000 go back by a third of it.
@@ -19,12 +19,11 @@ pub(super) fn worst(judged: &Judged<'_>) -> Option<Violation> {
         }
         let (mut given_m, mut generated) = (0.0_f64, (0.0, 0));
         // How far back the agent is from the place farthest ahead, and the state before.
-        let (mut back_m, mut before) = (0.0, None);
+        let (mut back_m, mut before) = (0.0, None::<&State>);
         for timestep in 0..scene.n_timesteps {
             let state = scene.state(agent_idx, timestep).filter(|state| state.is_finite());
             back_m = match state.zip(before) {
                 Some((now, before)) => {
-                    let before: &crate::scene::State = before;
                     let ahead = Vec2::from_angle(before.heading_rad);
                     f64::max(back_m - (now.position - before.position).dot(ahead), 0.0)
                 }

@@ -43,7 +43,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        16
+        17
     }
 
     fn check(&self) -> Result<()> {

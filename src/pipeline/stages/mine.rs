@@ -63,7 +63,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        9
+        10
     }
 
     fn check(&self) -> Result<()> {

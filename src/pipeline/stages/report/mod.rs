@@ -47,7 +47,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn check(&self) -> Result<()> {
