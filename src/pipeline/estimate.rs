@@ -89,6 +89,7 @@ fn describe(
     ));
     lines.push(match pool {
         None => "    pairs that can reach a bucket are counted once scenes and models exist".to_owned(),
+        Some(Pool { unmet: Some(why), .. }) => format!("    {why}"),
         Some(pool) => format!(
             "    {} pairs of {} scenes; {} more can reach no bucket",
             pool.cells.len(),

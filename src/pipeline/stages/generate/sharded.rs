@@ -44,6 +44,7 @@ impl Sharded for Generate<'_> {
         self.with_ready(compute, None, |ready| {
             let sweeps = ready.plan(progress)?;
             let pools = ready.pools()?;
+            ready.warn_of_infeasible(&pools, progress);
             let sampled_with = ready.sampled_with(&sweeps, &pools);
             let metric_settings = ready.metric_settings.clone();
             Division::new(sweeps.shards.len(), &GenerationPlan { sweeps, pools, sampled_with, metric_settings })
