@@ -1,10 +1,10 @@
 //! The result of driving a corpus in figures: how many drives failed and how, and which failures matter.
 
-use super::event::is_decided_by_ego;
-use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
+use super::{EgoDriver, Margins, ToldApart};
 use crate::generate::NamedDriver;
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
+use crate::simulate::{BANDS_S, Driven, Outcome, RolloutConfig, Side, Traffic, is_decided_by_ego};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

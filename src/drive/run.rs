@@ -1,23 +1,22 @@
 //! Drives every selected scenario of a corpus, with the careful driver beside, and writes the results.
 
-use super::drivers::{Careful, named};
 use super::external::External;
 use super::kept::Kept;
-use super::maps::{Maps, Places};
 use super::margin::{Margin, Margins};
 use super::page::Cards;
 use super::report::DriveReport;
-use super::rollout::{MOST_HORIZON_S, Others, roll_out};
-use super::situation::Situation;
 use super::told_apart::Tracks;
-use super::workers::{CHUNK, in_parallel, pool_of_worker};
-use super::{Driven, Driver, EgoDriver, Error, Outcome, Result, RolloutConfig, World};
-use crate::export::{EgoChoice, Selection};
+use super::{EgoDriver, Error, Result};
+use crate::export::Selection;
 use crate::files::{AtomicFile, NewFolder};
 use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::report::render_drives;
-use crate::scenario::DriveRow;
+use crate::scenario::{DriveRow, EgoChoice};
+use crate::simulate::{
+    self, CHUNK, Careful, Driven, Driver, MOST_HORIZON_S, Maps, Others, Outcome, Places, RolloutConfig, Situation,
+    World, in_parallel, named, pool_of_worker, roll_out,
+};
 use crate::store::{CorpusReader, DrivenWriter, SceneStore, write_atomically, write_drives, write_json_atomically};
 use rayon::ThreadPool;
 use std::io::Write;
@@ -154,8 +153,8 @@ pub fn drive_corpus(
                         maps.expect_arrivals(&mut situation, futures.seed(), [n_steps, n_tracks, n_known])?;
                         chunk.push(situation);
                     }
-                    Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
-                    Err(error) => return Err(error),
+                    Err(simulate::Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
+                    Err(error) => return Err(error.into()),
                 }
             }
             if chunk.len() >= CHUNK * workers.len() || n_chosen == limit {

@@ -1,9 +1,8 @@
 //! Can tracks that the model drives be told from recorded ones of the same agents?
 
-use super::situation::Situation;
-use super::world::World;
 use crate::metrics::distinguishability::{FeatureSet, Surroundings, TrackPair, TwoSampleTest};
 use crate::scene::{Scene, SceneId, Track, Trajectory};
+use crate::simulate::{Situation, World};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
@@ -90,10 +89,10 @@ impl Tracks {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{record, situation};
     use super::*;
     use crate::geometry::Vec2;
     use crate::scene::State;
+    use crate::simulate::testing::{record, situation};
 
     /// A track that drives along x, and wavers from `wavers_from_s` on.
     fn states(situation: &Situation, agent_idx: usize, wavers_from_s: f64) -> Vec<Option<State>> {

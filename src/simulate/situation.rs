@@ -3,7 +3,6 @@
 use super::arrivals::{Arrivals, Ends, Recorded};
 use super::bends::{BendSpeeds, rounded};
 use super::event::is_decided_by_ego;
-use super::margin::later;
 use super::world::World;
 use super::{Error, Result};
 use crate::behavior::driven_path::DrivenPath;
@@ -148,7 +147,7 @@ impl Situation {
 
     /// The situation with the other agents of the event `n_steps` timesteps later in everything they do. `None` if
     /// there are none, or one of them would overlap an agent in the past that was apart from it.
-    pub(super) fn delayed(&self, n_steps: usize) -> Option<Self> {
+    pub(crate) fn delayed(&self, n_steps: usize) -> Option<Self> {
         let mut delayed = self.clone();
         for agent_idx in &self.planned {
             delayed.scene.tracks[*agent_idx].trajectory = later(&self.scene, *agent_idx, n_steps);
@@ -359,6 +358,24 @@ fn is_near(lane: &Lane, bounds: Option<Bounds>, at: Vec2, within_m: f64) -> bool
         && lane.centerline.project(at).is_some_and(|place| place.offset_m.abs() <= within_m)
 }
 
+/// The trajectory of an agent `n_steps` later; before, it comes along at its first velocity.
+fn later(scene: &Scene, agent_idx: usize, n_steps: usize) -> Trajectory {
+    let entries = scene.tracks[agent_idx].trajectory.entries();
+    let first = entries.iter().enumerate().find_map(|(t, state)| state.map(|state| (t, state)));
+    let entry = |timestep: usize| {
+        let (t, state) = first?;
+        match timestep.checked_sub(n_steps).filter(|before| *before >= t) {
+            Some(before) => entries[before],
+            None if timestep < t => None,
+            None => {
+                let missing_s = (t + n_steps - timestep) as f64 * scene.dt_s;
+                Some(State { position: state.position - state.velocity * missing_s, ..state })
+            }
+        }
+    };
+    Trajectory::new((0..entries.len()).map(entry).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::testing::{record, situation};
@@ -405,5 +422,21 @@ mod tests {
         let (scene, mask) = situation.window(&world, Some(&expected), true, [10, 40]);
         assert!(mask.is_observed(situation.ego_idx, 39) && scene.state(situation.ego_idx, 9) != Some(&expected[0]));
         assert_eq!(scene.state(situation.ego_idx, 20).map(|state| state.position), Some(Vec2::ZERO));
+    }
+
+    #[test]
+    fn the_others_of_the_event_come_later_along_the_same_path() {
+        let situation = situation(&record());
+        let other = situation.planned[0];
+        let delayed = situation.delayed(3).unwrap();
+        for t in 3..situation.scene.n_timesteps {
+            assert_eq!(delayed.scene.state(other, t), situation.scene.state(other, t - 3));
+        }
+        let [first, second] = [0, 1].map(|t| *delayed.scene.state(other, t).unwrap());
+        let missed_m = (second.position - first.position - first.velocity * situation.scene.dt_s).norm();
+        assert!(missed_m < 1e-9 && delayed.event == situation.event.map(|t| t + 3));
+        for idx in (0..situation.scene.tracks.len()).filter(|idx| *idx != other) {
+            assert_eq!(delayed.scene.tracks[idx].trajectory, situation.scene.tracks[idx].trajectory);
+        }
     }
 }
