@@ -47,4 +47,12 @@ impl EgoDriver {
             Self::External(command) => command,
         }
     }
+
+    /// The name in tables.
+    pub(super) fn name_in_tables(&self) -> &str {
+        match self {
+            Self::External(_) => "planner",
+            named => named.name(),
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! Drives of an interrupted attempt, kept beside its output folder so that they are not driven again.
 
-use super::run::Drives;
+use super::pool::Drives;
 use super::{Error, Result};
 use crate::files::{self, keep_list, listed, remove_listed};
 use crate::store::{self, read_binary, write_binary_atomically};

@@ -6,12 +6,15 @@
 
 mod action;
 mod answer;
+mod config;
 mod ego_driver;
 mod error;
 mod external;
 mod kept;
 mod margin;
+mod output;
 mod page;
+mod pool;
 mod process;
 pub mod protocol;
 mod report;
@@ -19,16 +22,16 @@ mod run;
 #[cfg(test)]
 mod run_tests;
 mod score;
+mod starts;
 mod told_apart;
 
+pub use config::{DriveConfig, Origin, SaveAt};
 pub use ego_driver::EgoDriver;
 pub use error::{Error, Result};
 pub use margin::{DelaySurvived, Margin, Margins};
+pub use output::{DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, PLANNER_LOG, STATES_DIR};
 pub use process::kill_planners;
 pub use report::{DriveReport, Failures, Matters, Part};
-pub use run::{
-    DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, DriveConfig, Origin, PLANNER_LOG, STATES_DIR, SaveAt,
-    drive_corpus,
-};
+pub use run::drive_corpus;
 pub use score::score;
 pub use told_apart::ToldApart;

@@ -1,7 +1,7 @@
 //! Scores planned trajectories in an open loop: all other agents move as in the scenario, whatever the ego does.
 
+use super::output::{DRIVE_FILE, DRIVES_FILE, row};
 use super::report::DriveReport;
-use super::run::{DRIVE_FILE, DRIVES_FILE, row};
 use super::{EgoDriver, Error, Result};
 use crate::export::Selection;
 use crate::files::NewFolder;
