@@ -23,7 +23,6 @@ mod run;
 mod run_tests;
 mod score;
 mod starts;
-mod told_apart;
 
 pub use config::{DriveConfig, Origin, SaveAt};
 pub use ego_driver::EgoDriver;
@@ -34,4 +33,3 @@ pub use process::kill_planners;
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use run::drive_corpus;
 pub use score::score;
-pub use told_apart::ToldApart;

@@ -2,15 +2,15 @@
 
 use super::margin::{Margin, Margins};
 use super::page::Cards;
+use super::pool::Drives;
 use super::report::DriveReport;
-use super::told_apart::Tracks;
-use super::{DriveConfig, EgoDriver, Error, Result};
+use super::{DriveConfig, Error, Result};
 use crate::files::AtomicFile;
 use crate::generate::{Futures, NamedDriver};
 use crate::report::render_drives;
 use crate::scenario::DriveRow;
 use crate::simulate::{Driven, Outcome, Situation};
-use crate::store::{CorpusReader, DrivenWriter, write_atomically, write_drives, write_json_atomically};
+use crate::store::{DrivenWriter, write_atomically, write_drives, write_json_atomically};
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
@@ -36,7 +36,6 @@ pub(super) struct Output<'a> {
     rows: Vec<DriveRow>,
     margins: Vec<Margin>,
     log: Option<AtomicFile>,
-    tracks: Tracks,
     cards: Cards,
     report: DriveReport,
 }
@@ -51,19 +50,13 @@ impl<'a> Output<'a> {
             rows: Vec::new(),
             margins: Vec::new(),
             log: None,
-            tracks: Tracks::default(),
             cards: Cards::default(),
             report: DriveReport::new(&config.ego, Some(config.rollout), futures.seed(), futures.fingerprint()),
         })
     }
 
-    /// Adds the drives of a situation from the corpus of `reader`.
-    pub(super) fn add(
-        &mut self,
-        situation: &Situation,
-        (drives, margin): (Vec<Driven>, Option<Margin>),
-        reader: &CorpusReader,
-    ) -> Result<()> {
+    /// Adds the drives of a situation.
+    pub(super) fn add(&mut self, situation: &Situation, (drives, margin): Drives) -> Result<()> {
         let own = self.config.ego.name_in_tables();
         let careful = drives.last().map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
         let careful_survives = careful.map(|outcome| outcome == Outcome::Survived);
@@ -91,13 +84,6 @@ impl<'a> Output<'a> {
             write_atomically::<Error>(&path, |file| Ok(file.write_all(text.as_bytes())?))?;
             self.report.n_saved += 1;
         }
-        let scene = &situation.scene;
-        if let Some(driven) = drives.first().filter(|_| self.tracks.want(&scene.id))
-            && let Some(recorded) = reader.recorded_tracks(&scene.id, scene.n_timesteps)?
-        {
-            let drives_ego = self.config.ego == EgoDriver::Named(NamedDriver::Model);
-            self.tracks.add(situation, &driven.world, &recorded, drives_ego);
-        }
         if let [asked, careful] = drives.as_slice() {
             self.cards.offer(situation, (own, asked), (NamedDriver::Careful.name(), careful));
         }
@@ -119,13 +105,12 @@ impl<'a> Output<'a> {
 
     /// Writes what is not written yet. Returns the report, in which scenarios that could not be driven are `left_out`.
     pub(super) fn finish(self, left_out: BTreeMap<String, u64>) -> Result<DriveReport> {
-        let Self { out, config, states, rows, margins, log, tracks, cards, mut report } = self;
+        let Self { out, config, states, rows, margins, log, cards, mut report } = self;
         states.finish()?;
         log.map(AtomicFile::commit).transpose()?;
         write_drives(&out.join(DRIVES_FILE), &rows)?;
         report.left_out = left_out;
         report.finish(&rows, config.ego.name_in_tables());
-        report.told_apart = tracks.tell_apart();
         report.margins = config.bisects.then(|| Margins::of(margins));
         let page = render_drives(&cards.page(&report, &rows, config.ego.name_in_tables()));
         write_atomically::<Error>(&out.join(DRIVE_PAGE), |file| Ok(file.write_all(page.as_bytes())?))?;

@@ -48,7 +48,7 @@ pub fn drive_corpus(
         }
         let drives = pool.drive(&situations, &kept, progress)?;
         for (situation, drives) in situations.iter().zip(drives) {
-            output.add(situation, drives, &reader)?;
+            output.add(situation, drives)?;
         }
     }
     progress.finish();

@@ -44,7 +44,7 @@ fn is_possible(state: &[f64; 5]) -> bool {
 
 impl World {
     /// A world with these states, by track, all with the same number of timesteps.
-    pub(crate) fn new<'s, T>(scenario_id: &str, seed: u64, plan_ends: usize, tracks: T) -> Self
+    pub(super) fn new<'s, T>(scenario_id: &str, seed: u64, plan_ends: usize, tracks: T) -> Self
     where
         T: IntoIterator<Item = &'s [Option<State>]>,
     {
