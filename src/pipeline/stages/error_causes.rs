@@ -71,7 +71,6 @@ impl From<evaluate::Error> for Failure {
     fn from(error: evaluate::Error) -> Self {
         match error {
             evaluate::Error::Store(error) => error.into(),
-            evaluate::Error::Files(error) => error.into(),
             evaluate::Error::Config { message, advice } => Self::input_message(message).with_hint(advice),
             error @ evaluate::Error::UnknownScene(_) => Self::input(error),
             error @ evaluate::Error::OtherShard { .. } => Self::fault(error),
