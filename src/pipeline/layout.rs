@@ -86,8 +86,6 @@ pub const METRICS: &str = "metrics.parquet";
 pub const METRICS_SUMMARY: &str = "metrics.json";
 /// The outcome of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";
-/// Predictions in the formats of benchmarks.
-pub const PREDICTIONS: &str = "predictions";
 /// The report.
 pub const REPORT: &str = "report.html";
 /// The figures of the report as files.

@@ -3,7 +3,7 @@
 use super::config::PipelineConfig;
 use super::layout::{
     BASELINE, CLASSIFIER, CORPUS, DENOISER, DISTILLED, EVENTS, FIGURES, Layout, METRICS, METRICS_SUMMARY, MINE_SUMMARY,
-    PREDICTIONS, REPORT, SAMPLES, SCENES, VERDICTS,
+    REPORT, SAMPLES, SCENES, VERDICTS,
 };
 use super::stages::is_round_file;
 use crate::engine::{ShardNames, StageKind};
@@ -174,7 +174,7 @@ pub static KINDS: [StageKind; 9] = [
     },
     StageKind {
         shards: Some(ShardNames { shard: "figures", ending: "bin", is_other: |_| false }),
-        ..plain("evaluate", "evaluate", &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS])
+        ..plain("evaluate", "evaluate", &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS])
     },
     plain("report", "report", &[REPORT, FIGURES]),
 ];

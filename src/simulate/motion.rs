@@ -31,12 +31,12 @@ const WRITTEN: [(&str, ToHeading); 3] = [
 ];
 
 /// How tightly a vehicle turns at most, 1/m: the least circle, and 9 m/s² across.
-pub(super) fn most_curvature_1pm(speed_mps: f64) -> f64 {
+pub(crate) fn most_curvature_1pm(speed_mps: f64) -> f64 {
     (9.0 / speed_mps.powi(2).max(f64::MIN_POSITIVE)).min(0.3)
 }
 
 /// A number for people: without hundreds of digits.
-pub(super) fn plain(number: f64) -> String {
+pub(crate) fn plain(number: f64) -> String {
     if number.abs() < 1e6 { format!("{}", (number * 1e3).round() / 1e3) } else { format!("{number:.3e}") }
 }
 
@@ -45,7 +45,7 @@ pub(super) fn plain(number: f64) -> String {
 ///
 /// # Errors
 /// Why no vehicle moves like this, and what may be meant.
-pub(super) fn moved(
+pub(crate) fn moved(
     before: &State,
     [x, y, heading]: [f64; 3],
     world_from_scene: &Transform2,

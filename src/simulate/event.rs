@@ -8,14 +8,14 @@ use crate::scene::Scene;
 const DECIDED_BY_EGO: [&str; 2] = ["collision", "near_miss"];
 
 /// Whether the ego decides if this behavior happens, so that the plan stays as it is.
-pub(super) fn is_decided_by_ego(behavior: Option<&str>) -> bool {
+pub(crate) fn is_decided_by_ego(behavior: Option<&str>) -> bool {
     behavior.is_some_and(|id| DECIDED_BY_EGO.contains(&id))
 }
 
 impl Situation {
     /// The event of the scenario, with the same roles, if the definition with default options finds it in a `scene`
     /// with its agents. `None` also for a scenario without an event.
-    pub(super) fn event_in(&self, scene: &Scene) -> Option<BehaviorEvent> {
+    pub(crate) fn event_in(&self, scene: &Scene) -> Option<BehaviorEvent> {
         let behavior = BehaviorConfig::from_id(self.behavior.as_deref().filter(|_| !self.roles.is_empty())?)?;
         let is_meant = |event: &BehaviorEvent| {
             event.label == EventLabel::Positive

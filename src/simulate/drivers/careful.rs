@@ -6,17 +6,17 @@
 
 use super::idm::{acceleration, leaders};
 use super::way::{advanced, eased, ego, seen};
-use crate::drive::driver::{Driver, Failed};
-use crate::drive::{Situation, World};
 use crate::metrics::{CarefulWatch, Seen};
 use crate::scene::State;
+use crate::simulate::driver::{Driver, Failed};
+use crate::simulate::{Situation, World};
 
 /// The deceleration of ordinary driving, m/s².
 const ORDINARY_MPS2: f64 = 2.0;
 
 /// The driver.
 #[derive(Debug, Clone, Default)]
-pub(in crate::drive) struct Careful {
+pub(crate) struct Careful {
     watches: Vec<CarefulWatch>,
 }
 

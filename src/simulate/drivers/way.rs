@@ -1,12 +1,12 @@
 //! Motion along the route of the ego, and other agents as seen from it.
 
 use crate::behavior::footprint::Footprint;
-use crate::drive::Situation;
-use crate::drive::driver::Failed;
-use crate::drive::world::World;
 use crate::geometry::Vec2;
 use crate::metrics::Seen;
 use crate::scene::State;
+use crate::simulate::Situation;
+use crate::simulate::driver::Failed;
+use crate::simulate::world::World;
 use std::f64::consts::FRAC_PI_2;
 
 /// The distance over which an ego beside its route comes over to it, meters.
@@ -52,7 +52,7 @@ pub(super) fn advanced(situation: &Situation, state: &State, acceleration_mps2: 
 
 /// The states of the ego that others expect at the next `n_steps` timesteps: it goes on along its route at its speed,
 /// or keeps braking as in the last moment until it stands.
-pub(in crate::drive) fn expected(situation: &Situation, world: &World, n_steps: usize) -> Vec<State> {
+pub(in crate::simulate) fn expected(situation: &Situation, world: &World, n_steps: usize) -> Vec<State> {
     let (now, ego_idx) = (world.now(), situation.ego_idx);
     let Some(state) = world.state(ego_idx, now) else { return Vec::new() };
     let n_before = (LAST_MOMENT_S / situation.scene.dt_s).round().max(1.0) as usize;

@@ -4,8 +4,7 @@
 
 use super::arrivals::{Ends, Recorded, Window};
 use super::{Error, Result, Situation};
-use crate::export::EgoChoice;
-use crate::scenario::ScenarioRecord;
+use crate::scenario::{EgoChoice, ScenarioRecord};
 use crate::scene::{LaneGraph, MapId, Scene, SceneId};
 use crate::store::{CorpusReader, MapSource, SceneStore};
 use std::collections::BTreeMap;
@@ -15,7 +14,7 @@ use std::sync::Arc;
 const MOST_SCENES: usize = 200;
 
 /// Scenes of a place that say how much traffic it has: those of a corpus, or all that were ingested.
-pub(super) trait Places {
+pub(crate) trait Places {
     /// Scenes on this map, at most as many as are needed; `scene` is one of them.
     fn scenes_on(&self, map: &MapId, scene: &Scene) -> Result<Vec<Scene>>;
 
@@ -61,7 +60,7 @@ impl Places for SceneStore {
 }
 
 /// The last map, its ends, and the last long recording that were requested.
-pub(super) struct Maps<'a> {
+pub(crate) struct Maps<'a> {
     maps: &'a dyn MapSource,
     places: &'a dyn Places,
     last: Option<(MapId, LaneGraph)>,
@@ -80,12 +79,12 @@ struct Recording {
 
 impl<'a> Maps<'a> {
     /// The maps of scenarios, and the scenes that say how much traffic their places have.
-    pub(super) fn new(maps: &'a dyn MapSource, places: &'a dyn Places) -> Self {
+    pub(crate) fn new(maps: &'a dyn MapSource, places: &'a dyn Places) -> Self {
         Self { maps, places, last: None, ends: None, recording: None }
     }
 
     /// The start of a scenario.
-    pub(super) fn situation(&mut self, record: &ScenarioRecord, ego: &EgoChoice) -> Result<Situation> {
+    pub(crate) fn situation(&mut self, record: &ScenarioRecord, ego: &EgoChoice) -> Result<Situation> {
         let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
         let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
         let asked = record.scenario.scene.map_id.as_ref();
@@ -98,7 +97,7 @@ impl<'a> Maps<'a> {
 
     /// Expects arrivals in a drive of `n_steps`: at least as many as a world with `n_tracks` does, and recorded ones as
     /// far as `n_known` steps.
-    pub(super) fn expect_arrivals(
+    pub(crate) fn expect_arrivals(
         &mut self,
         situation: &mut Situation,
         seed: u64,
@@ -151,41 +150,9 @@ impl<'a> Maps<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{corpus, model, record, write_scenes};
-    use super::super::{
-        DRIVEN_FILE, DriveConfig, EgoDriver, Origin, RolloutConfig, STATES_DIR, SaveAt, World, drive_corpus,
-    };
+    use super::super::testing::{write_scenes, write_windows};
     use super::*;
-    use crate::export::Selection;
-    use crate::generate::{Futures, NamedDriver};
-    use crate::progress::Silent;
     use crate::scene::TrackId;
-    use crate::store::{CorpusNotes, CorpusWriter};
-    use std::path::{Path, PathBuf};
-
-    /// A corpus of two windows of a recording, 2.5 s apart: by the second, all agents have been replaced.
-    fn write_windows(dir: &Path) -> CorpusReader {
-        let reader = CorpusReader::open(&corpus()).unwrap();
-        let window = |first_frame: &str| {
-            let mut record = record();
-            let id = format!("interaction/train/FIX_Merging/000@{first_frame}");
-            record.scenario.id = format!("from{first_frame}");
-            record.scenario.provenance.scene_id = id.as_str().into();
-            record.events.iter_mut().for_each(|event| event.scene_id = id.as_str().into());
-            record.scenario.scene.id = id.as_str().into();
-            record.scenario.scene.source.first_frame = first_frame.to_owned();
-            record
-        };
-        let (first, mut second) = (window("1"), window("26"));
-        (second.requested_behavior, second.verified, second.events) = (None, false, Vec::new());
-        for track in &mut second.scenario.scene.tracks {
-            track.id = TrackId(format!("later_{}", track.id));
-        }
-        let mut writer = CorpusWriter::create(dir, &reader).unwrap();
-        writer.write_scenarios(&[first, second]).unwrap();
-        writer.finish(&CorpusNotes::default()).unwrap();
-        CorpusReader::open(dir).unwrap()
-    }
 
     #[test]
     fn windows_of_a_recording_say_who_arrives_after_others() {
@@ -222,51 +189,5 @@ mod tests {
         let n_scenes = |maps: &Maps<'_>, map: &MapId| maps.places.scenes_on(map, &first).unwrap().len();
         assert_eq!([&known, &maps].map(|maps| n_scenes(maps, &map_id)), [3, 2]);
         assert_eq!(n_scenes(&known, &MapId("another".to_owned())), 0);
-    }
-
-    #[test]
-    fn recorded_arrivals_are_the_same_for_any_number_of_workers_and_from_saved_states() {
-        let dir = tempfile::tempdir().unwrap();
-        let corpus = dir.path().join("corpus");
-        write_windows(&corpus);
-        let model = model();
-        let futures = Futures::new(&model, 0, &candle_core::Device::Cpu).unwrap();
-        let drive_with = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>, scenes: Option<PathBuf>| {
-            let config = DriveConfig {
-                ego: EgoDriver::Named(NamedDriver::Careful),
-                rollout: RolloutConfig { horizon_s, replan_s: 0.5 },
-                time_limit_s: 1.0,
-                save_at: Some(SaveAt::Timestep(24)),
-                bisects: false,
-                n_workers,
-                program: String::new(),
-                scenes,
-            };
-            let out = dir.path().join(name);
-            let report = drive_corpus((&corpus, &out), from, &EgoChoice::Scene, &config, &futures, &Silent).unwrap();
-            let traffic = report.traffic["careful"];
-            (traffic, fs_err::read(out.join(DRIVEN_FILE)).unwrap(), out.join(STATES_DIR).join("from1.json"))
-        };
-        let drive = |name: &str, n_workers: usize, horizon_s: f64, from: &Origin<'_>| {
-            drive_with(name, n_workers, horizon_s, from, None)
-        };
-        let selection = Selection::default();
-        let (traffic, bytes, state) = drive("one", 1, 3.0, &Origin::Scenarios(&selection));
-        let n_recorded: u64 = traffic.n_arrived_recorded.iter().sum();
-        assert!(n_recorded > 0 && n_recorded <= traffic.n_arrived.iter().sum(), "{traffic:?}");
-        assert!(drive("two", 2, 3.0, &Origin::Scenarios(&selection)).1 == bytes);
-        // On from before they came; the state is one of a longer drive, which expects more of them.
-        let world = World::read(&state).unwrap();
-        let (fork, bytes, again) = drive("fork", 1, 3.0, &Origin::State(world.clone()));
-        assert!(fork.n_arrived_recorded.iter().sum::<u64>() > 0, "{fork:?}");
-        assert!(drive("again", 2, 3.0, &Origin::State(world.clone())).1 == bytes);
-        assert_eq!(fs_err::read(again).unwrap(), fs_err::read(&state).unwrap());
-        assert!(drive("shorter", 1, 1.6, &Origin::State(world)).0.driven_s[0] > 0.0);
-        // Scenes that have the first window alone: no arrivals are known after it.
-        let scenes = dir.path().join("scenes");
-        let reader = CorpusReader::open(&corpus).unwrap();
-        write_scenes(&scenes, &reader, &[reader.scenario(0).unwrap().scenario.scene]);
-        let alone = drive_with("alone", 1, 3.0, &Origin::Scenarios(&selection), Some(scenes)).0;
-        assert_eq!(alone.n_arrived_recorded.iter().sum::<u64>(), 0, "{alone:?}");
     }
 }

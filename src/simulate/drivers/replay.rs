@@ -2,21 +2,21 @@
 
 use super::idm::acceleration;
 use super::way::{advanced, ego};
-use crate::drive::driver::{Driver, Failed};
-use crate::drive::{Situation, World};
 use crate::scene::State;
+use crate::simulate::driver::{Driver, Failed};
+use crate::simulate::{Situation, World};
 
 /// The ego as the model samples it.
 #[derive(Debug, Clone, Copy, Default)]
-pub(in crate::drive) struct Model;
+pub(in crate::simulate) struct Model;
 
 /// The ego as in the scenario; after its end, along its route at the last speed, or as fast as bends allow.
 #[derive(Debug, Clone, Copy, Default)]
-pub(in crate::drive) struct Log;
+pub(crate) struct Log;
 
 /// The ego along its route at the present speed.
 #[derive(Debug, Clone, Copy, Default)]
-pub(in crate::drive) struct AtConstantVelocity;
+pub(in crate::simulate) struct AtConstantVelocity;
 
 impl Driver for Model {
     fn begin(&mut self, _situation: &Situation, _world: &World) -> Result<(), Failed> {

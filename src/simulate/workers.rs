@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::Builder;
 
 /// Scenarios in memory at a time, for each worker.
-pub(super) const CHUNK: usize = 8;
+pub(crate) const CHUNK: usize = 8;
 
 /// A pool for the network of one worker: it does too little in parallel to hand work around between threads.
-pub(super) fn pool_of_worker() -> Result<ThreadPool> {
+pub(crate) fn pool_of_worker() -> Result<ThreadPool> {
     let pool = ThreadPoolBuilder::new().num_threads(1).build();
     pool.map_err(|error| no_thread(&error))
 }
@@ -20,13 +20,13 @@ fn no_thread(error: &dyn std::error::Error) -> Error {
 }
 
 /// The results of `work` on each item in their order, whichever worker does it. The first error ends the work.
-pub(super) fn in_parallel<T: Sync, W: Send, R: Send>(
+pub(crate) fn in_parallel<T: Sync, W: Send, R: Send, E: From<Error> + Send>(
     items: &[T],
     workers: &mut [W],
-    work: impl Fn(&mut W, &T) -> Result<R> + Sync,
-) -> Result<Vec<R>> {
+    work: impl Fn(&mut W, &T) -> Result<R, E> + Sync,
+) -> Result<Vec<R>, E> {
     let (next, has_failed) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let found: Vec<Mutex<Option<Result<R>>>> = items.iter().map(|_| Mutex::new(None)).collect();
+    let found: Vec<Mutex<Option<Result<R, E>>>> = items.iter().map(|_| Mutex::new(None)).collect();
     let started = std::thread::scope(|scope| {
         for worker in workers {
             let works = || {
@@ -47,9 +47,9 @@ pub(super) fn in_parallel<T: Sync, W: Send, R: Send>(
     });
     started.map_err(|error: std::io::Error| no_thread(&error))?;
     let found = found.into_iter().filter_map(|place| place.into_inner().ok().flatten());
-    let results = found.collect::<Result<Vec<R>>>()?;
+    let results = found.collect::<Result<Vec<R>, E>>()?;
     match results.len() == items.len() {
         true => Ok(results),
-        false => Err(Error::Config("a drive was not finished".to_owned())),
+        false => Err(Error::Config("a drive was not finished".to_owned()).into()),
     }
 }

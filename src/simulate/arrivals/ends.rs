@@ -20,7 +20,7 @@ const LEAST_SEEN: usize = 10;
 
 /// The ends of a place, in the frame of its recordings.
 #[derive(Debug, Default)]
-pub(in crate::drive) struct Ends {
+pub(in crate::simulate) struct Ends {
     pub(super) entries: Vec<End>,
     exits: Vec<End>,
 }
@@ -50,7 +50,7 @@ pub(super) struct Seen {
 
 impl Ends {
     /// The ends of a map, estimated from different scenes on it.
-    pub(in crate::drive) fn of(map: &LaneGraph, scenes: &[Scene]) -> Self {
+    pub(in crate::simulate) fn of(map: &LaneGraph, scenes: &[Scene]) -> Self {
         let backwards = |lane: &Lane| Lane {
             centerline: Polyline(lane.centerline.0.iter().rev().copied().collect()),
             successors: lane.predecessors.clone(),

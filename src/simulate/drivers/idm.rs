@@ -1,10 +1,10 @@
 //! The intelligent driver model (Treiber, Hennecke and Helbing 2000) along the way of the ego.
 
 use super::way::{advanced, eased, ego, seen};
-use crate::drive::driver::{Driver, Failed};
-use crate::drive::{Situation, World};
 use crate::metrics::Seen;
 use crate::scene::State;
+use crate::simulate::driver::{Driver, Failed};
+use crate::simulate::{Situation, World};
 
 /// Time headway, seconds; least gap, meters; acceleration and comfortable deceleration, m/s².
 const HEADWAY_S: f64 = 1.5;
@@ -18,7 +18,7 @@ const MARGIN_M: f64 = 0.2;
 
 /// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
-pub(in crate::drive) struct Idm;
+pub(in crate::simulate) struct Idm;
 
 impl Driver for Idm {
     fn begin(&mut self, _situation: &Situation, _world: &World) -> Result<(), Failed> {
@@ -34,7 +34,7 @@ impl Driver for Idm {
 
 /// The states of the ego at the next `n_steps` timesteps if this model drives it; `then` gives the state of another
 /// agent by track and timestep.
-pub(in crate::drive) fn reacting(
+pub(in crate::simulate) fn reacting(
     situation: &Situation,
     world: &World,
     n_steps: usize,
@@ -70,7 +70,7 @@ pub(super) fn leaders(situation: &Situation, seen: &[Option<Seen>]) -> impl Iter
 }
 
 /// The distance to the nearest agent in the way of the ego now, meters; infinite if there is none.
-pub(in crate::drive) fn free_m(situation: &Situation, world: &World) -> f64 {
+pub(in crate::simulate) fn free_m(situation: &Situation, world: &World) -> f64 {
     leaders(situation, &seen(situation, world, world.now())).map(|(_, seen)| seen.gap_m).fold(f64::INFINITY, f64::min)
 }
 

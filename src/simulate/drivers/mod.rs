@@ -5,16 +5,17 @@ mod idm;
 mod replay;
 mod way;
 
-pub(super) use careful::Careful;
+pub(crate) use careful::Careful;
 pub(super) use idm::{Idm, free_m, reacting};
-pub(super) use replay::{AtConstantVelocity, Log, Model};
+pub(crate) use replay::Log;
+pub(super) use replay::{AtConstantVelocity, Model};
 pub(super) use way::expected;
 
 use super::Driver;
 use crate::generate::NamedDriver;
 
 /// The driver of this name, at the start of a drive.
-pub(super) fn named(driver: NamedDriver) -> Box<dyn Driver> {
+pub(crate) fn named(driver: NamedDriver) -> Box<dyn Driver> {
     match driver {
         NamedDriver::Model => Box::new(Model),
         NamedDriver::Log => Box::new(Log),

@@ -6,7 +6,7 @@ use crate::generate::{Continued, Futures};
 use crate::scene::Scene;
 
 /// The most futures of one request.
-pub(super) const MOST_FUTURES: usize = 64;
+pub(crate) const MOST_FUTURES: usize = 64;
 
 /// `n` futures from the last second, without knowledge of the plans of the event, and with noise that no real
 /// replanning uses.

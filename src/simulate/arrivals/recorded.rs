@@ -27,7 +27,7 @@ const KNOWN_WITHIN_S: f64 = 5.0;
 
 /// A window of a recording.
 #[derive(Debug, Clone)]
-pub(in crate::drive) struct Window {
+pub(in crate::simulate) struct Window {
     /// The first frame, and that of the present.
     frames: [i64; 2],
     /// Time between frames, seconds.
@@ -38,7 +38,7 @@ pub(in crate::drive) struct Window {
 
 /// The arrivals in the recording of a scenario.
 #[derive(Debug, Clone, Default)]
-pub(in crate::drive) struct Recorded {
+pub(in crate::simulate) struct Recorded {
     /// In order of time.
     arrivals: Vec<(Arrival, Track)>,
     /// The covered times: from one timestep (exclusive) to another (inclusive).
@@ -47,7 +47,7 @@ pub(in crate::drive) struct Recorded {
 
 impl Window {
     /// The window of the recording that this scene, or any scenario that continues it, is; it begins at `first_frame`.
-    pub(in crate::drive) fn of(scene: &Scene, first_frame: i64) -> Self {
+    pub(in crate::simulate) fn of(scene: &Scene, first_frame: i64) -> Self {
         let n_history = scene.n_history;
         let seen = scene.tracks.iter().filter_map(|track| {
             let (timestep, state) = track.trajectory.valid().next().filter(|(timestep, _)| *timestep < n_history)?;
@@ -62,7 +62,7 @@ impl Window {
 impl Recorded {
     /// The arrivals after the present of this scene, whose first frame is given, according to other windows of its
     /// recording in order of time.
-    pub(in crate::drive) fn of<'w>(
+    pub(in crate::simulate) fn of<'w>(
         (scene, first_frame): (&Scene, i64),
         windows: impl IntoIterator<Item = &'w Window>,
         ends: &Ends,

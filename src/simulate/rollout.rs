@@ -13,7 +13,7 @@ use crate::scene::{Scene, State, UnfitScene};
 use serde::{Deserialize, Serialize};
 
 /// The longest drive, seconds.
-pub(super) const MOST_HORIZON_S: f64 = 600.0;
+pub(crate) const MOST_HORIZON_S: f64 = 600.0;
 /// How far off the road the center of the ego may be, meters: as in the check of validity.
 const OFF_ROAD_SLACK_M: f64 = 0.3;
 /// An ego that stands for this long, seconds, below this speed, m/s, with this much free road ahead, meters, has
@@ -43,7 +43,7 @@ impl Default for RolloutConfig {
 
 impl RolloutConfig {
     /// Timesteps of the horizon, and of a plan.
-    pub(super) fn n_steps(&self, dt_s: f64) -> [usize; 2] {
+    pub(crate) fn n_steps(&self, dt_s: f64) -> [usize; 2] {
         [self.horizon_s, self.replan_s].map(|s| ((s / dt_s).round() as usize).max(1))
     }
 
