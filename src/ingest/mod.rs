@@ -52,6 +52,7 @@ mod vicinity;
 mod windows;
 mod xml_tree;
 
+pub use assemble::assemble_window;
 pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};

@@ -37,9 +37,9 @@ impl Generate<'_> {
         work: impl FnOnce(&Ready<'_>) -> Result<R>,
     ) -> Result<R> {
         let mut resolved = self.resolve()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
+        let store = self.open_scenes()?;
         if metric_settings.is_none() {
-            resolved.learned = learned(&self.learns_from, &store)?;
+            resolved.learned = learned(&self.learns_from, &SceneStore::open(&self.layout.scenes)?)?;
         }
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;

@@ -10,7 +10,6 @@ use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::layout::SAMPLES;
 use crate::progress::Progress;
-use crate::store::SceneStore;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -81,7 +80,7 @@ impl Sharded for Generate<'_> {
         if !summaries.is_empty() {
             folder.write_requests(&summaries)?;
             folder.take_rounds(shards.dir(), &pools)?;
-            let store = SceneStore::open(&self.layout.scenes)?;
+            let store = self.open_scenes()?;
             let write = |shard: DecidedShard| folder.write_decided(shards.dir(), shard, &store);
             done.extend(of_requests.into_par_iter().map(write).collect::<Result<Vec<_>>>()?);
         }
