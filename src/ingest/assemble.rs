@@ -32,7 +32,7 @@ const MAX_SPEED_MPS: f64 = 1e6;
 
 /// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.
 ///
-/// The ego is the focal track; if there is none at present, a seeded draw among the motorized tracks that are tracked
+/// The ego is the focal track, or otherwise the vehicle that recorded; if there is none at present, a seeded draw among the motorized tracks that are tracked
 /// throughout, or otherwise among those tracked at present; parked ones come last. `map` is `None` if scenes need no
 /// lanes.
 ///
@@ -175,8 +175,9 @@ fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, Stat
         eligible.get(drawn).copied()
     };
     let drives = |track: &Track| !track.is_parked();
-    let focal = raw.tracks.iter().position(|track| track.role == TrackRole::Focal && is_present(track));
-    let ego_idx = focal
+    let of_role = |role| raw.tracks.iter().position(|track| track.role == role && is_present(track));
+    let ego_idx = of_role(TrackRole::Focal)
+        .or_else(|| of_role(TrackRole::Recorder))
         .or_else(|| draw(&|track| drives(track) && is_whole(track)))
         .or_else(|| draw(&|track| drives(track) && is_present(track)))
         .or_else(|| draw(&is_present))?;

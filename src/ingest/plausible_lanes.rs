@@ -23,7 +23,7 @@ const MIN_POINTS: usize = 5;
 const MAX_POINTS: usize = 1000;
 
 /// Why a lane is left out: reason and detail.
-type Flaw = (&'static str, String);
+pub(super) type Flaw = (&'static str, String);
 
 /// The lanes that can be lanes, in their order: the first with each id, whose lines have a length and do not double
 /// back, and whose centerline lies between its bounds, if there are any. The others are reported.
@@ -31,12 +31,17 @@ pub(super) fn plausible(mut lanes: Vec<Lane>, report: &mut MapReport) -> Vec<Lan
     let mut seen = BTreeSet::new();
     lanes.retain(|lane| {
         let verdict = match seen.insert(lane.id) {
-            true => check_lines(lane).and_then(|()| check_bounds(lane)),
+            true => flaw(lane),
             false => Err(("lanes_of_repeated_ids", "the first of this id is kept".to_owned())),
         };
         verdict.map_err(|(reason, detail)| report.warn(reason, format!("lane {}: {detail}", lane.id.0))).is_ok()
     });
     lanes
+}
+
+/// Why a lane cannot be one, if it cannot.
+pub(super) fn flaw(lane: &Lane) -> Result<(), Flaw> {
+    check_lines(lane).and_then(|()| check_bounds(lane))
 }
 
 fn check_lines(lane: &Lane) -> Result<(), Flaw> {
