@@ -261,7 +261,7 @@ fn the_two_public_scenarios_are_read() {
 
 proptest! {
     #[test]
-    fn damaged_scenarios_do_no_harm(damages in prop::collection::vec((any::<usize>(), any::<u8>(), 0..14_usize), 1..6)) {
+    fn damage_does_no_harm(damages in prop::collection::vec((any::<usize>(), any::<u8>(), 0..14_usize), 1..6)) {
         let bytes = damaged(&scenario().encode_to_vec(), &damages);
         let unit = RawUnit { bytes, split: UnitSplit::All(Split::Train), ..RawUnit::default() };
         _ = Womd::new(&config()).expect("defaults").scene(&unit);
