@@ -112,6 +112,16 @@ pub(super) fn assemble(
     Ok((scene, counts))
 }
 
+/// A scene from tracks that were not read from a recording, chosen and framed as recorded ones are; `map` is the whole
+/// map.
+///
+/// # Errors
+/// Rejects what is rejected in recordings.
+pub fn assemble_window(raw: RawScene, map: Option<Arc<LaneGraph>>, config: &IngestConfig) -> Result<Scene, Reject> {
+    let map = map.map(LaneIndex::new);
+    assemble(raw, map.as_ref(), config).map(|(scene, _)| scene)
+}
+
 /// Replaces recorded velocities by those derived from the positions, and counts the tracks whose recorded ones
 /// disagree.
 fn derive_velocities(raw: &mut RawScene, counts: &mut IngestReport) {

@@ -54,6 +54,7 @@ mod windows;
 mod womd;
 mod xml_tree;
 
+pub use assemble::assemble_window;
 pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};

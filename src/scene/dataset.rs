@@ -54,7 +54,7 @@ pub struct DatasetFacts {
     pub begins_at_ns: bool,
     /// When a prediction of the last state is a miss.
     pub miss_rule: MissRule,
-    /// The agents that its benchmark predicts, and its submission format; `None` if it has none.
+    /// The benchmark that its figures are compared with; `None` if it has none.
     pub benchmark: Option<Benchmark>,
 }
 
@@ -67,14 +67,14 @@ pub enum MissRule {
     Radial,
 }
 
-/// A benchmark: the agents it predicts, and its submission format.
+/// A benchmark, which says whom to predict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Benchmark {
-    /// INTERACTION's multi-agent benchmark: joint futures of the vehicles that are recorded throughout, as CSV.
+    /// INTERACTION's multi-agent benchmark: joint futures of the vehicles that are recorded throughout.
     InteractionJoint,
-    /// Argoverse 1's: futures of the focal agent, as Parquet.
+    /// Argoverse 1's: futures of the focal agent.
     ArgoverseFocal,
-    /// Argoverse 2's: worlds, which are joint futures of the focal and the scored agents, as Parquet.
+    /// Argoverse 2's: worlds, which are joint futures of the focal and the scored agents.
     ArgoverseWorlds,
 }
 

@@ -260,6 +260,7 @@ mod tests {
             n_scenes: cells.len(),
             feasible: vec![BTreeMap::from([(0, 0.0)]); cells.len()],
             n_infeasible: 0,
+            unmet: None,
         };
         let plan = ShardPlan { idx: 0, sweep_idx: 0, cells: cells.to_vec(), first_sample: 0 };
         let shard = RoundShard { arm: 0, members: (0..cells.len()).collect(), plan };

@@ -21,6 +21,9 @@ pub struct Pool {
     pub feasible: Vec<BTreeMap<usize, f64>>,
     /// Pairs that were examined and can reach no bucket.
     pub n_infeasible: usize,
+    /// Why no situation can fulfill the request; `None` if there are cells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unmet: Option<String>,
 }
 
 impl Pool {
@@ -32,11 +35,24 @@ impl Pool {
 
 impl Generator<'_> {
     /// The cells of a request, from scenes in random order that have a suitable pair, or from the scenes with the best
-    /// pairs, depending on its `pairs`. Places and classes that `where` rules out are excluded.
+    /// pairs, depending on its `pairs`. Places and classes that `where` rules out are excluded. Where there are none,
+    /// or none can reach a bucket, the pool says why: other requests can still be fulfilled.
     ///
     /// # Errors
-    /// When there are none, when none can reach a bucket, or a scene cannot be loaded.
+    /// When a scene cannot be loaded.
     pub fn pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
+        self.filled_pool(request, index).or_else(|error| {
+            let n_infeasible = match &error {
+                Error::Infeasible { n_pairs, .. } => *n_pairs,
+                Error::NoScenes { .. } => 0,
+                _ => return Err(error),
+            };
+            let (request, unmet) = (request.config.name.clone(), Some(error.to_string()));
+            Ok(Pool { request, cells: Vec::new(), n_scenes: 0, feasible: Vec::new(), n_infeasible, unmet })
+        })
+    }
+
+    fn filled_pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
         let is_possible = |entry: &SceneIndexEntry<'_>| match conditions.get("place") {
             Some(Requirement::Texts(places)) => places.iter().any(|place| place == entry.place),
@@ -68,7 +84,7 @@ impl Generator<'_> {
                 hint: ", but none has a pair that meets the request; widen where, or raise pairs.max_distance_m",
             });
         }
-        Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible })
+        Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible, unmet: None })
     }
 
     /// The buckets that a cell can reach, given its past, with the least effort for each.
