@@ -17,7 +17,7 @@ use super::error::Error;
 use super::files::{file_name, split_of_entry};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::source::{EmitUnit, Horizon, PendingScene, RecordingSource, UnitReader};
-use crate::scene::{Dataset, SceneId, SceneSource, Split};
+use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split};
 use prost::Message;
 use std::io::BufRead;
 use std::ops::{ControlFlow, Range};
@@ -77,6 +77,8 @@ impl<'a> Womd<'a> {
                 file: unit.file.clone(),
                 case_id: id,
                 first_frame: steps.start.to_string(),
+                situation: SituationKind::Recorded,
+                continues: None,
             },
             dt_s: DT_S,
             n_timesteps: steps.len(),
