@@ -28,15 +28,11 @@ impl<'r> Records<'r> {
     /// The content of the next record; `None` at the end.
     fn read(&mut self) -> io::Result<Option<Result<Vec<u8>, Damage>>> {
         let head = match self.head.take() {
-            Some(head) => head,
-            None => {
-                let head = self.read_at_most(HEAD_BYTES as u64)?;
-                match <[u8; HEAD_BYTES]>::try_from(head.as_slice()) {
-                    Ok(head) => head,
-                    Err(_) if head.is_empty() => return Ok(None),
-                    Err(_) => return Ok(Some(Err(broken_off(head.len(), HEAD_BYTES as u64)))),
-                }
-            }
+            Some(head) => head.to_vec(),
+            None => self.read_at_most(HEAD_BYTES as u64)?,
+        };
+        let Some(head) = head.first_chunk().copied() else {
+            return Ok((!head.is_empty()).then(|| Err(broken_off(head.len(), HEAD_BYTES as u64))));
         };
         let Some(n_bytes) = length(head) else { return self.search(head).map(|damage| Some(Err(damage))) };
         if n_bytes > MAX_RECORD_BYTES {
@@ -76,18 +72,15 @@ impl<'r> Records<'r> {
             self.reader.consume(n_read);
             self.offset += n_read as u64;
             n_passed += n_read as u64;
-            if found.is_some() {
+            let what = if found.is_some() {
                 self.head = Some(head);
-                return Ok((
-                    "damaged_record",
-                    format!("has a damaged head; the next one begins {n_passed} bytes later"),
-                ));
-            }
-            if is_over {
-                let what =
-                    "has a damaged head, and none follows; is the file a TFRecord, with .gz in its name if packed?";
-                return Ok(("damaged_record", what.to_owned()));
-            }
+                format!("has a damaged head; the next one begins {n_passed} bytes later")
+            } else if is_over {
+                "has a damaged head, and none follows; is the file a TFRecord, and named .gz if packed?".to_owned()
+            } else {
+                continue;
+            };
+            return Ok(("damaged_record", what));
         }
     }
 }
