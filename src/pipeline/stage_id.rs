@@ -166,7 +166,6 @@ pub static KINDS: [StageKind; 9] = [
     training("train_classifier", "train classifier", "train.classifier", &[CLASSIFIER]),
     training("train_baseline", "train baseline", "train.baseline", &[BASELINE]),
     StageKind {
-        places: &["requests.prior"],
         computes: true,
         is_checked_by_readers: true,
         shards: Some(ShardNames { shard: "samples", ending: "parquet", is_other: is_round_file }),
