@@ -153,8 +153,6 @@ pub struct Ledger {
     pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
-    /// Whether the first round tries arms.
-    has_trial: bool,
     behavior: String,
     /// The motion of the requested agents in accepted scenarios.
     paths: PathIndex,
@@ -193,7 +191,6 @@ impl Ledger {
             first_round: vec![counts; n_arms],
             cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
             n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
-            has_trial: request.is_trial(0),
             behavior: request.config.behavior.clone(),
             paths: PathIndex::default(),
             duplicate_distance_m: request.duplicate_distance_m,
@@ -242,7 +239,7 @@ impl Ledger {
                 }
             }
             self.arms[tally.arm].add(cell);
-            if tally.round == 0 && self.has_trial {
+            if tally.round == 0 {
                 self.first_round[tally.arm].add(cell);
             }
         }

@@ -12,7 +12,6 @@ mod facts;
 mod judge;
 mod ledger;
 mod pool;
-mod prior;
 mod resolve;
 mod rounds;
 mod summary;

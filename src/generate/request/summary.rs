@@ -71,7 +71,7 @@ pub struct ArmSummary {
     pub n_aimed_hits: u64,
     /// Yield of all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
-    /// Yield of the first round, in which every arm without a prior continues the same scenes from the same noise.
+    /// Yield of the first round, in which every arm continues the same scenes from the same noise.
     pub first_round: Yield,
 }
 
