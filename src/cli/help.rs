@@ -112,6 +112,14 @@ Examples:
   djinn train baseline --config pipelines/scene_transformer.toml --output output/try
   djinn train baseline --set train.baseline.preset=tiny --output output/argoverse1";
 
+/// Help after the options of `situations`.
+pub(super) const SITUATIONS: &str = "\
+Writes situations/, scenes like those of recordings, from which requests of [generate] begin when recorded ones do not \
+suffice.
+
+Example:
+  djinn situations --set situations.populated=200 --output output/cut_in_request/main";
+
 /// Help after the options of `generate`.
 pub(super) const GENERATE: &str = "\
 Example:

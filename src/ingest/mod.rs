@@ -12,6 +12,7 @@ pub mod archive;
 mod argoverse1;
 mod argoverse2;
 mod assemble;
+mod assumed_bounds;
 mod batches;
 mod cells;
 mod commonroad;
@@ -49,8 +50,10 @@ mod table;
 mod test_data;
 mod vicinity;
 mod windows;
+mod womd;
 mod xml_tree;
 
+pub use assemble::assemble_window;
 pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
@@ -79,6 +82,7 @@ fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Err
         Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
         Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
         Dataset::CommonRoad => Box::new(commonroad::CommonRoad::new(config)?),
+        Dataset::Womd => Box::new(womd::Womd::new(config)?),
         Dataset::Table => Box::new(table::Tables::new(config)?),
     })
 }

@@ -5,8 +5,8 @@
 use super::arrivals::{Ends, Recorded, Window};
 use super::{Error, Result, Situation};
 use crate::scenario::{EgoChoice, ScenarioRecord};
-use crate::scene::{LaneGraph, MapId, Scene, SceneId};
-use crate::store::{CorpusReader, MapSource, SceneStore};
+use crate::scene::{LaneGraph, MapId, Scene, SceneId, SituationKind};
+use crate::store::{CorpusReader, MapSource, SceneIndexEntry, SceneStore};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -43,7 +43,9 @@ impl Places for SceneStore {
     /// They are spread over all of the place.
     fn scenes_on(&self, map: &MapId, scene: &Scene) -> Result<Vec<Scene>> {
         let entries = self.index().iter().enumerate();
-        let here: Vec<usize> = entries.filter(|(_, at)| at.place == scene.source.place).map(|(i, _)| i).collect();
+        let is_here =
+            |at: &SceneIndexEntry<'_>| at.place == scene.source.place && at.situation == SituationKind::Recorded;
+        let here: Vec<usize> = entries.filter(|(_, at)| is_here(at)).map(|(i, _)| i).collect();
         let spread = here.iter().step_by(here.len().div_ceil(MOST_SCENES).max(1));
         let mut scenes: Vec<Scene> = spread.map(|i| self.scene(*i)).collect::<Result<_, _>>()?;
         scenes.retain(|scene| scene.map_id.as_ref() == Some(map));
@@ -87,12 +89,16 @@ impl<'a> Maps<'a> {
     pub(crate) fn situation(&mut self, record: &ScenarioRecord, ego: &EgoChoice) -> Result<Situation> {
         let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
         let (ego_idx, _) = ego.of(record).ok_or_else(|| unfit("has no such ego"))?;
-        let asked = record.scenario.scene.map_id.as_ref();
+        Situation::new(record, ego_idx, self.map_of(&record.scenario.scene)?)
+    }
+
+    /// The whole map of a scene, in the frame of its recording.
+    pub(super) fn map_of(&mut self, scene: &Scene) -> Result<Option<&LaneGraph>> {
+        let asked = scene.map_id.as_ref();
         if let Some(id) = asked.filter(|id| self.last.as_ref().is_none_or(|(known, _)| known != *id)) {
             self.last = Some((id.clone(), self.maps.map(id)?));
         }
-        let map = self.last.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map);
-        Situation::new(record, ego_idx, map)
+        Ok(self.last.as_ref().filter(|(id, _)| Some(id) == asked).map(|(_, map)| map))
     }
 
     /// Expects arrivals in a drive of `n_steps`: at least as many as a world with `n_tracks` does, and recorded ones as

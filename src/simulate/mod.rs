@@ -36,6 +36,7 @@ mod error;
 mod event;
 mod maps;
 mod motion;
+mod new_scenes;
 mod outcome;
 mod peek;
 mod reaction;
@@ -52,6 +53,7 @@ mod world;
 
 pub use driver::{Driver, Failed, Peeker};
 pub use error::{Error, Result};
+pub use new_scenes::{AddedConfig, LoopCounts, NewScenes, SituationsConfig, TakeScenes};
 pub use outcome::{Contact, Outcome, Side};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};
 pub use situation::Situation;

@@ -104,7 +104,7 @@ fn lists_name_everything_with_a_line() {
     for (what, n_least, name, line) in [
         ("behaviors", 14, "left_turn", "an agent turns left by at least 60 degrees, as at an intersection"),
         ("objectives", 11, "slip_limit", "Keep the heading along the motion"),
-        ("datasets", 5, "commonroad", "Scenarios in CommonRoad's XML, recorded or generated"),
+        ("datasets", 6, "commonroad", "Scenarios in CommonRoad's XML, recorded or generated"),
         (
             "formats",
             5,

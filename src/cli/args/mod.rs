@@ -83,6 +83,9 @@ pub(in crate::cli) enum Command {
     /// Train a model on scenes
     #[command(subcommand)]
     Train(TrainCommand),
+    /// Let held-out scenes go on in closed loops, for situations that nobody recorded
+    #[command(after_help = help::SITUATIONS)]
+    Situations(GenerateArgs),
     /// Sample new scenarios from recorded histories
     #[command(after_help = help::GENERATE)]
     Generate(GenerateArgs),

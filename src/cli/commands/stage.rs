@@ -115,8 +115,12 @@ impl<'a> Request<'a> {
             Command::Train(TrainCommand::Baseline(args)) => {
                 Self::new(StageId::TrainBaseline, &args.stage).scenes(&args.scenes.scenes)
             }
-            Command::Generate(args) => {
-                let mut request = Self::new(StageId::Generate, &args.stage).scenes(&args.scenes.scenes);
+            Command::Situations(args) | Command::Generate(args) => {
+                let id = match command {
+                    Command::Situations(_) => StageId::Situations,
+                    _ => StageId::Generate,
+                };
+                let mut request = Self::new(id, &args.stage).scenes(&args.scenes.scenes);
                 args.models.replace_in(&mut request.layout);
                 request
             }

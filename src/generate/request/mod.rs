@@ -21,7 +21,7 @@ mod tests;
 pub use buckets::{BucketPart, Buckets};
 pub use config::{BudgetConfig, Divisions, PlanKind, RequestConfig, Requirement};
 pub use judge::PlacedScenario;
-pub use ledger::{CellTally, Hits, Ledger, ShardTally};
+pub use ledger::{CellTally, EventValues, Hits, Ledger, ShardTally};
 pub use pool::Pool;
 pub use resolve::{Arm, ResolvedGeneration, ResolvedRequest};
 pub use rounds::{Round, RoundContext, RoundShard};

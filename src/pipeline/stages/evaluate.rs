@@ -189,7 +189,7 @@ impl Evaluate<'_> {
     /// Reads and checks everything that measuring needs. Determines how well maps fit unless that is known already.
     fn ready(&self, plan: Option<EvaluationPlan>) -> Result<EvaluationReady> {
         self.check()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
+        let store = SceneStore::open_all(&self.layout.scene_folders())?;
         let maps = plan.map_or_else(|| map_fits(&store, &self.config.validity), |plan| Ok(plan.maps))?;
         Ok(EvaluationReady {
             samples: SampleManifest::read(&self.layout.samples)?,

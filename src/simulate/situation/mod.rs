@@ -71,8 +71,30 @@ impl Situation {
     /// # Errors
     /// [`Error::Unfit`] when the ego is absent at present, or has no route.
     pub fn new(record: &ScenarioRecord, ego_idx: usize, map: Option<&LaneGraph>) -> Result<Self> {
-        let unfit = |why: &str| Error::Unfit { scenario_id: record.scenario.id.clone(), why: why.to_owned() };
-        let mut scene = record.scenario.scene.clone();
+        let scene = record.scenario.scene.clone();
+        let mut situation = Self::without_event(&record.scenario.id, scene, ego_idx, map)?;
+        situation.behavior.clone_from(&record.requested_behavior);
+        situation.is_collision = record.asks_for_collision();
+        situation.aims = !is_decided_by_ego(record.requested_behavior.as_deref());
+        let Some(event) = record.main_event() else { return Ok(situation) };
+        situation.roles = event.roles.tracks().filter_map(|track| situation.scene.track_idx(track)).collect();
+        situation.planned = situation.roles.iter().copied().filter(|idx| *idx != ego_idx).collect();
+        situation.parameters.clone_from(&event.parameters);
+        situation.event = [event.start_timestep, event.end_timestep];
+        Ok(situation)
+    }
+
+    /// The start of a scene without an event for its agent `ego_idx`, by the name of its noise.
+    ///
+    /// # Errors
+    /// See [`Situation::new`].
+    pub(in crate::simulate) fn without_event(
+        name: &str,
+        mut scene: Scene,
+        ego_idx: usize,
+        map: Option<&LaneGraph>,
+    ) -> Result<Self> {
+        let unfit = |why: &str| Error::Unfit { scenario_id: name.to_owned(), why: why.to_owned() };
         let present = scene.current_timestep();
         let now = scene.state(ego_idx, present).filter(|state| state.is_finite());
         let now = *now.ok_or_else(|| unfit("has no state of its ego at present"))?;
@@ -94,19 +116,16 @@ impl Situation {
         let length_m = ego.extent_or_nominal().length_m;
         let route = DrivenPath::along(&points, length_m).ok_or_else(|| unfit("has no way for its ego"))?;
         let bend_speeds = BendSpeeds::new(&route, route.driven_m(last).unwrap_or_default());
-        let event = record.main_event();
-        let roles: Vec<usize> = event
-            .map_or_else(Vec::new, |event| event.roles.tracks().filter_map(|track| scene.track_idx(track)).collect());
         let mut situation = Self {
-            scenario_id: record.scenario.id.clone(),
-            behavior: record.requested_behavior.clone(),
-            parameters: event.map(|event| event.parameters.clone()).unwrap_or_default(),
+            scenario_id: name.to_owned(),
+            behavior: None,
+            parameters: BTreeMap::new(),
             ego_idx,
-            planned: roles.iter().copied().filter(|idx| *idx != ego_idx).collect(),
-            roles,
-            event: event.map_or([present; 2], |event| [event.start_timestep, event.end_timestep]),
-            is_collision: record.asks_for_collision(),
-            aims: !is_decided_by_ego(record.requested_behavior.as_deref()),
+            roles: Vec::new(),
+            planned: Vec::new(),
+            event: [present; 2],
+            is_collision: false,
+            aims: true,
             target_speed_mps,
             route,
             bend_speeds,

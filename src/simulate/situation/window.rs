@@ -13,7 +13,12 @@ const LANES_WITHIN_M: f64 = 100.0;
 impl Situation {
     /// The scene of all reached states; its past is the scenario's.
     pub fn driven(&self, world: &World) -> Scene {
-        let mut scene = self.cut(world, 0, world.n_timesteps(), self.scene.n_history);
+        self.piece(world, 0, world.n_timesteps())
+    }
+
+    /// The scene of `n_timesteps` reached states from `first` on, with as long a past as the scenario's.
+    pub(in crate::simulate) fn piece(&self, world: &World, first: usize, n_timesteps: usize) -> Scene {
+        let mut scene = self.cut(world, first, n_timesteps, self.scene.n_history);
         for track in &mut scene.tracks {
             track.trajectory = track.trajectory.with_velocities_from_positions(scene.n_history, scene.dt_s);
         }
