@@ -3,9 +3,10 @@
 use super::device::ComputeChoice;
 use super::failure::{Failure, Result};
 use super::inputs::check_inputs;
+use super::kept_models::kept;
 use super::kind::StageKind;
 use super::outdated;
-use super::plan::{begun, check_writable};
+use super::plan::begun;
 use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
@@ -54,7 +55,7 @@ pub(super) fn execute(
 /// bytes is reused or resumed.
 ///
 /// # Errors
-/// When the stage must run again and would overwrite files that are not its own.
+/// When the stage must run again and would replace a model whose training was long.
 fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
     let kind = planned.stage.kind();
     let earlier = match planned.action {
@@ -74,9 +75,10 @@ fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<
         ));
         return Ok(());
     }
-    planned.action = Action::Run(outdated::why(&producer));
-    planned.kept = check_writable(context.root, planned.stage.as_ref(), &planned.expected, &planned.action, false)?;
-    context.progress.note(&format!("{kind} runs again: {}", outdated::why(&producer)));
+    let why = outdated::why(&producer);
+    planned.kept = kept(context.root, kind, &planned.expected, &why, false)?;
+    context.progress.note(&format!("{kind} runs again: {why}"));
+    planned.action = Action::Run(why);
     Ok(())
 }
 

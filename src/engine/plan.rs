@@ -2,7 +2,7 @@
 
 use super::failure::{Failure, Result};
 use super::inputs::{check_overlaps, expected_on, identify_inputs};
-use super::kept_models::{Kept, kept};
+use super::kept_models::kept;
 use super::kind::StageKind;
 use super::outdated;
 use super::ownership;
@@ -18,8 +18,8 @@ use std::path::Path;
 /// in which they write. Reads recordings to fingerprint them, and writes nothing.
 ///
 /// # Errors
-/// When a section is invalid, an input is missing, an output overlaps an input or holds files that the stage did not
-/// write, or a trained model would be replaced without a request.
+/// When a section is invalid, an input is missing, an output of a stage that may run overlaps an input or holds files
+/// that the stage did not write, or a trained model would be replaced without a request.
 pub fn plan<'a>(
     root: &Path,
     kinds: &'static [StageKind],
@@ -34,6 +34,8 @@ pub fn plan<'a>(
     check_overlaps(root, &stages)?;
     ownership::check_root(root, kinds)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
+    // What earlier stages write may make later ones run that are up to date now.
+    let mut may_run: Vec<&StageKind> = Vec::new();
     for stage in stages {
         let earlier = StageRecord::done(root, stage.kind())?;
         let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
@@ -49,34 +51,22 @@ pub fn plan<'a>(
             return Err(failure);
         }
         let is_redone = earlier.is_some();
-        let kept = check_writable(root, stage.as_ref(), &expected, &action, is_requested)?;
+        let is_kept = earlier.as_ref().is_some_and(|earlier| outdated::is_kept(stage.kind(), earlier));
+        let reads_anew = stage.inputs().iter().any(|input| input.producer.is_some_and(|kind| may_run.contains(&kind)));
+        if action != Action::Reuse || (reads_anew && !is_kept) {
+            WorkFolder::check_ours(root, stage.kind())?;
+            ownership::check_outputs(root, stage.kind(), stage.outputs())?;
+            may_run.push(stage.kind());
+        }
+        let kept = match &action {
+            Action::Reuse => Vec::new(),
+            // The user who began the training has requested it already.
+            Action::Resume => kept(root, stage.kind(), &expected, "", true)?,
+            Action::Run(why) => kept(root, stage.kind(), &expected, why, is_requested)?,
+        };
         planned.push(PlannedStage { stage, expected, action, is_redone, kept, is_selected: true, is_requested });
     }
     Ok(planned)
-}
-
-/// Checks that a stage with this action overwrites no foreign files. Returns the trained models to keep.
-pub(super) fn check_writable(
-    root: &Path,
-    stage: &dyn Stage,
-    expected: &StageRecord,
-    action: &Action,
-    is_requested: bool,
-) -> Result<Vec<Kept>> {
-    match action {
-        Action::Reuse => Ok(Vec::new()),
-        // The user who began the training has requested it already.
-        Action::Resume => {
-            WorkFolder::check_ours(root, stage.kind())?;
-            ownership::check_outputs(root, stage.kind(), stage.outputs())?;
-            kept(root, stage.kind(), expected, "", true)
-        }
-        Action::Run(why) => {
-            WorkFolder::check_ours(root, stage.kind())?;
-            ownership::check_outputs(root, stage.kind(), stage.outputs())?;
-            kept(root, stage.kind(), expected, why, is_requested)
-        }
-    }
 }
 
 /// The planned stages that are `selected`, and the finished ones before them.
