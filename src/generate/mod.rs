@@ -50,9 +50,8 @@ pub use plan::{Cell, Plan, ShardPlan, Shortfall, held_out_in_order};
 pub use regenerate::SampleKey;
 pub use request::{
     Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, EventValues, Hits,
-    Ledger,
-    PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest,
-    Round, RoundContext, RoundShard, ShardTally, Yield,
+    Ledger, PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration,
+    ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, ShardOutput};

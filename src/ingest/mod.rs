@@ -5,9 +5,8 @@
 //!
 //! A reader thread cuts folders and archives into units without unpacking to disk; one batch is stored while the next
 //! is parsed. Velocities are derived from positions, those of the past from the past alone: recorded ones come from a
-//! tracker, and trajectories that continue with them jump. The rows of an INTERACTION case can be anywhere in its
-//! table, so a first pass finds the cases with scattered rows and a second one gathers them. A bad unit among many is
-//! rejected and counted by reason; a missing map is an error, and so is an ingest that finds no scenes.
+//! tracker, and trajectories that continue with them jump. A bad unit among many is rejected and counted by reason; a
+//! missing map is an error, and so is an ingest that finds no scenes.
 
 pub mod archive;
 mod argoverse1;
