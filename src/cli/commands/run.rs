@@ -75,7 +75,7 @@ fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
         let count = |key: &str| evaluated.summary[key].as_u64().unwrap_or_default();
         let scenes = match count("n_accepted_scenes") {
             0 => String::new(),
-            n => format!(", from {n} recorded scenes"),
+            n => format!(", from {n} scenes"),
         };
         printer.message(format_args!(
             "{} of {} scenarios are accepted ({} verified, {} valid){scenes}",

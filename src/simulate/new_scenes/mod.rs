@@ -240,3 +240,114 @@ impl NewScenes<'_> {
         Ok((scenes.collect(), has_ended))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Silent;
+    use crate::scene::{AgentClass, Dataset, TrackId};
+    use crate::simulate::testing::{corpus, model, record, write_scenes};
+    use crate::store::CorpusReader;
+    use candle_core::Device;
+
+    const CONFIG: SituationsConfig = SituationsConfig {
+        continued: 1,
+        populated: 1,
+        added: AddedConfig { vehicles: 1, pedestrians: 1, cyclists: 0 },
+        horizon_s: 5.0,
+        every_s: 2.0,
+        replan_s: 0.5,
+    };
+
+    fn made(config: &SituationsConfig, n_threads: usize) -> (Scene, Vec<Scene>, LoopCounts) {
+        let dir = tempfile::tempdir().unwrap();
+        let recorded = record().scenario.scene;
+        write_scenes(dir.path(), &CorpusReader::open(&corpus()).unwrap(), std::slice::from_ref(&recorded));
+        let store = SceneStore::open(dir.path()).unwrap();
+        let model = model();
+        let futures = Futures::new(&model, 3, &Device::Cpu).unwrap();
+        let (validity, ingest) = (ValidityConfig::default(), IngestConfig::new(Dataset::Interaction, Vec::new()));
+        let new = NewScenes { config, futures: &futures, store: &store, validity: &validity, ingest: &ingest };
+        let mut scenes = Vec::new();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+        let counts = pool.install(|| {
+            new.make(&[0], LoopCounts::default(), &Silent, &mut |found, maps, _| {
+                assert_eq!(maps.first().map(|(id, _)| id), recorded.map_id.as_ref());
+                scenes.extend_from_slice(found);
+                Ok(())
+            })
+        });
+        (recorded.clone(), scenes, counts.unwrap())
+    }
+
+    #[test]
+    fn windows_of_loops_are_scenes_whose_past_was_sampled() {
+        let (recorded, scenes, counts) = made(&CONFIG, 1);
+        assert_eq!((counts.n_done, counts.n_loops, counts.n_scenes), (2, 2, scenes.len() as u64));
+        let kinds: Vec<SituationKind> = scenes.iter().map(|scene| scene.source.situation).collect();
+        assert_eq!(kinds, [SituationKind::Continued, SituationKind::Populated]);
+        for (scene, name) in scenes.iter().zip(["continued0", "populated0"]) {
+            assert_eq!(scene.id.0, format!("{}+{name}@20", recorded.id.0.replace('@', "_")));
+            assert_eq!(scene.source.continues.as_ref(), Some(&recorded.id));
+            assert_eq!((scene.n_history, scene.n_timesteps), (recorded.n_history, recorded.n_timesteps));
+            // Framed as recorded scenes are: by the present state of its own ego.
+            let ego = scene.state(scene.ego_idx, scene.current_timestep()).unwrap();
+            assert!(ego.position.norm() < 1e-6 && ego.heading_rad.abs() < 1e-6);
+            // Whoever was there before has come from where the recording saw it, at a speed that traffic has.
+            for track in scene.tracks.iter().filter(|track| recorded.track_idx(&track.id).is_some()) {
+                let before = recorded.track_idx(&track.id).and_then(|idx| recorded.state(idx, recorded.n_history - 1));
+                let before = recorded.world_from_scene.point(before.unwrap().position);
+                let now = track.trajectory.get(scene.current_timestep()).unwrap().position;
+                assert!(scene.world_from_scene.point(now).distance(before) < 2.0 * 30.0);
+            }
+        }
+        assert_eq!(made(&CONFIG, 2), (recorded, scenes, counts), "whatever the number of threads");
+    }
+
+    #[test]
+    fn those_who_are_put_into_a_scene_have_room_and_a_past() {
+        let recorded = record().scenario.scene;
+        let added = AddedConfig { vehicles: 2, pedestrians: 2, cyclists: 1 };
+        let populated = |seed: u64| {
+            let mut scene = recorded.clone();
+            let seen = [recorded.clone()];
+            let n = populate::populate(&mut scene, &seen, &added, &mut Seed(seed).rng());
+            (scene, n)
+        };
+        let (scene, n) = populated(1);
+        assert_eq!((scene.clone(), n), populated(1));
+        assert_eq!(scene.tracks.len(), recorded.tracks.len() + n);
+        let road = crate::metrics::Road::new(&scene.lanes);
+        let walkers: Vec<usize> =
+            (0..scene.tracks.len()).filter(|idx| scene.tracks[*idx].class == AgentClass::Pedestrian).collect();
+        assert!(walkers.len() == 2 && scene.track_idx(&TrackId("added_cyclist_1".to_owned())).is_none());
+        for idx in recorded.tracks.len()..scene.tracks.len() {
+            let states: Vec<_> = (0..scene.n_history).map(|timestep| *scene.state(idx, timestep).unwrap()).collect();
+            assert!(scene.state(idx, scene.n_history).is_none(), "its future is not known");
+            let steps = states.windows(2).map(|pair| pair[0].position.distance(pair[1].position) / scene.dt_s);
+            let (least, most) = steps.fold((f64::INFINITY, 0.0_f64), |(a, b), step| (a.min(step), b.max(step)));
+            let now = states.last().unwrap();
+            if walkers.contains(&idx) {
+                assert!(least > 0.8 && most < 1.9 && road.distance_m(now.position) >= 0.5, "{least} {most}");
+            }
+            let body = |idx: usize, timestep: usize| {
+                scene.state(idx, timestep).map(|state| scene.tracks[idx].footprint(state))
+            };
+            for other in (0..scene.tracks.len()).filter(|other| *other != idx) {
+                let meets = |timestep: usize| {
+                    let both = body(idx, timestep).zip(body(other, timestep));
+                    both.is_some_and(|(own, theirs)| own.overlaps(&theirs))
+                };
+                assert!(!(0..scene.n_history).any(meets), "{idx} and {other}");
+            }
+        }
+    }
+
+    #[test]
+    fn sections_without_loops_are_refused() {
+        let none = SituationsConfig { continued: 0, populated: 0, ..CONFIG };
+        assert!(none.validate().unwrap_err().to_string().contains("continued is 0, and so is populated"));
+        let short = SituationsConfig { horizon_s: 1.0, ..CONFIG };
+        assert!(short.validate().unwrap_err().to_string().contains("every_s is 2, expected at most horizon_s"));
+    }
+}
