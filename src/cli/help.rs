@@ -197,13 +197,11 @@ Example:
 
 /// Help after the options of `corpus filter`.
 pub(super) const CORPUS_FILTER: &str = "\
-A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, \
-b), is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fails every \
-comparison.
+A condition is a column of `scenarios`, one of =, !=, <, <=, > and >=, and a value. A flag may stand alone: verified. A \
+missing value fails every comparison. For any other choice, select ids by SQL and pipe them in: --ids -.
 
 Examples:
   djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight
-  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --out output/some
   djinn corpus filter output/all --top 100 --by pair_min_ttc_s --least --out output/hardest
   djinn corpus filter output/all --ids ids.txt --out output/listed";
 

@@ -49,7 +49,8 @@ pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice}
 pub use plan::{Cell, Plan, ShardPlan, Shortfall, held_out_in_order};
 pub use regenerate::SampleKey;
 pub use request::{
-    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, Hits, Ledger,
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, EventValues, Hits,
+    Ledger,
     PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest,
     Round, RoundContext, RoundShard, ShardTally, Yield,
 };

@@ -172,7 +172,6 @@ pub static KINDS: [StageKind; 10] = [
     training("train_baseline", "train baseline", "train.baseline", &[BASELINE]),
     StageKind { computes: true, is_checked_by_readers: true, ..plain("situations", "situations", &[SITUATIONS]) },
     StageKind {
-        places: &["requests.prior"],
         computes: true,
         is_checked_by_readers: true,
         shards: Some(ShardNames { shard: "samples", ending: "parquet", is_other: is_round_file }),

@@ -204,7 +204,7 @@ fn on_disk() -> impl TypedValueParser<Value = PathBuf> {
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct InspectArgs {
-    /// A scene store, event table, checkpoint, sample folder or shard, corpus, run folder or report
+    /// A run folder, scene store, event table, checkpoint, sample folder or corpus
     pub(in crate::cli) path: PathBuf,
     /// Print JSON instead of text
     #[arg(long)]

@@ -4,9 +4,13 @@ use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator};
+use crate::scene::{SceneId, TrackId};
 use crate::store::{SceneIndex, SceneIndexEntry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Windows of a recording are situations of their own if their presents are this many timesteps apart: three seconds.
+const APART: i64 = 30;
 
 /// The cells that a request may use, in random order; written before anything is sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -27,6 +31,30 @@ pub struct Pool {
 }
 
 impl Pool {
+    /// The situation of each cell: pairs are in one if they are the same agents, at moments of one recording or closed
+    /// loop less than [`APART`] timesteps apart.
+    pub(super) fn situations(&self) -> Vec<usize> {
+        let key = |cell: &Cell| {
+            let (recording, frame) = SceneId::window_of(&cell.scene_id.0).unwrap_or((&cell.scene_id.0, 0));
+            let agents: Vec<TrackId> = cell.roles.tracks().cloned().collect();
+            (recording.to_owned(), agents, frame)
+        };
+        let mut in_order: Vec<((String, Vec<TrackId>, i64), usize)> =
+            self.cells.iter().map(key).enumerate().map(|(idx, key)| (key, idx)).collect();
+        in_order.sort();
+        let (mut situations, mut n, mut first) = (vec![0; self.cells.len()], 0, None);
+        for ((recording, agents, frame), idx) in in_order {
+            let is_same = first.as_ref().is_some_and(|(known, of, since): &(String, Vec<TrackId>, i64)| {
+                (known, of) == (&recording, &agents) && frame < since + APART
+            });
+            if !is_same {
+                (n, first) = (n + 1, Some((recording, agents, frame)));
+            }
+            situations[idx] = n - 1;
+        }
+        situations
+    }
+
     /// The number of cells that can reach a bucket.
     pub fn n_feasible(&self, bucket: usize) -> usize {
         self.feasible.iter().filter(|buckets| buckets.contains_key(&bucket)).count()

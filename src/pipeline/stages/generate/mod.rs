@@ -18,7 +18,7 @@ use super::with_precision;
 use crate::diffusion::Edm;
 use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
 use crate::evaluate::{for_maps, map_fits};
-use crate::generate::{self, GenerateConfig, Pool, RequestSummary, ResolvedGeneration};
+use crate::generate::{self, GenerateConfig, Pool, ResolvedGeneration};
 use crate::ingest::Horizon;
 use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
 use crate::nn::{Compute, Precision};
@@ -26,7 +26,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::scene::INGESTED_DT_S;
 use crate::settings::Issue;
-use crate::store::{SceneStore, read_json};
+use crate::store::SceneStore;
 use crate::train::{DistillTrainingConfig, SceneChoice};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -113,12 +113,9 @@ impl Stage for Generate<'_> {
         let made =
             |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
         let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
-        let priors = self.config.requests.iter().filter_map(|request| {
-            Some(StageInput::external(format!("prior of {}", request.name), request.prior.as_deref()?))
-        });
         let situations = StageInput::made_by(StageId::Situations, "situations", &self.layout.situations);
         let scenes = [Some(scenes), Some(situations).filter(|_| self.has_situations)].into_iter().flatten();
-        scenes.chain(needed.into_iter().filter_map(made)).chain(priors).collect()
+        scenes.chain(needed.into_iter().filter_map(made)).collect()
     }
 
     fn work(&self) -> Work<'_> {
@@ -168,12 +165,6 @@ impl Generate<'_> {
         let mut resolved = self.config.resolve(&self.mine.build()?)?;
         for request in &mut resolved.requests {
             request.duplicate_distance_m = self.duplicate_distance_m;
-            let Some(path) = request.config.prior.clone() else { continue };
-            let earlier = read_json::<Vec<RequestSummary>>(&path).map_err(|error| {
-                Failure::input(error).with_hint("prior is the file samples/requests.json of a run with requests")
-            })?;
-            let section = format!("generate.requests.{}", request.idx);
-            request.learn(&earlier).map_err(|issue| Failure::input(issue.within(&section)))?;
         }
         Ok(resolved)
     }
