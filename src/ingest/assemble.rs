@@ -33,8 +33,8 @@ const MAX_SPEED_MPS: f64 = 1e6;
 /// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.
 ///
 /// The ego is the focal track, or otherwise the vehicle that recorded; if neither is there at present, a seeded draw
-/// among the motorized tracks that are tracked throughout, or otherwise among those tracked at present; parked ones come
-/// last. `map` is `None` if scenes need no lanes.
+/// among the motorized tracks that are tracked throughout, or otherwise among those tracked at present; parked ones
+/// come last. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
 /// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego` or with `no_lanes_in_radius` of the
