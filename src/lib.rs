@@ -10,6 +10,7 @@ pub mod progress;
 pub mod quantile;
 pub mod seed;
 pub mod settings;
+pub mod statistics;
 
 pub mod cloud;
 pub mod scene;

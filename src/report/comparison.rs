@@ -5,9 +5,9 @@ use super::model::{Chart, Fact};
 use super::number::{ABSENT, count, level, optional, percent, share, value};
 use super::plain::{PlainRow, PlainTable};
 use super::tradeoffs::tradeoffs;
-use super::wilson::wilson_interval;
 use crate::evaluate::{AcceptanceRow, BehaviorCount, EvaluationSummary, MiningSummary, RealismRow, SamplingRow};
 use crate::metrics::{MetricRow, SeriesKey};
+use crate::statistics::wilson_interval;
 use std::collections::BTreeMap;
 
 /// Two runs.

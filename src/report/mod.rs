@@ -34,7 +34,6 @@ mod tradeoffs;
 #[cfg(test)]
 mod tradeoffs_tests;
 mod training;
-mod wilson;
 
 pub use accepted::{Accepted, HardnessSummary};
 pub use card::{
@@ -54,4 +53,3 @@ pub use model::{Chart, Curve, Fact, ReportModel, TrainingSummary, Warning};
 pub use plain::{PlainRow, PlainSection, PlainTable};
 pub use quantities::{EventParameters, MotionDistributions, event_distributions};
 pub use tradeoffs::tradeoffs;
-pub use wilson::{Interval, wilson_interval};

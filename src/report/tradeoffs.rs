@@ -1,10 +1,10 @@
 //! Curves over guidance strength: yield, collisions, departures from the road and from recorded motion.
 
 use super::model::{Chart, Curve};
-use super::wilson::wilson_interval;
 use crate::evaluate::{EvaluationSummary, RealismRow, SamplingRow};
 use crate::metrics::Group;
 use crate::scene::{GuidanceLevel, LevelAxis};
+use crate::statistics::wilson_interval;
 
 const LEVEL: &str = "guidance strength α, or weight λ if that varies";
 

@@ -6,7 +6,7 @@ use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, level, percent, share, value};
 use crate::report::svg::{Bar, bar_chart};
 use crate::report::tradeoffs::recorded_value;
-use crate::report::wilson::wilson_interval;
+use crate::statistics::wilson_interval;
 use maud::{Markup, html};
 
 pub(super) fn section(model: &ReportModel) -> Option<Section> {

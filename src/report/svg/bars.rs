@@ -2,7 +2,7 @@
 
 use super::color;
 use crate::report::number::{coordinate, percent};
-use crate::report::wilson::Interval;
+use crate::statistics::Interval;
 use maud::{Markup, html};
 
 const BARS: f64 = 400.0;

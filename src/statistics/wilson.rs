@@ -1,15 +1,6 @@
 //! Wilson's confidence interval of a rate.
 
-use serde::{Deserialize, Serialize};
-
-/// A closed interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Interval {
-    /// Lower end.
-    pub low: f64,
-    /// Upper end.
-    pub high: f64,
-}
+use super::Interval;
 
 /// The standard normal distribution's 97.5 % quantile.
 const Z: f64 = 1.959_963_984_540_054;

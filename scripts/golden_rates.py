@@ -1,0 +1,130 @@
+#!/usr/bin/env python3
+"""Writes tests/golden/rates.json: quantiles and intervals of rates, computed with scipy.
+
+Usage: python scripts/golden_rates.py [OUTPUT]      (pip install numpy scipy)
+
+The code in src/statistics is compared with these.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy import optimize, stats
+
+CLUSTERS = {
+    "one recording": [(7, 2.5)],
+    "none found": [(0, 1.0), (0, 3.0)],
+    "none found in one": [(0, 4.0)],
+    "independent": [(4, 1.0), (9, 2.0), (13, 3.0), (5, 1.0)],
+    "clustered": [(0, 1.0), (31, 1.5), (2, 1.0), (0, 0.5), (12, 2.0)],
+    "without exposure": [(3, 1.0), (0, 0.0), (9, 1.5)],
+}
+
+
+def interval(clusters):
+    """Rate, low, high and dispersion; the quantiles are those of chi-squared variables."""
+    clusters = [(n, exposure) for n, exposure in clusters if exposure > 0]
+    n, exposure = map(np.array, zip(*clusters))
+    rate = n.sum() / exposure.sum()
+    dispersion = None
+    if len(n) > 1:
+        dispersion = max(1.0, stats.chisquare(n, rate * exposure).statistic / (len(n) - 1)) if n.sum() else 1.0
+    alike, scale = n.sum() / (dispersion or 1.0), (dispersion or 1.0) / exposure.sum()
+    low = stats.chi2.ppf(0.025, 2 * alike) / 2 * scale if alike else 0.0
+    return [rate, low, stats.chi2.ppf(0.975, 2 * alike + 2) / 2 * scale, dispersion]
+
+
+def log_likelihood(y, shape, scale):
+    return stats.genpareto.logpdf(y, shape, scale=scale).sum() if scale > 0 else -np.inf
+
+
+def fitted(y):
+    """The most likely shape and scale, from several starts."""
+    def loss(at):
+        value = -log_likelihood(y, at[0], np.exp(at[1]))
+        return value if np.isfinite(value) else 1e12
+
+    starts = [(shape, np.log(y.mean() * (1 - min(shape, 0.9)))) for shape in (-0.2, 0.05, 0.4)]
+    best = min((optimize.minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000})
+                for start in starts), key=lambda found: found.fun)  # fmt: skip
+    return best.x[0], float(np.exp(best.x[1]))
+
+
+def anderson_darling(y, shape, scale):
+    u, n = np.sort(stats.genpareto.cdf(y, shape, scale=scale)), len(y)
+    i = np.arange(1, n + 1)
+    return -n - ((2 * i - 1) * (np.log(u) + np.log1p(-u[::-1]))).mean()
+
+
+def profile_interval(y, at, shape, scale, n_shapes=4001):
+    """Where the profile likelihood of the survival at `at` is within half a quantile of chi-squared of the largest."""
+    shapes = np.linspace(-0.5, 1.0, n_shapes)
+    shapes[np.abs(shapes) < 1e-9] = 1e-9
+
+    def drop(ln_p):
+        scales = shapes * at / np.expm1(-shapes * ln_p)
+        inside = 1 + shapes[:, None] * y / scales[:, None]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            each = np.where((inside > 0).all(1), -(1 + 1 / shapes) * np.log(inside).sum(1) - len(y) * np.log(scales), -np.inf)
+        return log_likelihood(y, shape, scale) - each.max() - stats.chi2.ppf(0.95, 1) / 2
+
+    estimate = stats.genpareto.logsf(at, shape, scale=scale)
+    low = 0.0 if drop(-40) < 0 else np.exp(optimize.brentq(drop, -40, max(estimate, -39.9)))
+    return low, np.exp(optimize.brentq(drop, max(estimate, -39.9), -1e-9))
+
+
+def tail(name, shape, n, levels, rng):
+    y = stats.genpareto.rvs(shape, scale=1.5, size=n, random_state=rng).round(4) + 1e-4
+    found = fitted(y)
+    rows = [[at, stats.genpareto.sf(at, found[0], scale=found[1]), *profile_interval(y, at, *found)] for at in levels]
+    return {"name": name, "exceedances": list(y), "fit": found, "anderson_darling": anderson_darling(y, *found), "survival": rows}
+
+
+def critical(shape, n=200, n_samples=4000):
+    """The statistic that 10 % of samples of a shape exceed, each judged by its own fit."""
+    rng = np.random.default_rng([7, round(100 * shape + 1000)])
+    values = []
+    for _ in range(n_samples):
+        y = stats.genpareto.rvs(shape, size=n, random_state=rng)
+        values.append(anderson_darling(y, *quick_fit(y)))
+    return round(float(np.quantile(values, 0.9)), 3)
+
+
+def quick_fit(y):
+    """The most likely shape and scale by Grimshaw's profile over their ratio, on a grid and refined."""
+    def profile(ratio):
+        shape = np.log1p(ratio * y).mean()
+        return np.log(shape / ratio) + shape, shape
+
+    ratios = np.concatenate([-np.linspace(0.9999, 0.01, 60) / y.max(), np.geomspace(0.001, 1000, 90) / np.median(y)])
+    best = ratios[np.argmin([profile(ratio)[0] for ratio in ratios])]
+    width = 0.05 * abs(best) + 0.02 / y.max()
+    bounds = max(best - width, -0.99999 / y.max()), best + width
+    found = optimize.minimize_scalar(lambda ratio: profile(ratio)[0] if abs(ratio) > 1e-9 else np.inf, bounds=bounds, method="bounded")
+    shape = profile(found.x)[1]
+    return shape, shape / found.x
+
+
+def main():
+    default = Path(__file__).parent.parent / "tests" / "golden" / "rates.json"
+    output = Path(sys.argv[1]) if len(sys.argv) > 1 else default
+    shapes = [0.05, 0.5, 1.0, 3.7, 4.7, 40.0, 41.0, 1234.5, 1e5]
+    golden = {
+        "gamma": [[p, shape, stats.gamma.ppf(p, shape)] for shape in shapes for p in (0.025, 0.5, 0.975)],
+        "clusters": [{"name": name, "clusters": clusters, "expected": interval(clusters)} for name, clusters in CLUSTERS.items()],
+    }
+    rng = np.random.default_rng(11)
+    golden["tails"] = [
+        tail("light", -0.2, 60, [1.0, 3.0, 6.0, 9.0], rng),
+        tail("exponential", 1e-6, 120, [2.0, 8.0, 15.0], rng),
+        tail("heavy", 0.3, 90, [2.0, 10.0, 50.0], rng),
+    ]
+    golden["critical"] = [critical(shape) for shape in np.arange(-0.5, 1.01, 0.25)]
+    lines = [f"{json.dumps(name)}: {json.dumps(values)}" for name, values in golden.items()]
+    output.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+
+
+if __name__ == "__main__":
+    main()

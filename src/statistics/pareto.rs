@@ -1,0 +1,196 @@
+//! The tail of a distribution: a generalized Pareto distribution of how far values exceed a threshold.
+//!
+//! Beyond a high threshold, what exceeds it by `y` has the survival function (1 + ξ y / σ)^(-1/ξ), whatever the
+//! distribution below (Pickands 1975; Coles 2001, section 4.2).
+
+use super::Interval;
+
+/// Shapes for which maximum likelihood is regular (Smith 1985), and above which nothing is fitted.
+const SHAPES: [f64; 2] = [-0.5, 1.0];
+/// Half of the 95 % quantile of χ² with one degree of freedom: how much lower the log likelihood is at the ends of a
+/// profile-likelihood interval.
+const DROP: f64 = 1.920_729_410_347_062;
+/// The least survival that is looked at, as a logarithm.
+const LEAST_LN_SURVIVAL: f64 = -40.0;
+
+/// A generalized Pareto distribution that was fitted to exceedances.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pareto {
+    /// The shape ξ: below 0 the tail ends.
+    pub shape: f64,
+    /// The scale σ.
+    pub scale: f64,
+    exceedances: Vec<f64>,
+}
+
+impl Pareto {
+    /// The most likely distribution of these exceedances, which are positive. `None` if there are fewer than two, or its
+    /// shape is at an end of what can be fitted.
+    pub fn fit(exceedances: Vec<f64>) -> Option<Self> {
+        let most = exceedances.iter().copied().fold(0.0, f64::max);
+        if exceedances.len() < 2 || !(most > 0.0 && most.is_finite()) {
+            return None;
+        }
+        // For each shape the best scale is found; likelihoods of a fixed shape have one peak.
+        let of_shape = |shape: f64| {
+            let least = if shape < 0.0 { -shape * most * (1.0 + 1e-9) } else { most * 1e-6 };
+            let scale =
+                peak([least.ln(), (10.0 * most).ln()], |scale| log_likelihood(&exceedances, shape, scale.exp()));
+            (scale.0.exp(), scale.1)
+        };
+        let (shape, _) = peak(SHAPES, |shape| of_shape(shape).1);
+        let is_inside = SHAPES[0] + 1e-3 < shape && shape < SHAPES[1] - 1e-3;
+        let scale = of_shape(shape).0;
+        is_inside.then_some(Self { shape, scale, exceedances })
+    }
+
+    /// The probability that an exceedance is above `y`, with its profile-likelihood interval (Coles 2001, section
+    /// 4.3.3).
+    pub fn survival(&self, y: f64) -> (f64, Interval) {
+        let best = log_likelihood(&self.exceedances, self.shape, self.scale);
+        let ln_estimate = ln_survival(y, self.shape, self.scale).max(LEAST_LN_SURVIVAL);
+        // The likelihood of the best distribution with this survival at `y`.
+        let profile = |ln_p: f64| {
+            let of_shape = |shape: f64| {
+                let scale = match shape.abs() < 1e-9 {
+                    true => -y / ln_p,
+                    false => shape * y / (-shape * ln_p).exp_m1(),
+                };
+                log_likelihood(&self.exceedances, shape, scale)
+            };
+            peak(SHAPES, of_shape).1
+        };
+        let is_inside = |ln_p: f64| best - profile(ln_p) < DROP;
+        let low = match is_inside(LEAST_LN_SURVIVAL) {
+            true => 0.0,
+            false => edge([ln_estimate, LEAST_LN_SURVIVAL], is_inside).exp(),
+        };
+        let high = edge([ln_estimate, -1e-9], is_inside).exp();
+        (ln_survival(y, self.shape, self.scale).exp(), Interval { low, high })
+    }
+
+    /// The statistic of Anderson and Darling, which weighs the tail: the less, the better the fit.
+    pub fn anderson_darling(&self) -> f64 {
+        let mut sorted = self.exceedances.clone();
+        sorted.sort_by(f64::total_cmp);
+        let n = sorted.len();
+        let ln_above: Vec<f64> = sorted.iter().map(|y| ln_survival(*y, self.shape, self.scale)).collect();
+        let terms = (0..n).map(|i| {
+            let ln_below = (-ln_above[i].exp()).ln_1p();
+            (2 * i + 1) as f64 * (ln_below + ln_above[n - 1 - i])
+        });
+        -(n as f64) - terms.sum::<f64>() / n as f64
+    }
+
+    /// Whether the fit is not rejected at the 10 % level.
+    pub fn is_good(&self) -> bool {
+        self.anderson_darling() < critical_value(self.shape)
+    }
+}
+
+/// The value that the statistic exceeds in 10 % of samples of a distribution of this shape (simulated by
+/// `scripts/golden_rates.py`, as Choulakian and Stephens 2001 do).
+fn critical_value(shape: f64) -> f64 {
+    const STEP: f64 = 0.25;
+    let at = (shape - SHAPES[0]) / STEP;
+    let below = (at.floor().max(0.0) as usize).min(CRITICAL.len() - 2);
+    CRITICAL[below] + (CRITICAL[below + 1] - CRITICAL[below]) * (at - below as f64)
+}
+
+/// Critical values for shapes from -0.5 in steps of 0.25.
+const CRITICAL: [f64; 7] = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641];
+
+fn ln_survival(y: f64, shape: f64, scale: f64) -> f64 {
+    match shape.abs() < 1e-9 {
+        true => -y / scale,
+        false => {
+            let inner = shape * y / scale;
+            if inner <= -1.0 { f64::NEG_INFINITY } else { -inner.ln_1p() / shape }
+        }
+    }
+}
+
+fn log_likelihood(exceedances: &[f64], shape: f64, scale: f64) -> f64 {
+    if !(scale > 0.0 && scale.is_finite()) {
+        return f64::NEG_INFINITY;
+    }
+    // The density is the survival to the power 1 + ξ, per σ.
+    let sum: f64 = exceedances.iter().map(|y| ln_survival(*y, shape, scale)).sum();
+    if sum == f64::NEG_INFINITY { sum } else { (1.0 + shape) * sum - exceedances.len() as f64 * scale.ln() }
+}
+
+/// Where a function with one peak is largest between two ends, and its value there: on a grid, then by the golden
+/// section between the neighbors of its best point.
+fn peak([low, high]: [f64; 2], value: impl Fn(f64) -> f64) -> (f64, f64) {
+    const POINTS: usize = 24;
+    let at = |i: usize| low + (high - low) * i as f64 / POINTS as f64;
+    let mut best = (low, value(low));
+    for i in 1..=POINTS {
+        let found = (at(i), value(at(i)));
+        if found.1 > best.1 {
+            best = found;
+        }
+    }
+    let step = (high - low) / POINTS as f64;
+    let (mut a, mut b) = ((best.0 - step).max(low), (best.0 + step).min(high));
+    let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
+    for _ in 0..45 {
+        let (left, right) = (b - golden * (b - a), a + golden * (b - a));
+        if value(left) < value(right) { a = left } else { b = right }
+    }
+    let middle = 0.5 * (a + b);
+    let found = (middle, value(middle));
+    if found.1 > best.1 { found } else { best }
+}
+
+/// Where a condition that holds at the first end ceases to hold toward the second; the second where it never does.
+fn edge([mut inside, mut outside]: [f64; 2], is_inside: impl Fn(f64) -> bool) -> f64 {
+    if is_inside(outside) {
+        return outside;
+    }
+    for _ in 0..50 {
+        let middle = 0.5 * (inside + outside);
+        if is_inside(middle) { inside = middle } else { outside = middle }
+    }
+    inside
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(serde::Deserialize)]
+    struct Case {
+        name: String,
+        exceedances: Vec<f64>,
+        /// Shape and scale.
+        fit: [f64; 2],
+        anderson_darling: f64,
+        /// Where, survival, and the ends of its interval.
+        survival: Vec<[f64; 4]>,
+    }
+
+    #[test]
+    fn fits_and_intervals_are_those_of_scipy() {
+        let cases: Vec<Case> = serde_json::from_value(crate::statistics::golden()["tails"].clone()).unwrap();
+        for case in cases {
+            let fitted = Pareto::fit(case.exceedances).unwrap();
+            let close = |a: f64, b: f64| (a - b).abs() <= 2e-3 * b.abs() + 1e-9;
+            assert!((fitted.shape - case.fit[0]).abs() < 1e-3 && close(fitted.scale, case.fit[1]), "{}", case.name);
+            assert!(close(fitted.anderson_darling(), case.anderson_darling), "{}", case.name);
+            for [y, survival, low, high] in case.survival {
+                let (found, interval) = fitted.survival(y);
+                let all = close(found, survival) && close(interval.low, low) && close(interval.high, high);
+                assert!(all, "{} at {y}: {found}, {interval:?}", case.name);
+            }
+        }
+        assert_eq!(Pareto::fit(vec![1.0]), None);
+    }
+
+    #[test]
+    fn critical_values_are_the_simulated_ones() {
+        let simulated: Vec<f64> = serde_json::from_value(crate::statistics::golden()["critical"].clone()).unwrap();
+        assert_eq!(CRITICAL.to_vec(), simulated);
+        assert!((critical_value(-0.375) - 0.5 * (CRITICAL[0] + CRITICAL[1])).abs() < 1e-12);
+    }
+}
