@@ -18,6 +18,7 @@ pub mod scene;
 pub mod behavior;
 pub mod ingest;
 pub mod metrics;
+pub mod rates;
 
 pub mod diffusion;
 pub mod nn;

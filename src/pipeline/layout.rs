@@ -81,6 +81,12 @@ impl Layout {
 pub const SCENES: &str = "scenes";
 /// The mined events.
 pub const EVENTS: &str = "events.parquet";
+/// The mined events that count, each once however many scenes show it.
+pub const OCCURRENCES: &str = "occurrences.parquet";
+/// What recordings show, every moment once.
+pub const EXPOSURE: &str = "exposure.parquet";
+/// How often behaviors were recorded.
+pub const RATES: &str = "rates.parquet";
 /// Counts of the mined events.
 pub const MINE_SUMMARY: &str = "mine.json";
 /// The trained denoiser.

@@ -8,6 +8,7 @@ use super::plain::{PlainSection, PlainTable};
 use crate::evaluate::{EvaluationSummary, MiningSummary};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
+use crate::rates::RateRow;
 use crate::train::NoiseLevelReport;
 
 /// The content of a report. Parts that a run did not produce are empty, and their sections are left out.
@@ -23,6 +24,8 @@ pub struct ReportModel {
     pub warnings: Vec<Warning>,
     /// The report of the ingest.
     pub ingest: Option<IngestReport>,
+    /// How often behaviors were recorded.
+    pub rates: Vec<RateRow>,
     /// The mined behaviors.
     pub mining: Option<MiningSummary>,
     /// The training of each network.

@@ -10,6 +10,7 @@ mod edit;
 mod guidance_level;
 mod ids;
 mod lane_graph;
+mod moments;
 mod motion;
 mod motion_heading;
 mod observation_mask;
@@ -30,6 +31,7 @@ pub use edit::{EditKind, Meet, ScaleSpeed, SceneEdit, SetPositions, Shift, Shift
 pub use guidance_level::{GuidanceLevel, LevelAxis};
 pub use ids::{LaneId, MapId, SceneId, TrackId};
 pub use lane_graph::{Lane, LaneAttributes, LaneDuty, LaneGraph, TurnDirection};
+pub use moments::moments;
 pub use motion::STANDING_STEP_M;
 pub use motion_heading::motion_heading;
 pub use observation_mask::ObservationMask;

@@ -32,7 +32,15 @@ impl<'n> EventWriter<'n> {
     /// [`Error::Invalid`](super::Error::Invalid) when an event has a role or a parameter that no behavior declares, or
     /// a parameter has the name of another column; errors of the file system.
     pub fn write(&mut self, events: &[BehaviorEvent]) -> Result<()> {
-        let batch = event::encode(events, &self.names)?;
+        self.write_numbered(events, &event::numbers_of(events))
+    }
+
+    /// Adds events that are numbers so and so among those of their scene and behavior.
+    ///
+    /// # Errors
+    /// See [`write`](Self::write).
+    pub fn write_numbered(&mut self, events: &[BehaviorEvent], numbers: &[usize]) -> Result<()> {
+        let batch = event::encode(events, numbers, &self.names)?;
         let file = match &mut self.file {
             Some(file) => file,
             None => self.file.insert(ParquetFile::create(&self.path, &event::schema(), batch.schema())?),
@@ -124,7 +132,7 @@ mod tests {
     #[test]
     fn roles_and_parameters_have_columns_with_units() {
         let events = events();
-        let batch = event::encode(&events, &names_of(&events)).unwrap();
+        let batch = event::encode(&events, &event::numbers_of(&events), &names_of(&events)).unwrap();
         let schema = batch.schema();
         let names: Vec<&str> = schema.fields()[10..].iter().map(|field| field.name().as_str()).collect();
         assert_eq!(names, ["agent_track_id", "ego_track_id", "other_track_id", "gap_m", "radius_m", "ttc_s"]);

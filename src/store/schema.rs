@@ -54,6 +54,8 @@ impl TableSchema {
             tables::scene::schema(),
             tables::lane::schema(),
             tables::event::schema(),
+            tables::exposure::schema(),
+            tables::rate::schema(),
             tables::sample::schema(),
             tables::scenario::schema(),
             tables::track::schema(),
@@ -276,7 +278,7 @@ fn with_entry(field: Field, key: &str, value: &str) -> Field {
 
 /// The unit at the end of a parameter's name.
 pub(crate) fn unit_of_name(name: &str) -> &'static str {
-    const SUFFIXES: [(&str, &str); 9] = [
+    const SUFFIXES: [(&str, &str); 12] = [
         ("_mps3", "m/s^3"),
         ("_mps2", "m/s^2"),
         ("_mps", "m/s"),
@@ -284,6 +286,9 @@ pub(crate) fn unit_of_name(name: &str) -> &'static str {
         ("_rad", "rad"),
         ("_deg", "deg"),
         ("_per_m", "1/m"),
+        ("_per_hour", "1/h"),
+        ("_per_1000_km", "1/(1000 km)"),
+        ("_km", "km"),
         ("_m", "m"),
         ("_s", "s"),
     ];

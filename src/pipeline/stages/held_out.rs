@@ -1,9 +1,8 @@
 //! Which scenes of a store do models learn from, and which are held out?
 
-use super::moments::moments;
 use crate::engine::Result;
 use crate::progress::{Progress, Silent};
-use crate::scene::{SceneId, Split};
+use crate::scene::{SceneId, Split, moments};
 use crate::seed::Seed;
 use crate::store::{SceneIndex, SceneIndexEntry, SceneStore};
 use crate::train::{MoreScenes, OwnScenes, SceneChoice};
@@ -141,7 +140,8 @@ fn frames_of(index: &SceneIndex, idx: usize) -> (&str, Range<i64>) {
 }
 
 fn moments_of(store: &SceneStore, scenes: &[usize]) -> Result<Vec<Vec<u64>>> {
-    scenes.par_iter().map(|idx| Ok(moments(&store.scene(*idx)?))).collect()
+    let marks = |idx: &usize| Ok(moments(&store.scene(*idx)?).into_iter().map(|(_, mark)| mark).collect());
+    scenes.par_iter().map(marks).collect()
 }
 
 /// The scenes that one of these trainings learns from, wholly or in part: none of them is held out.

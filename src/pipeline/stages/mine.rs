@@ -1,13 +1,17 @@
-//! Scenes to an event table: the detectors run on every scene, in parallel, and their events are kept in order.
+//! Scenes to an event table and to rates: the detectors run on every scene, in parallel, and their events are kept in
+//! order.
 
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEntry, BehaviorEvent};
 use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::evaluate::MiningTally;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{EVENTS, Layout, MINE_SUMMARY};
+use crate::pipeline::layout::{EVENTS, EXPOSURE, Layout, MINE_SUMMARY, OCCURRENCES, RATES};
 use crate::progress::Progress;
+use crate::rates::{ExposureRow, ExposureTally, Numbered, OccurrenceTally, SceneExposure, Within};
 use crate::settings::Issue;
-use crate::store::{EventWriter, SceneStore, write_json_atomically};
+use crate::store::{
+    EventWriter, SceneStore, read_recorded_traffic, write_exposure, write_json_atomically, write_rates,
+};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,6 +29,18 @@ const SCENES_PER_CHUNK: usize = 256;
 pub struct MineConfig {
     /// The behaviors with their definitions; empty: all known ones, by their default definitions.
     pub behaviors: Vec<BehaviorConfig>,
+    /// Buckets of events whose rates are counted beside those of all events of a behavior.
+    pub rates: Vec<RateBucket>,
+}
+
+/// Events of a behavior with parameters in certain ranges.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RateBucket {
+    /// The behavior.
+    pub behavior: String,
+    /// The ranges of its parameters, the lower end included: `{ gap_m = [0, 5] }`.
+    pub within: Within,
 }
 
 impl MineConfig {
@@ -45,6 +61,15 @@ impl MineConfig {
                 return Err(Failure::input_message(message));
             }
         }
+        for (idx, RateBucket { behavior, within }) in self.rates.iter().enumerate() {
+            let refuse = |issue: Issue| Failure::input(issue.within(&format!("mine.rates.{idx}")));
+            let is_mined = configs.iter().any(|config| config.id() == behavior);
+            let entry = BehaviorEntry::of(behavior).filter(|_| is_mined).ok_or_else(|| {
+                let mined: Vec<&str> = configs.iter().map(BehaviorConfig::id).collect();
+                Issue::new("behavior", format_args!("is {behavior}, expected one of {}", mined.join(", ")))
+            });
+            entry.and_then(|entry| within.validate(entry.parameters)).map_err(refuse)?;
+        }
         Ok(configs.iter().map(BehaviorConfig::build).collect())
     }
 }
@@ -63,7 +88,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        10
+        11
     }
 
     fn check(&self) -> Result<()> {
@@ -91,16 +116,18 @@ impl Whole for Mine<'_> {
         let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
         let mut tally = MiningTally::new(&ids);
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
-        let mut writer = EventWriter::new(&context.root.join(EVENTS), entries);
+        let mut writer = EventWriter::new(&context.root.join(EVENTS), entries.clone());
+        let mut counting = Counting::new(EventWriter::new(&context.root.join(OCCURRENCES), entries));
         context.progress.start("mine", scenes.len() as u64, "scenes");
         let [has_lanes, has_sizes] = [AtomicBool::new(false), AtomicBool::new(false)];
-        let detect = |chunk: &[usize]| -> Result<Vec<Vec<BehaviorEvent>>> {
+        let detect = |chunk: &[usize]| -> Result<Vec<(SceneExposure, Vec<BehaviorEvent>)>> {
             let found = chunk.par_iter().map(|idx| {
                 let scene = store.scene(*idx)?;
                 has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
                 has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
                 let found = behaviors.iter().flat_map(|behavior| behavior.detect(&scene));
-                Ok(found.filter(|event| !event.is_of_parked(&scene)).collect::<Vec<_>>())
+                let found = found.filter(|event| !event.is_of_parked(&scene)).collect::<Vec<_>>();
+                Ok((SceneExposure::of(&scene), found))
             });
             found.collect()
         };
@@ -110,8 +137,13 @@ impl Whole for Mine<'_> {
             let (next, written) = rayon::join(|| detect(chunk), || writer.write(&found));
             written?;
             let by_scene = next?;
-            chunk.iter().zip(&by_scene).for_each(|(idx, events)| tally.add(store.index().get(*idx), events));
-            found = by_scene.into_iter().flatten().collect();
+            found.clear();
+            for (idx, (scene, events)) in chunk.iter().zip(by_scene) {
+                tally.add(store.index().get(*idx), &events);
+                counting.add(&scene, &events);
+                found.extend(events);
+            }
+            counting.write()?;
             context.progress.advance(chunk.len() as u64);
             context.progress.note(&tally.words());
         }
@@ -119,6 +151,11 @@ impl Whole for Mine<'_> {
         context.progress.finish();
         warn_of_blind(&behaviors, [has_lanes, has_sizes].map(AtomicBool::into_inner), context.progress);
         writer.finish()?;
+        let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| context.root.join(name));
+        write_exposure(&exposure, counting.finish()?)?;
+        let traffic = read_recorded_traffic(&exposure, &occurrences)?;
+        let buckets = self.config.rates.iter().map(|bucket| (bucket.behavior.clone(), bucket.within.clone()));
+        write_rates(&context.root.join(RATES), traffic.rates(&ids, &buckets.collect::<Vec<_>>()))?;
         let n_events = tally.n_events();
         let summary = tally.finish();
         write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;
@@ -127,6 +164,41 @@ impl Whole for Mine<'_> {
         };
         let n_positive: BTreeMap<&str, u64> = ids.iter().map(|id| (*id, n_positive(id))).collect();
         Ok(json!({ "n_scenes": scenes.len(), "n_events": n_events, "n_positive": n_positive }))
+    }
+}
+
+/// Counts every moment and every event once.
+struct Counting<'n> {
+    exposure: ExposureTally,
+    occurrences: OccurrenceTally,
+    writer: EventWriter<'n>,
+    pending: Vec<Numbered>,
+}
+
+impl<'n> Counting<'n> {
+    fn new(writer: EventWriter<'n>) -> Self {
+        let (exposure, occurrences) = (ExposureTally::default(), OccurrenceTally::default());
+        Self { exposure, occurrences, writer, pending: Vec::new() }
+    }
+
+    fn add(&mut self, scene: &SceneExposure, events: &[BehaviorEvent]) {
+        if let Some(shown) = self.exposure.add(scene) {
+            self.pending.extend(self.occurrences.add(scene, shown, events, &self.exposure));
+        }
+    }
+
+    /// Writes the events that no later scene can show.
+    fn write(&mut self) -> Result<()> {
+        let (events, numbers): (Vec<_>, Vec<_>) = std::mem::take(&mut self.pending).into_iter().unzip();
+        Ok(self.writer.write_numbered(&events, &numbers)?)
+    }
+
+    /// Writes the last events, and returns what recordings show.
+    fn finish(mut self) -> Result<Vec<ExposureRow>> {
+        self.pending = std::mem::take(&mut self.occurrences).finish();
+        self.write()?;
+        self.writer.finish()?;
+        Ok(self.exposure.rows())
     }
 }
 

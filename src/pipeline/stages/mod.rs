@@ -7,7 +7,6 @@ mod held_out;
 mod ingest;
 mod mine;
 mod models;
-mod moments;
 mod report;
 mod situations;
 mod train;

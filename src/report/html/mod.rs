@@ -6,6 +6,7 @@ mod drives;
 mod outcome;
 mod plain;
 mod quality;
+mod rates;
 mod request_gallery;
 mod request_grid;
 mod requests;
@@ -60,6 +61,7 @@ pub fn render(model: &ReportModel) -> String {
     let last = [
         training::networks(model),
         training::classifier(model),
+        rates::section(model),
         data::mining(model),
         data::ingest(model),
         config(model),

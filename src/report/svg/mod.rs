@@ -5,12 +5,14 @@ mod bars;
 mod file;
 mod histogram;
 mod line;
+mod rates;
 mod scene;
 
 pub(super) use bars::{Bar, bar_chart};
 pub(super) use file::{chart_file, distribution_file, scene_file};
 pub(super) use histogram::{histogram, histogram_plot};
 pub(super) use line::{line_chart, line_plot};
+pub(super) use rates::{RateMark, rate_chart};
 pub(super) use scene::{CONTEXT, GENERATED_CONTEXT, role_color, scene_panel};
 
 use super::number::coordinate;

@@ -60,12 +60,12 @@ impl EventNames<'_> {
     }
 }
 
-/// The rows of these events. Events of one scene are numbered within the batch, so they must be in one batch.
+/// The rows of these events, with the number of each among those of its scene and behavior.
 ///
 /// # Errors
 /// [`Error::Invalid`] when a parameter has the name of another column, or an event has a role or parameter that is not
 /// among `names`.
-pub(crate) fn encode(events: &[BehaviorEvent], names: &EventNames<'_>) -> Result<RecordBatch> {
+pub(crate) fn encode(events: &[BehaviorEvent], numbers: &[usize], names: &EventNames<'_>) -> Result<RecordBatch> {
     let schema = schema();
     parameters::check_names(&schema, &names.parameters)?;
     events.iter().try_for_each(|event| names.check(event))?;
@@ -74,7 +74,8 @@ pub(crate) fn encode(events: &[BehaviorEvent], names: &EventNames<'_>) -> Result
     let open = roles::flatten(&names.roles, &roles).into_iter();
     let open = open.chain(parameters::flatten(&names.parameters, &parameters));
     let (open_fields, open_arrays): (Vec<_>, Vec<_>) = open.unzip();
-    let ids = event_ids(events);
+    let id = |(event, number): (&BehaviorEvent, &usize)| format!("{}#{}#{number}", event.scene_id, event.behavior);
+    let ids: Vec<String> = events.iter().zip(numbers).map(id).collect();
     let part = |i: usize| optional_texts(events.iter().map(move |event| scene_part(&event.scene_id, i)));
     let mut arrays: Vec<ArrayRef> = vec![
         texts(ids.iter().map(String::as_str)),
@@ -119,16 +120,16 @@ fn timesteps(events: &[BehaviorEvent], of: fn(&BehaviorEvent) -> usize) -> Resul
     Ok(numbers::<UInt32Type>(values?))
 }
 
-/// `<scene>#<behavior>#<running number within both>`: independent of other rows of the table.
-fn event_ids(events: &[BehaviorEvent]) -> Vec<String> {
+/// The number of each event among those of its scene and behavior, which must all be among these.
+pub(crate) fn numbers_of(events: &[BehaviorEvent]) -> Vec<usize> {
     let mut counts: BTreeMap<(&SceneId, &str), usize> = BTreeMap::new();
-    let mut ids = Vec::with_capacity(events.len());
+    let mut numbers = Vec::with_capacity(events.len());
     for BehaviorEvent { scene_id, behavior, .. } in events {
         let count = counts.entry((scene_id, behavior)).or_default();
-        ids.push(format!("{scene_id}#{behavior}#{count}"));
+        numbers.push(*count);
         *count += 1;
     }
-    ids
+    numbers
 }
 
 /// Part `i` of a scene's name, if the name has all four.

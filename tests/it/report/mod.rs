@@ -30,6 +30,7 @@ fn every_part_of_the_model_is_on_the_page() {
         "more-of-it",
         "training",
         "classifier",
+        "rates",
         "mining",
         "data",
         "config",

@@ -5,11 +5,13 @@ mod scenes;
 
 use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
 use djinn::ingest::{IngestReport, RejectCount};
+use djinn::rates::{RateMethod, RateRow};
 use djinn::report::{
     Chart, Curve, Distribution, Drawn, Fact, HardnessSummary, PlainSection, PlainTable, ReportModel, TrainingSummary,
     Warning,
 };
 use djinn::seed::Seed;
+use djinn::statistics::Interval;
 use djinn::train::NoiseLevelReport;
 use std::collections::BTreeMap;
 
@@ -53,6 +55,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         ],
         ingest: Some(ingest(name)),
         mining: Some(mining(name)),
+        rates: rates(name),
         training: vec![training("Denoiser", 2.2), training("Classifier (cut_in)", 0.6)],
         classifier_quality: (0..12).map(quality).collect(),
         requests: vec![outcome::request(name)],
@@ -160,6 +163,28 @@ fn distributions() -> Vec<Distribution> {
             Distribution::of(title, unit, "every agent at every future timestep", 40, &groups)
         })
         .collect()
+}
+
+/// A behavior that was found in several recordings, and a bucket in which it was not.
+fn rates(name: &str) -> Vec<RateRow> {
+    let of = |place: &str, within: &str, n_events: u64| RateRow {
+        place: place.to_owned(),
+        split: String::new(),
+        behavior: name.to_owned(),
+        within: within.to_owned(),
+        n_events,
+        n_recordings: 12,
+        observed_h: 2.0,
+        motorized_km: 500.0,
+        rate_per_hour: n_events as f64 / 2.0,
+        per_hour: Interval { low: 0.6 * n_events as f64, high: 2.0 + n_events as f64 },
+        rate_per_1000_km: Some(2.0 * n_events as f64),
+        per_1000_km: Some(Interval { low: 1.8 * n_events as f64, high: 8.0 + 2.4 * n_events as f64 }),
+        dispersion: Some(2.5),
+        method: if n_events > 0 { RateMethod::OverRecordings } else { RateMethod::NoneFound },
+        note: (n_events == 0).then(|| "not extrapolated: fewer than 30 events are beyond any threshold".to_owned()),
+    };
+    vec![of("", "", 40), of("", "ttc_s 0..0.5", 0), of(name, "", 40)]
 }
 
 fn more(name: &str) -> PlainSection {

@@ -9,10 +9,10 @@ use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY};
+use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY, RATES};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
-use crate::store::{CorpusManifest, SceneManifest, read_json};
+use crate::store::{CorpusManifest, SceneManifest, read_json, read_rates};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
 use std::path::Path;
 
@@ -35,6 +35,9 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
     }
     if stage.has(StageId::Mine) {
         model.mining = Some(read_json(&stage.layout.events.with_file_name(MINE_SUMMARY)).blame_input()?);
+        // Events alone may come from elsewhere.
+        let rates = stage.layout.events.with_file_name(RATES);
+        model.rates = if rates.exists() { read_rates(&rates)? } else { Vec::new() };
     }
     if stage.has(StageId::TrainDenoiser) {
         add_denoiser(&mut model, &stage.layout.denoiser)?;

@@ -1,6 +1,6 @@
 //! Do two scenes show the same moment of the same traffic, whatever their files are called?
 
-use crate::scene::{Scene, Track};
+use super::{Scene, Track};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// The least motion of an agent within a timestep, meters: who stands is the same at any moment.
@@ -10,17 +10,17 @@ const CELL_M: f64 = 0.01;
 /// Where cells begin, meters: what a recording rounds to millimeters or tenths of these is never at the edge of one.
 const EDGE_M: f64 = 0.000_15;
 
-/// Marks of the moments of a scene, at most one a timestep: the places of two moving agents there and a timestep later,
+/// Marks of the moments of a scene, at most one a timestep, with their timesteps: the places of two moving agents there and a timestep later,
 /// in the recording's frame. A moment in which fewer move has no mark. Scenes that have any mark in common overlap: two
 /// pairs of agents do not move so alike by chance.
-pub(super) fn moments(scene: &Scene) -> Vec<u64> {
+pub fn moments(scene: &Scene) -> Vec<(usize, u64)> {
     let at = |timestep: usize| {
         let mut moving: Vec<u64> =
             scene.tracks.iter().filter_map(|track| motion_mark(scene, track, timestep)).collect();
         // A scene may lack agents that another one of the same moment has; the two smallest marks are mostly in both.
         moving.sort_unstable();
         let [first, second, ..] = moving[..] else { return None };
-        Some(hash_of(&(first, second)))
+        Some((timestep, hash_of(&(first, second))))
     };
     (0..scene.n_timesteps.saturating_sub(1)).filter_map(at).collect()
 }

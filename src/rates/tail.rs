@@ -1,0 +1,118 @@
+//! How often is a severity passed that was hardly or never recorded?
+
+use super::Within;
+use crate::statistics::{Interval, Pareto};
+
+/// The measures of severity, and whether the larger ones are the more severe.
+const SEVERITIES: [(&str, bool); 7] = [
+    ("ttc_s", false),
+    ("min_ttc_s", false),
+    ("pet_s", false),
+    ("time_headway_s", false),
+    ("time_to_arrival_s", false),
+    ("max_deceleration_mps2", true),
+    ("mean_deceleration_mps2", true),
+];
+/// The shares of events that thresholds to try let pass, the lowest threshold first.
+const SHARES: [f64; 7] = [0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1];
+/// A threshold is passed by at least so many events.
+const LEAST_EVENTS: usize = 30;
+/// No rate is given of what is expected less than once in so many times what was recorded.
+const TIMES_RECORDED: f64 = 10.0;
+/// A bucket is left for more severe events by at most this share of those that enter it.
+const LARGEST_REST: f64 = 0.1;
+/// No rate is given whose interval spans a larger factor.
+const WIDEST: f64 = 100.0;
+
+/// A bucket of the most severe events.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Level {
+    /// The parameter.
+    pub(super) parameter: String,
+    /// 1 where larger values are more severe, else -1.
+    sign: f64,
+    /// The severity that events of the bucket pass.
+    severity: f64,
+    /// The severity at its far end.
+    end: f64,
+}
+
+/// A tail that was fitted to recorded severities.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Tail {
+    /// The severity beyond which it was fitted.
+    pub(super) threshold: f64,
+    fitted: Pareto,
+}
+
+impl Level {
+    /// The level of a bucket of a single measure of severity. `None` for other buckets.
+    pub(super) fn of(within: &Within) -> Option<Self> {
+        let (parameter, [from, to]) = within.0.first_key_value().filter(|_| within.0.len() == 1)?;
+        let (_, is_larger) = SEVERITIES.into_iter().find(|(name, _)| name == parameter)?;
+        let (sign, severity, end) = if is_larger { (1.0, *from, *to) } else { (-1.0, -to, -from) };
+        Some(Self { parameter: parameter.clone(), sign, severity, end })
+    }
+
+    /// The severity of a value of the parameter.
+    pub(super) fn severity_of(&self, value: f64) -> f64 {
+        self.sign * value
+    }
+
+    /// The tail of recorded severities: beyond the lowest threshold of those tried at which a generalized Pareto
+    /// distribution is not rejected.
+    ///
+    /// # Errors
+    /// Why there is none, in words.
+    pub(super) fn tail(&self, severities: &[f64]) -> Result<Tail, &'static str> {
+        let mut sorted = severities.to_vec();
+        sorted.sort_by(|a, b| b.total_cmp(a));
+        if sorted.first().is_some_and(|most| *most > self.end) {
+            return Err("more severe events than those of the bucket were recorded");
+        }
+        let mut is_tried = false;
+        for share in SHARES {
+            let n = (share * sorted.len() as f64) as usize;
+            let Some(threshold) = sorted.get(n).filter(|threshold| **threshold < self.severity) else { continue };
+            let beyond: Vec<f64> = sorted.iter().map(|x| x - threshold).filter(|y| *y > 0.0).collect();
+            if beyond.len() < LEAST_EVENTS {
+                continue;
+            }
+            is_tried = true;
+            if let Some(fitted) = Pareto::fit(beyond).filter(Pareto::is_good) {
+                return Ok(Tail { threshold: *threshold, fitted });
+            }
+        }
+        Err(match is_tried {
+            true => "no generalized Pareto distribution fits the recorded tail",
+            false => "fewer than 30 events are beyond any threshold",
+        })
+    }
+
+    /// The rate beyond the level, from that beyond the threshold: their product, with the interval of Zou and Donner
+    /// (2008) for a product, on logarithms. `n_beyond` events are beyond the threshold.
+    ///
+    /// # Errors
+    /// Why none can be given, in words.
+    pub(super) fn rate(
+        &self,
+        tail: &Tail,
+        n_beyond: u64,
+        (rate, interval): (f64, Interval),
+    ) -> Result<(f64, Interval), &'static str> {
+        let (share, of_share) = tail.fitted.survival(self.severity - tail.threshold);
+        if tail.fitted.survival(self.end - tail.threshold).0 > LARGEST_REST * share {
+            return Err("the tail goes on beyond the far end of the bucket");
+        }
+        if n_beyond as f64 * share * TIMES_RECORDED < 1.0 {
+            return Err("expected less than once in ten times what was recorded");
+        }
+        let spread = |of_rate: f64, of_share: f64| (of_rate / rate).ln().hypot((of_share / share).ln());
+        let (down, up) = (spread(interval.low, of_share.low), spread(interval.high, of_share.high));
+        if down + up > WIDEST.ln() || !(down + up).is_finite() {
+            return Err("the interval would span more than a factor of 100");
+        }
+        let rate = rate * share;
+        Ok((rate, Interval { low: rate * (-down).exp(), high: rate * up.exp() }))
+    }
+}

@@ -1,0 +1,93 @@
+//! The section on rates: how often what was recorded happens.
+
+use super::Section;
+use super::plain::plain_table;
+use crate::rates::{RateMethod, RateRow};
+use crate::report::model::ReportModel;
+use crate::report::number::{count, value};
+use crate::report::plain::PlainTable;
+use crate::report::svg::{RateMark, rate_chart};
+use crate::statistics::Interval;
+use maud::{Markup, html};
+
+/// Dispersions from which on events are said to come in clusters.
+const CLUSTERED: f64 = 1.5;
+
+/// The section; `None` without rates.
+pub(super) fn section(model: &ReportModel) -> Option<Section> {
+    let rows: Vec<&RateRow> = model.rates.iter().filter(|row| row.split.is_empty()).collect();
+    let (everywhere, by_place): (Vec<&RateRow>, Vec<&RateRow>) = rows.iter().partition(|row| row.place.is_empty());
+    // A single place is everywhere.
+    let (first, others) = if everywhere.is_empty() { (by_place, Vec::new()) } else { (everywhere, by_place) };
+    let exposure = first.first()?;
+    let body = html! {
+        p {
+            (value(exposure.observed_h)) " hours in " (count(exposure.n_recordings)) " recordings, with "
+            (value(exposure.motorized_km)) " km of motorized road users. Every moment and every event counts once, \
+            however many scenes show it; generated scenarios never count."
+        }
+        (picture(&first))
+        (table("Rates with their 95 % intervals", &first))
+        @if !others.is_empty() { details { summary { "By place" } (table("Rates at each place", &others)) } }
+        p class="note" {
+            "Where several recordings were made, the interval allows for events that come in clusters. Where nothing \
+            was found, the upper end is what that still allows. Extrapolated rates (hollow) are those of the tail of \
+            less severe events, and only given where that can be defended."
+        }
+    };
+    Some(Section::new("rates", "How often it happens", body))
+}
+
+/// The drawing: per 1,000 km, or per hour where nobody motorized was recorded.
+pub(in crate::report) fn picture(rows: &[&RateRow]) -> Markup {
+    let has_km = rows.iter().all(|row| row.per_1000_km.is_some());
+    let mark = |row: &&RateRow| {
+        let by_hour = (row.rate_per_hour, row.per_hour);
+        let (rate, interval) =
+            if has_km { row.rate_per_1000_km.zip(row.per_1000_km).unwrap_or(by_hour) } else { by_hour };
+        let is_extrapolated = row.method == RateMethod::Extrapolated;
+        RateMark { label: label(row), rate, interval, is_extrapolated }
+    };
+    let unit = if has_km { "events in 1,000 km of motorized road users" } else { "events an hour" };
+    rate_chart("Rates of events, with their intervals", unit, &rows.iter().map(mark).collect::<Vec<_>>())
+}
+
+fn label(row: &RateRow) -> String {
+    if row.within.is_empty() { row.behavior.clone() } else { format!("{} {}", row.behavior, row.within) }
+}
+
+fn table(caption: &str, rows: &[&RateRow]) -> Markup {
+    let columns = ["Behavior", "Place", "Events", "An hour", "In 1,000 km", "Known from"];
+    let mut plain = PlainTable::new(caption, &columns);
+    let range = |rate: f64, Interval { low, high }: Interval| match rate > 0.0 {
+        true => format!("{} ({} to {})", value(rate), value(low), value(high)),
+        false => format!("below {}", value(high)),
+    };
+    for row in rows {
+        let of_km = row.rate_per_1000_km.zip(row.per_1000_km);
+        plain.push(vec![
+            label(row),
+            row.place.clone(),
+            count(row.n_events),
+            range(row.rate_per_hour, row.per_hour),
+            of_km.map_or_else(String::new, |(rate, interval)| range(rate, interval)),
+            known_from(row),
+        ]);
+    }
+    plain_table(&plain)
+}
+
+fn known_from(row: &RateRow) -> String {
+    let what = match row.method {
+        RateMethod::OverRecordings => match row.dispersion.filter(|dispersion| *dispersion >= CLUSTERED) {
+            Some(dispersion) => {
+                format!("{} recordings; events cluster ({} times)", row.n_recordings, value(dispersion))
+            }
+            None => format!("{} recordings", row.n_recordings),
+        },
+        RateMethod::OneRecording => "one recording, as if events were independent".to_owned(),
+        RateMethod::NoneFound => "none found".to_owned(),
+        RateMethod::Extrapolated => "extrapolated".to_owned(),
+    };
+    row.note.as_ref().map_or(what.clone(), |note| format!("{what}, {note}"))
+}
