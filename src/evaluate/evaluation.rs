@@ -1,5 +1,6 @@
 //! Merges measured shards of scenarios into the results of an evaluation.
 
+use super::bucket_rates::BucketRates;
 use super::config::EvaluateConfig;
 use super::distinguishability::{CellKey, Distinguished};
 use super::error::Result;
@@ -14,6 +15,7 @@ use super::validity::ValidityTable;
 use super::verdicts::Verdicts;
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, MetricRow};
+use crate::rates::RecordedTraffic;
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Scene, SceneId};
 use crate::store::{self, VerdictWriter};
@@ -83,6 +85,7 @@ pub struct Evaluation<'a> {
     realism: RealismTable,
     sampling: SamplingTally,
     distinguished: Distinguished,
+    rates: Option<BucketRates>,
     /// The recorded scenes that accepted scenarios continue.
     accepted_scenes: BTreeSet<SceneId>,
 }
@@ -104,9 +107,16 @@ impl<'a> Evaluation<'a> {
             validity: ValidityTable::default(),
             realism: RealismTable::default(),
             sampling: SamplingTally::default(),
+            rates: None,
             accepted_scenes: BTreeSet::new(),
             config,
         })
+    }
+
+    /// Says of each scenario how often events like its were recorded.
+    #[must_use]
+    pub fn with_rates_of(self, traffic: Option<RecordedTraffic>) -> Self {
+        Self { rates: traffic.map(BucketRates::new), ..self }
     }
 
     /// Counts the losses of generation: samples without a scenario, and samples that the selection of a sweep rejected,
@@ -147,7 +157,8 @@ impl<'a> Evaluation<'a> {
         let mut kept = Vec::new();
         for mut record in records {
             let (assessment, not_checked) = assessments.remove(&record.scenario.id).unzip();
-            record.assessment = assessment;
+            let rate = self.rates.as_mut().and_then(|rates| rates.of(&record));
+            record.assessment = assessment.map(|assessment| Assessment { rate, ..assessment });
             let verdict = self.verdicts.decide(&mut record, not_checked.as_deref().unwrap_or_default());
             if record.assessment.as_ref().is_some_and(|assessment| assessment.accepted) {
                 self.accepted_scenes.insert(record.scenario.provenance.scene_id.clone());

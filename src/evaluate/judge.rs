@@ -113,6 +113,7 @@ impl<'a> Judge<'a> {
                 .and_then(|(event, space)| space.distance_to_nearest(event)),
             nearest_scenario_m: None,
             near_duplicate_of: None,
+            rate: None,
         }
     }
 

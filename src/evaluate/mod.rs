@@ -9,6 +9,7 @@
 //! Verdicts come in the order of the samples, because the first of several near-duplicates is accepted. Rows of metrics
 //! are spooled to files, because aggregates come first in the table but are known last.
 
+mod bucket_rates;
 mod cells;
 mod config;
 mod distinguishability;

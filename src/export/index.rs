@@ -4,6 +4,7 @@
 
 use super::selection::is_accepted;
 use super::{Error, Item, Result, Written};
+use crate::rates::BucketRate;
 use crate::store::AtomicFile;
 use std::borrow::Cow;
 use std::path::Path;
@@ -30,6 +31,10 @@ impl Index {
             "requested_behavior",
             "verified",
             "accepted",
+            "rate_per_1000_km",
+            "rate_low",
+            "rate_high",
+            "rate_source",
         ];
         let track = ["scenario_id", "track_id", "name", "class", "is_ego", "event_role", "left_out"];
         Ok(Self { scenarios: Table::begin(index, b'\t', &scenarios)?, tracks: Table::begin(tracks, b'\t', &track)? })
@@ -38,6 +43,8 @@ impl Index {
     pub(super) fn add(&mut self, item: &Item<'_>, written: &Written) -> Result<()> {
         let (record, scene) = (item.record, item.scene());
         let scenario_id = record.scenario.id.as_str();
+        let rate = record.assessment.as_ref().and_then(|assessment| assessment.rate);
+        let of_rate = |of: fn(BucketRate) -> Option<f64>| rate.and_then(of).map_or_else(String::new, |v| v.to_string());
         self.scenarios.row(&[
             scenario_id,
             &written.file,
@@ -52,6 +59,10 @@ impl Index {
             record.requested_behavior.as_deref().unwrap_or_default(),
             if record.verified { "true" } else { "false" },
             if is_accepted(record) { "true" } else { "false" },
+            &of_rate(|rate| rate.per_1000_km),
+            &of_rate(|rate| Some(rate.interval?.low)),
+            &of_rate(|rate| Some(rate.interval?.high)),
+            rate.map_or("", |rate| rate.source.name()),
         ])?;
         for (agent_idx, (track, name)) in scene.tracks.iter().zip(&written.tracks).enumerate() {
             self.tracks.row(&[

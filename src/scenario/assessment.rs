@@ -1,6 +1,7 @@
 //! The judgment of a generated scenario: could it have happened, how critical is it, is it new?
 
 use crate::metrics::{CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
+use crate::rates::BucketRate;
 use serde::{Deserialize, Serialize};
 
 /// The judgment of one scenario, independent of its guidance. Undefined parts are absent.
@@ -28,6 +29,8 @@ pub struct Assessment {
     pub nearest_scenario_m: Option<f64>,
     /// The id of that scenario if the two are near-duplicates.
     pub near_duplicate_of: Option<String>,
+    /// How often events like its were recorded; `None` without a verified event, or if nothing was counted.
+    pub rate: Option<BucketRate>,
 }
 
 impl Assessment {

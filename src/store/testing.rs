@@ -4,6 +4,7 @@ use super::as_stored;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
+use crate::rates::{BucketRate, RateSource};
 use crate::scenario::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId,
@@ -11,6 +12,7 @@ use crate::scene::{
     TrackId, TrackRole, Trajectory, TurnDirection,
 };
 use crate::seed::{Seed, SeededRng};
+use crate::statistics::Interval;
 use std::sync::Arc;
 
 /// A map of `n_lanes` lanes with coordinates as large as in city frames.
@@ -195,6 +197,12 @@ pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
         nearest_recorded_event: Some(2.5),
         nearest_scenario_m: has_all.then_some(0.125),
         near_duplicate_of: has_all.then(|| "before".to_owned()),
+        rate: has_all.then_some(BucketRate {
+            per_1000_km: Some(2.5),
+            per_hour: Some(0.25),
+            interval: Some(Interval { low: 1.0, high: 5.0 }),
+            source: RateSource::Extrapolated,
+        }),
     }
 }
 

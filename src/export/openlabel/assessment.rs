@@ -14,7 +14,7 @@ type Number = (&'static str, fn(&Assessment) -> Option<f64>);
 /// A truth value of an assessment, under the name of its column.
 type Flag = (&'static str, fn(&Assessment) -> Option<bool>);
 
-const NUMBERS: [Number; 19] = [
+const NUMBERS: [Number; 23] = [
     ("plausibility", |judged| judged.plausibility),
     ("recorded_likeness", |judged| judged.recorded_likeness),
     ("pair_min_ttc_s", |judged| judged.pair?.min_ttc_s),
@@ -34,6 +34,10 @@ const NUMBERS: [Number; 19] = [
     ("end_remaining_mps", |judged| judged.ending?.remaining_mps),
     ("nearest_recorded_event", |judged| judged.nearest_recorded_event),
     ("nearest_scenario_m", |judged| judged.nearest_scenario_m),
+    ("rate_per_1000_km", |judged| judged.rate?.per_1000_km),
+    ("rate_per_hour", |judged| judged.rate?.per_hour),
+    ("rate_low", |judged| Some(judged.rate?.interval?.low)),
+    ("rate_high", |judged| Some(judged.rate?.interval?.high)),
 ];
 
 const FLAGS: [Flag; 5] = [
@@ -45,6 +49,7 @@ const FLAGS: [Flag; 5] = [
 ];
 
 const NEAR_DUPLICATE_OF: &str = "near_duplicate_of";
+const RATE_SOURCE: &str = "rate_source";
 
 /// The tag of the assessment, and one for each failed validity check. Values that are not defined for the scenario are
 /// left out.
@@ -53,11 +58,12 @@ pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Vec<Value> {
     let number =
         |(name, of): &Number| of(judged).map(|number| quantity(name, rounded(number), &columns.of(name, "unit")));
     let flag = |(name, of): &Flag| of(judged).map(|flag| value(name, flag));
-    let text = judged.near_duplicate_of.as_ref().map(|id| value(NEAR_DUPLICATE_OF, id));
+    let near = judged.near_duplicate_of.as_ref().map(|id| value(NEAR_DUPLICATE_OF, id));
+    let text = near.into_iter().chain(judged.rate.map(|rate| value(RATE_SOURCE, rate.source.name())));
     let whole = tag(
         "assessment",
         &json!({
-            "text": text.into_iter().collect::<Vec<_>>(),
+            "text": text.collect::<Vec<_>>(),
             "boolean": FLAGS.iter().filter_map(flag).collect::<Vec<_>>(),
             "num": NUMBERS.iter().filter_map(number).collect::<Vec<_>>(),
         }),
@@ -84,7 +90,7 @@ pub(super) fn definitions() -> Map<String, Value> {
     let columns = AssessmentColumns::new();
     let names = FLAGS.iter().map(|(name, _)| *name).chain(NUMBERS.iter().map(|(name, _)| *name));
     let data: Map<String, Value> = names
-        .chain([NEAR_DUPLICATE_OF])
+        .chain([NEAR_DUPLICATE_OF, RATE_SOURCE])
         .map(|name| (name.to_owned(), Value::from(columns.of(name, "description"))))
         .collect();
     let checks: Map<String, Value> =
@@ -165,6 +171,7 @@ pub(super) mod tests {
             nearest_recorded_event: Some(0.5),
             nearest_scenario_m: Some(0.125),
             near_duplicate_of: Some("0a1b9".to_owned()),
+            rate: None,
         }
     }
 

@@ -12,10 +12,11 @@ use crate::evaluate::{
 use crate::generate::GenerateConfig;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, VERDICTS};
+use crate::pipeline::layout::{CORPUS, EXPOSURE, Layout, METRICS, METRICS_SUMMARY, OCCURRENCES, VERDICTS};
 use crate::progress::Progress;
 use crate::store::{
-    CorpusNotes, CorpusWriter, SceneStore, read_binary, write_binary_atomically, write_json_atomically, write_metrics,
+    CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, write_binary_atomically,
+    write_json_atomically, write_metrics,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -43,7 +44,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        17
+        18
     }
 
     fn check(&self) -> Result<()> {
@@ -139,7 +140,11 @@ impl Sharded for Evaluate<'_> {
         let verdicts = path(VERDICTS);
         let files = EvaluationFiles { verdicts: &verdicts, scratch: context.root };
         let told = tracks.tell_apart(context.progress);
-        let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
+        let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| self.layout.events.with_file_name(name));
+        let has_rates = self.has_events && exposure.exists() && occurrences.exists();
+        let traffic = has_rates.then(|| read_recorded_traffic(&exposure, &occurrences)).transpose()?;
+        let evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
+        let mut evaluation = evaluation.with_rates_of(traffic);
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");

@@ -4,8 +4,10 @@ use super::columns::{
     Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
 };
 use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
+use crate::rates::{BucketRate, RateSource};
 use crate::scenario::Assessment;
 use crate::scene::TrackId;
+use crate::statistics::Interval;
 use crate::store::Result;
 use crate::store::schema::{ColumnExt, column, list_of, list_of_structs};
 use arrow::array::ArrayRef;
@@ -125,6 +127,22 @@ pub(crate) fn fields() -> Vec<Field> {
              scenario, in the frame of the first of the agents.",
         ),
         column("near_duplicate_of", DataType::Utf8, "That scenario, if the two are near-duplicates.").optional(),
+        number(
+            "rate_per_1000_km",
+            "1/(1000 km)",
+            "How often events of its bucket (without a request, of its behavior) happen in 1,000 km of motorized road \
+             users at its place; missing where rate_source is none.",
+        ),
+        number("rate_per_hour", "1/h", "The same an hour."),
+        number("rate_low", "1/(1000 km)", "Lower end of the 95 % interval of rate_per_1000_km."),
+        number("rate_high", "1/(1000 km)", "Upper end of it; also where none was recorded."),
+        column(
+            "rate_source",
+            DataType::Utf8,
+            "What the rate is from: recorded events, extrapolated from less severe ones, or none. Generated scenarios \
+             never count. Missing without a verified event, or if nothing was counted.",
+        )
+        .optional(),
     ]
 }
 
@@ -193,6 +211,11 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         number(&|a| a.nearest_recorded_event),
         number(&|a| a.nearest_scenario_m),
         optional_texts(judged().map(|a| a?.near_duplicate_of.as_deref())),
+        number(&|a| a.rate?.per_1000_km),
+        number(&|a| a.rate?.per_hour),
+        number(&|a| Some(a.rate?.interval?.low)),
+        number(&|a| Some(a.rate?.interval?.high)),
+        optional_texts(judged().map(|a| Some(a?.rate?.source.name()))),
     ])
 }
 
@@ -258,5 +281,14 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         nearest_recorded_event: number("nearest_recorded_event")?,
         nearest_scenario_m: number("nearest_scenario_m")?,
         near_duplicate_of: columns.optional_text("near_duplicate_of", row)?.map(str::to_owned),
+        rate: match columns.optional_text("rate_source", row)? {
+            Some(_) => Some(BucketRate {
+                per_1000_km: number("rate_per_1000_km")?,
+                per_hour: number("rate_per_hour")?,
+                interval: number("rate_low")?.zip(number("rate_high")?).map(|(low, high)| Interval { low, high }),
+                source: columns.named("rate_source", row, RateSource::from_name)?,
+            }),
+            None => None,
+        },
     }))
 }
