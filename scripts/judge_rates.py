@@ -1,0 +1,259 @@
+#!/usr/bin/env python3
+"""Judges intervals of rates on simulated traffic, whose rates are known from many hours of it.
+
+    pip install eclipse-sumo==1.28.0 numpy scipy pyarrow
+    python scripts/judge_rates.py gather --out hours --hours 100 --djinn target/release/djinn SIM_MergeA SIM_SignalsA
+    python scripts/judge_rates.py judge hours --hours 5
+
+`gather` simulates recordings of ten minutes, mines them, keeps for each its exposure and its events, every one once, and
+removes the recordings; stop it at any time, and go on. It counts on its own, without djinn's counting. `judge` draws hours
+out of all of them, estimates rates from these alone, and tells how often the interval holds the rate of all hours; `tails` does so for extrapolated ones.
+"""
+
+import argparse
+import json
+import pathlib
+import shutil
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+
+RUNS_PER_BATCH, DT_S, N_TIMESTEPS = 6, 0.1, 120
+# Views of one event begin within so many frames after another view of it ends.
+SAME_WITHIN_FRAMES = 10
+CONFIG = """
+[run]
+seed = 1
+[ingest]
+dataset = "interaction"
+inputs = ["recordings"]
+n_history = 10
+n_future = 110
+window_stride = 60
+holdout_share = 0.0
+max_agents = 200
+[mine]
+"""
+
+
+def gather(options):
+    """Simulates and mines the places in turn, a batch of recordings each."""
+    from simulation import recordings
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        places = [recordings.Place(name, options.seed, scratch) for name in options.places]
+        for first in range(round(options.first * 6), round(options.hours * 6), RUNS_PER_BATCH):
+            for place in places:
+                kept = options.out / f"{place.name}_{options.seed}_{first:05}.json"
+                if not kept.exists():
+                    kept.with_suffix(".part").write_text(json.dumps(batch(options, place, first, pathlib.Path(scratch) / "batch")))
+                    kept.with_suffix(".part").rename(kept)
+
+
+def batch(options, place, first, folder):
+    """The exposure and the events of some recordings."""
+    place.write_map(folder / "recordings")
+    rows = []
+    for number in range(first, first + RUNS_PER_BATCH):
+        tracks = place.tracks(number)
+        place.write(folder / "recordings", number, tracks)
+        cars = [track.rows for track in tracks if track.kind == "car"]
+        rows.append({
+            "recording": f"{number:03}", "hours": 1 / 6,
+            "vehicle_hours": sum(map(len, cars)) * DT_S / 3600,
+            "vehicle_km": sum(float(np.hypot(car[:, 2], car[:, 3]).sum()) for car in cars) * DT_S / 1000,
+            "events": [],
+        })  # fmt: skip
+    (folder / "run.toml").write_text(CONFIG)
+    mined = subprocess.run([options.djinn, "run", "run.toml", "--output", "out"], cwd=folder, capture_output=True, text=True)
+    if mined.returncode != 0:
+        raise SystemExit(mined.stderr)
+    by_recording = {row["recording"]: row for row in rows}
+    for recording, event in events(next(folder.glob("out/**/events.parquet"))):
+        by_recording[recording]["events"].append(event)
+    shutil.rmtree(folder)
+    return rows
+
+
+def events(path):
+    """The positive events of a table, each once: (recording, [behavior, start frame, end frame, parameters])."""
+    import pyarrow.parquet as parquet
+
+    fixed = {"event_id", "behavior", "label", "scene_id", "dataset", "split", "place", "start_timestep", "end_timestep", "roles"}
+    views = {}
+    for row in parquet.read_table(path, filters=[("label", "=", "positive")]).to_pylist():
+        recording, frame = row["scene_id"].rsplit("/", 1)[1].split("@")
+        tracks = tuple(sorted(row[name] for name in row if name.endswith("_track_id") and row[name] is not None))
+        values = {name: value for name, value in row.items() if name not in fixed and not name.endswith("_track_id") and value is not None}
+        start, end = int(frame) + row["start_timestep"], int(frame) + row["end_timestep"]
+        views.setdefault((recording, row["behavior"], tracks), []).append((start, end, values))
+    for (recording, behavior, _), seen in sorted(views.items()):
+        seen.sort(key=lambda view: view[:2])
+        until, best = None, None
+        for start, end, values in seen:
+            if until is not None and start <= until + SAME_WITHIN_FRAMES:
+                until = max(until, end)
+                # The view with the most of the event counts, of equals the first.
+                if end - start > best[1] - best[0]:
+                    best = (start, end, values)
+                continue
+            if best is not None:
+                yield recording, [behavior, *best]
+            until, best = end, (start, end, values)
+        yield recording, [behavior, *best]
+
+
+def judge(options):
+    """Prints a table: how often intervals from draws hold the rate of all hours."""
+    from scipy import stats
+
+    rng = np.random.default_rng(options.seed)
+    n_runs = round(options.hours * 6)
+    print(f"| place | of | in {options.hours:g} h | dispersion | holds | as if independent |\n|---|---|---:|---:|---:|---:|")
+    all_held = []
+    for place in sorted({path.name.rsplit("_", 2)[0] for path in options.folder.glob("*.json")}):
+        runs = [run for path in sorted(options.folder.glob(f"{place}_*.json")) for run in json.loads(path.read_text())]
+        km = np.array([run["vehicle_km"] for run in runs]) / 1000
+        for name, is_of in series(runs):
+            n = np.array([sum(map(is_of, run["events"])) for run in runs])
+            if n.sum() < 10:
+                continue
+            truth = n.sum() / km.sum()
+            # Runs are drawn with replacement: the rate of all of them is then exactly that of the draws.
+            drawn = [rng.integers(0, len(runs), n_runs) for _ in range(options.draws)]
+            held = [[low <= truth <= high for low, high in (interval(stats, n[i], km[i], True), interval(stats, n[i], km[i], False))] for i in drawn]
+            share, plain = np.mean(held, axis=0)
+            all_held.append((share, plain))
+            print(f"| {place} | {name} | {n.mean() * n_runs:.1f} | {dispersion(n, km):.1f} | {100 * share:.0f} % | {100 * plain:.0f} % |")
+        print(f"{place}: {len(runs) / 6:.0f} h", file=sys.stderr)
+    share, plain = np.mean(all_held, axis=0)
+    inside = np.mean([0.92 <= share <= 0.98 for share, _ in all_held])
+    print(f"| all | {len(all_held)} rows | | | {100 * share:.1f} % | {100 * plain:.1f} % |")
+    print(f"{100 * inside:.0f} % of rows hold in 92 to 98 %", file=sys.stderr)
+
+
+# Buckets of parameters beside whole behaviors.
+BUCKETS = [
+    ("cut_in", "gap_m", -99, 5), ("cut_in", "relative_speed_mps", 2, 99), ("cut_in", "ttc_s", 0, 3), ("lane_change", "speed_mps", 0, 6),
+    ("hard_brake", "max_deceleration_mps2", 5, 99), ("near_miss", "pet_s", -99, 0.3), ("left_turn", "duration_s", 5, 99),
+]  # fmt: skip
+
+
+def series(runs):
+    """Names, and whether an event is of it: behaviors, then buckets."""
+    for behavior in sorted({event[0] for run in runs for event in run["events"]}):
+        yield behavior, lambda event, behavior=behavior: event[0] == behavior
+    for behavior, parameter, low, high in BUCKETS:
+        yield f"{behavior}, {parameter} {low}..{high}", (
+            lambda event, of=(behavior, parameter, low, high): event[0] == of[0] and of[2] <= event[3].get(of[1], 1e9) < of[3]
+        )
+
+
+def dispersion(n, exposure):
+    expected = n.sum() / exposure.sum() * exposure
+    return max(1.0, float(((n - expected) ** 2 / expected).sum() / (len(n) - 1))) if n.sum() else 1.0
+
+
+def interval(stats, n, exposure, is_clustered):
+    """As src/statistics/clustered.rs defines it."""
+    scale = dispersion(n, exposure) if is_clustered else 1.0
+    alike = n.sum() / scale
+    low = stats.gamma.ppf(0.025, alike) if alike else 0.0
+    return low * scale / exposure.sum(), stats.gamma.ppf(0.975, alike + 1) * scale / exposure.sum()
+
+
+# Severities whose tails are judged: behavior, parameter, and 1 where larger values are more severe.
+SEVERITIES = [("cut_in", "ttc_s", -1), ("near_miss", "pet_s", -1), ("hard_brake", "max_deceleration_mps2", 1),
+              ("tailgating", "time_headway_s", -1), ("pedestrian_steps_out", "time_to_arrival_s", -1)]  # fmt: skip
+
+
+def tails(options):
+    """Prints a table: how often extrapolated intervals hold the rate of a level that is expected in a third of the draws."""
+    rng = np.random.default_rng(options.seed)
+    n_runs = round(options.hours * 6)
+    print("| place | severity | level | given | holds | median width, times |\n|---|---|---:|---:|---:|---:|")
+    for place in sorted({path.name.rsplit("_", 2)[0] for path in options.folder.glob("*.json")}):
+        runs = [run for path in sorted(options.folder.glob(f"{place}_*.json")) for run in json.loads(path.read_text())]
+        km = np.array([run["vehicle_km"] for run in runs]) / 1000
+        for behavior, parameter, sign in SEVERITIES:
+            found = [np.array([sign * event[3][parameter] for event in run["events"] if event[0] == behavior and parameter in event[3]]) for run in runs]
+            severities = np.sort(np.concatenate(found))[::-1]
+            n_beyond = round(len(runs) / n_runs / 3)
+            if len(severities) < 100 or n_beyond < 2:
+                continue
+            level = (severities[n_beyond - 1] + severities[n_beyond]) / 2
+            truth = n_beyond / km.sum()
+            given = []
+            for _ in range(options.draws):
+                drawn = rng.integers(0, len(runs), n_runs)
+                if sum((found[i] > level).sum() for i in drawn) < 3:
+                    given.append(tail_interval([found[i] for i in drawn], km[drawn], level))
+            intervals = np.array([interval for interval in given if interval is not None])
+            holds = np.mean((intervals[:, 0] <= truth) & (truth <= intervals[:, 1])) if len(intervals) else np.nan
+            width = np.median(intervals[:, 1] / intervals[:, 0]) if len(intervals) else np.nan
+            print(f"| {place} | {behavior} {parameter} | {sign * level:.2f} | {len(intervals)} of {len(given)} | {100 * holds:.0f} % | {width:.0f} |", flush=True)
+
+
+def tail_interval(found, exposure, level):
+    """As src/rates/tail.rs defines it; `None` where no rate is given."""
+    import golden_rates
+    from scipy import stats
+
+    severities = np.sort(np.concatenate(found))[::-1]
+    for share in (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
+        n = int(share * len(severities))
+        if n >= len(severities) or severities[n] >= level:
+            continue
+        threshold = severities[n]
+        y = severities[severities > threshold] - threshold
+        if len(y) < 30:
+            continue
+        shape, scale = golden_rates.quick_fit(y)
+        critical = np.interp(shape, np.arange(-0.5, 1.01, 0.25), CRITICAL)
+        if not -0.499 < shape < 0.999 or golden_rates.anderson_darling(y, shape, scale) >= critical:
+            continue
+        at = level - threshold
+        survival = stats.genpareto.sf(at, shape, scale=scale)
+        if len(y) * survival * 10 < 1:
+            return None
+        low, high = golden_rates.profile_interval(y, at, shape, scale, 301)
+        counts = np.array([(each > threshold).sum() for each in found])
+        rate = counts.sum() / exposure.sum()
+        ends = interval(stats, counts, exposure, True)
+        with np.errstate(divide="ignore"):
+            down, up = (np.hypot(np.log(end / rate), np.log(of / survival)) for end, of in zip(ends, (low, high)))
+        return None if down + up > np.log(100) else (rate * survival * np.exp(-down), rate * survival * np.exp(up))
+    return None
+
+
+# From tests/golden/rates.json.
+CRITICAL = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    tasks = parser.add_subparsers(required=True)
+    task = tasks.add_parser("gather")
+    task.set_defaults(run=gather)
+    task.add_argument("places", nargs="+")
+    task.add_argument("--out", type=pathlib.Path, required=True)
+    task.add_argument("--hours", type=float, default=100.0, help="of each place (default: 100)")
+    task.add_argument("--first", type=float, default=0.0, help="where to begin, for a second process beside the first")
+    task.add_argument("--seed", type=int, default=1)
+    task.add_argument("--djinn", default="djinn")
+    for name, run in (("judge", judge), ("tails", tails)):
+        task = tasks.add_parser(name)
+        task.set_defaults(run=run)
+        task.add_argument("folder", type=pathlib.Path)
+        task.add_argument("--draws", type=int, default=400)
+        task.add_argument("--hours", type=float, default=5.0, help="of a draw (default: 5)")
+        task.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    options.run(options)
+
+
+if __name__ == "__main__":
+    main()
