@@ -29,7 +29,6 @@
 
 mod aim;
 mod arrivals;
-mod bends;
 mod driver;
 mod drivers;
 mod error;

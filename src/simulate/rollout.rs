@@ -322,7 +322,7 @@ impl Drive<'_> {
         let speed = |timestep: usize| self.world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());
         let stands = self.world.now() - first >= n_stopped
             && (first..=self.world.now()).all(|timestep| speed(timestep) < STANDING_MPS)
-            && situation.target_speed_mps > 1.0;
+            && situation.way.target_speed_mps > 1.0;
         match stands && free_m(situation, &self.world) > FREE_M {
             true => (Outcome::StoppedDead, Some("stands with free road ahead".to_owned())),
             false => (Outcome::Survived, None),

@@ -182,7 +182,7 @@ fn drivers_keep_to_the_way_and_within_what_vehicles_can() {
         assert!(driven.max_braking_mps2 <= 8.0 + 1e-6 && driven.progress_m > 1.0, "{name}: {driven:?}");
         for timestep in situation.scene.n_history..driven.world.n_timesteps() {
             let state = driven.world.state(situation.ego_idx, timestep).unwrap();
-            let aside_m = situation.route.project(state.position).unwrap().offset_m;
+            let aside_m = situation.way.route.project(state.position).unwrap().offset_m;
             assert!(aside_m.abs() < 0.2, "{name} is {aside_m} m beside its way at {timestep}");
         }
     }
