@@ -57,6 +57,7 @@ pub use maneuver::Maneuver;
 pub use near_miss::NearMiss;
 pub use outcome::Outcome;
 pub use pedestrian_steps_out::PedestrianStepsOut;
+pub(crate) use pedestrian_steps_out::may_walk;
 pub use right_turn::RightTurn;
 pub use runs_stop_line::RunsStopLine;
 pub use subject::Subject;

@@ -43,7 +43,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        17
+        18
     }
 
     fn check(&self) -> Result<()> {
