@@ -7,12 +7,13 @@ import pathlib
 import pickle
 import struct
 import sys
+import xml.etree.ElementTree as ET
 
 import numpy as np
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from djinn import corpus as reader
-from djinn import export, womd
+from djinn import convert, export, womd
 
 
 def check(condition, what):
@@ -90,6 +91,32 @@ def scenarionet(corpus, folder):
                 and np.array_equal(state["valid"], scenario.valid[agent]),
                 name,
             )
+
+
+def converted(corpus, source, folder):
+    """CommonRoad's files of these pickles hold the same states, links and center lines."""
+    check(convert.scenarionet(source, folder) == {"scenarios": len(corpus), "road_users_left_out": 0}, "what is converted")
+    number = lambda element, name: float(element.find(f"{name}/exact").text)
+    position = lambda element: [float(element.find(f".//{axis}").text) for axis in "xy"]
+    for path in sorted(folder.glob("*.xml")):
+        root = ET.parse(path).getroot()
+        scenario = corpus[root.get("source").split(", ")[1]]
+        obstacles = root.findall("dynamicObstacle")
+        check(len(obstacles) == len(scenario.track_ids), path)
+        for agent, obstacle in enumerate(obstacles):
+            steps = [obstacle.find("initialState"), *obstacle.iter("state")]
+            found = [[*position(state.find("position")), number(state, "orientation")] for state in steps]
+            at = [int(number(state, "time")) for state in steps]
+            check(at == list(np.flatnonzero(scenario.valid[agent])), path)
+            check(np.allclose(found, scenario.states[agent, at, :3], atol=1e-4), path)
+        for lanelet, lane in zip(root.findall("lanelet"), scenario.lanes):
+            bounds = [[position(point) for point in lanelet.findall(f"{side}Bound/point")] for side in ("left", "right")]
+            check(np.allclose(np.mean(bounds, 0), lane.centerline, atol=1e-3), f"{path}, lane {lane.id}")
+            known = [of for of in lane.successors if of in {of.id for of in scenario.lanes}]
+            check(len(lanelet.findall("successor")) == len(known), f"{path}, lane {lane.id}")
+    (folder.parent / "unsafe.pkl").write_bytes(pickle.dumps(print))
+    left_out = convert.scenarionet(folder.parent / "unsafe.pkl", folder.parent / "unsafe")
+    check(left_out == {"scenarios_left_out": 1}, "a pickle of a function")
 
 
 def fields(data):
@@ -182,6 +209,7 @@ def main(folder, out):
     corpus, out = reader.Corpus(folder), pathlib.Path(out)
     n_states = same_numbers(corpus, folder)
     scenarionet(corpus, out / "scenarionet")
+    converted(corpus, out / "scenarionet", out / "converted")
     examples(corpus, out / "womd.tfrecord")
     print(f"{len(corpus)} scenarios with {n_states} states are the same")
     try:

@@ -13,7 +13,7 @@ import pathlib
 import shutil
 import tempfile
 
-from fixtures import argoverse1, argoverse2, interaction, lanelet2, lanes, traffic
+from fixtures import argoverse1, argoverse2, interaction, lanelet2, lanes, traffic, womd
 
 SEED = 20
 N_CASES = {"train": 120, "val": 30, "test": 5}
@@ -36,7 +36,7 @@ def merging(out, scratch):
 
 
 def intersection(out, scratch):
-    """INTERACTION v1.1, Argoverse 1 and Argoverse 2: parts of one simulation of the intersection."""
+    """INTERACTION v1.1, Argoverse 1 and 2, Waymo Open Motion: parts of one simulation of the intersection."""
     net = traffic.intersection_net(scratch)
     road = lanes.lanes_of(net)
     crossings = lanes.crossings_of(net)
@@ -59,6 +59,12 @@ def intersection(out, scratch):
 
     argoverse2.write(out / "argoverse2", [track.window(620, 730) for track in tracks], road, crossings)
 
+    sets = {"training": (range(0, 300, 150), 91, ".gz"), "validation": ([700], 91, ""), "testing": ([850], 11, "")}
+    for name, (first_frames, n_steps, suffix) in sets.items():
+        windows = [(first, [track.window(first, first + 91) for track in tracks]) for first in first_frames]
+        records = [womd.of_window(f"f1d{first:013x}", window, road, crossings, n_steps) for first, window in windows]
+        womd.write_records(out / "womd" / name / f"{name}.tfrecord-00000-of-00001{suffix}", records)
+
 
 def write(path, text):
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +77,7 @@ def main():
     default = here.parent / "tests" / "fixtures" / "recordings"
     parser.add_argument("--out", type=pathlib.Path, default=default, help="where to write (default: %(default)s)")
     out = parser.parse_args().out
-    for folder in ("interaction", "interaction_v1_1", "argoverse1", "argoverse2"):
+    for folder in ("interaction", "interaction_v1_1", "argoverse1", "argoverse2", "womd"):
         shutil.rmtree(out / folder, ignore_errors=True)
     with tempfile.TemporaryDirectory() as scratch:
         merging(out, pathlib.Path(scratch))

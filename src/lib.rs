@@ -32,6 +32,8 @@ pub mod guidance;
 pub mod generate;
 pub mod train;
 
+pub mod simulate;
+
 pub mod evaluate;
 
 pub mod export;

@@ -28,7 +28,7 @@ KINDS = {
     "unknown": ("OTHER", 4, 1.0, 1.0),
 }
 HEIGHT_M = 1.6  # Corpora have no heights.
-FREEWAYS = ("highway", "motorway")
+FREEWAYS = ("freeway", "highway", "motorway")
 
 
 def sizes_of(scenario, counts):

@@ -13,13 +13,14 @@ macro_rules! pipeline {
 
 /// The pipelines and their text; the first one is the default. Everything that they read, except a user's recordings,
 /// is in [`FILES`].
-pub(super) static PIPELINES: [(&str, &str); 8] = [
+pub(super) static PIPELINES: [(&str, &str); 9] = [
     pipeline!("quickstart"),
     pipeline!("cut_in_corpus"),
     pipeline!("cut_in_request"),
     pipeline!("collision_request"),
     pipeline!("planner_request"),
     pipeline!("lane_changes_argoverse1"),
+    pipeline!("cut_ins_womd"),
     pipeline!("recorded_validity"),
     pipeline!("scene_transformer"),
 ];

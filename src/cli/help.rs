@@ -112,6 +112,14 @@ Examples:
   djinn train baseline --config pipelines/scene_transformer.toml --output output/try
   djinn train baseline --set train.baseline.preset=tiny --output output/argoverse1";
 
+/// Help after the options of `situations`.
+pub(super) const SITUATIONS: &str = "\
+Writes situations/, scenes like those of recordings, from which requests of [generate] begin when recorded ones do not \
+suffice.
+
+Example:
+  djinn situations --set situations.populated=200 --output output/cut_in_request/main";
+
 /// Help after the options of `generate`.
 pub(super) const GENERATE: &str = "\
 Example:
@@ -189,13 +197,11 @@ Example:
 
 /// Help after the options of `corpus filter`.
 pub(super) const CORPUS_FILTER: &str = "\
-A condition is a column of `scenarios`, an operator and a value. Operators: =, !=, <, <=, >, >=, in (a, b), not in (a, \
-b), is missing, is present. A flag may stand alone: verified, not recorded_event. A missing value fails every \
-comparison.
+A condition is a column of `scenarios`, one of =, !=, <, <=, > and >=, and a value. A flag may stand alone: verified. A \
+missing value fails every comparison. For any other choice, select ids by SQL and pipe them in: --ids -.
 
 Examples:
   djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight
-  djinn corpus filter output/all --where \"behavior in (cut_in, near_miss)\" --out output/some
   djinn corpus filter output/all --top 100 --by pair_min_ttc_s --least --out output/hardest
   djinn corpus filter output/all --ids ids.txt --out output/listed";
 

@@ -6,17 +6,14 @@ use super::rows::{column, texts};
 use super::{Condition, Error, Result};
 use crate::progress::Progress;
 use crate::store::{CorpusChunk, CorpusScan, Partition};
-use arrow::array::{Array, Float64Array, StringArray};
+use arrow::array::{Array, Float64Array};
 use arrow::compute::cast;
 use arrow::datatypes::DataType;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Most values of a column that a message lists.
-const MAX_LISTED: usize = 20;
-
 /// The scenarios to keep.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct FilterOptions {
     /// Conditions that must all hold.
     pub conditions: Vec<Condition>,
@@ -71,13 +68,7 @@ pub fn filter(dir: &Path, options: &FilterOptions, out: &Path, progress: &dyn Pr
         words.push(format!("{} is one of the {} {extreme}", top.column, top.n));
     }
     let history = format!("filtered where {} from corpus {}", words.join(" and "), scan.fingerprint()?);
-    let outcome = copy(&[scan], out, &history, &mut Kept { conditions, ids: listed.as_ref() }, progress)?;
-    if outcome.manifest.n_scenarios == 0 {
-        for (column, values) in texts_of(&CorpusScan::open(dir)?, conditions)? {
-            progress.warn(&format!("{column} holds {values}"));
-        }
-    }
-    Ok(outcome)
+    copy(&[scan], out, &history, &mut Kept { conditions, ids: listed.as_ref() }, progress)
 }
 
 /// The scenarios for which all conditions hold, of a list if there is one.
@@ -148,22 +139,4 @@ fn first(scan: &CorpusScan, kept: &Kept<'_>, top: &Top) -> Result<BTreeSet<Strin
         order.truncate(top.n);
     }
     Ok(order.into_iter().map(|(_, id)| id).collect())
-}
-
-/// The values of the text columns that conditions name, to suggest corrections.
-fn texts_of(scan: &CorpusScan, conditions: &[Condition]) -> Result<Vec<(String, String)>> {
-    let mut values: Vec<(&str, BTreeSet<String>)> =
-        conditions.iter().map(|condition| (condition.column(), BTreeSet::new())).collect();
-    for chunk in scan.all_chunks(false) {
-        let chunk = chunk?;
-        for (name, values) in &mut values {
-            let found = column(&chunk.scenarios, name, &chunk.path)?.as_any().downcast_ref::<StringArray>();
-            // More than a message lists need not be known.
-            if let Some(found) = found.filter(|_| values.len() <= MAX_LISTED) {
-                values.extend(found.iter().flatten().map(str::to_owned));
-            }
-        }
-    }
-    let few = values.into_iter().filter(|(_, values)| (1..=MAX_LISTED).contains(&values.len()));
-    Ok(few.map(|(name, values)| (name.to_owned(), values.into_iter().collect::<Vec<_>>().join(", "))).collect())
 }

@@ -1,9 +1,9 @@
 //! Turns the action of a planner into states of the ego, or says why that is impossible.
 
-use super::motion::{most_curvature_1pm, moved};
 use super::protocol::Action;
 use crate::geometry::{Transform2, Vec2, wrap_angle};
 use crate::scene::State;
+use crate::simulate::{most_curvature_1pm, moved};
 
 /// The limits of the bicycle model beside its curvature: acceleration and deceleration, m/s².
 const MOST_MPS2: f64 = 5.0;

@@ -1,7 +1,7 @@
 //! Reads what a planner sends, and names what is wrong with it in the words of the protocol.
 
-use super::motion::plain;
 use super::protocol::{Action, FromPlanner, Peek};
+use crate::simulate::plain;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 use std::fmt;

@@ -1,6 +1,6 @@
 //! Errors that stop a drive. A planner that fails is not an error but the outcome of a scenario.
 
-use crate::{files, generate, store};
+use crate::{files, simulate, store};
 use std::path::PathBuf;
 
 /// A failure of a drive.
@@ -9,33 +9,6 @@ pub enum Error {
     /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
-    /// A planner that never runs.
-    #[error("the planner `{command}` does not run: {why}")]
-    Planner {
-        /// The command.
-        command: String,
-        /// What happens to it.
-        why: String,
-    },
-    /// The machine has no more processes, threads or memory.
-    #[error("{0}")]
-    Machine(String),
-    /// A scenario that the model cannot continue.
-    #[error("scenario {scenario_id} {why}")]
-    Unfit {
-        /// The scenario.
-        scenario_id: String,
-        /// Why, in words that follow the scenario's name.
-        why: String,
-    },
-    /// A saved state that cannot be read, or does not fit the corpus.
-    #[error("{path}: {why}")]
-    State {
-        /// The file.
-        path: PathBuf,
-        /// The fault, and the remedy.
-        why: String,
-    },
     /// No scenario passes the selection.
     #[error("none of the {n_scenarios} scenarios in {corpus} is {wanted}")]
     NothingSelected {
@@ -54,9 +27,9 @@ pub enum Error {
         /// The reasons with their numbers.
         why: String,
     },
-    /// Sampling failed.
+    /// A closed loop failed.
     #[error(transparent)]
-    Generate(#[from] generate::Error),
+    Simulate(#[from] simulate::Error),
     /// A table could not be read or written.
     #[error(transparent)]
     Store(#[from] store::Error),

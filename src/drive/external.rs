@@ -1,13 +1,12 @@
 //! A planner as a child process: it may be slow, die, flood or answer nonsense, which costs one scenario at most. One
 //! that never runs, whatever it is asked, is refused.
 
-use super::peek::MOST_FUTURES;
 use super::process::{Process, Silence};
 use super::protocol::{Done, FromPlanner, Hello, Observation, Peek, Peeked, ToPlanner};
-use super::{Driver, Error, Failed, Outcome, Peeker, Result, RolloutConfig, Situation, World};
 use super::{action, answer};
 use crate::generate::NamedDriver;
 use crate::scene::State;
+use crate::simulate::{Driver, Error, Failed, MOST_FUTURES, Outcome, Peeker, Result, RolloutConfig, Situation, World};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,6 +1,6 @@
 //! Drives of an interrupted attempt, kept beside its output folder so that they are not driven again.
 
-use super::run::Drives;
+use super::pool::Drives;
 use super::{Error, Result};
 use crate::files::{self, keep_list, listed, remove_listed};
 use crate::store::{self, read_binary, write_binary_atomically};
@@ -94,19 +94,18 @@ impl Drop for Kept {
 
 #[cfg(test)]
 mod tests {
-    use super::super::drivers::AtConstantVelocity;
-    use super::super::testing::{model, record, situation};
-    use super::super::{Others, RolloutConfig, roll_out};
     use super::*;
-    use crate::generate::Futures;
+    use crate::generate::{Futures, NamedDriver};
+    use crate::simulate::testing::{model, record, situation};
+    use crate::simulate::{Others, RolloutConfig, named, roll_out};
 
     #[test]
     fn drives_come_back_to_the_last_digit_unless_they_are_those_of_something_else() {
         let (dir, model, situation) = (tempfile::tempdir().unwrap(), model(), situation(&record()));
         let (out, futures) = (dir.path().join("out"), Futures::new(&model, 1, &candle_core::Device::Cpu).unwrap());
         let config = RolloutConfig { horizon_s: 0.5, ..RolloutConfig::default() };
-        let (others, driver) = (Others::Sampled(&futures), &mut AtConstantVelocity);
-        let driven = roll_out(&situation, situation.start(1), driver, &others, &config, Some(0)).unwrap();
+        let (others, driver) = (Others::Sampled(&futures), &mut named(NamedDriver::ConstantVelocity));
+        let driven = roll_out(&situation, situation.start(1), driver.as_mut(), &others, &config, Some(0)).unwrap();
         let begin = |planner: &str| {
             let parts = [("planner", planner.to_owned()), ("corpus", "c".to_owned())];
             let (kept, others) = Kept::begin(&out, &parts).unwrap();

@@ -1,10 +1,9 @@
 //! How much harder could a scenario be? The other agents of the event do everything later, and so closer to the ego:
 //! which delay does a driver survive?
 
-use super::situation::Situation;
-use super::{Outcome, Result};
+use super::Result;
 use crate::quantile::quantile;
-use crate::scene::{Scene, State, Trajectory};
+use crate::simulate::{Outcome, Situation};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -154,27 +153,8 @@ fn latest(n_most: usize, mut survived: impl FnMut(usize) -> Result<bool>) -> Res
     Ok(Some(latest))
 }
 
-/// The trajectory of an agent `n_steps` later; before, it comes along at its first velocity.
-pub(super) fn later(scene: &Scene, agent_idx: usize, n_steps: usize) -> Trajectory {
-    let entries = scene.tracks[agent_idx].trajectory.entries();
-    let first = entries.iter().enumerate().find_map(|(t, state)| state.map(|state| (t, state)));
-    let entry = |timestep: usize| {
-        let (t, state) = first?;
-        match timestep.checked_sub(n_steps).filter(|before| *before >= t) {
-            Some(before) => entries[before],
-            None if timestep < t => None,
-            None => {
-                let missing_s = (t + n_steps - timestep) as f64 * scene.dt_s;
-                Some(State { position: state.position - state.velocity * missing_s, ..state })
-            }
-        }
-    };
-    Trajectory::new((0..entries.len()).map(entry).collect())
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{record, situation};
     use super::*;
 
     #[test]
@@ -191,22 +171,6 @@ mod tests {
         assert_eq!(latest(15, |n| Ok(!(5..=9).contains(&n))).unwrap(), Some(4));
         assert_eq!(latest(1, |_| Ok(true)).unwrap(), Some(1));
         assert_eq!(latest(15, |_| Ok(false)).unwrap(), None);
-    }
-
-    #[test]
-    fn the_others_of_the_event_come_later_along_the_same_path() {
-        let situation = situation(&record());
-        let other = situation.planned[0];
-        let delayed = situation.delayed(3).unwrap();
-        for t in 3..situation.scene.n_timesteps {
-            assert_eq!(delayed.scene.state(other, t), situation.scene.state(other, t - 3));
-        }
-        let [first, second] = [0, 1].map(|t| *delayed.scene.state(other, t).unwrap());
-        let missed_m = (second.position - first.position - first.velocity * situation.scene.dt_s).norm();
-        assert!(missed_m < 1e-9 && delayed.event == situation.event.map(|t| t + 3));
-        for idx in (0..situation.scene.tracks.len()).filter(|idx| *idx != other) {
-            assert_eq!(delayed.scene.tracks[idx].trajectory, situation.scene.tracks[idx].trajectory);
-        }
     }
 
     #[test]

@@ -1,12 +1,11 @@
 //! The page of a drive, for people: the failures that matter, and both drives to play side by side.
 
 use super::report::DriveReport;
-use super::situation::Situation;
-use super::{Driven, Outcome};
 use crate::quantile::quantile;
 use crate::report::{DriveCell, DriveGrid, DrivesPage, Fact, PlainTable, SceneCard};
 use crate::scenario::DriveRow;
 use crate::scene::Roles;
+use crate::simulate::{Driven, Outcome, Situation};
 use std::collections::BTreeMap;
 
 /// The most scenarios drawn.

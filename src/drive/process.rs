@@ -1,6 +1,6 @@
 //! A planner's process and all that it starts: lines to it and from it, what it says to people, and its end.
 
-use super::{Error, Result};
+use crate::simulate::{Error, Result};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use std::collections::BTreeSet;
 use std::io::{self, BufRead, BufReader, Read, Write};

@@ -5,10 +5,9 @@
 //! djinn answers with `futures`. A state is [x, y, heading, vx, vy]: the center of a road user, meters, its heading in
 //! (-π, π], radians counterclockwise from x, and its velocity, m/s, all in the frame of the recording.
 
-use super::situation::Situation;
-use super::world::World;
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{Scene, State};
+use crate::simulate::{Situation, World};
 use schemars::JsonSchema;
 use schemars::generate::SchemaSettings;
 use serde::Serialize;

@@ -1,10 +1,10 @@
 //! The result of driving a corpus in figures: how many drives failed and how, and which failures matter.
 
-use super::event::is_decided_by_ego;
-use super::{BANDS_S, Driven, EgoDriver, Margins, Outcome, RolloutConfig, Side, ToldApart, Traffic};
+use super::{EgoDriver, Margins};
 use crate::generate::NamedDriver;
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
+use crate::simulate::{BANDS_S, Driven, Outcome, RolloutConfig, Side, Traffic, is_decided_by_ego};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -48,9 +48,6 @@ pub struct DriveReport {
     pub margins: Option<Margins>,
     /// By driver: traffic over the stretches of `bands_s`.
     pub traffic: BTreeMap<String, Traffic>,
-    /// How well a classifier tells tracks that the model drove beside the driver under test from recorded ones; empty
-    /// if recordings are too short, or too few.
-    pub told_apart: Vec<ToldApart>,
     /// The stretches of `traffic`, seconds after the present.
     pub bands_s: [[f64; 2]; 4],
 }
@@ -155,7 +152,6 @@ impl DriveReport {
             that_matter: Vec::new(),
             margins: None,
             traffic: BTreeMap::new(),
-            told_apart: Vec::new(),
             bands_s: BANDS_S,
         }
     }

@@ -1,18 +1,17 @@
 //! Scores planned trajectories in an open loop: all other agents move as in the scenario, whatever the ego does.
 
-use super::drivers::{Careful, Log};
-use super::maps::Maps;
-use super::motion::moved;
+use super::output::{DRIVE_FILE, DRIVES_FILE, row};
 use super::report::DriveReport;
-use super::rollout::{Others, roll_out};
-use super::run::{DRIVE_FILE, DRIVES_FILE, row};
-use super::{Driven, Driver, EgoDriver, Error, Failed, Outcome, Result, RolloutConfig, Situation, World};
-use crate::export::{EgoChoice, Selection};
+use super::{EgoDriver, Error, Result};
+use crate::export::Selection;
 use crate::files::NewFolder;
 use crate::generate::NamedDriver;
 use crate::progress::Progress;
-use crate::scenario::{DriveRow, ScenarioRecord};
+use crate::scenario::{DriveRow, EgoChoice, ScenarioRecord};
 use crate::scene::{Scene, State};
+use crate::simulate::{
+    self, Careful, Driven, Driver, Failed, Log, Maps, Others, Outcome, RolloutConfig, Situation, World, moved, roll_out,
+};
 use crate::store::{CorpusReader, Planned, read_planned, write_drives, write_json_atomically};
 use rayon::prelude::*;
 use std::collections::VecDeque;
@@ -62,8 +61,8 @@ pub fn score(
             };
             match maps.situation(&record, ego) {
                 Ok(situation) => chunk.push((recorded(&record, ego, &reader, &mut maps)?, situation, states)),
-                Err(Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
-                Err(error) => return Err(error),
+                Err(simulate::Error::Unfit { why, .. }) => *report.left_out.entry(why).or_default() += 1,
+                Err(error) => return Err(error.into()),
             }
         }
         let drives: Result<Vec<_>> = chunk
@@ -119,7 +118,7 @@ fn replayed(situation: &Situation, driver: &mut dyn Driver) -> Result<Driven> {
     let scene = &situation.scene;
     let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
     let config = RolloutConfig { horizon_s, replan_s: horizon_s };
-    roll_out(situation, situation.start(0), driver, &Others::Replayed, &config, None)
+    Ok(roll_out(situation, situation.start(0), driver, &Others::Replayed, &config, None)?)
 }
 
 /// The recorded scene in place of the scenario that continues it. `None` without a recorded future of the ego.
@@ -142,8 +141,8 @@ fn recorded(
     record.scenario.scene.ego_idx = recorded_idx;
     match maps.situation(&record, &EgoChoice::Scene) {
         Ok(situation) => Ok(Some(situation)),
-        Err(Error::Unfit { .. }) => Ok(None),
-        Err(error) => Err(error),
+        Err(simulate::Error::Unfit { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
     }
 }
 

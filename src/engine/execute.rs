@@ -2,15 +2,17 @@
 
 use super::device::ComputeChoice;
 use super::failure::{Failure, Result};
+use super::inputs::check_inputs;
+use super::kept_models::kept;
 use super::kind::StageKind;
 use super::outdated;
-use super::plan::{Action, PlannedStage, begun, check_writable};
+use super::plan::begun;
+use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
-use super::stage::{Stage, StageContext, Work};
+use super::stage::{StageContext, Work};
 use super::work_folder::WorkFolder;
 use crate::progress::Progress;
-use std::path::Path;
 
 /// Runs the stages that must run. Returns the records of all stages, and calls `after` with each as soon as it is done.
 /// `compute` is what the context has opened.
@@ -53,7 +55,7 @@ pub(super) fn execute(
 /// bytes is reused or resumed.
 ///
 /// # Errors
-/// When the stage must run again and would overwrite files that are not its own.
+/// When the stage must run again and would replace a model whose training was long.
 fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
     let kind = planned.stage.kind();
     let earlier = match planned.action {
@@ -73,9 +75,10 @@ fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<
         ));
         return Ok(());
     }
-    planned.action = Action::Run(outdated::why(&producer));
-    planned.kept = check_writable(context.root, planned.stage.as_ref(), &planned.expected, &planned.action, false)?;
-    context.progress.note(&format!("{kind} runs again: {}", outdated::why(&producer)));
+    let why = outdated::why(&producer);
+    planned.kept = kept(context.root, kind, &planned.expected, &why, false)?;
+    context.progress.note(&format!("{kind} runs again: {why}"));
+    planned.action = Action::Run(why);
     Ok(())
 }
 
@@ -150,30 +153,4 @@ fn run_stage(
             Ok(record)
         }
     }
-}
-
-/// Rejects damaged results of earlier stages, and of files beside them, such as summaries. Shards have a checksum each,
-/// which is compared when they are read.
-pub(super) fn check_inputs(stage: &dyn Stage) -> Result<()> {
-    for input in stage.inputs() {
-        let Some(producer) = input.producer.filter(|producer| !producer.is_checked_by_readers) else {
-            continue;
-        };
-        let folder = input.path.parent().unwrap_or(Path::new("."));
-        let Some(record) = StageRecord::done(folder, producer)? else { continue };
-        let own = input.path.file_name().unwrap_or_default().to_string_lossy();
-        let is_read = |name: &&String| **name == own || folder.join(name).is_file();
-        for name in record.outputs.keys().filter(is_read) {
-            if record.is_whole(folder, name)? {
-                continue;
-            }
-            let path = folder.join(name);
-            let message = format!("{}: it is not what stage {producer} wrote there", path.display());
-            return Err(Failure::fault(anyhow::anyhow!(message)).with_hint(format!(
-                "the file was changed or the disk is failing; restore it from a copy, or rebuild it with --redo \
-                 {producer}"
-            )));
-        }
-    }
-    Ok(())
 }

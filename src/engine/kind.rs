@@ -1,6 +1,7 @@
-//! The fixed facts of a kind of stage, apart from its work ([`Stage`](super::Stage)).
+//! The fixed facts of a kind of stage, apart from its work ([`Stage`](super::Stage)), and its inputs by kind.
 
 use std::fmt;
+use std::path::{Path, PathBuf};
 
 /// A kind of stage. Kinds are distinguished by their names.
 #[derive(Debug)]
@@ -24,6 +25,29 @@ pub struct StageKind {
     /// The file names of its shards if several processes can make them at once; `None` if one process does all the
     /// work.
     pub shards: Option<ShardNames>,
+}
+
+/// An input of a stage.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StageInput {
+    /// Its name within the stage, such as `scenes`; unique there.
+    pub name: String,
+    /// Its path.
+    pub path: PathBuf,
+    /// The kind of stage that makes it; `None` for recordings and other files from outside.
+    pub producer: Option<&'static StageKind>,
+}
+
+impl StageInput {
+    /// An output of another stage.
+    pub fn made_by(producer: impl Into<&'static StageKind>, name: &str, path: &Path) -> Self {
+        Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer.into()) }
+    }
+
+    /// An input from outside.
+    pub fn external(name: impl Into<String>, path: &Path) -> Self {
+        Self { name: name.into(), path: path.to_owned(), producer: None }
+    }
 }
 
 /// The names of the files that workers write ([`shards`](super::shards)).

@@ -4,10 +4,8 @@ use super::failure::{Failure, Result};
 use super::kind::StageKind;
 use super::log::LOG_FILE;
 use super::record::{StageRecord, done_path, unreadable};
-use super::stage::{Stage, StageInput};
 use super::timings::TIMINGS_FILE;
-use crate::cloud::ObjectUrl;
-use crate::files::{Error, check_overlap, foreign, is_link, is_partial_of, name_elsewhere, resolve};
+use crate::files::{Error, foreign, is_link, is_partial_of, resolve};
 use crate::store::{Error as StoreError, read_record};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -18,45 +16,6 @@ use std::path::{Path, PathBuf};
 pub const CONFIG_FILE: &str = "config.toml";
 /// Name of the run's manifest in a run folder.
 pub const RUN_FILE: &str = "run.json";
-
-/// Rejects stages that would write over an input of one of them: an output that is an input, lies inside one, or
-/// contains one.
-pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Result<()> {
-    for writer in stages {
-        for reader in stages {
-            // Outputs of a stage exist to be read by later ones.
-            let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.kind()));
-            for input in inputs {
-                for name in writer.outputs() {
-                    check_urls(&root.join(name), &input)?;
-                    check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
-                        |error| {
-                            let failure = Failure::from(error).context(format!("stage {} cannot run", writer.kind()));
-                            match writer.kind().trains {
-                                true => failure.with_hint(
-                                    "to continue from a model in this folder, copy it elsewhere and pass the copy",
-                                ),
-                                false => failure.with_hint("use separate folders for recordings and results"),
-                            }
-                        },
-                    )?;
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Refuses an output in a bucket that overlaps an input there.
-fn check_urls(output: &Path, input: &StageInput) -> Result<()> {
-    let of = |path: &Path| ObjectUrl::of(path).map_err(Failure::input);
-    let Some(output_url) = name_elsewhere(output).map_or(Ok(None), |name| of(Path::new(&name)))? else { return Ok(()) };
-    let relation = of(&input.path)?.and_then(|input| output_url.relation_to(&input));
-    let Some(relation) = relation else { return Ok(()) };
-    let (output, name, input) = (output_url.to_string().into(), input.name.clone(), input.path.clone());
-    Err(Failure::from(Error::Overlap { output, relation, name, input })
-        .with_hint("use separate folders for recordings and results"))
-}
 
 /// Rejects a folder with a foreign file under a name that every command writes.
 pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()> {

@@ -1,7 +1,8 @@
 //! Which stages run again after which changes? On stages that write a line of text.
 
 use super::device::ComputeChoice;
-use super::plan::{Action, plan};
+use super::plan::plan;
+use super::planned::Action;
 use super::run_folder::{RUN_FILE, RunAbout, RunFolder, RunManifest, StageStatus, TIMINGS_FILE, run_stages};
 use super::shards::Makers;
 use super::testing::{KINDS, kind};

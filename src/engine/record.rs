@@ -6,8 +6,7 @@
 
 use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
-use super::kind::StageKind;
-use super::stage::{Stage, StageInput};
+use super::kind::{StageInput, StageKind};
 use crate::files::{path_as_text, stays_below};
 use crate::store::{Error, read_record, write_record};
 use serde::{Deserialize, Serialize};
@@ -69,7 +68,7 @@ pub enum InputRecord {
 
 impl InputRecord {
     /// The hash that distinguishes the contents; a path alone does not.
-    fn identity(&self) -> &str {
+    pub(super) fn identity(&self) -> &str {
         match self {
             Self::Stage { fingerprint, .. } => fingerprint,
             Self::Path { content, .. } => content.identity(),
@@ -86,28 +85,6 @@ impl InputRecord {
 }
 
 impl StageRecord {
-    /// The record of a stage about to run on `inputs`.
-    pub fn expected(stage: &dyn Stage, inputs: BTreeMap<String, InputRecord>) -> Result<Self> {
-        let config = stage.config()?;
-        let identities: BTreeMap<&str, &str> =
-            inputs.iter().map(|(name, input)| (name.as_str(), input.identity())).collect();
-        let kind = stage.kind();
-        let fingerprint = fingerprint_value(&(kind.name, stage.version(), &config, identities))?;
-        let settings = fingerprint_value(&(stage.version(), without_places(&config, kind.places)))?;
-        Ok(Self {
-            stage: kind.name.to_owned(),
-            version: stage.version(),
-            config,
-            inputs,
-            fingerprint,
-            settings,
-            outputs: BTreeMap::new(),
-            files: BTreeSet::new(),
-            summary: Value::Null,
-            times: BTreeMap::new(),
-        })
-    }
-
     /// Whether `earlier` records the same work: the same version, settings and contents, wherever the files were.
     /// Contents are compared as far as both know them.
     pub(super) fn is_same_work(&self, earlier: &Self) -> bool {
@@ -317,20 +294,6 @@ impl StageRecord {
         let more = if n_more > 0 { format!(" and {n_more} more") } else { String::new() };
         format!("changed: {}{more}", changes.join(", "))
     }
-}
-
-/// A section without the keys `places`, where `list.key` is a key in every item of a list.
-fn without_places(config: &Value, places: &[&str]) -> Value {
-    let mut config = config.clone();
-    for place in places {
-        let (list, key) = place.split_once('.').unwrap_or(("", place));
-        let items = match list {
-            "" => std::slice::from_mut(&mut config),
-            list => config.get_mut(list).and_then(Value::as_array_mut).map_or(&mut [][..], Vec::as_mut_slice),
-        };
-        items.iter_mut().filter_map(Value::as_object_mut).for_each(|item| drop(item.remove(key)));
-    }
-    config
 }
 
 /// The files of an output, relative to it.

@@ -11,7 +11,7 @@ use super::kind::StageKind;
 use super::log::{LOG_FILE, Logged};
 use super::ownership;
 pub use super::ownership::{CONFIG_FILE, RUN_FILE};
-use super::plan::{Action, PlannedStage};
+use super::planned::{Action, PlannedStage};
 use super::record::{InputRecord, StageRecord};
 use super::revision::revision;
 use super::shards::Makers;

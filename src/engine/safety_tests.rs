@@ -4,7 +4,7 @@
 mod crafted;
 mod toy;
 
-use super::plan::Action;
+use super::planned::Action;
 use super::record::StageRecord;
 use super::testing::kind;
 use super::work_folder::WorkFolder;

@@ -1,34 +1,11 @@
 //! What is a stage: which section configures it, what does it read and write, and when must it be redone?
 
 use super::failure::Result;
-use super::kind::StageKind;
+use super::kind::{StageInput, StageKind};
 use super::shards::Sharded;
 use crate::nn::Compute;
 use crate::progress::Progress;
-use std::path::{Path, PathBuf};
-
-/// An input of a stage.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct StageInput {
-    /// Its name within the stage, such as `scenes`; unique there.
-    pub name: String,
-    /// Its path.
-    pub path: PathBuf,
-    /// The kind of stage that makes it; `None` for recordings and other files from outside.
-    pub producer: Option<&'static StageKind>,
-}
-
-impl StageInput {
-    /// An output of another stage.
-    pub fn made_by(producer: impl Into<&'static StageKind>, name: &str, path: &Path) -> Self {
-        Self { name: name.to_owned(), path: path.to_owned(), producer: Some(producer.into()) }
-    }
-
-    /// An input from outside.
-    pub fn external(name: impl Into<String>, path: &Path) -> Self {
-        Self { name: name.into(), path: path.to_owned(), producer: None }
-    }
-}
+use std::path::Path;
 
 /// One step of the pipeline.
 ///

@@ -5,7 +5,7 @@ use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
 use crate::metrics::{MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
 use crate::scenario::{Assessment, ScenarioRecord};
-use crate::scene::{GuidanceLevel, Scene, Track, Trajectory};
+use crate::scene::{GuidanceLevel, Scene, SituationKind, Track, Trajectory};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 
@@ -95,10 +95,17 @@ impl CellSamples<'_> {
         self.records.iter().map(|record| as_far_as_recorded(&record.scenario.scene, recorded)).collect()
     }
 
-    /// Measures the cell against the scene it continues.
+    /// Measures the cell against the scene it continues; one that no recording holds has no future to compare with.
     pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
         let samples = self.scenes(recorded);
+        let was_recorded = recorded.source.situation == SituationKind::Recorded;
+        let with_references = self.with_references && was_recorded;
         let recorded = as_far_as_generated(recorded, &samples);
+        let tracks = CellTracks::of(&recorded, &samples);
+        let (recorded, tracks) = match was_recorded {
+            true => (recorded, tracks),
+            false => (without_future(recorded), tracks.without_recording()),
+        };
         let first = self.records[0];
         let requested = first
             .requested_behavior
@@ -127,7 +134,7 @@ impl CellSamples<'_> {
         let [by_itself, by_baseline, by_samples, undefined] =
             measures.likelihoods(&recorded, has_road, [one(&recorded), one(&baseline), &samples, &[]], n_forecasts);
         let reference = |scene: &Scene, likelihoods: Vec<Option<f64>>| {
-            self.with_references.then(|| [figures(one(scene)), likelihoods].concat())
+            with_references.then(|| [figures(one(scene)), likelihoods].concat())
         };
         let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
         CellFigures {
@@ -136,14 +143,13 @@ impl CellSamples<'_> {
             together: [evaluate(&together, Some(self.mode_seed())), by_samples].concat(),
             alone: samples.chunks(1).map(|sample| [figures(sample), undefined.clone()].concat()).collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
-            references_judged: self
-                .with_references
+            references_judged: with_references
                 .then(|| [&recorded, &baseline].map(|scene| judge.judge_reference(scene))),
             motion: CellMotion {
-                references: self.with_references.then(motion_of_references),
+                references: with_references.then(motion_of_references),
                 together: MotionHistograms::of(&samples),
             },
-            tracks: CellTracks::of(&recorded, &samples),
+            tracks,
         }
     }
 }
@@ -160,6 +166,16 @@ fn as_far_as_recorded(sample: &Scene, recorded: &Scene) -> Scene {
     };
     let tracks = sample.tracks.iter().take(recorded.tracks.len()).map(within).collect();
     Scene { tracks, n_timesteps, ..sample.clone() }
+}
+
+/// The scene with its observed states alone.
+fn without_future(scene: Scene) -> Scene {
+    let observed = |track: Track| {
+        let states = track.trajectory.entries().iter().enumerate();
+        let states = states.map(|(timestep, state)| state.filter(|_| timestep < scene.n_history)).collect();
+        Track { trajectory: Trajectory::new(states), ..track }
+    };
+    Scene { tracks: scene.tracks.into_iter().map(observed).collect(), ..scene }
 }
 
 /// The recording without the futures of agents that were not generated (beyond the denoiser's number of agents), or

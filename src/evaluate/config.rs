@@ -18,11 +18,6 @@ pub struct EvaluateConfig {
     /// with `modes6_`. Left out: no reduction.
     #[schemars(range(min = 1, max = 1_000))]
     pub modes: Option<usize>,
-    /// The datasets for which predictions are written into `predictions/`, in the format of their benchmark:
-    /// INTERACTION's CSVs, Argoverse's Parquet. The first unguided samples of each scene count, reduced to modes if
-    /// there are more (as in `modes`, or to six).
-    #[schemars(extend("uniqueItems" = true))]
-    pub predictions: Vec<Dataset>,
     /// Which scenarios become the corpus.
     pub keep: Keep,
     /// The limits for valid scenarios.
@@ -44,7 +39,6 @@ impl Default for EvaluateConfig {
     fn default() -> Self {
         Self {
             modes: None,
-            predictions: Vec::new(),
             keep: Keep::default(),
             validity: ValidityConfig::default(),
             duplicate_distance_m: DUPLICATE_DISTANCE_M,

@@ -105,6 +105,11 @@ impl CellTracks {
         }
     }
 
+    /// The tracks of samples that continue no recording.
+    pub(super) fn without_recording(self) -> Self {
+        Self { recorded: Vec::new(), ..self }
+    }
+
     /// The tracks of the sample with this number.
     fn sample(&self, idx: usize) -> impl Iterator<Item = &TrackFeatures> {
         self.samples.get(idx).into_iter().flatten().flatten()

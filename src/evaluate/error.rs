@@ -1,7 +1,7 @@
 //! Errors that stop an evaluation.
 
 use crate::scene::SceneId;
-use crate::{files, store};
+use crate::store;
 
 /// A failure of evaluation.
 #[derive(Debug, thiserror::Error)]
@@ -31,9 +31,6 @@ pub enum Error {
     /// A file of ours could not be read or written.
     #[error(transparent)]
     Store(#[from] store::Error),
-    /// The folder of predictions must not be written into.
-    #[error(transparent)]
-    Files(#[from] files::Error),
 }
 
 /// The result of evaluation.

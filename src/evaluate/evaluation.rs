@@ -7,7 +7,6 @@ use super::gates;
 use super::measure::{MeasuredCell, MeasuredShard};
 use super::measures::MetricDoc;
 use super::metric_rows::{CellNames, FinishedRows, MetricRows};
-use super::predictions::Predictions;
 use super::realism::RealismTable;
 use super::sampling::SamplingTally;
 use super::summary::EvaluationSummary;
@@ -26,10 +25,6 @@ use std::path::Path;
 pub struct Evaluated {
     /// The summary, to be read first.
     pub summary: EvaluationSummary,
-    /// Scenes with predictions for benchmarks.
-    pub n_predicted_scenes: usize,
-    /// Tracks that a benchmark requires but that could not be predicted.
-    pub n_tracks_left_out: usize,
     /// The number of recorded scenes that accepted scenarios continue.
     pub n_accepted_scenes: u64,
     rows: FinishedRows,
@@ -70,8 +65,6 @@ pub struct KeptScenarios {
 
 /// Where an evaluation writes.
 pub struct EvaluationFiles<'a> {
-    /// The folder of predictions for benchmarks, if any are requested.
-    pub predictions: &'a Path,
     /// The table of verdicts.
     pub verdicts: &'a Path,
     /// The folder for the files of metric rows.
@@ -89,7 +82,6 @@ pub struct Evaluation<'a> {
     rows: MetricRows,
     realism: RealismTable,
     sampling: SamplingTally,
-    predictions: Predictions,
     distinguished: Distinguished,
     /// The recorded scenes that accepted scenarios continue.
     accepted_scenes: BTreeSet<SceneId>,
@@ -112,7 +104,6 @@ impl<'a> Evaluation<'a> {
             validity: ValidityTable::default(),
             realism: RealismTable::default(),
             sampling: SamplingTally::default(),
-            predictions: Predictions::create(files.predictions, &config.predictions)?,
             accepted_scenes: BTreeSet::new(),
             config,
         })
@@ -138,14 +129,13 @@ impl<'a> Evaluation<'a> {
         let mut assessments: BTreeMap<String, (Assessment, Vec<Check>)> = BTreeMap::new();
         let mut recordings: BTreeMap<SceneId, Scene> = BTreeMap::new();
         for cell in cells {
-            let MeasuredCell { key, recorded, scenario_ids, sampled, mut figures, not_checked, prediction } = cell;
+            let MeasuredCell { key, recorded, scenario_ids, sampled, mut figures, not_checked } = cell;
             let CellKey { series, place, scene_idx } = &key;
             for (idx, assessment) in figures.assessments.iter_mut().enumerate() {
                 assessment.recorded_likeness = self.distinguished.likeness(&key, &figures.tracks, idx);
             }
             self.sampling.add(series, (place, *scene_idx), &sampled, n_evaluations);
             self.realism.add(series, &figures.motion);
-            prediction.iter().try_for_each(|modes| self.predictions.add(&recorded, *scene_idx, modes))?;
             let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
             self.validity.add((series, place), judged, &not_checked);
             let scenario_ids = scenario_ids.as_slice();
@@ -170,9 +160,8 @@ impl<'a> Evaluation<'a> {
         Ok(KeptScenarios { records: kept, recordings })
     }
 
-    /// Closes the tables, checks the gates, and renames the files of verdicts and predictions to their final names.
+    /// Closes the tables, checks the gates, and renames the file of verdicts to its final name.
     pub fn finish(self) -> Result<Evaluated> {
-        let (n_predicted_scenes, n_tracks_left_out) = self.predictions.finish()?;
         self.verdict_table.finish()?;
         let rows = self.rows.finish()?;
         let ((acceptance, left_out), sampling) = (self.verdicts.finish(), self.sampling.finish());
@@ -197,6 +186,6 @@ impl<'a> Evaluation<'a> {
         };
         summary.gates = gates::check(&self.config.gates, &summary);
         let n_accepted_scenes = self.accepted_scenes.len() as u64;
-        Ok(Evaluated { summary, rows, n_accepted_scenes, n_predicted_scenes, n_tracks_left_out })
+        Ok(Evaluated { summary, rows, n_accepted_scenes })
     }
 }

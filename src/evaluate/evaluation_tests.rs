@@ -49,13 +49,13 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
         write_binary_atomically(&file, "figures.v1", &figures).unwrap();
         let read: ShardFigures = read_binary(&file, "figures.v1").unwrap();
         assert!(read == figures, "figures are the same when they were in a file");
-        measured[idx] = Some((figures, MeasuredShard::new(shard, read, &config, &store).unwrap()));
+        measured[idx] = Some((figures, MeasuredShard::new(shard, read, &store).unwrap()));
     }
 
     let out = dir.path().join("out");
     fs_err::create_dir(&out).unwrap();
-    let (predictions, verdicts) = (out.join("predictions"), out.join("verdicts.parquet"));
-    let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: &out };
+    let verdicts = out.join("verdicts.parquet");
+    let files = EvaluationFiles { verdicts: &verdicts, scratch: &out };
     let mut tracks = TrackPool::default();
     measured.iter().flatten().for_each(|(figures, _)| figures.pool_tracks(&mut tracks));
     let mut evaluation =
@@ -118,6 +118,6 @@ fn figures_of_another_shard_are_refused() {
     let shard =
         |n_scenes: usize| Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes[..n_scenes], 0) };
     let figures = measurer.measure(&shard(4)).unwrap();
-    let refused = MeasuredShard::new(shard(3), figures, &config, &store).err().expect("refused").to_string();
+    let refused = MeasuredShard::new(shard(3), figures, &store).err().expect("refused").to_string();
     assert!(refused.contains("figures of 4 cells") && refused.contains("--redo evaluate"), "{refused}");
 }

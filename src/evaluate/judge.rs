@@ -9,7 +9,7 @@ use crate::metrics::{
     Violation,
 };
 use crate::scenario::{Assessment, ScenarioRecord};
-use crate::scene::{Roles, Scene};
+use crate::scene::{Roles, Scene, SituationKind};
 use crate::store::{SceneStore, read_events};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -45,10 +45,14 @@ impl<'a> Judge<'a> {
     /// A judge with ranges from at most 400 recorded scenes, evenly spread over the store, and with access to the
     /// recorded `events`.
     pub(super) fn new(config: &'a EvaluateConfig, store: &SceneStore, events: Option<&'a Path>) -> Result<Self> {
-        let n_scenes = store.len().min(N_REFERENCE_SCENES);
+        let entries = store.index().iter().enumerate();
+        let is_recorded = |situation: SituationKind| situation == SituationKind::Recorded;
+        let recorded: Vec<usize> =
+            entries.filter(|(_, entry)| is_recorded(entry.situation)).map(|(position, _)| position).collect();
+        let n_scenes = recorded.len().min(N_REFERENCE_SCENES);
         let motion: Vec<MotionHistograms> = (0..n_scenes)
             .into_par_iter()
-            .map(|i| Ok(MotionHistograms::of([&store.scene(i * store.len() / n_scenes)?])))
+            .map(|i| Ok(MotionHistograms::of([&store.scene(recorded[i * recorded.len() / n_scenes])?])))
             .collect::<Result<_>>()?;
         let mut all = MotionHistograms::default();
         motion.iter().for_each(|of_scene| all.merge(of_scene));

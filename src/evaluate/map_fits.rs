@@ -2,6 +2,7 @@
 
 use super::error::Result;
 use crate::metrics::{MapFit, ValidityConfig};
+use crate::scene::SituationKind;
 use crate::store::SceneStore;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -43,7 +44,8 @@ impl MapFitRow {
 /// The maps of all places with lanes, by place.
 pub fn map_fits(store: &SceneStore, config: &ValidityConfig) -> Result<Vec<MapFitRow>> {
     let mut by_place: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
-    for (idx, entry) in store.index().iter().enumerate() {
+    let recorded = store.index().iter().enumerate().filter(|(_, entry)| entry.situation == SituationKind::Recorded);
+    for (idx, entry) in recorded {
         by_place.entry(entry.place).or_default().push(idx);
     }
     let mut rows = Vec::new();

@@ -6,10 +6,9 @@ use super::distinguishability::{CellKey, TrackPool};
 use super::error::{Error, Result};
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
-use super::predictions;
 use super::sampling::{Conduct, SampledCell};
 use crate::behavior::Behavior;
-use crate::metrics::{Check, Judged, Modes, OffroadRate};
+use crate::metrics::{Check, Judged, OffroadRate};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Roles, Scene};
 use crate::store::SceneStore;
@@ -72,8 +71,6 @@ pub(super) struct MeasuredCell {
     pub(super) figures: CellFigures,
     /// The checks of validity that were not made.
     pub(super) not_checked: Vec<Check>,
-    /// The predictions for a benchmark, if requested.
-    pub(super) prediction: Option<Modes>,
 }
 
 impl MeasuredShard {
@@ -81,7 +78,7 @@ impl MeasuredShard {
     ///
     /// # Errors
     /// When the figures are of another shard, or a scene is missing or damaged.
-    pub fn new(shard: Shard<'_>, figures: ShardFigures, config: &EvaluateConfig, store: &SceneStore) -> Result<Self> {
+    pub fn new(shard: Shard<'_>, figures: ShardFigures, store: &SceneStore) -> Result<Self> {
         let Shard { n_evaluations, records, .. } = shard;
         let cells = into_cells(&records);
         if cells.len() != figures.cells.len() {
@@ -96,7 +93,6 @@ impl MeasuredShard {
                 sampled: SampledCell::new(&cell, conduct),
                 figures,
                 not_checked,
-                prediction: predictions::of_cell(&cell, config),
             })
         });
         let cells = cells.collect::<Result<_>>()?;

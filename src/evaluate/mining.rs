@@ -127,10 +127,18 @@ impl<'a> MiningTally<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Dataset, SceneId, Split};
+    use crate::scene::{Dataset, SceneId, SituationKind, Split};
 
     fn entry(id: &'static str, split: Split) -> SceneIndexEntry<'static> {
-        SceneIndexEntry { id, dataset: Dataset::Interaction, split, place: "X", n_agents: 2, n_timesteps: 40 }
+        SceneIndexEntry {
+            id,
+            dataset: Dataset::Interaction,
+            split,
+            place: "X",
+            n_agents: 2,
+            situation: SituationKind::Recorded,
+            n_timesteps: 40,
+        }
     }
 
     fn event(behavior: &str, label: EventLabel) -> BehaviorEvent {

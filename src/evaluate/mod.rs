@@ -26,7 +26,6 @@ mod measure;
 mod measures;
 mod metric_rows;
 mod mining;
-mod predictions;
 mod realism;
 mod sampling;
 mod summary;

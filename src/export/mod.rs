@@ -24,7 +24,7 @@ mod testing;
 mod text;
 mod xml;
 
-pub use ego::{EgoChoice, EgoMotion};
+pub use ego::EgoMotion;
 pub use error::{Error, Result};
 pub use report::{ExportReport, LeftOut};
 pub use run::{EXPORT_FILE, INDEX_FILE, NOTICE_FILE, TRACKS_FILE, export_corpus};

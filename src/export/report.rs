@@ -1,6 +1,7 @@
 //! The report of an export: what was written, and what was left out.
 
-use super::{EgoChoice, EgoMotion, ExportFormat, Selection, Written};
+use super::{EgoMotion, ExportFormat, Selection, Written};
+use crate::scenario::EgoChoice;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

@@ -2,11 +2,10 @@
 
 use super::index::Index;
 use super::report::meaning;
-use super::{
-    EgoChoice, EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, Result, Selection, notice, text,
-};
+use super::{EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, Result, Selection, notice, text};
 use crate::files::NewFolder;
 use crate::progress::Progress;
+use crate::scenario::EgoChoice;
 use crate::store::{CorpusReader, write_atomically, write_json_atomically};
 use std::io::Write;
 use std::path::Path;

@@ -127,7 +127,7 @@ fn what_the_baseline_cannot_do_is_refused() {
     assert!(refusal("n_samples = 5").contains("has 4 joint futures"));
     for (rest, part) in [
         ("behavior = 'drift'\nstrengths = [0.0, 1.0]", "strengths is [0.0,1.0]"),
-        ("objectives = [{ kind = 'target_speed', speed_mps = 3.0 }]", "objectives is"),
+        ("objectives = [{ kind = 'acceleration_limit' }]", "objectives is"),
         ("classifier_free = { extra = [{ agents = 'all', times = 'goal' }] }", "classifier_free is"),
         ("edit = { tau = 0.5 }", "edit is"),
         ("validity_strength = 0.0", "validity_strength is 0.0, but model = \"baseline\" has no such key"),

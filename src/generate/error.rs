@@ -51,6 +51,9 @@ pub enum Error {
         /// A remedy.
         hint: &'static str,
     },
+    /// No situation can fulfill any request, and there are no sweeps.
+    #[error("nothing can be generated: {0}")]
+    Unmet(String),
     /// No pair can reach any bucket of a request.
     #[error(
         "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can reach any of its buckets, given their \

@@ -46,12 +46,12 @@ pub use error::Error;
 pub use futures::{Continued, Futures};
 pub use generator::{Generator, Models, SceneLoader};
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice};
-pub use plan::{Cell, Plan, ShardPlan, Shortfall};
+pub use plan::{Cell, Plan, ShardPlan, Shortfall, held_out_in_order};
 pub use regenerate::SampleKey;
 pub use request::{
-    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, Hits, Ledger,
-    PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest,
-    Round, RoundContext, RoundShard, ShardTally, Yield,
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, EventValues, Hits,
+    Ledger, PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration,
+    ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, ShardOutput};

@@ -4,10 +4,12 @@ use super::pairs::order_seed;
 use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
 use crate::behavior::Behavior;
 use crate::guidance::Target;
-use crate::scene::{Roles, SceneId, Split};
+use crate::scene::{Roles, SceneId, SituationKind, Split};
+use crate::seed::Seed;
 use crate::store::{SceneIndex, SceneIndexEntry};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Everything that will be generated, in order.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,7 +103,7 @@ impl Generator<'_> {
     /// See [`Generator::plan`].
     pub fn plan_first(&self, n_sweeps: usize, index: &SceneIndex) -> Result<Plan, Error> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
-        let order = self.scenes_in_order(index, &|_| true);
+        let order = self.scenes_in_order(index, &|entry| entry.situation == SituationKind::Recorded);
         for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate().take(n_sweeps) {
             let scenes = match self.behavior(sweep) {
                 Some(behavior) => self.scenes_with_pairs(sweep, behavior, &order)?,
@@ -137,29 +139,16 @@ impl Generator<'_> {
         if scenes.is_empty() { Err(self.no_scenes(format!("request {name}"), order.len())) } else { Ok(scenes) }
     }
 
-    /// The possible scenes of the chosen splits and places, in a random order that depends on the seed and their ids
-    /// alone. Unless splits are chosen, they are held out of the run's trainings.
+    /// The possible scenes among [`held_out_in_order`].
     fn scenes_in_order<'i>(
         &self,
         index: &'i SceneIndex,
         is_possible: &dyn Fn(&SceneIndexEntry<'_>) -> bool,
     ) -> Vec<ListedScene<'i>> {
-        let has_val = index.iter().any(|entry| entry.split == Split::Val);
-        let default_split = if has_val { Split::Val } else { Split::Unsplit };
         let ResolvedGeneration { splits, places, learned, .. } = self.config;
-        let mut scenes: Vec<(u64, ListedScene<'i>)> = index
-            .iter()
-            .enumerate()
-            .filter(|(idx, entry)| match splits.is_empty() {
-                true => entry.split == default_split && !learned.contains(idx),
-                false => splits.contains(&entry.split),
-            })
-            .filter(|(_, entry)| places.is_empty() || places.iter().any(|place| place == entry.place))
-            .filter(|(_, entry)| is_possible(entry))
-            .map(|(scene_idx, entry)| (order_seed(self.seed(), entry.id), ListedScene { scene_idx, id: entry.id }))
-            .collect();
-        scenes.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| a.1.id.cmp(b.1.id)));
-        scenes.into_iter().map(|(_, scene)| scene).collect()
+        let in_order = held_out_in_order(index, (splits, places), learned, self.seed().0);
+        let possible = in_order.into_iter().filter(|(_, entry)| is_possible(entry));
+        possible.map(|(scene_idx, entry)| ListedScene { scene_idx, id: entry.id }).collect()
     }
 
     /// The cells of the scenes that a sweep with a behavior uses, scene by scene.
@@ -220,6 +209,32 @@ impl Generator<'_> {
         };
         Error::NoScenes { of, n_considered, hint }
     }
+}
+
+/// The positions of the scenes of the chosen splits and places: recorded ones first, then continued and populated ones,
+/// each in a random order that depends on the seed and their ids alone. Unless splits are chosen, none of them is
+/// `learned`: they are held out of the run's trainings.
+pub fn held_out_in_order<'i>(
+    index: &'i SceneIndex,
+    (splits, places): (&[Split], &[String]),
+    learned: &BTreeSet<usize>,
+    seed: u64,
+) -> Vec<(usize, SceneIndexEntry<'i>)> {
+    let has_val = index.iter().any(|entry| entry.split == Split::Val);
+    let default_split = if has_val { Split::Val } else { Split::Unsplit };
+    let is_chosen = |idx: usize, entry: &SceneIndexEntry<'_>| match splits.is_empty() {
+        true => entry.split == default_split && !learned.contains(&idx),
+        false => splits.contains(&entry.split),
+    };
+    let is_here = |place: &str| places.is_empty() || places.iter().any(|chosen| chosen == place);
+    let chosen = index.iter().enumerate().filter(|(idx, entry)| is_chosen(*idx, entry) && is_here(entry.place));
+    let mut scenes: Vec<(u64, (usize, SceneIndexEntry<'i>))> =
+        chosen.map(|(idx, entry)| (order_seed(Seed(seed), entry.id), (idx, entry))).collect();
+    scenes.sort_by(|a, b| {
+        let key = |(drawn, (_, entry)): &(u64, (usize, SceneIndexEntry<'i>))| (entry.situation, *drawn);
+        key(a).cmp(&key(b)).then_with(|| a.1.1.id.cmp(b.1.1.id))
+    });
+    scenes.into_iter().map(|(_, scene)| scene).collect()
 }
 
 /// A scene of the store.

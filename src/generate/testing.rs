@@ -13,7 +13,7 @@ use crate::model::{
 use crate::nn::{Compute, Params};
 use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
-use crate::scene::{Dataset, Scene, Split};
+use crate::scene::{Dataset, Scene, SituationKind, Split};
 use crate::seed::Seed;
 use crate::store::{SceneIndex, SceneIndexEntry};
 use crate::tensor::StateParametrization;
@@ -179,6 +179,7 @@ pub(super) fn index(n: usize) -> SceneIndex {
         split: Split::Train,
         place: "TEST",
         n_agents: 3,
+        situation: SituationKind::Recorded,
         n_timesteps: scene.n_timesteps as u32,
     });
     entries.collect()

@@ -36,9 +36,8 @@ pub use forward_denoiser::ForwardDenoiser;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{
-    AccelerationLimit, Collision, CrossAhead, CutIn, Goal, HardBrake, KeepDistance, LaneChange, NoCollision,
-    ObjectiveConfig, ObjectiveKind, SceneObjective, Side, SlipLimit, SpeedLimit, StayOnRoad, StopAtLine, TargetSpeed,
-    Turn, WrongWay,
+    AccelerationLimit, Collision, CrossAhead, CutIn, HardBrake, LaneChange, NoCollision, ObjectiveConfig,
+    ObjectiveKind, SceneObjective, Side, SlipLimit, StayOnRoad, Turn, WrongWay,
 };
 pub use scene_context::{ContextRow, SceneContext, Target};
 

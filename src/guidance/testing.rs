@@ -3,7 +3,9 @@
 use crate::diffusion::Edm;
 use crate::geometry::{Transform2, Vec2};
 use crate::model::{DenoiserKind, DenoiserSpec, NetworkConfig};
-use crate::scene::{AgentClass, Dataset, Scene, SceneSource, Split, State, Track, TrackRole, Trajectory};
+use crate::scene::{
+    AgentClass, Dataset, Scene, SceneSource, SituationKind, Split, State, Track, TrackRole, Trajectory,
+};
 use crate::seed::Seed;
 use crate::tensor::{NormalizerFit, StateParametrization};
 
@@ -49,6 +51,8 @@ pub(crate) fn scene(idx: usize) -> Scene {
             file: String::new(),
             case_id: idx.to_string(),
             first_frame: String::new(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: DT_S,
         n_timesteps: N_TIMESTEPS,

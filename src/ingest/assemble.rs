@@ -32,9 +32,9 @@ const MAX_SPEED_MPS: f64 = 1e6;
 
 /// Transforms a recorded scene to the frame of its ego and keeps the agents and lanes of the configuration.
 ///
-/// The ego is the focal track; if there is none at present, a seeded draw among the motorized tracks that are tracked
-/// throughout, or otherwise among those tracked at present; parked ones come last. `map` is `None` if scenes need no
-/// lanes.
+/// The ego is the focal track, or otherwise the vehicle that recorded; if neither is there at present, a seeded draw
+/// among the motorized tracks that are tracked throughout, or otherwise among those tracked at present; parked ones
+/// come last. `map` is `None` if scenes need no lanes.
 ///
 /// # Errors
 /// Rejects states that are `non_finite` or `out_of_range`, scenes with `no_ego` or with `no_lanes_in_radius` of the
@@ -112,6 +112,16 @@ pub(super) fn assemble(
     Ok((scene, counts))
 }
 
+/// A scene from tracks that were not read from a recording, chosen and framed as recorded ones are; `map` is the whole
+/// map.
+///
+/// # Errors
+/// Rejects what is rejected in recordings.
+pub fn assemble_window(raw: RawScene, map: Option<Arc<LaneGraph>>, config: &IngestConfig) -> Result<Scene, Reject> {
+    let map = map.map(LaneIndex::new);
+    assemble(raw, map.as_ref(), config).map(|(scene, _)| scene)
+}
+
 /// Replaces recorded velocities by those derived from the positions, and counts the tracks whose recorded ones
 /// disagree.
 fn derive_velocities(raw: &mut RawScene, counts: &mut IngestReport) {
@@ -175,8 +185,9 @@ fn choose_ego(raw: &RawScene, present: usize, seed: Seed) -> Option<(usize, Stat
         eligible.get(drawn).copied()
     };
     let drives = |track: &Track| !track.is_parked();
-    let focal = raw.tracks.iter().position(|track| track.role == TrackRole::Focal && is_present(track));
-    let ego_idx = focal
+    let of_role = |role| raw.tracks.iter().position(|track| track.role == role && is_present(track));
+    let ego_idx = of_role(TrackRole::Focal)
+        .or_else(|| of_role(TrackRole::Recorder))
         .or_else(|| draw(&|track| drives(track) && is_whole(track)))
         .or_else(|| draw(&|track| drives(track) && is_present(track)))
         .or_else(|| draw(&is_present))?;

@@ -39,12 +39,12 @@ pub struct IngestConfig {
     #[schemars(extend("uniqueItems" = true))]
     pub places: Vec<String>,
     /// Observed timesteps of a scene; default: the dataset's (INTERACTION, CommonRoad and tables 10,
-    /// Argoverse 1 20, Argoverse 2 50).
+    /// Argoverse 1 20, Argoverse 2 50, Waymo Open Motion 11).
     #[serde(default)]
     #[schemars(range(min = 1, max = 10_000))]
     pub n_history: Option<usize>,
     /// Future timesteps of a scene; default: the dataset's (INTERACTION, Argoverse 1,
-    /// CommonRoad and tables 30, Argoverse 2 60).
+    /// CommonRoad and tables 30, Argoverse 2 60, Waymo Open Motion 80).
     #[serde(default)]
     #[schemars(range(max = 10_000))]
     pub n_future: Option<usize>,

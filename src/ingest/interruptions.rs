@@ -3,7 +3,7 @@
 use super::raw::{Finding, RawScene};
 use super::report::IngestReport;
 use crate::geometry::angle_difference;
-use crate::scene::{Dataset, Derivation, State, Track, TrackRole, Trajectory};
+use crate::scene::{Derivation, State, Track, TrackRole, Trajectory};
 
 /// Longest short gap, seconds.
 const MAX_GAP_S: f64 = 1.0;
@@ -16,11 +16,11 @@ const MAX_OFF_RAD: f64 = 0.5;
 const MAX_OFF_SIZE_M: f64 = 0.5;
 
 /// Joins tracks that continue others, and counts them and the gaps within tracks. Tracks with a role in their dataset
-/// stay as they are, as do tracks of Argoverse's benchmarks.
+/// stay as they are, as do those of some datasets.
 pub(super) fn mend(raw: &mut RawScene, counts: &mut IngestReport) {
     let max_gap = (MAX_GAP_S / raw.dt_s).round() as usize;
-    let is_benchmark = matches!(raw.source.dataset, Dataset::Argoverse1 | Dataset::Argoverse2);
-    let starts = (0..raw.tracks.len()).filter(|_| !is_benchmark).filter_map(|idx| {
+    let keeps_tracks = raw.source.dataset.facts().has_chosen_tracks;
+    let starts = (0..raw.tracks.len()).filter(|_| !keeps_tracks).filter_map(|idx| {
         let (start, first) = raw.tracks[idx].trajectory.valid().next()?;
         Some((start, first.position.x, idx))
     });
@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(tracks, ["1: 9", "3: 10"]);
         assert_eq!(findings, ["tracks_joined: 1", "gaps_left_open_within_tracks: 2"]);
         assert_eq!(mended(|scene| scene.tracks.swap(0, 1))[0], ["1: 9", "3: 10"]);
-        let of_benchmark = mended(|scene| scene.source.dataset = Dataset::Argoverse1);
+        let of_benchmark = mended(|scene| scene.source.dataset = crate::scene::Dataset::Argoverse1);
         assert_eq!(of_benchmark[0].len(), 3, "{of_benchmark:?}");
     }
 

@@ -12,6 +12,22 @@ use std::sync::Arc;
 /// its predecessor and nothing dangles. Maps also list the lane across the dividing line as a neighbor: a neighbor in
 /// the opposite direction is kept as the tag `opposite_left_neighbor` or `opposite_right_neighbor`.
 pub(super) fn connect(mut lanes: Vec<Lane>) -> LaneGraph {
+    let opposite = opposite_neighbors(&lanes);
+    for (lane, [left, right]) in lanes.iter_mut().zip(opposite) {
+        for (is_opposite, neighbor, tag) in [
+            (left, &mut lane.left_neighbor, "opposite_left_neighbor"),
+            (right, &mut lane.right_neighbor, "opposite_right_neighbor"),
+        ] {
+            if is_opposite && let Some(id) = neighbor.take() {
+                Arc::make_mut(&mut lane.attributes).tags.insert(tag.to_owned(), id.0.to_string());
+            }
+        }
+    }
+    connect_one_way(lanes)
+}
+
+/// [`connect`] for a map whose neighbors are all in the direction of the lane.
+pub(super) fn connect_one_way(mut lanes: Vec<Lane>) -> LaneGraph {
     let mut links: BTreeSet<(LaneId, LaneId)> = BTreeSet::new();
     for lane in &lanes {
         links.extend(lane.successors.iter().map(|next| (lane.id, *next)));
@@ -27,17 +43,6 @@ pub(super) fn connect(mut lanes: Vec<Lane>) -> LaneGraph {
     for lane in &mut lanes {
         lane.successors = successors.remove(&lane.id).unwrap_or_default();
         lane.predecessors = predecessors.remove(&lane.id).unwrap_or_default();
-    }
-    let opposite = opposite_neighbors(&lanes);
-    for (lane, [left, right]) in lanes.iter_mut().zip(opposite) {
-        for (is_opposite, neighbor, tag) in [
-            (left, &mut lane.left_neighbor, "opposite_left_neighbor"),
-            (right, &mut lane.right_neighbor, "opposite_right_neighbor"),
-        ] {
-            if is_opposite && let Some(id) = neighbor.take() {
-                Arc::make_mut(&mut lane.attributes).tags.insert(tag.to_owned(), id.0.to_string());
-            }
-        }
     }
     LaneGraph::new(lanes)
 }

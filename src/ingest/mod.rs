@@ -5,14 +5,14 @@
 //!
 //! A reader thread cuts folders and archives into units without unpacking to disk; one batch is stored while the next
 //! is parsed. Velocities are derived from positions, those of the past from the past alone: recorded ones come from a
-//! tracker, and trajectories that continue with them jump. The rows of an INTERACTION case can be anywhere in its
-//! table, so a first pass finds the cases with scattered rows and a second one gathers them. A bad unit among many is
-//! rejected and counted by reason; a missing map is an error, and so is an ingest that finds no scenes.
+//! tracker, and trajectories that continue with them jump. A bad unit among many is rejected and counted by reason; a
+//! missing map is an error, and so is an ingest that finds no scenes.
 
 pub mod archive;
 mod argoverse1;
 mod argoverse2;
 mod assemble;
+mod assumed_bounds;
 mod batches;
 mod cells;
 mod commonroad;
@@ -50,8 +50,10 @@ mod table;
 mod test_data;
 mod vicinity;
 mod windows;
+mod womd;
 mod xml_tree;
 
+pub use assemble::assemble_window;
 pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
@@ -80,6 +82,7 @@ fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Err
         Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
         Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
         Dataset::CommonRoad => Box::new(commonroad::CommonRoad::new(config)?),
+        Dataset::Womd => Box::new(womd::Womd::new(config)?),
         Dataset::Table => Box::new(table::Tables::new(config)?),
     })
 }

@@ -1,7 +1,7 @@
 //! Leaves out lanes of a map that cannot be lanes, and turns lines around that run against their lane.
 
 use super::map_report::MapReport;
-use crate::geometry::{Polyline, Vec2};
+use crate::geometry::{Path, Polyline, Projection, Vec2};
 use crate::scene::Lane;
 use std::collections::BTreeSet;
 
@@ -21,9 +21,11 @@ const SLACK_M: f64 = 0.3;
 /// The fewest points at which a lane is judged, and about the most: each is compared with all of the bounds.
 const MIN_POINTS: usize = 5;
 const MAX_POINTS: usize = 1000;
+/// From this many points on, an index of a line saves more than it takes.
+const MIN_INDEXED_POINTS: usize = 32;
 
 /// Why a lane is left out: reason and detail.
-type Flaw = (&'static str, String);
+pub(super) type Flaw = (&'static str, String);
 
 /// The lanes that can be lanes, in their order: the first with each id, whose lines have a length and do not double
 /// back, and whose centerline lies between its bounds, if there are any. The others are reported.
@@ -31,12 +33,17 @@ pub(super) fn plausible(mut lanes: Vec<Lane>, report: &mut MapReport) -> Vec<Lan
     let mut seen = BTreeSet::new();
     lanes.retain(|lane| {
         let verdict = match seen.insert(lane.id) {
-            true => check_lines(lane).and_then(|()| check_bounds(lane)),
+            true => flaw(lane),
             false => Err(("lanes_of_repeated_ids", "the first of this id is kept".to_owned())),
         };
         verdict.map_err(|(reason, detail)| report.warn(reason, format!("lane {}: {detail}", lane.id.0))).is_ok()
     });
     lanes
+}
+
+/// Why a lane cannot be one, if it cannot.
+pub(super) fn flaw(lane: &Lane) -> Result<(), Flaw> {
+    check_lines(lane).and_then(|()| check_bounds(lane))
 }
 
 fn check_lines(lane: &Lane) -> Result<(), Flaw> {
@@ -68,9 +75,10 @@ fn fold(line: &Polyline) -> Option<Vec2> {
 fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
     let resampled = (lane.centerline.0.len() < MIN_POINTS).then(|| lane.centerline.resampled(MIN_POINTS));
     let points = &resampled.as_ref().unwrap_or(&lane.centerline).0;
+    let [on_left, on_right] = [&lane.left, &lane.right].map(projector);
     let (mut widths_m, mut n_on_wrong_side) = (Vec::with_capacity(points.len()), 0);
     for (i, point) in points.iter().enumerate().step_by(points.len().div_ceil(MAX_POINTS)) {
-        let (Some(left), Some(right)) = (lane.left.project(*point), lane.right.project(*point)) else { return Ok(()) };
+        let (Some(left), Some(right)) = (on_left(*point), on_right(*point)) else { return Ok(()) };
         let (to_left, to_right) = (left.point - *point, right.point - *point);
         let (left_m, right_m) = (to_left.norm(), to_right.norm());
         if left_m.min(right_m) > SLACK_M && to_left.dot(to_right) > left_m * right_m / 2.0 {
@@ -97,6 +105,12 @@ fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
         return Err(("lanes_of_contradictory_lengths", detail));
     }
     Ok(())
+}
+
+/// [`Polyline::project`] for many points.
+fn projector(line: &Polyline) -> impl Fn(Vec2) -> Option<Projection> {
+    let path = (line.0.len() >= MIN_INDEXED_POINTS).then(|| Path::new(line.clone()));
+    move |point| path.as_ref().map_or_else(|| line.project(point), |path| path.project(point))
 }
 
 /// Whether the left and the right bound of a lane must be turned for the left one to lie left of the right one, as in

@@ -178,7 +178,7 @@ mod tests {
     use super::*;
     use crate::ingest::lane_topology::tests::lane;
     use crate::ingest::map_id;
-    use crate::scene::{Dataset, Extent, LaneGraph, SceneId, SceneSource, Split, TrackId, TrackRole};
+    use crate::scene::{Dataset, Extent, LaneGraph, SceneId, SceneSource, SituationKind, Split, TrackId, TrackRole};
     use std::sync::Arc;
 
     type Change = dyn Fn(usize, &mut State);
@@ -211,6 +211,8 @@ mod tests {
             file: "X.csv".to_owned(),
             case_id: "1".to_owned(),
             first_frame: "1".to_owned(),
+            situation: SituationKind::Recorded,
+            continues: None,
         };
         RawScene {
             id: SceneId::from("X/1"),

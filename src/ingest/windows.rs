@@ -4,7 +4,7 @@ use super::config::IngestConfig;
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::recorded_track::{DT_S, RecordedTrack};
 use super::source::{Horizon, PendingScene};
-use crate::scene::{Dataset, SceneId, SceneSource, Split, Track};
+use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split, Track};
 use std::sync::Arc;
 
 /// The longest recording, 28 hours: frames further apart are an error.
@@ -160,6 +160,8 @@ impl Cut<'_> {
                 file: unit.file.clone(),
                 case_id: unit.case_id.clone(),
                 first_frame: first_frame.to_string(),
+                situation: SituationKind::Recorded,
+                continues: None,
             },
             dt_s: DT_S,
             n_timesteps,

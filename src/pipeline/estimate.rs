@@ -11,8 +11,8 @@ use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::model::TrainedDenoiser;
 use crate::nn::Compute;
 use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, ObservationMask, Scene, SceneId, SceneSource, Split, State, Track,
-    TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, ObservationMask, Scene, SceneId, SceneSource, SituationKind, Split,
+    State, Track, TrackId, TrackRole, Trajectory,
 };
 use crate::store::SceneStore;
 use crate::tensor::{FutureValidity, SceneView};
@@ -89,6 +89,7 @@ fn describe(
     ));
     lines.push(match pool {
         None => "    pairs that can reach a bucket are counted once scenes and models exist".to_owned(),
+        Some(Pool { unmet: Some(why), .. }) => format!("    {why}"),
         Some(pool) => format!(
             "    {} pairs of {} scenes; {} more can reach no bucket",
             pool.cells.len(),
@@ -188,6 +189,8 @@ fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
             file: String::new(),
             case_id: String::new(),
             first_frame: String::new(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s,
         n_timesteps,

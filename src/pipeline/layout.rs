@@ -1,5 +1,6 @@
 //! Where does each stage find the outputs of others?
 
+use crate::store::SceneManifest;
 use std::path::{Path, PathBuf};
 
 /// The places of everything that stages pass on. In a run folder they are all below it; a stage that runs alone may
@@ -18,6 +19,8 @@ pub struct Layout {
     pub classifier: PathBuf,
     /// The folder of the trained baseline.
     pub baseline: PathBuf,
+    /// The scene store of situations that nobody recorded.
+    pub situations: PathBuf,
     /// The folder of sample shards.
     pub samples: PathBuf,
     /// The folder of the corpus.
@@ -36,10 +39,21 @@ impl Layout {
             distilled: root.join(DISTILLED),
             classifier: root.join(CLASSIFIER),
             baseline: root.join(BASELINE),
+            situations: root.join(SITUATIONS),
             samples: root.join(SAMPLES),
             corpus: root.join(CORPUS),
             metrics: root.join(METRICS),
         }
+    }
+
+    /// The folders of recorded scenes and of other situations, if there are any.
+    pub fn scene_folders(&self) -> Vec<&Path> {
+        let has_situations = SceneManifest::is_in(&self.situations);
+        [Some(&self.scenes), Some(&self.situations).filter(|_| has_situations)]
+            .into_iter()
+            .flatten()
+            .map(PathBuf::as_path)
+            .collect()
     }
 
     /// Moves places below the folder `from` to below `to`.
@@ -51,6 +65,7 @@ impl Layout {
             &mut self.distilled,
             &mut self.classifier,
             &mut self.baseline,
+            &mut self.situations,
             &mut self.samples,
             &mut self.corpus,
             &mut self.metrics,
@@ -76,6 +91,8 @@ pub const DISTILLED: &str = "distilled";
 pub const CLASSIFIER: &str = "classifier";
 /// The trained baseline.
 pub const BASELINE: &str = "baseline";
+/// The scene store of situations that nobody recorded.
+pub const SITUATIONS: &str = "situations";
 /// The generated scenarios, sharded.
 pub const SAMPLES: &str = "samples";
 /// The corpus.
@@ -86,8 +103,6 @@ pub const METRICS: &str = "metrics.parquet";
 pub const METRICS_SUMMARY: &str = "metrics.json";
 /// The outcome of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";
-/// Predictions in the formats of benchmarks.
-pub const PREDICTIONS: &str = "predictions";
 /// The report.
 pub const REPORT: &str = "report.html";
 /// The figures of the report as files.

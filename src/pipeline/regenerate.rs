@@ -125,7 +125,7 @@ fn unknown(id: &str, samples: &Path) -> Failure {
 
 fn open_scenes(layout: &Layout, sampled_with: &SampledWith) -> Result<SceneStore> {
     require(&layout.scenes, "scenes")?;
-    let store = SceneStore::open(&layout.scenes)?;
+    let store = SceneStore::open_all(&layout.scene_folders())?;
     check("scenes", &layout.scenes, &sampled_with.scenes, store.fingerprint())?;
     Ok(store)
 }

@@ -3,7 +3,7 @@
 use super::config::PipelineConfig;
 use super::layout::{
     BASELINE, CLASSIFIER, CORPUS, DENOISER, DISTILLED, EVENTS, FIGURES, Layout, METRICS, METRICS_SUMMARY, MINE_SUMMARY,
-    PREDICTIONS, REPORT, SAMPLES, SCENES, VERDICTS,
+    REPORT, SAMPLES, SCENES, SITUATIONS, VERDICTS,
 };
 use super::stages::is_round_file;
 use crate::engine::{ShardNames, StageKind};
@@ -29,6 +29,8 @@ pub enum StageId {
     TrainClassifier,
     /// Scenes to a Scene Transformer, to compare the denoiser with.
     TrainBaseline,
+    /// Scenes and a model to situations that nobody recorded.
+    Situations,
     /// Scenes and models to generated scenarios.
     Generate,
     /// Generated scenarios to metrics and the corpus.
@@ -39,13 +41,14 @@ pub enum StageId {
 
 impl StageId {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Ingest,
         Self::Mine,
         Self::TrainDenoiser,
         Self::TrainDistill,
         Self::TrainClassifier,
         Self::TrainBaseline,
+        Self::Situations,
         Self::Generate,
         Self::Evaluate,
         Self::Report,
@@ -68,7 +71,7 @@ impl StageId {
 
     /// Whether a configuration has its section.
     pub fn is_configured(self, config: &PipelineConfig) -> bool {
-        let PipelineConfig { ingest, mine, train, generate, evaluate, report, .. } = config;
+        let PipelineConfig { ingest, mine, train, situations, generate, evaluate, report, .. } = config;
         match self {
             Self::Ingest => ingest.is_some(),
             Self::Mine => mine.is_some(),
@@ -76,6 +79,7 @@ impl StageId {
             Self::TrainDistill => train.distill.is_some(),
             Self::TrainClassifier => train.classifier.is_some(),
             Self::TrainBaseline => train.baseline.is_some(),
+            Self::Situations => situations.is_some(),
             Self::Generate => generate.is_some(),
             Self::Evaluate => evaluate.is_some(),
             Self::Report => report.is_some(),
@@ -91,6 +95,7 @@ impl StageId {
             Self::TrainDistill => ("distilled", &layout.distilled),
             Self::TrainClassifier => ("classifier", &layout.classifier),
             Self::TrainBaseline => ("baseline", &layout.baseline),
+            Self::Situations => ("situations", &layout.situations),
             Self::Generate => ("samples", &layout.samples),
             Self::Evaluate => ("metrics", &layout.metrics),
             Self::Report => return None,
@@ -154,7 +159,7 @@ const fn training(
 }
 
 /// The kinds of all stages, in the order of [`StageId::ALL`].
-pub static KINDS: [StageKind; 9] = [
+pub static KINDS: [StageKind; 10] = [
     StageKind {
         places: &["inputs", "map_inputs"],
         is_checked_by_readers: true,
@@ -165,8 +170,8 @@ pub static KINDS: [StageKind; 9] = [
     training("train_distill", "train distill", "train.distill", &[DISTILLED]),
     training("train_classifier", "train classifier", "train.classifier", &[CLASSIFIER]),
     training("train_baseline", "train baseline", "train.baseline", &[BASELINE]),
+    StageKind { computes: true, is_checked_by_readers: true, ..plain("situations", "situations", &[SITUATIONS]) },
     StageKind {
-        places: &["requests.prior"],
         computes: true,
         is_checked_by_readers: true,
         shards: Some(ShardNames { shard: "samples", ending: "parquet", is_other: is_round_file }),
@@ -174,7 +179,7 @@ pub static KINDS: [StageKind; 9] = [
     },
     StageKind {
         shards: Some(ShardNames { shard: "figures", ending: "bin", is_other: |_| false }),
-        ..plain("evaluate", "evaluate", &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS])
+        ..plain("evaluate", "evaluate", &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS])
     },
     plain("report", "report", &[REPORT, FIGURES]),
 ];

@@ -16,6 +16,8 @@ pub enum Dataset {
     /// Scenarios in CommonRoad's XML, recorded or generated.
     #[serde(rename = "commonroad")]
     CommonRoad,
+    /// Waymo Open Motion.
+    Womd,
     /// Tables in no format of their own, with a mapping.
     Table,
 }
@@ -44,13 +46,15 @@ pub struct DatasetFacts {
     pub has_clean_motion: bool,
     /// Whether positions are at other times than recorded, so that agents seem to jump.
     pub has_uneven_times: bool,
+    /// Whether tracks stay as they are where one continues another: its benchmark names them.
+    pub has_chosen_tracks: bool,
     /// Whether the focal agent is the dataset's choice of the agent to predict.
     pub has_chosen_focal: bool,
     /// Whether the first frame of a scene is the time at which it begins, in nanoseconds.
     pub begins_at_ns: bool,
     /// When a prediction of the last state is a miss.
     pub miss_rule: MissRule,
-    /// The agents that its benchmark predicts, and its submission format; `None` if it has none.
+    /// The benchmark that its figures are compared with; `None` if it has none.
     pub benchmark: Option<Benchmark>,
 }
 
@@ -63,20 +67,21 @@ pub enum MissRule {
     Radial,
 }
 
-/// A benchmark: the agents it predicts, and its submission format.
+/// A benchmark, which says whom to predict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Benchmark {
-    /// INTERACTION's multi-agent benchmark: joint futures of the vehicles that are recorded throughout, as CSV.
+    /// INTERACTION's multi-agent benchmark: joint futures of the vehicles that are recorded throughout.
     InteractionJoint,
-    /// Argoverse 1's: futures of the focal agent, as Parquet.
+    /// Argoverse 1's: futures of the focal agent.
     ArgoverseFocal,
-    /// Argoverse 2's: worlds, which are joint futures of the focal and the scored agents, as Parquet.
+    /// Argoverse 2's: worlds, which are joint futures of the focal and the scored agents.
     ArgoverseWorlds,
 }
 
 impl Dataset {
     /// Every dataset.
-    pub const ALL: [Self; 5] = [Self::Interaction, Self::Argoverse1, Self::Argoverse2, Self::CommonRoad, Self::Table];
+    pub const ALL: [Self; 6] =
+        [Self::Interaction, Self::Argoverse1, Self::Argoverse2, Self::CommonRoad, Self::Womd, Self::Table];
 
     /// The facts about it.
     pub const fn facts(self) -> &'static DatasetFacts {
@@ -91,6 +96,7 @@ impl Dataset {
                 has_velocities: true,
                 has_clean_motion: true,
                 has_uneven_times: false,
+                has_chosen_tracks: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::AlongHeading,
@@ -106,6 +112,7 @@ impl Dataset {
                 // Motion of a tracker, unfiltered and at uneven times.
                 has_clean_motion: false,
                 has_uneven_times: true,
+                has_chosen_tracks: true,
                 has_chosen_focal: true,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,
@@ -120,6 +127,7 @@ impl Dataset {
                 has_velocities: true,
                 has_clean_motion: true,
                 has_uneven_times: false,
+                has_chosen_tracks: true,
                 has_chosen_focal: true,
                 begins_at_ns: true,
                 miss_rule: MissRule::Radial,
@@ -136,6 +144,24 @@ impl Dataset {
                 // Of NGSIM's recordings, hardly one is within the limits of accelerations and jerks.
                 has_clean_motion: false,
                 has_uneven_times: false,
+                has_chosen_tracks: false,
+                has_chosen_focal: false,
+                begins_at_ns: false,
+                miss_rule: MissRule::Radial,
+                benchmark: None,
+            },
+            Self::Womd => &DatasetFacts {
+                name: "womd",
+                terms: "Waymo Open Motion Dataset (Ettinger et al. 2021): Waymo Dataset License Agreement for \
+                        Non-Commercial Use, which also covers what is derived from it, trained models included.",
+                country: Some("USA"),
+                has_classes: true,
+                has_headings: true,
+                has_velocities: true,
+                // Centimeters of noise: 27 and 5 vehicles of two scenarios are beyond a jerk of 25 m/s³.
+                has_clean_motion: false,
+                has_uneven_times: false,
+                has_chosen_tracks: true,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,
@@ -151,6 +177,7 @@ impl Dataset {
                 has_velocities: false,
                 has_clean_motion: false,
                 has_uneven_times: false,
+                has_chosen_tracks: false,
                 has_chosen_focal: false,
                 begins_at_ns: false,
                 miss_rule: MissRule::Radial,

@@ -35,7 +35,7 @@ pub use motion_heading::motion_heading;
 pub use observation_mask::ObservationMask;
 pub use roles::Roles;
 pub use scenario::{GuidanceTag, Provenance, Scenario};
-pub use scene::{Scene, SceneSource, Split, UnfitScene};
+pub use scene::{Scene, SceneSource, SituationKind, Split, UnfitScene};
 pub use track::{Track, TrackRole};
 pub use trajectory::{Derivation, RecordedPosition, State, Trajectory};
 pub use velocity::velocity_at;

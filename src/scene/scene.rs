@@ -39,6 +39,40 @@ impl Split {
     }
 }
 
+/// How the past of a scene came about.
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum SituationKind {
+    /// It was recorded.
+    #[default]
+    Recorded,
+    /// A closed loop led to it from a recorded scene.
+    Continued,
+    /// A closed loop led to it from a recorded scene into which road users were put.
+    Populated,
+}
+
+impl SituationKind {
+    /// Every kind, in the order in which requests use them.
+    pub const ALL: [Self; 3] = [Self::Recorded, Self::Continued, Self::Populated];
+
+    /// The name in tables and configs.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Recorded => "recorded",
+            Self::Continued => "continued",
+            Self::Populated => "populated",
+        }
+    }
+
+    /// The kind of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
 /// Why a scene cannot be used, in words that follow its name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
@@ -61,6 +95,10 @@ pub struct SceneSource {
     pub case_id: String,
     /// The first frame or timestamp of the scene as written in the file.
     pub first_frame: String,
+    /// How its past came about.
+    pub situation: SituationKind,
+    /// The recorded scene from which it goes on; `None` if it was recorded itself.
+    pub continues: Option<SceneId>,
 }
 
 /// A window of recorded traffic. Every track has the same number of timesteps; coordinates are in the scene frame.

@@ -59,6 +59,8 @@ pub(crate) fn scene(drives: &[Drive]) -> Scene {
             file: "Test_train.csv".to_owned(),
             case_id: "1".to_owned(),
             first_frame: "1".to_owned(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s,
         n_timesteps,

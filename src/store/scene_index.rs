@@ -1,6 +1,6 @@
 //! An index of the scenes of a store: facts about each scene without loading it, in some tens of bytes.
 
-use crate::scene::{Dataset, Split};
+use crate::scene::{Dataset, SituationKind, Split};
 
 /// Facts about a scene, known without loading it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -11,6 +11,8 @@ pub struct SceneIndexEntry<'a> {
     pub dataset: Dataset,
     /// Its split.
     pub split: Split,
+    /// How its past came about.
+    pub situation: SituationKind,
     /// Its place.
     pub place: &'a str,
     /// Number of tracks.
@@ -39,6 +41,7 @@ struct IndexEntry {
     n_timesteps: u32,
     dataset: Dataset,
     split: Split,
+    situation: SituationKind,
 }
 
 impl SceneIndex {
@@ -54,9 +57,9 @@ impl SceneIndex {
 
     /// The entry of the scene at `position`, which must be below [`len`](Self::len).
     pub fn get(&self, position: usize) -> SceneIndexEntry<'_> {
-        let IndexEntry { place, n_agents, n_timesteps, dataset, split, .. } = self.rows[position];
+        let IndexEntry { place, n_agents, n_timesteps, dataset, split, situation, .. } = self.rows[position];
         let place = &self.places[place as usize];
-        SceneIndexEntry { id: self.id(position), dataset, split, place, n_agents, n_timesteps }
+        SceneIndexEntry { id: self.id(position), dataset, split, situation, place, n_agents, n_timesteps }
     }
 
     /// The entries, in order.
@@ -72,10 +75,10 @@ impl SceneIndex {
 
     /// Adds a scene after the others.
     pub(super) fn push(&mut self, entry: SceneIndexEntry<'_>) {
-        let SceneIndexEntry { id, dataset, split, place, n_agents, n_timesteps } = entry;
+        let SceneIndexEntry { id, dataset, split, situation, place, n_agents, n_timesteps } = entry;
         self.ids.push_str(id);
         let (id_end, place) = (self.ids.len(), self.number_of(place));
-        self.rows.push(IndexEntry { id_end, place, n_agents, n_timesteps, dataset, split });
+        self.rows.push(IndexEntry { id_end, place, n_agents, n_timesteps, dataset, split, situation });
     }
 
     /// Frees spare capacity.
@@ -117,6 +120,7 @@ mod tests {
                     id,
                     dataset: Dataset::Interaction,
                     split: if n_agents > 2 { Split::Train } else { Split::Val },
+                    situation: if n_agents > 5 { SituationKind::Populated } else { SituationKind::Recorded },
                     place,
                     n_agents,
                     n_timesteps: 40 + n_agents,

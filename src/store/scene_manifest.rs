@@ -89,6 +89,11 @@ impl SceneManifest {
         }
     }
 
+    /// Whether a folder is a finished scene store.
+    pub fn is_in(dir: &Path) -> bool {
+        dir.join(MANIFEST_FILE).is_file()
+    }
+
     /// Reads the manifest of a scene store, without opening its shards.
     ///
     /// # Errors

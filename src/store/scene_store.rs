@@ -7,7 +7,7 @@ use super::scene_manifest::{MANIFEST_FILE, SceneManifest, ShardEntry};
 use super::tables::columns::{Columns, entries};
 use super::tables::{lane, scene};
 use super::{Error, Result};
-use crate::scene::{Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, Split};
+use crate::scene::{Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, SituationKind, Split};
 use arrow::array::{Array, RecordBatch};
 use arrow::datatypes::UInt32Type;
 use fs_err as fs;
@@ -28,7 +28,8 @@ pub struct SceneStore {
     batches: Vec<BatchPlace>,
     /// The last batches that were read, by position.
     decoded: Mutex<BTreeMap<usize, RecordBatch>>,
-    maps: MapTable,
+    /// The maps of each folder.
+    maps: Vec<MapTable>,
     index: SceneIndex,
     /// Positions in `index`, by scene id.
     by_id: Vec<u32>,
@@ -36,7 +37,8 @@ pub struct SceneStore {
 
 /// The place of a batch of scenes.
 struct BatchPlace {
-    /// Position of its shard.
+    /// Position of its folder, and of its shard.
+    folder: usize,
     shard: usize,
     /// Its position there.
     batch: usize,
@@ -51,33 +53,57 @@ impl SceneStore {
     /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it,
     /// [`Error::Corrupt`] when a file is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
+        Self::open_all(&[dir])
+    }
+
+    /// Opens several folders as one store, with the scenes of the first one first. Their ids must differ.
+    ///
+    /// # Errors
+    /// See [`SceneStore::open`].
+    pub fn open_all(dirs: &[&Path]) -> Result<Self> {
+        let mut store = Self {
+            fingerprint: String::new(),
+            shards: Vec::new(),
+            batches: Vec::new(),
+            decoded: Mutex::default(),
+            maps: Vec::new(),
+            index: SceneIndex::default(),
+            by_id: Vec::new(),
+        };
+        let fingerprints: Vec<String> = dirs.iter().map(|dir| store.add(dir)).collect::<Result<_>>()?;
+        store.fingerprint = match fingerprints.as_slice() {
+            [only] => only.clone(),
+            several => blake3::hash(several.concat().as_bytes()).to_hex().to_string(),
+        };
+        store.index.shrink();
+        store.by_id = (0..store.index.len() as u32).collect();
+        store.by_id.sort_unstable_by_key(|position| store.index.id(*position as usize));
+        Ok(store)
+    }
+
+    /// Adds the scenes of a folder, and returns the hash of its manifest.
+    fn add(&mut self, dir: &Path) -> Result<String> {
         let manifest = SceneManifest::read(dir)?;
-        let fingerprint = blake3::hash(&fs::read(dir.join(MANIFEST_FILE))?).to_hex().to_string();
         let opened: Vec<(MappedTable, Option<MappedTable>)> =
             manifest.shards.par_iter().map(|shard| open_shard(dir, shard)).collect::<Result<_>>()?;
-
-        let (mut shards, mut batches) = (Vec::<MappedTable>::new(), Vec::new());
-        let (mut maps, mut index) = (MapTable::new(dir), SceneIndex::default());
-        for (shard, (entry, (mut scenes, lanes))) in manifest.shards.iter().zip(opened).enumerate() {
+        let (folder, mut maps) = (self.maps.len(), MapTable::new(dir));
+        for (entry, (mut scenes, lanes)) in manifest.shards.iter().zip(opened) {
             for lanes in lanes.iter() {
                 lanes.batches().try_for_each(|batch| maps.push(lanes.path(), batch?))?;
             }
-            shards.first().into_iter().for_each(|first| scenes.share_schema(first));
-            let first_of_shard = index.len();
+            self.shards.first().into_iter().for_each(|first| scenes.share_schema(first));
+            let (shard, first_of_shard) = (self.shards.len(), self.index.len());
             for batch in 0..scenes.n_batches() {
-                batches.push(BatchPlace { shard, batch, first: index.len() });
-                enter_all(&mut index, &Columns::of_batch(&scenes.batch(batch)?, scenes.path()))?;
+                self.batches.push(BatchPlace { folder, shard, batch, first: self.index.len() });
+                enter_all(&mut self.index, &Columns::of_batch(&scenes.batch(batch)?, scenes.path()))?;
             }
-            if (index.len() - first_of_shard) as u64 != entry.n_scenes {
+            if (self.index.len() - first_of_shard) as u64 != entry.n_scenes {
                 return Err(Error::corrupt(scenes.path(), "its number of scenes is not the one in the manifest"));
             }
-            shards.push(scenes);
+            self.shards.push(scenes);
         }
-        index.shrink();
-        let mut by_id: Vec<u32> = (0..index.len() as u32).collect();
-        by_id.sort_unstable_by_key(|position| index.id(*position as usize));
-        let decoded = Mutex::default();
-        Ok(Self { fingerprint, shards, batches, decoded, maps, index, by_id })
+        self.maps.push(maps);
+        Ok(blake3::hash(&fs::read(dir.join(MANIFEST_FILE))?).to_hex().to_string())
     }
 
     /// Hash of the manifest, and through its checksums of everything in the store; hexadecimal.
@@ -113,11 +139,26 @@ impl SceneStore {
     pub fn scene(&self, i: usize) -> Result<Scene> {
         let after = self.batches.partition_point(|batch| batch.first <= i);
         let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {
-            let path = self.maps.dir().join(MANIFEST_FILE);
+            let path = self.dir().join(MANIFEST_FILE);
             return Err(Error::NotFound { path, what: format!("scene {i}: there are {}", self.len()) });
         };
-        let BatchPlace { shard, first, .. } = self.batches[at];
-        scene::decode(&Columns::of_batch(&self.batch(at)?, self.shards[shard].path()), i - first, &self.maps)
+        let BatchPlace { folder, shard, first, .. } = self.batches[at];
+        let batch = self.batch(at)?;
+        scene::decode(&Columns::of_batch(&batch, self.shards[shard].path()), i - first, &self.maps[folder])
+    }
+
+    /// The first folder.
+    fn dir(&self) -> &Path {
+        self.maps.first().map_or(Path::new(""), MapTable::dir)
+    }
+
+    /// The answer of the first folder that has the map.
+    fn of_maps<T>(&self, ask: impl Fn(&MapTable) -> Result<T>) -> Result<T> {
+        let mut answers = self.maps.iter().map(ask);
+        let first = answers
+            .next()
+            .unwrap_or_else(|| Err(Error::NotFound { path: self.dir().to_owned(), what: "maps".to_owned() }));
+        first.or_else(|error| answers.find_map(Result::ok).ok_or(error))
     }
 
     /// The batch at this position among all.
@@ -139,11 +180,11 @@ impl SceneStore {
 
 impl MapSource for SceneStore {
     fn map(&self, id: &MapId) -> Result<LaneGraph> {
-        self.maps.map(id)
+        self.of_maps(|maps| maps.map(id))
     }
 
     fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph> {
-        self.maps.lanes(id, lane_ids)
+        self.of_maps(|maps| maps.lanes(id, lane_ids))
     }
 }
 
@@ -162,6 +203,7 @@ fn enter_all(index: &mut SceneIndex, columns: &Columns<'_>) -> Result<()> {
             id: columns.text("scene_id", row)?,
             dataset: columns.named("dataset", row, Dataset::from_name)?,
             split: columns.named("split", row, Split::from_name)?,
+            situation: columns.named("situation", row, SituationKind::from_name)?,
             place: columns.text("place", row)?,
             n_agents: entries(tracks, row).len() as u32,
             n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)?,
@@ -172,10 +214,7 @@ fn enter_all(index: &mut SceneIndex, columns: &Columns<'_>) -> Result<()> {
 
 impl std::fmt::Debug for SceneStore {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SceneStore")
-            .field("dir", &self.maps.dir())
-            .field("n_scenes", &self.len())
-            .finish_non_exhaustive()
+        f.debug_struct("SceneStore").field("dir", &self.dir()).field("n_scenes", &self.len()).finish_non_exhaustive()
     }
 }
 
@@ -283,6 +322,21 @@ mod tests {
             write(second_dir.path(), &read, &maps);
             prop_assert_eq!(folder_bytes(first_dir.path()), folder_bytes(second_dir.path()));
         }
+    }
+
+    #[test]
+    fn several_folders_are_one_store() {
+        let dirs = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        let (scenes, maps) = scenes(0..9);
+        write(dirs[0].path(), &scenes[..4], &maps);
+        write(dirs[1].path(), &scenes[4..], &maps[..1]);
+        let store = SceneStore::open_all(&dirs.each_ref().map(|dir| dir.path())).unwrap();
+        for (i, scene) in scenes.iter().enumerate().filter(|(_, scene)| scene.map_id != Some(maps[1].0.clone())) {
+            assert_eq!((store.scene(i).unwrap(), store.position(&scene.id)), (as_stored(scene), Some(i)), "scene {i}");
+        }
+        assert!(maps.iter().all(|(id, graph)| store.map(id).unwrap() == *graph));
+        let alone = SceneStore::open(dirs[0].path()).unwrap();
+        assert_ne!(alone.fingerprint(), store.fingerprint());
     }
 
     #[test]

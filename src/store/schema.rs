@@ -59,7 +59,6 @@ impl TableSchema {
             tables::track::schema(),
             tables::recording::schema(),
             tables::metric::schema(),
-            tables::prediction::schema(),
             tables::verdict::schema(),
             tables::drive::schema(),
             tables::driven::schema(),

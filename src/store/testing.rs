@@ -7,8 +7,8 @@ use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCritica
 use crate::scenario::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, MapId,
-    ObservationMask, Provenance, Roles, Scenario, Scene, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole,
-    Trajectory, TurnDirection,
+    ObservationMask, Provenance, Roles, Scenario, Scene, SceneId, SceneSource, SituationKind, Split, State, Track,
+    TrackId, TrackRole, Trajectory, TurnDirection,
 };
 use crate::seed::{Seed, SeededRng};
 use std::sync::Arc;
@@ -61,6 +61,8 @@ pub(crate) fn scene(seed: u64, map: Option<(&MapId, &LaneGraph)>) -> Scene {
             file: format!("train/data/{seed}.csv"),
             case_id: seed.to_string(),
             first_frame: "315969629.2".to_owned(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: 0.1,
         n_timesteps,

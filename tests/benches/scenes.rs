@@ -2,8 +2,8 @@
 
 use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, Scene, SceneSource, Split, State, Track, TrackId, TrackRole,
-    Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneGraph, Scene, SceneSource, SituationKind, Split, State, Track, TrackId,
+    TrackRole, Trajectory,
 };
 use std::sync::Arc;
 
@@ -45,6 +45,8 @@ pub(crate) fn scene(n_agents: usize, n_timesteps: usize, n_history: usize, n_lan
             file: String::new(),
             case_id: n_agents.to_string(),
             first_frame: String::new(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: DT_S,
         n_timesteps,

@@ -52,9 +52,6 @@ fn the_tools_work_from_the_command_line() {
         card.contains("then filtered where verified from corpus") && card.contains("then sampled 1 with seed 3"),
         "{card}"
     );
-    let part = fs_err::read_dir(workspace.path("two/tracks/behavior=cut_in")).unwrap().next().unwrap().unwrap().path();
-    let part = djinn(&["inspect", part.join("part-00000.parquet").to_str().unwrap()]).expect(0).stdout;
-    assert!(part.contains("table: tracks") && part.contains("behavior: cut_in"), "{part}");
 
     // Mistakes are the user's, and say what to do.
     for (args, advice) in [

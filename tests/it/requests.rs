@@ -48,7 +48,6 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     assert!(plan.contains(&format!("3 wanted, {n_pairs} pairs can reach it")), "{plan}");
     workspace.run("out", &[]).expect(0);
     assert_same(&before, &files(&root));
-    an_earlier_run_teaches(&workspace);
     // No sample is the recording itself: within a limit that requires it nothing is accepted.
     workspace.run("out", &["--set", "generate.requests.0.limits.min_scene_ade_m=0.0"]).expect(0);
     let summary = read_requests(&root.join("samples")).unwrap().remove(0);
@@ -60,21 +59,6 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     let misspelt =
         workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
     assert!(misspelt.stderr.contains("gap is not a parameter of cut_in_paper; similar: gap_m"), "{}", misspelt.stderr);
-}
-
-/// With the figures of an earlier run no round tries all arms; they count by their content, not by their path.
-fn an_earlier_run_teaches(workspace: &Workspace) {
-    let earlier = workspace.run_folder("out").join("samples/requests.json");
-    let prior = |path: &Path| format!("generate.requests.0.prior={:?}", path.to_str().unwrap());
-    workspace.run("taught", &["--set", &prior(&earlier)]).expect(0);
-    let taught = read_requests(&workspace.run_folder("taught").join("samples")).unwrap().remove(0);
-    assert!(taught.arms.iter().all(|arm| arm.first_round.n_samples == 0), "{taught:?}");
-    let elsewhere = workspace.path("earlier.json");
-    fs_err::copy(&earlier, &elsewhere).unwrap();
-    let again = workspace.run("taught", &["--dry-run", "--set", &prior(&elsewhere)]).expect(0).stdout;
-    assert!(again.contains("#   generate          cached"), "{again}");
-    let missing = workspace.run("taught", &["--set", &prior(Path::new("nowhere.json"))]).expect(1).stderr;
-    assert!(missing.contains("nowhere.json") && missing.contains("samples/requests.json"), "{missing}");
 }
 
 /// The counts of `requests.json` are those of the rows, by a count of its own; and the corpus holds what was accepted.

@@ -1,6 +1,6 @@
 //! The jobs that submitting a pipeline hands to Slurm, and the view of a run from outside.
 
-use crate::support::{Workspace, command, djinn, python};
+use crate::support::{Workspace, command, djinn};
 use std::os::unix::fs::PermissionsExt;
 use std::process::Output;
 
@@ -136,11 +136,6 @@ fn a_refusal_names_what_was_submitted_before_it() {
 }
 
 #[test]
-fn simulated_schedules_agree_with_those_worked_out_by_hand() {
-    python(&["scripts/schedule/test_schedule.py"]);
-}
-
-#[test]
 fn the_state_of_a_run_is_seen_from_its_folder() {
     let workspace = Workspace::new();
     let folder = workspace.run_folder("out");
@@ -159,14 +154,4 @@ fn the_state_of_a_run_is_seen_from_its_folder() {
     let printed = djinn(&["status", folder, "--json"]).expect(0).stdout;
     let status: serde_json::Value = serde_json::from_str(&printed).unwrap();
     assert_eq!((status["shards"]["n_done"].as_u64(), status["shards"]["n_missing"].as_u64()), (Some(4), Some(0)));
-
-    // The simulator of schedules reads both, the time of a shard and the graph.
-    let graph = text(&submit(&workspace, "exit 1", &["json", "--workers", "3"]).stdout);
-    fs_err::write(workspace.path("status.json"), printed).unwrap();
-    fs_err::write(workspace.path("graph.json"), graph).unwrap();
-    let (script, measured) = ("scripts/simulate_schedule.py", "scripts/schedule/measured.json");
-    let more = ["--status", &workspace.arg("status.json"), "--graph", &workspace.arg("graph.json"), "--json"];
-    let figures = python(&[&[script, measured, "--scenarios", "384000"][..], &more].concat());
-    let figures: serde_json::Value = serde_json::from_str(&figures).unwrap();
-    assert_eq!((figures["n_shards"].as_u64(), figures["n_lookups"].as_u64()), (Some(1_000), Some(2 * 3 * 1_000)));
 }

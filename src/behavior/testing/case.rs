@@ -6,8 +6,8 @@ use super::motion::{Segment, Start, drive};
 use crate::behavior::{BehaviorConfig, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneSource, Split, State, Track,
-    TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Extent, Lane, LaneAttributes, LaneGraph, LaneId, Scene, SceneSource, SituationKind, Split,
+    State, Track, TrackId, TrackRole, Trajectory,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -150,6 +150,8 @@ impl SceneSpec {
             file: String::new(),
             case_id: name.to_owned(),
             first_frame: "0".to_owned(),
+            situation: SituationKind::Recorded,
+            continues: None,
         };
         Scene {
             id: name.into(),

@@ -83,6 +83,9 @@ pub(in crate::cli) enum Command {
     /// Train a model on scenes
     #[command(subcommand)]
     Train(TrainCommand),
+    /// Let held-out scenes go on in closed loops, for situations that nobody recorded
+    #[command(after_help = help::SITUATIONS)]
+    Situations(GenerateArgs),
     /// Sample new scenarios from recorded histories
     #[command(after_help = help::GENERATE)]
     Generate(GenerateArgs),
@@ -201,7 +204,7 @@ fn on_disk() -> impl TypedValueParser<Value = PathBuf> {
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct InspectArgs {
-    /// A scene store, event table, checkpoint, sample folder or shard, corpus, run folder or report
+    /// A run folder, scene store, event table, checkpoint, sample folder or corpus
     pub(in crate::cli) path: PathBuf,
     /// Print JSON instead of text
     #[arg(long)]

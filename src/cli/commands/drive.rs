@@ -7,13 +7,12 @@ use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cli::signals;
 use crate::cloud::{Access, Place};
-use crate::drive::{
-    DriveConfig, DriveReport, EgoDriver, Origin, RolloutConfig, World, drive_corpus, score as score_planned,
-};
+use crate::drive::{DriveConfig, DriveReport, EgoDriver, Origin, drive_corpus, score as score_planned};
 use crate::engine::{ComputeChoice, Failure, Result, version};
-use crate::export::EgoChoice;
 use crate::generate::Futures;
 use crate::pipeline::driven_by::open_model;
+use crate::scenario::EgoChoice;
+use crate::simulate::{RolloutConfig, World};
 use std::fmt::Write;
 use std::path::Path;
 

@@ -5,7 +5,8 @@ use crate::cli::printer::{Printer, stderr_line};
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
 use crate::engine::{Failure, Result};
-use crate::export::{EgoChoice, EgoMotion, Selection, export_corpus};
+use crate::export::{EgoMotion, Selection, export_corpus};
+use crate::scenario::EgoChoice;
 use std::path::Path;
 
 pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {

@@ -7,10 +7,9 @@ use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
 use crate::engine::plan;
-use crate::engine::plan::PlannedStage;
 use crate::engine::run_folder::{RunFolder, run_stages};
 use crate::engine::shards::{self, Makers, Part};
-use crate::engine::{Failure, Result, StageRecord};
+use crate::engine::{Failure, PlannedStage, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::{CORPUS, Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
@@ -59,7 +58,7 @@ fn run_in(
     if args.part == Some(Part::Plan) {
         // The stage is selected, and planning has found it.
         let selected = planned.iter().find(|planned| Some(planned.stage.kind()) == in_parts.map(StageId::kind));
-        return selected.map_or(Ok(()), |planned| shards::plan(&folder, planned, compute, &progress));
+        return selected.map_or(Ok(()), |planned| shards::plan(folder.root(), planned, compute, &progress));
     }
     let makers = if in_parts.is_some() { Makers::Workers } else { Makers::Alone };
     announce(&planned, output, printer);
@@ -76,7 +75,7 @@ fn describe(records: &[StageRecord], root: &Path, printer: &Printer) {
         let count = |key: &str| evaluated.summary[key].as_u64().unwrap_or_default();
         let scenes = match count("n_accepted_scenes") {
             0 => String::new(),
-            n => format!(", from {n} recorded scenes"),
+            n => format!(", from {n} scenes"),
         };
         printer.message(format_args!(
             "{} of {} scenarios are accepted ({} verified, {} valid){scenes}",

@@ -6,10 +6,9 @@ use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cloud::{Access, Place};
 use crate::engine::plan;
-use crate::engine::plan::PlannedStage;
 use crate::engine::run_folder::{RunFolder, run_stages};
 use crate::engine::shards::Makers;
-use crate::engine::{Failure, Result};
+use crate::engine::{Failure, PlannedStage, Result};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{KINDS, StageId, stages};
@@ -115,8 +114,12 @@ impl<'a> Request<'a> {
             Command::Train(TrainCommand::Baseline(args)) => {
                 Self::new(StageId::TrainBaseline, &args.stage).scenes(&args.scenes.scenes)
             }
-            Command::Generate(args) => {
-                let mut request = Self::new(StageId::Generate, &args.stage).scenes(&args.scenes.scenes);
+            Command::Situations(args) | Command::Generate(args) => {
+                let id = match command {
+                    Command::Situations(_) => StageId::Situations,
+                    _ => StageId::Generate,
+                };
+                let mut request = Self::new(id, &args.stage).scenes(&args.scenes.scenes);
                 args.models.replace_in(&mut request.layout);
                 request
             }

@@ -1,7 +1,8 @@
 //! A stage that writes a few lines, and ways to change its run folder.
 
 use crate::engine::execute::execute;
-use crate::engine::plan::{Action, PlannedStage, plan};
+use crate::engine::plan::plan;
+use crate::engine::planned::{Action, PlannedStage};
 use crate::engine::run_folder::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
 use crate::engine::shards::Makers;
 use crate::engine::testing::{KINDS, kind};

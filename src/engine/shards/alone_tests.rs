@@ -128,7 +128,7 @@ fn a_plan_to_do_the_stage_again_outlives_runs_that_do_not_ask_for_it() {
     {
         let folder = RunFolder::open(root.path(), &KINDS).unwrap();
         let planned = plan(root.path(), &KINDS, vec![Box::new(&toy)], &[kind("generate")]).unwrap();
-        super::plan(&folder, &planned[0], ComputeChoice::default(), &Heard::default()).unwrap();
+        super::plan(folder.root(), &planned[0], ComputeChoice::default(), &Heard::default()).unwrap();
     }
     let (made, outcome, _) = run_alone(root.path(), false);
     outcome.unwrap();

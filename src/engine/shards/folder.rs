@@ -2,7 +2,7 @@
 //!
 //! The plan's id is in the path, so that a worker of a discarded plan cannot write into another one.
 
-use super::Division;
+use super::division::Division;
 use super::identity::Identity;
 use super::plan_files::{ABOUT_FILE, LOG, PLAN_FILE, discard, plan_dirs, plans_of};
 use super::tries::{MAX_TRIES, Tries};

@@ -9,6 +9,7 @@
 
 #[cfg(test)]
 mod alone_tests;
+mod division;
 mod folder;
 mod gathering;
 mod identity;
@@ -19,18 +20,18 @@ mod progress;
 mod tests;
 mod tries;
 
+pub use division::Division;
 pub use gathering::Gathering;
 pub use make::{Shards, Worker, work};
 pub use progress::{ShardStatus, shard_status};
 #[cfg(test)]
 pub(crate) use tests::shard_folder;
 
-use super::execute::check_inputs;
 use super::failure::{Failure, Result};
+use super::inputs::check_inputs;
 use super::kind::StageKind;
-use super::plan::{Action, PlannedStage};
+use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
-use super::run_folder::RunFolder;
 use super::stage::{Stage, StageContext, Work};
 use super::{ComputeChoice, log};
 use crate::nn::Compute;
@@ -38,7 +39,6 @@ use crate::progress::Progress;
 use crate::settings::Unreadable;
 pub(super) use folder::ShardFolder;
 use identity::Identity;
-use serde::Serialize;
 use serde_json::Value;
 use std::fmt;
 use std::path::Path;
@@ -56,19 +56,6 @@ pub trait Sharded {
     fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value>;
 }
 
-/// The decisions made before any shard.
-pub struct Division {
-    n_shards: usize,
-    decisions: Value,
-}
-
-impl Division {
-    /// Number of shards that are known from the start, and the decisions that making and finishing them need.
-    pub fn new(n_shards: usize, decisions: &impl Serialize) -> Result<Self> {
-        Ok(Self { n_shards, decisions: serde_json::to_value(decisions).map_err(Failure::fault)? })
-    }
-}
-
 /// Who makes the shards of a stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Makers {
@@ -78,23 +65,19 @@ pub enum Makers {
     Workers,
 }
 
-/// Plans the stage that is `planned` for any number of workers. An existing plan for the same work stays.
+/// Plans the stage that is `planned` in the folder `root`, which must be locked, for any number of workers. An existing
+/// plan for the same work stays.
 ///
 /// # Errors
 /// When the folder has another plan for workers, unless the stage was requested to be done again; errors of planning.
-pub fn plan(
-    folder: &RunFolder,
-    planned: &PlannedStage<'_>,
-    compute: ComputeChoice,
-    progress: &dyn Progress,
-) -> Result<()> {
+pub fn plan(root: &Path, planned: &PlannedStage<'_>, compute: ComputeChoice, progress: &dyn Progress) -> Result<()> {
     let stage = planned.stage.as_ref();
     let Work::Sharded(sharded) = stage.work() else { return Ok(()) };
     if planned.action == Action::Reuse {
         return Ok(());
     }
     let identity = Identity::own(planned.stage.kind(), planned.expected.clone(), compute)?;
-    for other in ShardFolder::all(folder.root(), stage.kind())? {
+    for other in ShardFolder::all(root, stage.kind())? {
         match other.difference(&identity) {
             _ if planned.is_requested => other.discard()?,
             None => return other.shared(false).map(drop),
@@ -104,7 +87,7 @@ pub fn plan(
     }
     check_inputs(stage)?;
     let division = sharded.plan(&open(stage, compute)?, progress)?;
-    let plan = ShardFolder::write(folder.root(), stage.kind(), identity, &division)?;
+    let plan = ShardFolder::write(root, stage.kind(), identity, &division)?;
     plan.shared(planned.is_requested).map(drop)
 }
 

@@ -55,8 +55,8 @@ fn kind(lane: &Lane) -> &'static str {
     match lane.attributes.kind.as_str() {
         "BUS" | "bus_lane" => "busLane",
         _ if lane.attributes.is_intersection => "intersection",
-        "highway" => "highway",
-        "road" | "VEHICLE" => "urban",
+        "highway" | "freeway" => "highway",
+        "road" | "VEHICLE" | "surface_street" => "urban",
         _ => "unknown",
     }
 }

@@ -4,7 +4,6 @@ use super::super::{Limit, PairSelectionConfig};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// Events requested by their parameters. Arms of `[[generate.arms]]` are tried until every bucket is full or the budget
 /// is spent.
@@ -41,10 +40,6 @@ pub struct RequestConfig {
     pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
     pub arms: Vec<String>,
-    /// `samples/requests.json` of a finished run. Arms of the same name start from how often they hit buckets there,
-    /// counted as at most 20 samples, and are not tried on the same scenes first. Needs `plan = "adaptive"`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub prior: Option<PathBuf>,
     /// Number of scenes to take pairs from.
     #[serde(default = "default_n_scenes")]
     #[schemars(range(min = 1, max = 1_000_000_000))]
@@ -113,7 +108,7 @@ pub enum Requirement {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PlanKind {
-    /// First every arm without a `prior` on the same scenes; then, round by round, the arms and scenes that fill open
+    /// First every arm on the same scenes; then, round by round, the arms and scenes that fill open
     /// buckets, each in proportion to its probability of being the best (Thompson sampling).
     #[default]
     Adaptive,

@@ -1,10 +1,11 @@
 //! Does a generated scenario meet the request, and is there room for it?
 
 use super::facts::Facts;
-use super::ledger::{CellTally, Ledger, ShardTally};
+use super::ledger::{CellTally, EventValues, Ledger, ShardTally};
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
 use super::rounds::RoundShard;
+use crate::behavior::Behavior;
 use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
 use crate::metrics::PairPath;
@@ -31,6 +32,9 @@ pub struct PlacedScenario {
     /// The motion of the requested agents; present for hits.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     path: Option<PairPath>,
+    /// The event; present for hits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    event: Option<EventValues>,
 }
 
 impl Generator<'_> {
@@ -70,7 +74,10 @@ impl Generator<'_> {
             let asked = &record.scenario.provenance.guidance.roles;
             let is_hit = matches!(placement, Placement::Hit(_));
             let path = if is_hit { PairPath::of(&record.scenario.scene, asked) } else { None };
-            Ok(PlacedScenario { cell, placement, path })
+            let names = request.told_apart_by(self.behavior(&self.config.sweeps[shard.plan.sweep_idx]));
+            let event = record.main_event().filter(|_| is_hit);
+            let event = event.map(|event| EventValues::of(event, names.iter().map(String::as_str)));
+            Ok(PlacedScenario { cell, placement, path, event })
         };
         records.par_iter().map(place).collect()
     }
@@ -94,6 +101,13 @@ impl Generator<'_> {
 }
 
 impl ResolvedRequest {
+    /// The parameters in which two accepted scenarios of one situation must differ: those of its buckets, and those
+    /// that templates of the behavior are solved for.
+    fn told_apart_by(&self, behavior: Option<&dyn Behavior>) -> Vec<String> {
+        let solved = behavior.map_or(&[][..], Behavior::template_parameters);
+        self.config.buckets.keys().cloned().chain(solved.iter().map(|name| (*name).to_owned())).collect()
+    }
+
     /// Whether these placements can belong to this shard.
     pub fn may_decide(&self, shard: &RoundShard, placed: &[PlacedScenario]) -> bool {
         let is_known = |placement: Placement| match placement {
@@ -122,7 +136,7 @@ impl ResolvedRequest {
             ..CellTally::default()
         };
         let mut cells: Vec<CellTally> = shard.members.iter().zip(&shard.plan.cells).map(cell_tally).collect();
-        let mut accepted = Accepted { by_bucket: ledger.accepted.clone(), paths: Vec::new() };
+        let mut accepted = Accepted { by_bucket: ledger.accepted.clone(), paths: Vec::new(), events: Vec::new() };
         let mut tags = Vec::new();
         for scenario in placed {
             let (outcome, bucket) = outcome(scenario, &mut cells[scenario.cell], ledger, &mut accepted);
@@ -143,6 +157,8 @@ struct Accepted<'a> {
     by_bucket: Vec<u64>,
     /// The paths of accepted ones in the same shard; the ledger has those of earlier shards.
     paths: Vec<&'a PairPath>,
+    /// The events of accepted ones in the same shard, each with its cell.
+    events: Vec<(usize, &'a EventValues)>,
 }
 
 /// Decides on and counts a scenario of `cell`; returns its outcome and its bucket.
@@ -173,14 +189,21 @@ fn outcome<'a>(
             } else if n_of_cell >= ledger.max_per_scene {
                 hits.n_repeated += 1;
                 RequestOutcome::Repeated
-            } else if path.is_some_and(|path| ledger.has_like(path, &accepted.paths)) {
+            } else if path.is_some_and(|path| ledger.has_like(path, &accepted.paths))
+                || scenario
+                    .event
+                    .as_ref()
+                    .is_some_and(|event| ledger.has_like_event(cell.cell, event, &accepted.events))
+            {
                 hits.n_near_duplicates += 1;
                 RequestOutcome::NearDuplicate
             } else {
                 hits.n_accepted += 1;
                 accepted.by_bucket[bucket] += 1;
                 accepted.paths.extend(path);
+                accepted.events.extend(scenario.event.as_ref().map(|event| (cell.cell, event)));
                 cell.accepted_paths.extend(path.cloned());
+                cell.accepted_events.extend(scenario.event.clone());
                 RequestOutcome::Accepted
             };
             (outcome, Some(bucket))
@@ -260,6 +283,7 @@ mod tests {
             n_scenes: cells.len(),
             feasible: vec![BTreeMap::from([(0, 0.0)]); cells.len()],
             n_infeasible: 0,
+            unmet: None,
         };
         let plan = ShardPlan { idx: 0, sweep_idx: 0, cells: cells.to_vec(), first_sample: 0 };
         let shard = RoundShard { arm: 0, members: (0..cells.len()).collect(), plan };

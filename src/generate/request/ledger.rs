@@ -3,6 +3,7 @@
 use super::config::PlanKind;
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
+use crate::behavior::BehaviorEvent;
 use crate::metrics::{PairPath, PathIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -47,6 +48,34 @@ pub struct CellTally {
     /// The motion of the requested agents in accepted scenarios.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub accepted_paths: Vec<PairPath>,
+    /// The parameters of their events.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub accepted_events: Vec<EventValues>,
+}
+
+/// The parameters of an event that a request names or a template solves for, in hundredths of their units.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct EventValues(BTreeMap<String, i64>);
+
+impl EventValues {
+    /// How far apart events of one situation are at least in one parameter: in hundredths of a second for times,
+    /// otherwise of the parameter's unit.
+    const APART: [i64; 2] = [15, 50];
+
+    pub(super) fn of<'n>(event: &BehaviorEvent, names: impl Iterator<Item = &'n str>) -> Self {
+        let value = |name: &str| Some((name.to_owned(), (event.parameters.get(name)? * 100.0).round() as i64));
+        Self(names.filter_map(value).collect())
+    }
+
+    /// Whether two events of one situation differ too little to be two.
+    fn is_like(&self, other: &Self) -> bool {
+        self.0.iter().all(|(name, value)| {
+            let [apart_s, apart] = Self::APART;
+            let least = if name.ends_with("_s") { apart_s } else { apart };
+            other.0.get(name).is_some_and(|other| (value - other).abs() < least)
+        })
+    }
 }
 
 /// Scenarios of a bucket that meet the request.
@@ -124,12 +153,20 @@ pub struct Ledger {
     pub(super) first_round: Vec<ArmCounts>,
     pub(super) cells: Vec<CellCounts>,
     n_evaluations_by_arm: Vec<u64>,
-    /// Whether the first round tries arms.
-    has_trial: bool,
     behavior: String,
     /// The motion of the requested agents in accepted scenarios.
     paths: PathIndex,
     duplicate_distance_m: f64,
+    /// The situation of each cell, and the events and the number of accepted scenarios by bucket in each of them.
+    situation_of_cell: Vec<usize>,
+    situations: Vec<SituationCounts>,
+}
+
+/// Accepted scenarios of one situation.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+struct SituationCounts {
+    events: Vec<EventValues>,
+    by_bucket: BTreeMap<usize, u64>,
 }
 
 impl Ledger {
@@ -140,6 +177,8 @@ impl Ledger {
         let (hits, aimed) = (vec![Hits::default(); n_buckets], vec![Aimed::default(); n_buckets]);
         let counts = ArmCounts { hits, aimed, ..ArmCounts::default() };
         let max_per_scene = request.config.max_per_scene;
+        let situation_of_cell = pool.situations();
+        let n_situations = situation_of_cell.iter().max().map_or(0, |last| last + 1);
         Self {
             wanted: request.buckets.wanted().to_vec(),
             room: (0..n_buckets).map(|bucket| max_per_scene.saturating_mul(pool.n_feasible(bucket) as u64)).collect(),
@@ -152,11 +191,17 @@ impl Ledger {
             first_round: vec![counts; n_arms],
             cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
             n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
-            has_trial: request.is_trial(0),
             behavior: request.config.behavior.clone(),
             paths: PathIndex::default(),
             duplicate_distance_m: request.duplicate_distance_m,
+            situation_of_cell,
+            situations: vec![SituationCounts::default(); n_situations],
         }
+    }
+
+    /// The number of situations with an accepted scenario.
+    pub fn n_situations(&self) -> u64 {
+        self.situations.iter().filter(|counts| !counts.by_bucket.is_empty()).count() as u64
     }
 
     /// Adds a shard. A tally with an unknown arm, cell or bucket belongs to another request and is ignored.
@@ -175,6 +220,12 @@ impl Ledger {
             for path in &cell.accepted_paths {
                 self.paths.insert(&self.behavior, path.clone(), "");
             }
+            if let Some(situation) = self.situation_of_cell.get(cell.cell).and_then(|at| self.situations.get_mut(*at)) {
+                situation.events.extend(cell.accepted_events.iter().cloned());
+                for (bucket, hits) in cell.hits.iter().filter(|(_, hits)| hits.n_accepted > 0) {
+                    *situation.by_bucket.entry(*bucket).or_default() += hits.n_accepted;
+                }
+            }
             counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
             if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
@@ -188,7 +239,7 @@ impl Ledger {
                 }
             }
             self.arms[tally.arm].add(cell);
-            if tally.round == 0 && self.has_trial {
+            if tally.round == 0 {
                 self.first_round[tally.arm].add(cell);
             }
         }
@@ -214,6 +265,15 @@ impl Ledger {
         let is_near = |distance_m: f64| distance_m < self.duplicate_distance_m;
         self.paths.nearest(&self.behavior, path).is_some_and(|(_, distance_m)| is_near(distance_m))
             || of_shard.iter().any(|other| is_near(path.distance_m(other)))
+    }
+
+    /// Whether an event differs too little from that of an accepted scenario of the same situation, or from one
+    /// `of_shard` that is not counted yet.
+    pub(super) fn has_like_event(&self, cell: usize, event: &EventValues, of_shard: &[(usize, &EventValues)]) -> bool {
+        let Some(situation) = self.situation_of_cell.get(cell) else { return false };
+        let known = self.situations.get(*situation).map_or(&[][..], |counts| &counts.events);
+        let in_shard = of_shard.iter().filter(|(other, _)| self.situation_of_cell.get(*other) == Some(situation));
+        known.iter().chain(in_shard.map(|(_, event)| *event)).any(|other| event.is_like(other))
     }
 
     /// Whether no bucket is open.
@@ -257,9 +317,10 @@ impl Ledger {
             .sum()
     }
 
-    /// Scenarios of a cell that were accepted in a bucket.
+    /// Scenarios of the situation of a cell that were accepted in a bucket.
     pub(super) fn accepted_of_cell(&self, cell: usize, bucket: usize) -> u64 {
-        self.cells.get(cell).and_then(|cell| cell.hits.get(&bucket)).map_or(0, |hits| hits.n_accepted)
+        let situation = self.situation_of_cell.get(cell).and_then(|at| self.situations.get(*at));
+        situation.and_then(|counts| counts.by_bucket.get(&bucket)).copied().unwrap_or_default()
     }
 }
 

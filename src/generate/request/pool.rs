@@ -4,9 +4,13 @@ use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator};
+use crate::scene::{SceneId, TrackId};
 use crate::store::{SceneIndex, SceneIndexEntry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// Windows of a recording are situations of their own if their presents are this many timesteps apart: three seconds.
+const APART: i64 = 30;
 
 /// The cells that a request may use, in random order; written before anything is sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,9 +25,36 @@ pub struct Pool {
     pub feasible: Vec<BTreeMap<usize, f64>>,
     /// Pairs that were examined and can reach no bucket.
     pub n_infeasible: usize,
+    /// Why no situation can fulfill the request; `None` if there are cells.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unmet: Option<String>,
 }
 
 impl Pool {
+    /// The situation of each cell: pairs are in one if they are the same agents, at moments of one recording or closed
+    /// loop less than [`APART`] timesteps apart.
+    pub(super) fn situations(&self) -> Vec<usize> {
+        let key = |cell: &Cell| {
+            let (recording, frame) = SceneId::window_of(&cell.scene_id.0).unwrap_or((&cell.scene_id.0, 0));
+            let agents: Vec<TrackId> = cell.roles.tracks().cloned().collect();
+            (recording.to_owned(), agents, frame)
+        };
+        let mut in_order: Vec<((String, Vec<TrackId>, i64), usize)> =
+            self.cells.iter().map(key).enumerate().map(|(idx, key)| (key, idx)).collect();
+        in_order.sort();
+        let (mut situations, mut n, mut first) = (vec![0; self.cells.len()], 0, None);
+        for ((recording, agents, frame), idx) in in_order {
+            let is_same = first.as_ref().is_some_and(|(known, of, since): &(String, Vec<TrackId>, i64)| {
+                (known, of) == (&recording, &agents) && frame < since + APART
+            });
+            if !is_same {
+                (n, first) = (n + 1, Some((recording, agents, frame)));
+            }
+            situations[idx] = n - 1;
+        }
+        situations
+    }
+
     /// The number of cells that can reach a bucket.
     pub fn n_feasible(&self, bucket: usize) -> usize {
         self.feasible.iter().filter(|buckets| buckets.contains_key(&bucket)).count()
@@ -32,11 +63,24 @@ impl Pool {
 
 impl Generator<'_> {
     /// The cells of a request, from scenes in random order that have a suitable pair, or from the scenes with the best
-    /// pairs, depending on its `pairs`. Places and classes that `where` rules out are excluded.
+    /// pairs, depending on its `pairs`. Places and classes that `where` rules out are excluded. Where there are none,
+    /// or none can reach a bucket, the pool says why: other requests can still be fulfilled.
     ///
     /// # Errors
-    /// When there are none, when none can reach a bucket, or a scene cannot be loaded.
+    /// When a scene cannot be loaded.
     pub fn pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
+        self.filled_pool(request, index).or_else(|error| {
+            let n_infeasible = match &error {
+                Error::Infeasible { n_pairs, .. } => *n_pairs,
+                Error::NoScenes { .. } => 0,
+                _ => return Err(error),
+            };
+            let (request, unmet) = (request.config.name.clone(), Some(error.to_string()));
+            Ok(Pool { request, cells: Vec::new(), n_scenes: 0, feasible: Vec::new(), n_infeasible, unmet })
+        })
+    }
+
+    fn filled_pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
         let conditions = &request.config.conditions;
         let is_possible = |entry: &SceneIndexEntry<'_>| match conditions.get("place") {
             Some(Requirement::Texts(places)) => places.iter().any(|place| place == entry.place),
@@ -68,7 +112,7 @@ impl Generator<'_> {
                 hint: ", but none has a pair that meets the request; widen where, or raise pairs.max_distance_m",
             });
         }
-        Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible })
+        Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible, unmet: None })
     }
 
     /// The buckets that a cell can reach, given its past, with the least effort for each.

@@ -1,7 +1,7 @@
 //! Resolves requests into sweeps: one for each request, arm and strength, after the configured sweeps.
 
 use super::buckets::Buckets;
-use super::config::{Divisions, PlanKind, RequestConfig, Requirement};
+use super::config::{Divisions, RequestConfig, Requirement};
 use super::facts::check_name;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
@@ -66,17 +66,6 @@ pub struct Arm {
     pub level: GuidanceLevel,
     /// Whether its template or one of its objectives aims at the open bucket.
     pub aims: bool,
-    /// Results of earlier runs.
-    pub prior: Option<ArmPrior>,
-}
-
-/// Earlier results of an arm, as samples of this request.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct ArmPrior {
-    /// Samples; for an arm that aims, those that aimed at a bucket.
-    pub n_samples: f64,
-    /// Samples among them that fell into a bucket; for an arm that aims, into the bucket at which they aimed.
-    pub n_hits: f64,
 }
 
 impl GenerateConfig {
@@ -123,7 +112,6 @@ impl GenerateConfig {
                         n_evaluations: sweep.n_evaluations(),
                         level,
                         aims: !sweep.aims_at().is_empty(),
-                        prior: None,
                     });
                     resolved.sweeps.push(sweep);
                 }
@@ -168,9 +156,6 @@ impl RequestConfig {
             return refuse("arms", "is empty; list at least one of [[generate.arms]]");
         }
         settings::distinct("arms", &self.arms)?;
-        if self.prior.is_some() && self.plan == PlanKind::Even {
-            return refuse("prior", "has no effect on plan = \"even\"; remove one of the two");
-        }
         match self.budget.n_samples.or(self.budget.n_evaluations) {
             None => refuse("budget", "is empty; set n_samples or n_evaluations"),
             Some(_) => Ok(()),

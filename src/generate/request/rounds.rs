@@ -111,23 +111,15 @@ impl ResolvedRequest {
         (!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards })
     }
 
-    /// Whether a round tries every arm without a prior once, all on the same cells.
-    pub(super) fn is_trial(&self, round: usize) -> bool {
-        round == 0 && self.arms.iter().any(|arm| arm.prior.is_none())
-    }
-
+    /// The number of shards of a round; the first tries every arm once, all on the same cells.
     fn n_slots(&self, round: usize) -> usize {
-        if self.is_trial(round) { self.untried().count() } else { self.config.shards_per_round }
-    }
-
-    fn untried(&self) -> impl Iterator<Item = usize> {
-        (0..self.arms.len()).filter(|arm| self.arms[*arm].prior.is_none())
+        if round == 0 { self.arms.len() } else { self.config.shards_per_round }
     }
 
     fn choose_arm(&self, context: &RoundContext<'_>, slot: usize) -> usize {
         let RoundContext { ledger, round, .. } = *context;
-        if let Some(arm) = self.untried().nth(slot).filter(|_| self.is_trial(round)) {
-            return arm;
+        if round == 0 {
+            return slot;
         }
         if self.config.plan == PlanKind::Even {
             return self.even_shard(round, slot) % self.arms.len();
@@ -147,18 +139,16 @@ impl ResolvedRequest {
     /// pseudo-counts included. An arm that aims has a prior of its own: it is expected to hit buckets at which it has
     /// not aimed as often as the others.
     fn open_hit_rate(&self, ledger: &Ledger, arm: usize) -> (f64, f64) {
-        let earlier = self.arms[arm].prior.unwrap_or_default();
         if self.arms[arm].aims {
             let all = ledger.aimed_of_arm(arm, |_| true);
             let open = ledger.aimed_of_arm(arm, |bucket| ledger.is_open(bucket));
             // Laplace's rule of succession.
-            let usual = (1.0 + earlier.n_hits + all.n_hits as f64) / (2.0 + earlier.n_samples + all.n_samples as f64);
+            let usual = (1.0 + all.n_hits as f64) / (2.0 + all.n_samples as f64);
             let n_missed = (open.n_samples - open.n_hits) as f64;
             (AIMED_PRIOR_SAMPLES * usual + open.n_hits as f64, AIMED_PRIOR_SAMPLES * (1.0 - usual) + n_missed)
         } else {
             let (n, n_open) = (ledger.arms[arm].n_samples as f64, ledger.open_hits_of_arm(arm) as f64);
-            let n_missed = (n - n_open).max(0.0) + earlier.n_samples - earlier.n_hits;
-            (PRIOR_HITS + earlier.n_hits + n_open, PRIOR_MISSES + n_missed)
+            (PRIOR_HITS + n_open, PRIOR_MISSES + (n - n_open).max(0.0))
         }
     }
 
@@ -171,7 +161,7 @@ impl ResolvedRequest {
     ) -> Vec<usize> {
         let RoundContext { pool, ledger, round, .. } = *context;
         let n = pool.cells.len();
-        if self.is_trial(round) {
+        if round == 0 {
             return (0..n_cells).collect();
         }
         if self.config.plan == PlanKind::Even {
@@ -182,9 +172,7 @@ impl ResolvedRequest {
         // suitability. The suitability is drawn from its posterior.
         let n_arms = self.arms.len();
         let rate = |arm: usize| {
-            let earlier = self.arms[arm].prior.unwrap_or_default();
-            (PRIOR_HITS + earlier.n_hits + ledger.open_hits_of_arm(arm) as f64)
-                / (PRIOR_SAMPLES + earlier.n_samples + ledger.arms[arm].n_samples as f64)
+            (PRIOR_HITS + ledger.open_hits_of_arm(arm) as f64) / (PRIOR_SAMPLES + ledger.arms[arm].n_samples as f64)
         };
         let rates: Vec<f64> = (0..n_arms).map(rate).collect();
         let seed = self.slot_seed(context, slot);
@@ -223,7 +211,7 @@ impl ResolvedRequest {
             let in_round = planned.get(cell).copied().unwrap_or_default();
             context.ledger.cells[*cell].next_sample.max(in_round)
         };
-        let first_sample = if self.is_trial(context.round) { 0 } else { members.iter().map(next).max().unwrap_or(0) };
+        let first_sample = if context.round == 0 { 0 } else { members.iter().map(next).max().unwrap_or(0) };
         let mut aimed = vec![0; self.buckets.len()];
         let cells = members.iter().map(|cell| {
             let mut own = context.pool.cells[*cell].clone();

@@ -47,6 +47,8 @@ pub struct RequestSummary {
     pub n_wanted: u64,
     /// Scenarios accepted.
     pub n_accepted: u64,
+    /// Situations in which they begin: different agents, or moments three seconds apart.
+    pub n_situations: u64,
     /// The arms.
     pub arms: Vec<ArmSummary>,
     /// The buckets.
@@ -69,7 +71,7 @@ pub struct ArmSummary {
     pub n_aimed_hits: u64,
     /// Yield of all rounds; arms and scenes with a higher yield are tried more often.
     pub total: Yield,
-    /// Yield of the first round, in which every arm without a prior continues the same scenes from the same noise.
+    /// Yield of the first round, in which every arm continues the same scenes from the same noise.
     pub first_round: Yield,
 }
 
@@ -183,6 +185,7 @@ impl RequestSummary {
             n_infeasible: pool.n_infeasible,
             n_wanted: ledger.wanted.iter().sum(),
             n_accepted: ledger.n_accepted(),
+            n_situations: ledger.n_situations(),
             arms: arms.collect(),
             buckets: (0..request.buckets.len()).map(bucket).collect(),
         }

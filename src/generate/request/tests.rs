@@ -54,6 +54,7 @@ pub(super) fn pool(n: usize) -> Pool {
         n_scenes: n,
         feasible: vec![(0..4).map(|bucket| (bucket, 0.0)).collect(); n],
         n_infeasible: 0,
+        unmet: None,
     }
 }
 

@@ -69,12 +69,13 @@ mod tests {
 
     #[test]
     fn what_acts_is_told_with_its_options() {
-        let found = settings("strengths = [0.0, 2.0]\nobjectives = [{ kind = 'target_speed', speed_mps = 7.0 }]");
+        let found =
+            settings("strengths = [0.0, 2.0]\nobjectives = [{ kind = 'acceleration_limit', limit_mps2 = 7.0 }]");
         assert_eq!(found[0].get("objectives").or(found[0].get("strength")), None);
         assert_eq!(found[0]["sampler"]["n_steps"], 4);
         assert_eq!(found[1]["strength"], 2.0);
         let objective = &found[1]["objectives"][0];
-        assert_eq!((&objective["kind"], &objective["speed_mps"]), (&"target_speed".into(), &7.0.into()));
+        assert_eq!((&objective["kind"], &objective["limit_mps2"]), (&"acceleration_limit".into(), &7.0.into()));
         let goals = "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], weights = [0.0, 0.5] }";
         let found = settings(goals);
         assert_eq!(found[0].get("classifier_free"), None);

@@ -3,7 +3,6 @@
 use super::*;
 use crate::behavior::BehaviorConfig;
 use crate::diffusion::SamplerConfig;
-use crate::geometry::Vec2;
 use crate::metrics::MetricSettings;
 use crate::scenario::ScenarioRecord;
 use crate::scene::Track;
@@ -12,11 +11,11 @@ use std::collections::BTreeSet;
 const OBJECTIVES: &str = "
     splits = ['train']
     [[sweeps]]
-    name = 'slow'
+    name = 'smooth'
     n_scenes = 3
     n_samples = 2
     strengths = [0.0, 1.0]
-    objectives = [{ kind = 'target_speed', speed_mps = 2.0 }]
+    objectives = [{ kind = 'acceleration_limit', limit_mps2 = 0.5 }]
 ";
 
 fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
@@ -26,13 +25,21 @@ fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
     kinds
 }
 
-/// The mean deviation of generated speeds from 2 m/s, over records of a strength.
-fn deviation_mps(records: &[ScenarioRecord], strength: f64) -> f64 {
+/// The mean second difference of generated positions, meters, over the tracks with this role in records of a strength;
+/// over all tracks without a role.
+fn jolts_m(records: &[ScenarioRecord], strength: f64, role: Option<&str>) -> f64 {
     let own = records.iter().filter(|record| record.scenario.provenance.guidance.level.strength == strength);
-    let tracks = own.flat_map(|record| &record.scenario.scene.tracks);
-    let states = tracks.flat_map(|track| track.trajectory.valid().filter(|(t, _)| *t >= N_HISTORY));
-    let deviations: Vec<f64> = states.map(|(_, state)| (state.speed_mps() - 2.0).abs()).collect();
-    deviations.iter().sum::<f64>() / deviations.len() as f64
+    let tracks = own.flat_map(|record| {
+        let meant = role.and_then(|role| record.scenario.provenance.guidance.roles.track(role));
+        record.scenario.scene.tracks.iter().filter(move |track| meant.is_none_or(|id| track.id == *id))
+    });
+    let jolts = tracks.flat_map(|track| {
+        let at = |t: usize| track.trajectory.get(t).map(|state| state.position);
+        let jolt = move |t: usize| Some((at(t - 2)? - at(t - 1)? * 2.0 + at(t)?).norm());
+        (N_HISTORY..track.trajectory.n_timesteps()).filter_map(jolt).collect::<Vec<_>>()
+    });
+    let jolts: Vec<f64> = jolts.collect();
+    jolts.iter().sum::<f64>() / jolts.len() as f64
 }
 
 #[test]
@@ -41,10 +48,10 @@ fn objectives_guide_without_a_behavior() {
         let sampler = SamplerConfig::heun(12);
         let records = generate(&GenerateConfig { sampler, ..config(&format!("{OBJECTIVES}{options}")) });
         assert_eq!(records.len(), 3 * 2 * 2);
-        assert_eq!(kinds(&records), ["none", "target_speed"]);
+        assert_eq!(kinds(&records), ["acceleration_limit", "none"]);
         assert!(records.iter().all(|r| r.scenario.provenance.classifier.is_none() && r.requested_behavior.is_none()));
-        let (before, after) = (deviation_mps(&records, 0.0), deviation_mps(&records, 1.0));
-        assert!(after < 0.97 * before, "{options}: {before} m/s before, {after} m/s after");
+        let [before, after] = [0.0, 1.0].map(|strength| jolts_m(&records, strength, None));
+        assert!(after < 0.97 * before, "{options}: {before} m before, {after} m after");
     }
 }
 
@@ -115,8 +122,8 @@ fn a_classifier_guides_the_pair_by_either_potential() {
 #[test]
 fn objectives_alone_may_serve_a_behavior() {
     let toml = format!(
-        "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'goal', agents = 'other', x_m = 9.0, \
-         y_m = -4.0 }}]"
+        "{SWEEPS}    classifier_scope = 'none'\n    objectives = [{{ kind = 'acceleration_limit', agents = 'other', \
+         limit_mps2 = 0.5 }}]"
     );
     let (denoiser, config) = (denoiser(0), resolve(&toml));
     let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
@@ -125,21 +132,10 @@ fn objectives_alone_may_serve_a_behavior() {
         Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap();
     let plan = generator.plan(&index(12)).unwrap();
     let records = generator.generate(plan.shards.last().unwrap(), &Silent).unwrap().records;
-    assert_eq!(kinds(&records), ["goal", "none"]);
-    let misses_m = |strength: f64| -> Vec<f64> {
-        let own = records.iter().filter(|r| r.scenario.provenance.guidance.level.strength == strength);
-        let moved = own.map(|record| {
-            let scene = &record.scenario.scene;
-            let other =
-                record.scenario.provenance.guidance.roles.track("other").and_then(|id| scene.track_idx(id)).unwrap();
-            let at = |timestep: usize| scene.state(other, timestep).unwrap().position;
-            at(scene.n_timesteps - 1) - at(scene.current_timestep())
-        });
-        moved.map(|moved| moved.distance(Vec2::new(9.0, -4.0))).collect()
-    };
-    let [guided_m, plain_m] = [3.0, 0.0].map(|strength| misses_m(strength).iter().sum::<f64>() / 8.0);
+    assert_eq!(kinds(&records), ["acceleration_limit", "none"]);
+    let [guided_m, plain_m] = [3.0, 0.0].map(|strength| jolts_m(&records, strength, Some("other")));
     // From the same noise.
-    assert!(guided_m < plain_m, "{guided_m} m from the goal, unguided {plain_m} m");
+    assert!(guided_m < plain_m, "{guided_m} m, unguided {plain_m} m");
 }
 
 #[test]
@@ -218,33 +214,33 @@ fn guidance_that_makes_no_sense_is_refused() {
         Err(error) => error.to_string(),
     };
     let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
-    let speed = |rest: &str| format!("objectives = [{{ kind = 'target_speed', speed_mps = 5.0{rest} }}]");
+    let calm = |rest: &str| format!("objectives = [{{ kind = 'acceleration_limit', limit_mps2 = 5.0{rest} }}]");
     let guided = |rest: &str| sweep(&format!("strengths = [1.0]\n{rest}"));
     let cut_in = |rest: &str| guided(&format!("behavior = 'cut_in'\n{rest}"));
     for (toml, part) in [
         (
-            guided(&speed(", weight = -1.0")),
+            guided(&calm(", weight = -1.0")),
             "generate.sweeps.0.objectives.0.weight is -1, expected more than 0 and at most 1000000",
         ),
-        (guided(&speed(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
-        (cut_in(&speed(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
+        (guided(&calm(", agents = 'other'")), "no agent has the role `other`, expected one of all, ego"),
+        (cut_in(&calm(", agents = 'third'")), "no agent has the role `third`, expected one of all, ego, other"),
         (sweep("template = true"), "template is true, but no behavior is requested"),
         (sweep("behavior = 'cut_in'\ntemplate = true\nedit = { tau = 0.5 }"), "edits recordings, too"),
         (cut_in("template = true"), "the classifier does not know templates"),
         (cut_in("classifier_scope = 'none'"), "add objectives"),
         (cut_in("aim = 'feasible'"), "aim is \"feasible\", which needs a behavior"),
-        (cut_in(&format!("aim = 'feasible'\n{}", speed(""))), "aim is \"feasible\""),
+        (cut_in(&format!("aim = 'feasible'\n{}", calm(""))), "aim is \"feasible\""),
         (guided("aim = 'feasible'\nobjectives = [{ kind = 'hard_brake', agents = 'ego' }]"), "aim is \"feasible\""),
-        (sweep(&speed("")), "objectives have no effect at strength 0"),
-        (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", speed(""))), "inner_steps is 0"),
-        (guided("objectives = [{ kind = 'target_sped', speed_mps = 5.0 }]"), "target_sped"),
+        (sweep(&calm("")), "objectives have no effect at strength 0"),
+        (guided(&format!("objective_guidance = {{ inner_steps = 0 }}\n{}", calm(""))), "inner_steps is 0"),
+        (guided("objectives = [{ kind = 'aceleration_limit' }]"), "aceleration_limit"),
     ] {
         let message = refusal(&toml);
         assert!(message.contains(part), "{message}");
     }
     // Roles are those of the mined behaviors.
     let check = |agents: &str| {
-        let toml = guided(&format!("behavior = 'drift'\n{}", speed(&format!(", agents = '{agents}'"))));
+        let toml = guided(&format!("behavior = 'drift'\n{}", calm(&format!(", agents = '{agents}'"))));
         config(&toml).resolve(&drift()).map(drop).map_err(|error| error.to_string())
     };
     assert_eq!(check("other"), Ok(()));

@@ -1,4 +1,4 @@
-//! Objectives for trajectories: goals for positions and headings, without a classifier.
+//! Objectives for trajectories: wishes for positions and headings, without a classifier.
 //!
 //! One objective per file: its struct is its configuration, its docstring its definition. A new one needs its file and
 //! an entry in the list `objectives!`.
@@ -17,19 +17,14 @@ mod cross_ahead;
 mod cut_in;
 mod driven_paths;
 mod encroachment;
-mod goal;
 mod hard_brake;
-mod keep_distance;
 mod lane_change;
 mod motion;
 mod no_collision;
 mod one_agent;
 mod pairs;
 mod slip_limit;
-mod speed_limit;
 mod stay_on_road;
-mod stop_at_line;
-mod target_speed;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -41,17 +36,12 @@ pub use acceleration_limit::AccelerationLimit;
 pub use collision::Collision;
 pub use cross_ahead::CrossAhead;
 pub use cut_in::CutIn;
-pub use goal::Goal;
 pub use hard_brake::HardBrake;
-pub use keep_distance::KeepDistance;
 pub use lane_change::LaneChange;
 pub(super) use motion::nothing;
 pub use no_collision::NoCollision;
 pub use slip_limit::SlipLimit;
-pub use speed_limit::SpeedLimit;
 pub use stay_on_road::StayOnRoad;
-pub use stop_at_line::StopAtLine;
-pub use target_speed::TargetSpeed;
 pub use turn::Turn;
 pub use wrong_way::WrongWay;
 
@@ -97,7 +87,7 @@ pub enum Whose {
     One(&'static str),
 }
 
-/// An objective with its options and its weight: `{ kind = "target_speed", agents = "other", speed_mps = 5.0 }`.
+/// An objective with its options and its weight: `{ kind = "acceleration_limit", agents = "other", limit_mps2 = 3.0 }`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(extend("unevaluatedProperties" = false))]
 pub struct ObjectiveConfig {
@@ -146,12 +136,6 @@ macro_rules! objectives {
 }
 
 objectives! {
-    /// Drive at a given speed.
-    TargetSpeed = "target_speed",
-    /// Drive no faster than a given speed.
-    SpeedLimit = "speed_limit",
-    /// Be at a given place at a given time.
-    Goal = "goal",
     /// Accelerate, brake and turn no harder than a limit.
     AccelerationLimit = "acceleration_limit",
     /// Keep the heading along the motion.
@@ -160,10 +144,6 @@ objectives! {
     StayOnRoad = "stay_on_road",
     /// Avoid collisions.
     NoCollision = "no_collision",
-    /// Keep a distance.
-    KeepDistance = "keep_distance",
-    /// Come to a halt before a line.
-    StopAtLine = "stop_at_line",
     /// Move into the lane of another agent, ahead of it.
     CutIn = "cut_in",
     /// Brake hard.

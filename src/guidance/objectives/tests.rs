@@ -12,15 +12,10 @@ use std::sync::Arc;
 fn all() -> Vec<ObjectiveConfig> {
     let text = "
         objectives = [
-            { kind = 'target_speed', speed_mps = 3.0 },
-            { kind = 'speed_limit', limit_mps = 4.0 },
-            { kind = 'goal', agents = 'all', x_m = 30.0, y_m = 2.0, time_s = 1.0 },
             { kind = 'acceleration_limit', limit_mps2 = 0.5 },
             { kind = 'slip_limit', limit_rad = 0.01 },
             { kind = 'stay_on_road' },
             { kind = 'no_collision', margin_m = 1.0 },
-            { kind = 'keep_distance', min_m = 9.0 },
-            { kind = 'stop_at_line', agents = 'all', distance_m = 5.0 },
             { kind = 'cut_in' },
             { kind = 'cross_ahead', agents = 'ego', to = 'other' },
             { kind = 'hard_brake', agents = 'all' },
@@ -46,10 +41,6 @@ fn busy() -> Traffic {
     let lanes = scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]).lanes;
     traffic.context.roads = vec![Arc::new(RoadCorridors::new(&lanes, &Transform2::IDENTITY))];
     traffic
-}
-
-fn speeds(agent: &[Vec<f64>], dt_s: f64) -> Vec<f64> {
-    agent.windows(2).map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]) / dt_s).collect()
 }
 
 #[test]
@@ -122,27 +113,8 @@ fn rows_are_independent() {
 }
 
 #[test]
-fn target_speed_is_reached_by_the_chosen_agent() {
-    let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 8.0)]);
-    let objective = Of("other", &TargetSpeed { speed_mps: 5.0 });
-    // 3 m/s too fast from the present on: steps 2 to 10 of 0.2 s each.
-    let expected = -0.5 * 9.0 * 9.0 * 0.2;
-    assert!((traffic.potential(&objective)[0] / expected - 1.0).abs() < 0.05, "{}", traffic.potential(&objective)[0]);
-    assert_gradients_match(&objective, &traffic);
-    let states = after_ascent(&objective, &traffic, 1000);
-    assert!(speeds(&states[0][1], 0.2)[2..].iter().all(|speed| (speed - 5.0).abs() < 0.3));
-    assert_eq!(states[0][0], traffic.states_vec()[0][0]);
-}
-
-#[test]
-fn limits_bind_those_beyond_them_only() {
+fn a_jolt_beyond_the_limit_is_smoothed() {
     let traffic = Traffic::straight(&[(0.0, 0.0, 0.3, 9.0), (20.0, 0.0, 0.0, 5.0)]);
-    let limit = SpeedLimit { limit_mps: 6.0 };
-    assert_gradients_match(&limit, &traffic);
-    let states = after_ascent(&limit, &traffic, 200);
-    assert!(speeds(&states[0][0], 0.2)[2..].iter().all(|speed| *speed < 6.2));
-    assert_eq!(states[0][1], traffic.states_vec()[0][1]);
-
     // A jolt: one state 1 m off, which means 1 / 0.2² = 25 m/s² before and after, and 50 in the middle.
     let mut jolted = traffic.states_vec();
     jolted[0][0][6][1] += 1.0;
@@ -161,46 +133,17 @@ fn limits_bind_those_beyond_them_only() {
 }
 
 #[test]
-fn goals_are_reached_in_time() {
-    let traffic = Traffic::straight(&[(0.0, 0.0, 0.0, 9.0), (20.0, 5.0, std::f64::consts::FRAC_PI_2, 5.0)]);
-    let goal = |time_s: Option<f64>| Of("other", Box::new(Goal { x_m: 12.0, y_m: 1.0, time_s }));
-    // The other drives along y and is at (20, 7) at present, timestep 2: 12 m ahead and 1 m to the left is (19, 19).
-    for (objective, timestep, expected) in [(goal(Some(1.0)), 7, [19.0, 19.0]), (goal(None), 11, [19.0, 19.0])] {
-        let now = &traffic.states_vec()[0][1][timestep];
-        let miss = (now[0] - expected[0]).powi(2) + (now[1] - expected[1]).powi(2);
-        assert!((traffic.potential(&objective)[0] + 0.5 * miss).abs() < 1e-9);
-        assert_gradients_match(&objective, &traffic);
-        let there = &after_ascent(&objective, &traffic, 10)[0][1][timestep];
-        assert!((there[0] - expected[0]).abs() + (there[1] - expected[1]).abs() < 1e-6);
-    }
-}
-
-#[test]
-fn the_front_stops_at_the_line() {
-    // At present, timestep 2, the car is 2 m along its way; the line lies 6 m ahead of that.
-    let traffic = Traffic::straight(&[(0.0, 0.0, std::f64::consts::FRAC_PI_2, 5.0)]);
-    let objective = StopAtLine { distance_m: 6.0 };
-    assert_gradients_match(&objective, &traffic);
-    let states = &after_ascent(&objective, &traffic, 500)[0][0];
-    assert!(states.iter().all(|state| state[1] < 8.0 + 0.1));
-    assert!((states[11][1] - 8.0).abs() < 0.2, "{:?}", states[11]);
-    assert!(speeds(states, 0.2)[10] < 0.2);
-}
-
-#[test]
 fn options_that_make_no_sense_are_refused() {
     let refusal = |text: &str| match toml::from_str::<ObjectiveConfig>(text) {
         Ok(config) => config.validate(&["ego", "other"]).unwrap_err().to_string(),
         Err(error) => error.to_string(),
     };
     for (text, part) in [
-        ("kind = 'target_speed'\nspeed_mps = -1.0", "speed_mps is -1"),
-        ("kind = 'target_speed'\nspeed_mps = 5.0\nweight = -2.0", "weight is -2"),
-        ("kind = 'target_speed'\nspeed_mps = 5.0\nagents = 'third'", "expected one of all, ego, other"),
-        ("kind = 'target_speed'\nspeed = 5.0", "speed"),
-        ("kind = 'keep_distance'\nmin_m = 5.0\nmax_m = 3.0", "min_m is 5, expected at most max_m, which is 3"),
-        ("kind = 'stop_at_line'\ndistance_m = nan", "distance_m is NaN"),
-        ("kind = 'goal'\nx_m = inf\ny_m = 0.0", "x_m is inf"),
+        ("kind = 'acceleration_limit'\nlimit_mps2 = 0.0", "limit_mps2 is 0"),
+        ("kind = 'acceleration_limit'\nlimit_mps2 = nan", "limit_mps2 is NaN"),
+        ("kind = 'acceleration_limit'\nweight = -2.0", "weight is -2"),
+        ("kind = 'acceleration_limit'\nagents = 'third'", "expected one of all, ego, other"),
+        ("kind = 'acceleration_limit'\nlimit = 5.0", "limit"),
         ("kind = 'no_collision'\nmargin_m = -0.5", "margin_m is -0.5"),
         ("kind = 'cut_in'\nagents = 'all'", "expected one agent"),
     ] {

@@ -12,7 +12,7 @@ use crate::ingest::quotes::{printable, without_quotes};
 use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
 use crate::scene::{
-    AgentClass, Dataset, Derivation, SceneId, SceneSource, Split, Track, TrackId, TrackRole, Trajectory,
+    AgentClass, Dataset, Derivation, SceneId, SceneSource, SituationKind, Split, Track, TrackId, TrackRole, Trajectory,
 };
 use std::collections::HashMap;
 
@@ -64,6 +64,8 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
             file: unit.file.clone(),
             case_id: unit.case_id.clone(),
             first_frame: timestamps_s[first].to_string(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: DT_S,
         n_timesteps: last - first,

@@ -5,6 +5,7 @@
 
 use crate::geometry::{Polyline, Vec2};
 use crate::ingest::assemble::MAX_COORDINATE_M;
+use crate::ingest::assumed_bounds::{ASSUMED_LANE_WIDTH_M, beside};
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::lane_topology::connect;
 use crate::ingest::map_report::MapReport;
@@ -16,9 +17,6 @@ use quick_xml::events::{BytesStart, Event};
 use quick_xml::reader::Reader;
 use std::collections::HashMap;
 use std::io::BufRead;
-
-/// The map stores no widths; the official reader assumes this one.
-const ASSUMED_LANE_WIDTH_M: f64 = 3.8;
 
 /// Larger than the map of any city; a longer file is not a map.
 const MAX_MAP_BYTES: u64 = 256 << 20;
@@ -206,18 +204,6 @@ impl Way {
             attributes: attributes.into(),
         }
     }
-}
-
-/// The line at `offset_m` to the left of `points`: each point moves across the mean direction of its two segments.
-fn beside(points: &[Vec2], offset_m: f64) -> Polyline {
-    let direction = |from: Vec2, to: Vec2| (to - from) * (1.0 / from.distance(to));
-    let shifted = (0..points.len()).map(|i| {
-        let arriving = i.checked_sub(1).map(|previous| direction(points[previous], points[i]));
-        let leaving = points.get(i + 1).map(|next| direction(points[i], *next));
-        let mean = arriving.unwrap_or(Vec2::ZERO) + leaving.unwrap_or(Vec2::ZERO);
-        points[i] + Vec2::from_angle(mean.angle() + std::f64::consts::FRAC_PI_2) * offset_m
-    });
-    Polyline(shifted.collect())
 }
 
 fn attribute(element: &BytesStart<'_>, name: &str) -> Result<String, Malformed> {

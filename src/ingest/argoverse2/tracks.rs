@@ -7,7 +7,9 @@ use crate::ingest::parquet_columns::{Columns, Limits};
 use crate::ingest::plausible_tracks::recorded_heading;
 use crate::ingest::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use crate::ingest::source::Horizon;
-use crate::scene::{AgentClass, Dataset, SceneId, SceneSource, Split, State, Track, TrackId, TrackRole, Trajectory};
+use crate::scene::{
+    AgentClass, Dataset, SceneId, SceneSource, SituationKind, Split, State, Track, TrackId, TrackRole, Trajectory,
+};
 use std::collections::HashMap;
 
 const COLUMNS: [&str; 12] = [
@@ -81,6 +83,8 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
             file: unit.file.clone(),
             case_id,
             first_frame: first_frame(&table, first),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: DT_S,
         n_timesteps: last - first,

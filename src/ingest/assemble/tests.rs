@@ -3,7 +3,7 @@
 use super::*;
 use crate::ingest::lane_topology::tests::lane;
 use crate::ingest::raw::map_id;
-use crate::scene::{Dataset, SceneId, SceneSource, Split, TrackId};
+use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split, TrackId};
 use proptest::prelude::*;
 
 const N_TIMESTEPS: usize = 5;
@@ -41,6 +41,8 @@ fn raw(tracks: Vec<Track>) -> RawScene {
             file: "val/X_val.csv".to_owned(),
             case_id: "1".to_owned(),
             first_frame: "1".to_owned(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: 0.1,
         n_timesteps: N_TIMESTEPS,

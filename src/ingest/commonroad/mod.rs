@@ -17,7 +17,7 @@ use super::pairing::{PairNames, PairReader};
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use super::xml_tree::Element;
-use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, Split};
+use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, SituationKind, Split};
 use std::sync::Arc;
 use tracks::{Obstacle, Obstacles};
 
@@ -174,6 +174,8 @@ impl Scenario {
                 file: self.unit.file.clone(),
                 case_id: case_id.clone(),
                 first_frame: first.to_string(),
+                situation: SituationKind::Recorded,
+                continues: None,
             },
             dt_s: DT_S,
             n_timesteps,

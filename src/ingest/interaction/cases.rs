@@ -25,8 +25,6 @@ pub(super) struct Case {
     /// Empty if rows are only counted, or if there are too many.
     pub(super) rows: Vec<u8>,
     pub(super) n_bytes: usize,
-    /// Number of headers before it, without the first.
-    pub(super) section: usize,
 }
 
 impl Case {
@@ -66,8 +64,7 @@ pub(super) fn cut_cases(
     keeps_rows: bool,
     done: &mut dyn FnMut(Case) -> ControlFlow<()>,
 ) -> End {
-    let mut cases =
-        Cases { columns, keeps_rows, seen: BTreeSet::new(), current: None, held: Vec::new(), section: 0, end: None };
+    let mut cases = Cases { columns, keeps_rows, seen: BTreeSet::new(), current: None, held: Vec::new(), end: None };
     loop {
         let flow = match lines.next() {
             Ok(Some((number, line))) => cases.add(number, line, done),
@@ -108,7 +105,6 @@ struct Cases<'a> {
     /// While the current case has only incomplete rows: the case before them, which may continue, and those of them
     /// whose ids are of further cases.
     held: Vec<Case>,
-    section: usize,
     end: Option<End>,
 }
 
@@ -120,7 +116,6 @@ impl Cases<'_> {
             if memmem::find(line, b"case_id").is_some()
                 && let Ok(header) = TrackColumns::of(line, false)
             {
-                self.section += 1;
                 self.end = (header != *self.columns).then_some(End::OtherHeader(number));
                 return self.end_all(done);
             }
@@ -178,7 +173,7 @@ impl Cases<'_> {
         // Cases of a table are of similar size.
         let n_guessed = self.current.as_ref().map_or(0, |case| case.rows.len().min(MAX_GUESSED_BYTES));
         let rows = Vec::with_capacity(n_guessed);
-        let case = Case { id: id.text().to_vec(), first_line: number, rows, n_bytes: 0, section: self.section };
+        let case = Case { id: id.text().to_vec(), first_line: number, rows, n_bytes: 0 };
         let before = self.current.replace(case);
         if id.whole().is_some() {
             return before.map_or(ControlFlow::Continue(()), done);

@@ -17,16 +17,14 @@
 //! - `too_many_tracks`: more than 100,000 tracks, which no recording has;
 //! - `unknown_agent_type`, `inconsistent_agent_type`: not a type of the format; two types in one track;
 //! - `ambiguous_id`: two ids that may be one, `7` and `07`, of tracks in a case or recording, or of cases in a file;
-//! - `bad_case_id`, `case_not_contiguous`: no usable id; a scattered case of a file that breaks off, a case before and
-//!   after a second header;
+//! - `bad_case_id`, `case_not_contiguous`: no usable id; a case whose rows are not together in its file;
 //! - `frame_out_of_range`: the frames of a case span more than 40, or those of a recording more than a day;
 //! - `recording_repeated`: a file of a recording comes twice, has the bytes of another one, or is named as a copy
 //!   (`… (1).csv`);
 //! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`Recording::windows`](super::windows);
 //! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
-//! Tolerated: cases whose rows do not stand together (see [`scattered`]), columns in any order and unknown ones, CRLF,
-//! byte order marks, empty lines, a missing last line end, whole numbers printed as floats (ids, too: `1.0` is `1`),
+//! Tolerated: columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end, whole numbers printed as floats (ids, too: `1.0` is `1`),
 //! sizes that change along a track (the first counts), are blank or `nan`, quotes around cells (closed on their line).
 
 mod cases;
@@ -34,8 +32,8 @@ mod columns;
 mod path;
 mod recordings;
 mod row;
-mod scattered;
 mod scenes;
+mod survey;
 mod track;
 mod units;
 

@@ -17,8 +17,7 @@ use crate::scene::{Dataset, Split};
 /// present, as in test sets, has only the history.
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
     let columns = TrackColumns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
-    let table =
-        TrackTable { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line, lines: &unit.lines };
+    let table = TrackTable { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line };
     let tracks = read_tracks(&[table])?;
     let Some((min_frame, max_frame)) = frames(&tracks) else {
         return Err(unit.reject_at("no_rows", unit.first_line, format!("case {} has no rows", unit.case_id)));
@@ -80,7 +79,7 @@ fn recording_tables(unit: &RawUnit) -> Result<Vec<TrackTable<'_>>, Reject> {
             // The headers were checked when the files were read, with the names of the files.
             let columns = TrackColumns::of(without_end(header), true)
                 .map_err(|detail| Reject { reason: "bad_header", detail: format!("{file}: {detail}") })?;
-            Ok(TrackTable { file, columns, rows, first_line: 2, lines: &[] })
+            Ok(TrackTable { file, columns, rows, first_line: 2 })
         })
         .collect()
 }

@@ -19,8 +19,6 @@ pub(super) struct TrackTable<'a> {
     pub(super) rows: &'a [u8],
     /// Line of the file at which `rows` begin.
     pub(super) first_line: u64,
-    /// The line of each row if the rows are scattered; else empty.
-    pub(super) lines: &'a [u64],
 }
 
 /// Reads the tracks of all tables in order of their first rows.
@@ -32,8 +30,8 @@ pub(super) fn read_tracks(tables: &[TrackTable<'_>]) -> Result<Vec<RecordedTrack
     let mut cells = Vec::new();
     for table in tables {
         let mut current: Option<usize> = None;
-        for (line, row_idx) in lines_of(table.rows).zip(0..) {
-            let number = table.lines.get(row_idx).copied().unwrap_or(table.first_line + row_idx as u64);
+        for (line, row_idx) in lines_of(table.rows).zip(0_u64..) {
+            let number = table.first_line + row_idx;
             if line.is_empty() {
                 continue;
             }
@@ -172,7 +170,7 @@ mod tests {
 
     fn read(rows: &str) -> Result<Vec<RecordedTrack>, Reject> {
         let columns = TrackColumns::of(HEADER.as_bytes(), false).unwrap();
-        read_tracks(&[TrackTable { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2, lines: &[] }])
+        read_tracks(&[TrackTable { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2 }])
     }
 
     /// The headings of a track in degrees.

@@ -3,7 +3,7 @@
 use super::columns::TrackColumns;
 use super::path::{RecordingPart, TrackFile, stem};
 use super::recordings::{RecordingKey, Recordings};
-use super::scattered::{MAX_GATHERED_BYTES, Survey};
+use super::survey::Survey;
 use super::{CASE_HORIZON, Interaction};
 use crate::ingest::archive::Entry;
 use crate::ingest::csv_rows::Lines;
@@ -22,7 +22,7 @@ pub(super) struct TableReader<'a> {
     recordings: Recordings,
     /// The survey of each entry by the first pass, in their order; empty for entries that are not tables of cases.
     surveys: Vec<Survey>,
-    /// The current pass, in which cases are emitted; `None` in the first, which surveys.
+    /// The current pass, which emits units; `None` in the first, which surveys.
     pass: Option<usize>,
     n_entries_of_pass: usize,
 }
@@ -41,7 +41,7 @@ impl<'a> TableReader<'a> {
             Ok(None) | Err(_) => None,
         };
         if let Some(columns) = columns.filter(|columns| columns.case_id.is_some()) {
-            return Survey::of(&mut lines, &columns, MAX_GATHERED_BYTES);
+            return Survey::of(&mut lines, &columns);
         }
         let n_bytes = entry.size.unwrap_or_else(|| {
             let rest = &mut Read::take(&mut *reader, MAX_RECORDING_BYTES);
@@ -54,16 +54,6 @@ impl<'a> TableReader<'a> {
 }
 
 impl TableReader<'_> {
-    /// Whether this pass reads the next entry, and the entry's number.
-    fn is_due(&mut self, pass: usize, key: &RecordingKey) -> (usize, bool) {
-        let entry_idx = self.n_entries_of_pass;
-        self.n_entries_of_pass += 1;
-        let n_gathering_passes = self.surveys.get(entry_idx).map_or(0, |survey| survey.n_gathering_passes);
-        let is_due =
-            if n_gathering_passes > 0 { pass < n_gathering_passes } else { pass == self.recordings.pass_of(key) };
-        (entry_idx, is_due)
-    }
-
     /// Reads a table of v1.1 after its header: one recording, with its counterpart if it has one.
     fn read_recording(
         &mut self,
@@ -111,8 +101,9 @@ impl UnitReader for TableReader<'_> {
             return Ok(ControlFlow::Continue(()));
         };
         let key = RecordingKey::of(entry, &part);
-        let (entry_idx, is_due) = self.is_due(pass, &key);
-        if !is_due {
+        let entry_idx = self.n_entries_of_pass;
+        self.n_entries_of_pass += 1;
+        if pass != self.recordings.pass_of(&key) {
             return Ok(ControlFlow::Continue(()));
         }
         let mut unit = RawUnit {
@@ -140,11 +131,11 @@ impl UnitReader for TableReader<'_> {
             let unsurveyed = Survey::default();
             let survey = self.surveys.get(entry_idx).unwrap_or(&unsurveyed);
             let mut n_emitted = 0;
-            let flow = survey.split_cases(pass, &mut lines, &columns, &unit, &mut |case| {
+            let flow = survey.split_cases(&mut lines, &columns, &unit, &mut |case| {
                 n_emitted += 1;
                 emit(case)
             });
-            let is_empty = n_emitted == 0 && survey.n_gathering_passes == 0;
+            let is_empty = n_emitted == 0;
             return Ok(if is_empty { emit(Err(unit.reject("no_rows", "has a header and no rows"))) } else { flow });
         }
         unit.version = "v1.1";
@@ -158,8 +149,7 @@ impl UnitReader for TableReader<'_> {
     fn next_pass(&mut self) -> bool {
         let pass = self.pass.map_or(0, |pass| pass + 1);
         (self.pass, self.n_entries_of_pass) = (Some(pass), 0);
-        let n_gathering_passes = self.surveys.iter().map(|survey| survey.n_gathering_passes).max();
-        pass < n_gathering_passes.unwrap_or(0).max(self.recordings.n_passes()).max(1)
+        pass < self.recordings.n_passes().max(1)
     }
 
     fn finish(&mut self, emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {

@@ -29,6 +29,7 @@ use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
 use crate::scene::Split;
 use crate::settings::{self, Issue};
+use crate::simulate::SituationsConfig;
 use crate::train::{
     BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig, OwnScenes,
 };
@@ -48,6 +49,9 @@ pub struct PipelineConfig {
     pub mine: Option<MineConfig>,
     /// The models.
     pub train: TrainConfig,
+    /// Situations that nobody recorded, for requests to begin from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub situations: Option<SituationsConfig>,
     /// What to generate.
     pub generate: Option<GenerateConfig>,
     /// What to measure, what to keep in the corpus, and the quality gates.
@@ -206,6 +210,7 @@ impl PipelineConfig {
             StageId::TrainDistill => _ = self.train.distill.get_or_insert_default(),
             StageId::TrainClassifier => _ = self.train.classifier.get_or_insert_default(),
             StageId::TrainBaseline => _ = self.train.baseline.get_or_insert_default(),
+            StageId::Situations => _ = self.situations.get_or_insert_default(),
             StageId::Generate => _ = self.generate.get_or_insert_default(),
             StageId::Evaluate => _ = self.evaluate.get_or_insert_default(),
             StageId::Report => _ = self.report.get_or_insert_default(),

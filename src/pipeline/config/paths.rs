@@ -7,14 +7,13 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 /// The settings that are paths: the section, and the last key.
-const KEYS: [(&str, &str); 7] = [
+const KEYS: [(&str, &str); 6] = [
     ("run", "output"),
     ("ingest", "inputs"),
     ("ingest", "map_inputs"),
     ("train", "checkpoint"),
     ("train", "start_from"),
     ("train", "scenes"),
-    ("generate", "prior"),
 ];
 
 /// Makes the paths of a table that was read from a file in `folder` relative to the current directory.

@@ -4,9 +4,9 @@
 //! names and values, which the command line turns into text or JSON.
 
 mod checkpoint;
+mod events;
 mod folders;
 mod requests;
-mod tables;
 
 use crate::engine::{Failure, Result};
 use crate::files::regular;
@@ -26,18 +26,14 @@ pub struct Description {
 type Describer = fn(&Path) -> Result<Option<Description>>;
 
 /// Every describer, in the order in which they are tried.
-const DESCRIBERS: [Describer; 11] = [
+const DESCRIBERS: [Describer; 7] = [
     folders::run,
     folders::scenes,
     folders::samples,
     folders::corpus,
     folders::model,
     checkpoint::describe,
-    tables::events,
-    tables::metrics,
-    tables::verdicts,
-    tables::part_of_folder,
-    tables::report_or_json,
+    events::describe,
 ];
 
 /// Describes the content of the file or folder at `path`.
@@ -51,8 +47,9 @@ pub fn inspect(path: &Path) -> Result<Description> {
             return Ok(description);
         }
     }
-    Err(Failure::input_message(format_args!("{} was not written by djinn", path.display()))
-        .with_hint("known: run folders, scene stores, event tables, checkpoints, samples, corpora, metrics, reports"))
+    Err(Failure::input_message(format_args!("{} is nothing that can be inspected", path.display())).with_hint(
+        "known: run folders, scene stores, event tables, checkpoints, samples and corpora; SQL and jq read the rest",
+    ))
 }
 
 impl Description {

@@ -1,7 +1,7 @@
 //! Maps the errors of each layer to who can act on them, once for all stages.
 
 use crate::engine::{Blame, Failure};
-use crate::{cloud, corpus, drive, evaluate, export, files, generate, ingest, nn, store, train};
+use crate::{cloud, corpus, drive, evaluate, export, files, generate, ingest, nn, simulate, store, train};
 use std::io::ErrorKind;
 
 impl From<ingest::Error> for Failure {
@@ -71,7 +71,6 @@ impl From<evaluate::Error> for Failure {
     fn from(error: evaluate::Error) -> Self {
         match error {
             evaluate::Error::Store(error) => error.into(),
-            evaluate::Error::Files(error) => error.into(),
             evaluate::Error::Config { message, advice } => Self::input_message(message).with_hint(advice),
             error @ evaluate::Error::UnknownScene(_) => Self::input(error),
             error @ evaluate::Error::OtherShard { .. } => Self::fault(error),
@@ -91,14 +90,25 @@ impl From<export::Error> for Failure {
     }
 }
 
+impl From<simulate::Error> for Failure {
+    fn from(error: simulate::Error) -> Self {
+        match error {
+            simulate::Error::Generate(error) => error.into(),
+            simulate::Error::Store(error) => error.into(),
+            simulate::Error::Io(io) => of_named_path(io),
+            error @ simulate::Error::Machine(_) => Self::fault(error),
+            error => Self::input(error),
+        }
+    }
+}
+
 impl From<drive::Error> for Failure {
     fn from(error: drive::Error) -> Self {
         match error {
-            drive::Error::Generate(error) => error.into(),
+            drive::Error::Simulate(error) => error.into(),
             drive::Error::Store(error) => error.into(),
             drive::Error::Files(error) => error.into(),
             drive::Error::Io(io) => of_named_path(io),
-            error @ drive::Error::Machine(_) => Self::fault(error),
             error => Self::input(error),
         }
     }

@@ -12,7 +12,7 @@ use crate::evaluate::{
 use crate::generate::GenerateConfig;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, PREDICTIONS, VERDICTS};
+use crate::pipeline::layout::{CORPUS, Layout, METRICS, METRICS_SUMMARY, VERDICTS};
 use crate::progress::Progress;
 use crate::store::{
     CorpusNotes, CorpusWriter, SceneStore, read_binary, write_binary_atomically, write_json_atomically, write_metrics,
@@ -77,10 +77,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn outputs(&self) -> &'static [&'static str] {
-        match self.config.predictions.is_empty() {
-            true => &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS],
-            false => &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, PREDICTIONS],
-        }
+        &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS]
     }
 
     fn work(&self) -> Work<'_> {
@@ -139,15 +136,15 @@ impl Sharded for Evaluate<'_> {
         let mut tracks = TrackPool::default();
         (0..samples.shards.len()).try_for_each(|idx| figures(idx).map(|figures| figures.pool_tracks(&mut tracks)))?;
         let path = |name: &str| context.root.join(name);
-        let (predictions, verdicts) = (path(PREDICTIONS), path(VERDICTS));
-        let files = EvaluationFiles { predictions: &predictions, verdicts: &verdicts, scratch: context.root };
+        let verdicts = path(VERDICTS);
+        let files = EvaluationFiles { verdicts: &verdicts, scratch: context.root };
         let told = tracks.tell_apart(context.progress);
         let mut evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");
         for idx in 0..samples.shards.len() {
-            let kept = evaluation.add(MeasuredShard::new(self.read(&ready, idx)?, figures(idx)?, config, store)?)?;
+            let kept = evaluation.add(MeasuredShard::new(self.read(&ready, idx)?, figures(idx)?, store)?)?;
             kept.recordings.iter().try_for_each(|recorded| corpus.write_recording(recorded))?;
             corpus.write_scenarios(&kept.records)?;
             context.progress.advance(samples.shards[idx].n_scenarios);
@@ -156,7 +153,6 @@ impl Sharded for Evaluate<'_> {
         let found = evaluation.finish()?;
         write_metrics(&path(METRICS), found.all_rows()?)?;
         corpus.write_metrics(found.rows_of_corpus()?)?;
-        let (n_predicted_scenes, n_tracks_left_out) = (found.n_predicted_scenes, found.n_tracks_left_out);
         let n_accepted_scenes = found.n_accepted_scenes;
         let summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
         corpus.finish(&self.notes(&summary))?;
@@ -169,7 +165,6 @@ impl Sharded for Evaluate<'_> {
             "n_accepted": summary.n_accepted,
             "n_accepted_scenes": n_accepted_scenes,
             "n_kept": summary.n_kept,
-            "predictions": { "n_scenes": n_predicted_scenes, "n_tracks_left_out": n_tracks_left_out },
             "gates": summary.gates,
         }))
     }
@@ -194,7 +189,7 @@ impl Evaluate<'_> {
     /// Reads and checks everything that measuring needs. Determines how well maps fit unless that is known already.
     fn ready(&self, plan: Option<EvaluationPlan>) -> Result<EvaluationReady> {
         self.check()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
+        let store = SceneStore::open_all(&self.layout.scene_folders())?;
         let maps = plan.map_or_else(|| map_fits(&store, &self.config.validity), |plan| Ok(plan.maps))?;
         Ok(EvaluationReady {
             samples: SampleManifest::read(&self.layout.samples)?,

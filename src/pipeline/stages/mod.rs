@@ -9,6 +9,7 @@ mod mine;
 mod models;
 mod moments;
 mod report;
+mod situations;
 mod train;
 mod train_baseline;
 mod train_classifier;
@@ -25,6 +26,7 @@ pub(crate) use ingest::on_disk;
 pub use mine::{Mine, MineConfig};
 pub(in crate::pipeline) use models::{LoadedModels, needed_models, roll_out};
 pub use report::{About, Report};
+pub use situations::Situations;
 pub(in crate::pipeline) use train::checkpoint_file;
 pub use train::{Recipe, Train};
 
@@ -108,6 +110,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::TrainBaseline => {
             Box::new(Train { recipe: train.baseline.as_ref()?, own, seed: run.seed, precision, layout })
         }
+        StageId::Situations => Box::new(situations(config, layout)?),
         StageId::Generate => Box::new(generation(config, layout)?),
         StageId::Evaluate => Box::new(evaluation(config, layout)?),
         StageId::Report => Box::new(Report {
@@ -126,6 +129,23 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
     })
 }
 
+/// The stage of situations, if the configuration has its section.
+fn situations<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Situations<'a>> {
+    let PipelineConfig { run, ingest, train, situations, generate, evaluate, .. } = config;
+    Some(Situations {
+        config: situations.as_ref()?,
+        seed: run.seed,
+        precision: run.precision,
+        splits: generate.as_ref().map_or(&[], |generate| &generate.splits),
+        places: generate.as_ref().map_or(&[], |generate| &generate.places),
+        validity: evaluate.as_ref().map(|evaluate| evaluate.validity.clone()).unwrap_or_default(),
+        ingest: ingest.as_ref(),
+        distilled: train.distill.is_some() || (train.denoiser.is_none() && layout.distilled.exists()),
+        learns_from: train::scenes_learned_from(train),
+        layout,
+    })
+}
+
 /// The stage of generation, if the configuration has its section.
 pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Generate<'a>> {
     let PipelineConfig { run, ingest, mine, train, generate, evaluate, .. } = config;
@@ -138,6 +158,7 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
         // A folder of models that the command line names may hold one that was distilled with other settings.
         learns_from: train::scenes_learned_from(train),
+        has_situations: config.situations.is_some(),
         distill: train.distill.as_ref().filter(|_| layout.distilled.parent() == layout.scenes.parent()),
         horizon: ingest.as_ref().and_then(|ingest| usual_horizon(ingest).ok()),
         layout,

@@ -1,7 +1,6 @@
 //! The trained models from which sweeps sample: which are needed, and where are they?
 
 use super::train::checkpoint_file;
-use crate::drive::roll_out_samples;
 use crate::engine::Result;
 use crate::generate::{Generator, Models, ResolvedSweep, ShardOutput};
 use crate::model::{ModelSpec, TrainedClassifier, TrainedDenoiser, TrainedModel, TrainedSceneTransformer};
@@ -9,6 +8,7 @@ use crate::nn::Compute;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::progress::Progress;
+use crate::simulate::roll_out_samples;
 use crate::store::SceneStore;
 
 /// The stages whose models `sweeps` need, with the denoiser's first.

@@ -27,8 +27,8 @@ fn one(request: &RequestSummary, cards: &[SceneCard]) -> Markup {
     html! {
         h3 { (request.name) ": " (request.behavior.replace('_', " ")) }
         p {
-            (count(request.n_accepted)) " of " (count(request.n_wanted)) " scenarios were accepted, from "
-            (count(request.n_samples))
+            (count(request.n_accepted)) " of " (count(request.n_wanted)) " scenarios were accepted, of "
+            (count(request.n_situations)) " situations, from " (count(request.n_samples))
             " samples and " (count(request.n_evaluations)) " evaluations of the denoiser, over "
             (count(request.n_scenes as u64))
             " scenes (" (count(request.n_cells as u64)) " pairs of agents; " (count(request.n_infeasible as u64))

@@ -10,7 +10,6 @@ pub(crate) mod lane;
 pub(crate) mod metric;
 mod parameter_descriptions;
 mod parameters;
-pub(crate) mod prediction;
 mod provenance;
 pub(crate) mod recording;
 mod request;

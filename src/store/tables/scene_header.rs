@@ -2,7 +2,9 @@
 
 use super::columns::{Columns, number_lists, numbers, optional_texts, small, structs, texts};
 use crate::geometry::{Transform2, Vec2};
-use crate::scene::{Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, SceneSource, Split, Track, TrackId};
+use crate::scene::{
+    Dataset, LaneGraph, LaneId, MapId, Scene, SceneId, SceneSource, SituationKind, Split, Track, TrackId,
+};
 use crate::store::schema::{ColumnExt, WORLD_FRAME, column, list_of};
 use crate::store::{Error, MapSource, Result};
 use arrow::array::ArrayRef;
@@ -16,7 +18,7 @@ const CENTER: &str = "center_track_id";
 /// The columns, in order.
 pub(crate) fn fields() -> Vec<Field> {
     vec![
-        column("scene_id", DataType::Utf8, "The recorded scene: dataset/split/place/case."),
+        column("scene_id", DataType::Utf8, "The scene whose past it is: dataset/split/place/case."),
         column("dataset", DataType::Utf8, "Dataset of the recording."),
         column("version", DataType::Utf8, "Version or layout of the dataset; empty if there is only one."),
         column("split", DataType::Utf8, "Split of the dataset: train, val, test or unsplit."),
@@ -24,6 +26,18 @@ pub(crate) fn fields() -> Vec<Field> {
         column("file", DataType::Utf8, "Recording file within its folder or archive."),
         column("case_id", DataType::Utf8, "Case, sequence or scenario id within the file, as written."),
         column("first_frame", DataType::Utf8, "First frame or timestamp of the scene, as written."),
+        column(
+            "situation",
+            DataType::Utf8,
+            "How the past came about: recorded, continued (a closed loop led to it from a recorded scene) or populated \
+             (from one into which road users were put).",
+        ),
+        column(
+            "continues",
+            DataType::Utf8,
+            "The recorded scene from which a closed loop led to it; missing if recorded.",
+        )
+        .optional(),
         column("dt_s", DataType::Float64, "Time between timesteps.").unit("s"),
         column("n_timesteps", DataType::UInt32, "Number of timesteps, history and future.").unit("1"),
         column("n_history", DataType::UInt32, "Number of observed timesteps; the present is n_history - 1.").unit("1"),
@@ -86,6 +100,8 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<Vec<ArrayRef>> {
         source(|s| &s.file),
         source(|s| &s.case_id),
         source(|s| &s.first_frame),
+        source(|s| s.situation.name()),
+        optional_texts(scenes.iter().map(|scene| scene.source.continues.as_ref().map(|id| id.0.as_str()))),
         numbers::<Float64Type>(scenes.iter().map(|scene| scene.dt_s)),
         numbers::<UInt32Type>(n_timesteps),
         numbers::<UInt32Type>(n_history),
@@ -136,6 +152,8 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<SceneHeader> {
             file: text("file")?,
             case_id: text("case_id")?,
             first_frame: text("first_frame")?,
+            situation: columns.named("situation", row, SituationKind::from_name)?,
+            continues: columns.optional_text("continues", row)?.map(SceneId::from),
         },
         dt_s: columns.number::<Float64Type>("dt_s", row)?,
         n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)? as usize,

@@ -107,6 +107,26 @@ pub(super) const TARGETS: &[Target] = &[
         },
     },
     Target {
+        name: "tfrecord",
+        seeds: |_| vec![fixture(WOMD)],
+        read: |folder, bytes| {
+            write(folder, "testing.tfrecord", bytes);
+            ingested(Dataset::Womd, folder, MapsConfig::None)
+        },
+    },
+    Target {
+        name: "womd_scenario",
+        seeds: |_| {
+            // The content of the only record, between its head and its checksum.
+            let file = fixture(WOMD);
+            vec![file[12..file.len() - 4].to_vec()]
+        },
+        read: |folder, bytes| {
+            write(folder, "testing.tfrecord", &record(bytes));
+            ingested(Dataset::Womd, folder, MapsConfig::default())
+        },
+    },
+    Target {
         name: "checkpoint",
         seeds: |folder| vec![small_model(folder)],
         read: |folder, bytes| {
@@ -162,6 +182,7 @@ const VEHICLES: &str =
     "tests/fixtures/recordings/interaction_v1_1/recorded_trackfiles/FIX_Intersection/vehicle_tracks_000.csv";
 const ARGOVERSE1: &str = "tests/fixtures/recordings/argoverse1";
 const ARGOVERSE1_MAP: &str = "pruned_argoverse_MIA_10316_vector_map.xml";
+const WOMD: &str = "tests/fixtures/recordings/womd/testing/testing.tfrecord-00000-of-00001";
 const LOG: &str = "5f1d0000-0000-4000-8000-00000000f1d5";
 const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 const SHARD: &str = "scenes-00000.arrow";
@@ -186,6 +207,13 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     fs_err::create_dir_all(path.parent().unwrap()).unwrap();
     fs_err::write(&path, bytes).unwrap();
     path
+}
+
+/// A TFRecord with this content.
+fn record(content: &[u8]) -> Vec<u8> {
+    let checksum = |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
+    let length = (content.len() as u64).to_le_bytes();
+    [&length, &checksum(&length)[..], content, &checksum(content)].concat()
 }
 
 /// Whether the folder's recordings give a scene.

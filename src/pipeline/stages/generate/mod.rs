@@ -18,7 +18,7 @@ use super::with_precision;
 use crate::diffusion::Edm;
 use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
 use crate::evaluate::{for_maps, map_fits};
-use crate::generate::{self, GenerateConfig, Pool, RequestSummary, ResolvedGeneration};
+use crate::generate::{self, GenerateConfig, Pool, ResolvedGeneration};
 use crate::ingest::Horizon;
 use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
 use crate::nn::{Compute, Precision};
@@ -26,9 +26,10 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
 use crate::scene::INGESTED_DT_S;
 use crate::settings::Issue;
-use crate::store::{SceneStore, read_json};
+use crate::store::SceneStore;
 use crate::train::{DistillTrainingConfig, SceneChoice};
 use serde_json::{Value, json};
+use std::path::Path;
 
 /// The stage.
 pub struct Generate<'a> {
@@ -51,6 +52,8 @@ pub struct Generate<'a> {
     pub horizon: Option<Horizon>,
     /// The scenes that models of the pipeline learn from: none of them is sampled as held out.
     pub learns_from: Vec<SceneChoice<'a>>,
+    /// Whether requests may begin from situations that nobody recorded.
+    pub has_situations: bool,
     /// Where the scenes and models are.
     pub layout: &'a Layout,
 }
@@ -110,10 +113,9 @@ impl Stage for Generate<'_> {
         let made =
             |stage: StageId| stage.output(self.layout).map(|(name, path)| StageInput::made_by(stage, name, path));
         let scenes = StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes);
-        let priors = self.config.requests.iter().filter_map(|request| {
-            Some(StageInput::external(format!("prior of {}", request.name), request.prior.as_deref()?))
-        });
-        std::iter::once(scenes).chain(needed.into_iter().filter_map(made)).chain(priors).collect()
+        let situations = StageInput::made_by(StageId::Situations, "situations", &self.layout.situations);
+        let scenes = [Some(scenes), Some(situations).filter(|_| self.has_situations)].into_iter().flatten();
+        scenes.chain(needed.into_iter().filter_map(made)).collect()
     }
 
     fn work(&self) -> Work<'_> {
@@ -131,6 +133,13 @@ impl Generate<'_> {
         let places_without_road = self.metric_settings.validity.places_without_road.clone();
         let validity = ValidityConfig { places_without_road, ..ValidityConfig::default() };
         MetricSettings { validity }
+    }
+
+    /// The recorded scenes, and the situations that nobody recorded.
+    fn open_scenes(&self) -> crate::store::Result<SceneStore> {
+        let situations = self.has_situations.then_some(self.layout.situations.as_path());
+        let folders: Vec<&Path> = std::iter::once(self.layout.scenes.as_path()).chain(situations).collect();
+        SceneStore::open_all(&folders)
     }
 
     /// [`Self::judging_settings`] as in the evaluation: departures are judged only where maps allow it.
@@ -156,12 +165,6 @@ impl Generate<'_> {
         let mut resolved = self.config.resolve(&self.mine.build()?)?;
         for request in &mut resolved.requests {
             request.duplicate_distance_m = self.duplicate_distance_m;
-            let Some(path) = request.config.prior.clone() else { continue };
-            let earlier = read_json::<Vec<RequestSummary>>(&path).map_err(|error| {
-                Failure::input(error).with_hint("prior is the file samples/requests.json of a run with requests")
-            })?;
-            let section = format!("generate.requests.{}", request.idx);
-            request.learn(&earlier).map_err(|issue| Failure::input(issue.within(&section)))?;
         }
         Ok(resolved)
     }

@@ -3,7 +3,7 @@
 use super::sample_folder::{SampledWith, write_table};
 use super::{Generate, SampleSidecar};
 use crate::engine::Result;
-use crate::generate::{Generator, Plan, Pool, ResolvedGeneration, ShardOutput, ShardPlan};
+use crate::generate::{self, Generator, Plan, Pool, ResolvedGeneration, ShardOutput, ShardPlan};
 use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
@@ -37,9 +37,9 @@ impl Generate<'_> {
         work: impl FnOnce(&Ready<'_>) -> Result<R>,
     ) -> Result<R> {
         let mut resolved = self.resolve()?;
-        let store = SceneStore::open(&self.layout.scenes)?;
+        let store = self.open_scenes()?;
         if metric_settings.is_none() {
-            resolved.learned = learned(&self.learns_from, &store)?;
+            resolved.learned = learned(&self.learns_from, &SceneStore::open(&self.layout.scenes)?)?;
         }
         let models = LoadedModels::read(self.layout, &resolved.sweeps, compute)?;
         let behaviors = self.mine.build()?;
@@ -73,9 +73,33 @@ impl Ready<'_> {
     }
 
     /// The cells of each request.
+    ///
+    /// # Errors
+    /// When no situation can fulfill any request, and there are no sweeps.
     pub(super) fn pools(&self) -> Result<Vec<Pool>> {
         let pool = |request| Ok(self.generator.pool(request, self.store.index())?);
-        self.resolved.requests.iter().map(pool).collect()
+        let pools: Vec<Pool> = self.resolved.requests.iter().map(pool).collect::<Result<_>>()?;
+        let unmet: Vec<&str> = pools.iter().filter_map(|pool| pool.unmet.as_deref()).collect();
+        if self.resolved.n_sweeps == 0 && !pools.is_empty() && unmet.len() == pools.len() {
+            return Err(generate::Error::Unmet(unmet.join("; ")).into());
+        }
+        Ok(pools)
+    }
+
+    /// Warns of what cannot be fulfilled, before anything is sampled.
+    pub(super) fn warn_of_infeasible(&self, pools: &[Pool], progress: &dyn Progress) {
+        for (request, pool) in self.resolved.requests.iter().zip(pools) {
+            if let Some(why) = &pool.unmet {
+                progress.warn(&format!("{why}. The other requests are fulfilled"));
+                continue;
+            }
+            let unreached = (0..request.buckets.len()).filter(|bucket| pool.n_feasible(*bucket) == 0);
+            let unreached: Vec<String> = unreached.map(|bucket| request.buckets.ranges(bucket)).collect();
+            if !unreached.is_empty() {
+                let (name, n) = (&pool.request, unreached.len());
+                progress.warn(&format!("request {name}: no pair can reach {n} buckets: {}", unreached.join("; ")));
+            }
+        }
     }
 
     /// The models and settings with which the shards of the plan are sampled.

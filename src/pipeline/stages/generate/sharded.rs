@@ -10,7 +10,6 @@ use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::layout::SAMPLES;
 use crate::progress::Progress;
-use crate::store::SceneStore;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -44,6 +43,7 @@ impl Sharded for Generate<'_> {
         self.with_ready(compute, None, |ready| {
             let sweeps = ready.plan(progress)?;
             let pools = ready.pools()?;
+            ready.warn_of_infeasible(&pools, progress);
             let sampled_with = ready.sampled_with(&sweeps, &pools);
             let metric_settings = ready.metric_settings.clone();
             Division::new(sweeps.shards.len(), &GenerationPlan { sweeps, pools, sampled_with, metric_settings })
@@ -80,7 +80,7 @@ impl Sharded for Generate<'_> {
         if !summaries.is_empty() {
             folder.write_requests(&summaries)?;
             folder.take_rounds(shards.dir(), &pools)?;
-            let store = SceneStore::open(&self.layout.scenes)?;
+            let store = self.open_scenes()?;
             let write = |shard: DecidedShard| folder.write_decided(shards.dir(), shard, &store);
             done.extend(of_requests.into_par_iter().map(write).collect::<Result<Vec<_>>>()?);
         }

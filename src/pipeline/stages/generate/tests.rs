@@ -65,6 +65,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
              buckets = {{ gap_m = [0, 5] }}\nbudget = {{ n_samples = 9 }}\nlimits = {{ {limits} }}"
         );
         let stage = Generate {
+            has_situations: false,
             config: &toml::from_str(&text).unwrap(),
             precision: Precision::default(),
             mine: MineConfig::default(),

@@ -1,7 +1,7 @@
 //! Divisions by splits, places, recordings and time.
 
 use super::*;
-use crate::scene::Dataset;
+use crate::scene::{Dataset, SituationKind};
 
 /// Scenes of 40 timesteps, by split, place, and case or window.
 fn index(scenes: &[(Split, &str, String)]) -> SceneIndex {
@@ -13,6 +13,7 @@ fn index(scenes: &[(Split, &str, String)]) -> SceneIndex {
         split: *split,
         place,
         n_agents: 3,
+        situation: SituationKind::Recorded,
         n_timesteps: 40,
     });
     entries.collect()

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Reads all samples once, shard by shard, draws the chosen ones, and compares motion and events.
 pub(super) fn drawings(stage: &Report<'_>, manifest: &SampleManifest) -> Result<Drawings> {
     let layout = stage.layout;
-    let store = SceneStore::open(&layout.scenes)?;
+    let store = SceneStore::open_all(&layout.scene_folders())?;
     let is_evaluated = stage.has(StageId::Evaluate);
     let accepted = is_evaluated.then(|| accepted(stage)).transpose()?;
     let mut gallery = Gallery::new(stage.config, &store, accepted.as_ref());

@@ -168,6 +168,7 @@ pub(super) fn request(name: &str) -> RequestSummary {
         n_cells: 61,
         n_wanted: 20,
         n_accepted: 14,
+        n_situations: 2,
         arms: vec![
             arm("unguided", 0.0, of(48, 3, 1, 1), of(96, 6, 3, 3)),
             arm("guided@10", 10.0, of(48, 9, 5, 5), of(384, 60, 19, 11)),

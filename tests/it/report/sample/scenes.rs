@@ -4,7 +4,7 @@ use djinn::geometry::{Polyline, Transform2, Vec2};
 use djinn::report::{Acceptance, CardBucket, CardKey, CardValue, Fact, Sample, SceneCard, Verdict};
 use djinn::scene::{
     AgentClass, Dataset, Extent, GuidanceLevel, Lane, LaneGraph, ObservationMask, Roles, Scene, SceneId, SceneSource,
-    Split, State, Track, TrackId, TrackRole, Trajectory,
+    SituationKind, Split, State, Track, TrackId, TrackRole, Trajectory,
 };
 use std::sync::Arc;
 
@@ -108,6 +108,8 @@ fn scene(name: &str, depth: f64, turned_rad: f64) -> Scene {
             file: "val/FIX_Merging_val.csv".into(),
             case_id: "12.0".into(),
             first_frame: "1".into(),
+            situation: SituationKind::Recorded,
+            continues: None,
         },
         dt_s: 0.1,
         n_timesteps: N_TIMESTEPS,

@@ -1,0 +1,54 @@
+//! Cuts the windows of a closed loop, for as long as everything in it is valid.
+
+use crate::ingest::RawScene;
+use crate::metrics::{Judged, ValidityConfig};
+use crate::scene::{MapId, Roles, Scene, SceneSource, Track};
+use crate::simulate::{Situation, World};
+
+/// The windows of a loop whose presents are `n_every` timesteps apart, with as many timesteps as its scene has, in the
+/// frame of the recording. The first frame counts from that of the scene.
+pub(super) fn windows(
+    situation: &Situation,
+    world: &World,
+    n_every: usize,
+    validity: &ValidityConfig,
+) -> Vec<RawScene> {
+    let start = &situation.scene;
+    let (n_history, n_future) = (start.n_history, start.n_timesteps - start.n_history);
+    let n_windows = (world.now() - start.current_timestep()).saturating_sub(n_future) / n_every;
+    let mut found = Vec::new();
+    for number in 1..=n_windows {
+        let present = start.current_timestep() + number * n_every;
+        // From the previous present on.
+        let piece = situation.piece(world, present + 1 - n_history - n_every, n_history + n_every);
+        if !is_valid(&piece, validity) {
+            break;
+        }
+        let first = present + 1 - n_history;
+        let scene = situation.piece(world, first, n_history + n_future);
+        let is_there = |track: &Track| track.trajectory.is_valid(n_history - 1);
+        let tracks = scene
+            .tracks
+            .into_iter()
+            .filter(is_there)
+            .map(|track| Track { trajectory: track.trajectory.into_frame(&start.world_from_scene), ..track });
+        found.push(RawScene {
+            id: start.id.clone(),
+            source: SceneSource { first_frame: first.to_string(), ..start.source.clone() },
+            dt_s: start.dt_s,
+            n_timesteps: n_history + n_future,
+            n_history,
+            tracks: tracks.collect(),
+            heading_gaps: Vec::new(),
+            map_id: start.map_id.clone().unwrap_or_else(|| MapId(String::new())),
+            own_map: None,
+            findings: Vec::new(),
+        });
+    }
+    found
+}
+
+/// Whether the future of a scene is valid.
+pub(super) fn is_valid(scene: &Scene, validity: &ValidityConfig) -> bool {
+    Judged::future_of(scene, Roles::none()).violations(validity).is_empty()
+}

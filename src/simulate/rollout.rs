@@ -1,0 +1,351 @@
+//! Drives on from a world, replanning again and again, until the ego is through or has failed.
+
+use super::drivers::{expected, free_m};
+use super::outcome::{contact, ttc_s};
+use super::peek::peek;
+use super::reaction::{brake, go_on};
+use super::situation::Situation;
+use super::traffic::Traffic;
+use super::world::World;
+use super::{Contact, Driver, Error, Failed, Outcome, Result};
+use crate::generate::{Continued, Futures, check_times};
+use crate::scene::{Scene, State, UnfitScene};
+use serde::{Deserialize, Serialize};
+
+/// The longest drive, seconds.
+pub(crate) const MOST_HORIZON_S: f64 = 600.0;
+/// How far off the road the center of the ego may be, meters: as in the check of validity.
+const OFF_ROAD_SLACK_M: f64 = 0.3;
+/// An ego that stands for this long, seconds, below this speed, m/s, with this much free road ahead, meters, has
+/// stopped dead.
+const STOPPED_S: f64 = 4.0;
+const STANDING_MPS: f64 = 0.3;
+const FREE_M: f64 = 10.0;
+/// How far ahead, seconds, an agent of the event checks whether its plan leads into an ego that is off its own path by
+/// this, meters.
+const LOOKS_AHEAD_S: f64 = 2.0;
+const LEFT_LOG_M: f64 = 1.0;
+
+/// The settings of a drive.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RolloutConfig {
+    /// Its length, seconds after the present.
+    pub horizon_s: f64,
+    /// How long each plan is driven, seconds.
+    pub replan_s: f64,
+}
+
+impl Default for RolloutConfig {
+    fn default() -> Self {
+        Self { horizon_s: 8.0, replan_s: 0.5 }
+    }
+}
+
+impl RolloutConfig {
+    /// Timesteps of the horizon, and of a plan.
+    pub(crate) fn n_steps(&self, dt_s: f64) -> [usize; 2] {
+        [self.horizon_s, self.replan_s].map(|s| ((s / dt_s).round() as usize).max(1))
+    }
+
+    /// Rejects settings with which this model cannot drive.
+    ///
+    /// # Errors
+    /// [`Error::Config`].
+    pub fn check(&self, futures: &Futures<'_>) -> Result<()> {
+        let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
+        let refuse = |why: String| Err(Error::Config(why));
+        match (self.horizon_s, self.replan_s) {
+            (horizon_s, _) if !(horizon_s > 0.0 && horizon_s <= MOST_HORIZON_S) => {
+                refuse(format!("horizon_s is {horizon_s:?}, expected more than 0 and at most {MOST_HORIZON_S} s"))
+            }
+            times => check_times(times.into(), [futures.dt_s(), future_s]).or_else(|issue| refuse(issue.to_string())),
+        }
+    }
+}
+
+/// The source of the motion of all agents but the ego.
+pub enum Others<'a> {
+    /// The model, which answers to the ego.
+    Sampled(&'a Futures<'a>),
+    /// The scenario for the first plan, then the model. Nothing ends the drive while the scenario lasts.
+    Continued(&'a Futures<'a>),
+    /// The scenario, whatever the ego does.
+    Replayed,
+}
+
+/// A finished drive.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Driven {
+    /// The reached states.
+    pub world: World,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// More about it, for people.
+    pub why: Option<String>,
+    /// The first contact of the ego.
+    pub contact: Option<Contact>,
+    /// The shortest time to collision of the ego during the drive, seconds.
+    pub min_ttc_s: Option<f64>,
+    /// The hardest braking of the ego within a timestep, m/s².
+    pub max_braking_mps2: f64,
+    /// How far the ego came, meters.
+    pub progress_m: f64,
+    /// Whether the other agents of the event gave up their plan because of the ego.
+    pub gave_up_plan: bool,
+    /// Whether the event happens in the driven states; missing for a scenario without an event.
+    pub event_happens: Option<bool>,
+    /// The traffic around it.
+    pub traffic: Traffic,
+    /// The world at the first replanning at or after the requested timestep.
+    pub saved: Option<World>,
+    /// What the driver has said to people.
+    pub said: String,
+}
+
+/// The end of a drive, and more about it.
+type End = (Outcome, Option<String>);
+
+/// Drives on from `world` with this driver of the ego. The world is saved at timestep `save_at`.
+///
+/// # Errors
+/// When the model does not fit the scenario or the device fails; failures of the driver are an outcome.
+pub fn roll_out(
+    situation: &Situation,
+    world: World,
+    driver: &mut dyn Driver,
+    others: &Others<'_>,
+    config: &RolloutConfig,
+    save_at: Option<usize>,
+) -> Result<Driven> {
+    let scene = &situation.scene;
+    let unfit = |why: String| Error::Unfit { scenario_id: situation.scenario_id.clone(), why };
+    if let Others::Sampled(futures) | Others::Continued(futures) = others
+        && (scene.n_history < futures.n_history() || (scene.dt_s - futures.dt_s()).abs() > 1e-6)
+    {
+        return Err(unfit(format!(
+            "has {} timesteps of {} s before the present, but the model observes {} of {} s",
+            scene.n_history,
+            scene.dt_s,
+            futures.n_history(),
+            futures.dt_s()
+        )));
+    }
+    let n_arrivals = situation.arrivals.n_expected();
+    let n_known = scene.tracks.len() - n_arrivals;
+    if !(n_known..=scene.tracks.len()).contains(&world.n_tracks()) || world.n_timesteps() < scene.n_history {
+        return Err(unfit("does not have the tracks or timesteps of the saved state".to_owned()));
+    }
+    let [n_horizon, n_plan] = config.n_steps(scene.dt_s);
+    let last = scene.current_timestep() + n_horizon;
+    let world = world.with_tracks(scene.tracks.len());
+    let mut drive = Drive { situation, world, driver, min_ttc_s: None, contact: None, gave_up_plan: false };
+    let mut saved = None;
+    let mut end = drive.driver.begin(situation, &drive.world).err().map(ended).transpose()?;
+    while end.is_none() && drive.world.now() < last {
+        if save_at.is_some_and(|timestep| saved.is_none() && drive.world.now() >= timestep) {
+            saved = Some(drive.world.clone());
+        }
+        end = drive.replan(others, n_plan.min(last - drive.world.now()))?;
+    }
+    let (outcome, why) = end.unwrap_or_else(|| drive.came_through());
+    let said = drive.driver.end(outcome, why.as_deref());
+    let Drive { world, min_ttc_s, contact, gave_up_plan, .. } = drive;
+    let ego = |timestep: usize| world.state(situation.ego_idx, timestep);
+    let steps = (scene.n_history..world.n_timesteps()).filter_map(|t| ego(t - 1).zip(ego(t)));
+    let (mut max_braking_mps2, mut progress_m) = (0.0_f64, 0.0);
+    for (before, after) in steps {
+        max_braking_mps2 = max_braking_mps2.max((before.speed_mps() - after.speed_mps()) / scene.dt_s);
+        progress_m += after.position.distance(before.position);
+    }
+    let traffic = Traffic::of(situation, &world);
+    let event_happens = (!situation.roles.is_empty()).then(|| situation.event_in(&situation.driven(&world)).is_some());
+    Ok(Driven {
+        world,
+        outcome,
+        why,
+        contact,
+        min_ttc_s,
+        max_braking_mps2,
+        progress_m,
+        gave_up_plan,
+        event_happens,
+        traffic,
+        saved,
+        said,
+    })
+}
+
+/// The end of a drive whose driver does not drive on.
+fn ended(failed: Failed) -> Result<End> {
+    match failed {
+        Failed::TimedOut(why) => Ok((Outcome::TimedOut, Some(why))),
+        Failed::Driver(why) => Ok((Outcome::PlannerFailed, Some(why))),
+        Failed::NotSampled(why) => Ok((Outcome::NotSampled, Some(why))),
+        Failed::Error(error) => Err(error),
+    }
+}
+
+/// An ongoing drive.
+struct Drive<'a> {
+    situation: &'a Situation,
+    world: World,
+    driver: &'a mut dyn Driver,
+    min_ttc_s: Option<f64>,
+    contact: Option<Contact>,
+    gave_up_plan: bool,
+}
+
+impl Drive<'_> {
+    /// Replans and drives the plan; returns the end of the drive if it is reached.
+    fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
+        let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
+        situation.arrivals.enter(situation, &mut self.world);
+        let futures = match others {
+            Others::Sampled(futures) => Some(futures),
+            Others::Continued(futures) => Some(futures).filter(|_| now > situation.scene.current_timestep()),
+            Others::Replayed => None,
+        };
+        let sampled = match futures {
+            Some(futures) => match self.sample(futures)? {
+                Ok(sampled) => Some((sampled, futures.n_history())),
+                Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
+            },
+            None => None,
+        };
+        let world = &self.world;
+        let peek = |n: usize| match futures {
+            Some(futures) => peek(situation, world, futures, n),
+            None => Err(Failed::because("others that do not answer have no futures")),
+        };
+        if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
+            return ended(why).map(Some);
+        }
+        for step in 0..n_steps {
+            let then = |agent_idx: usize| match &sampled {
+                Some((sampled, n_history)) => sampled.state(agent_idx, n_history + step).copied(),
+                None => situation.scene.state(agent_idx, now + 1 + step).copied(),
+            };
+            let ego = match self.world.present(center_idx) {
+                Some(_) => self.driver.next(situation, &self.world, then(center_idx)).map(Some),
+                None => Ok(None),
+            };
+            let ego = match ego {
+                Ok(ego) => ego,
+                Err(why) => return ended(why).map(Some),
+            };
+            let timestep = self.world.n_timesteps();
+            let next = |agent_idx: usize| match agent_idx == center_idx {
+                true => ego,
+                false => situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)),
+            };
+            let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
+            self.world.push(next);
+            let (goes_on, since) = match others {
+                Others::Continued(_) if futures.is_none() => continue,
+                // Nobody leaves during the first plan, but after it.
+                Others::Continued(_) if step == 0 => (timestep < situation.scene.n_timesteps, now - n_steps),
+                Others::Continued(_) => (timestep < situation.scene.n_timesteps, timestep - 1),
+                Others::Sampled(_) | Others::Replayed => (false, timestep - 1),
+            };
+            if let Some(end) = self.look(since).filter(|_| !goes_on) {
+                return Ok(Some(end));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
+    fn sample(&mut self, futures: &Futures<'_>) -> Result<Result<Scene, UnfitScene>> {
+        let (situation, now) = (self.situation, self.world.now());
+        let sizes = [futures.n_history(), futures.n_timesteps()];
+        let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
+        situation.let_go(&mut self.world);
+        if self.driver.answers() {
+            situation.keep_in_aim(&mut self.world, &expected);
+        }
+        if self.plan_leads_into(&expected) {
+            (self.world.plan_ends, self.gave_up_plan) = (now, true);
+        }
+        let expected = (!self.driver.is_model()).then_some(expected.as_slice());
+        let (scene, mask) = situation.window(&self.world, expected, true, sizes);
+        let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
+        let mut sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
+        if let Ok(sampled) = &mut sampled {
+            let is_sampled = |idx: &usize| {
+                let is_driven = *idx == center_idx && !self.driver.is_model();
+                !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
+            };
+            let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
+            go_on(situation, &self.world, sampled, &agents);
+            brake(situation, sampled, &agents);
+        }
+        Ok(sampled)
+    }
+
+    /// Removes agents that have left since an earlier timestep, and returns the end of the drive if it is reached.
+    fn look(&mut self, since: usize) -> Option<End> {
+        let (situation, ego_idx) = (self.situation, self.situation.ego_idx);
+        // Where the model drives everybody, traffic goes on without the ego.
+        let goes_on = self.driver.is_model();
+        let left = |agent_idx: &usize| {
+            let state = self.world.present(*agent_idx);
+            let is_traffic = goes_on || *agent_idx != ego_idx;
+            state.is_some_and(|state| situation.has_left_map(*agent_idx, &state))
+                || (is_traffic && situation.goes_out_of_sight(&self.world, *agent_idx, since))
+        };
+        let gone: Vec<usize> = (0..self.world.n_tracks()).filter(left).collect();
+        let has_left = gone.contains(&ego_idx);
+        let is_removed = |agent_idx: &&usize| goes_on || **agent_idx != ego_idx;
+        gone.iter().filter(is_removed).for_each(|agent_idx| self.world.remove(*agent_idx));
+        let ttc_s = ttc_s(situation, &self.world);
+        self.min_ttc_s = [self.min_ttc_s, ttc_s].into_iter().flatten().reduce(f64::min);
+        self.contact = contact(situation, &self.world);
+        if let Some(Contact { track, side, relative_mps }) = &self.contact {
+            let why = format!("touches track {track} with its {} at {relative_mps:.1} m/s", side.name());
+            return Some((Outcome::Hit, Some(why)));
+        }
+        let off_m = self.world.present(ego_idx).and_then(|state| situation.ego_off_road_m(&state));
+        if let Some(off_m) = off_m.filter(|off_m| *off_m > OFF_ROAD_SLACK_M) {
+            return Some((Outcome::LeftRoad, Some(format!("is {off_m:.1} m off the road"))));
+        }
+        (has_left && !goes_on).then(|| (Outcome::Survived, Some("came to the end of the map".to_owned())))
+    }
+
+    /// The end of a drive that was not ended early.
+    fn came_through(&self) -> End {
+        let (situation, scene) = (self.situation, &self.situation.scene);
+        if self.world.present(situation.ego_idx).is_none() {
+            return (Outcome::Survived, Some("came to the end of the map".to_owned()));
+        }
+        let n_stopped = (STOPPED_S / scene.dt_s).round() as usize;
+        let first = self.world.now().saturating_sub(n_stopped).max(scene.current_timestep());
+        let speed = |timestep: usize| self.world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());
+        let stands = self.world.now() - first >= n_stopped
+            && (first..=self.world.now()).all(|timestep| speed(timestep) < STANDING_MPS)
+            && situation.target_speed_mps > 1.0;
+        match stands && free_m(situation, &self.world) > FREE_M {
+            true => (Outcome::StoppedDead, Some("stands with free road ahead".to_owned())),
+            false => (Outcome::Survived, None),
+        }
+    }
+
+    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it and
+    /// goes on as `expected`.
+    fn plan_leads_into(&self, expected: &[State]) -> bool {
+        let (situation, world, now) = (self.situation, &self.world, self.world.now());
+        let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };
+        let logged = situation.scene.state(situation.ego_idx, now);
+        if logged.is_some_and(|logged| logged.position.distance(ego.position) < LEFT_LOG_M) {
+            return false;
+        }
+        let n_ahead = (LOOKS_AHEAD_S / situation.scene.dt_s).round() as usize;
+        situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
+            expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
+                let Some(other) = situation.plan(world, *agent_idx, now + 1 + i) else { return false };
+                let place = (then.position - other.position).rotated(-other.heading_rad);
+                let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
+                is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
+            })
+        })
+    }
+}

@@ -1,0 +1,200 @@
+//! Lets the scenarios of a sweep go on in closed loops.
+//!
+//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes. Nothing ends the
+//! drive while the sample lasts, so that scenarios and recordings are compared over the same time.
+
+use super::drivers::named;
+use super::maps::Maps;
+use super::rollout::{Others, roll_out};
+use super::workers::{CHUNK, in_parallel, pool_of_worker};
+use super::{Driven, Error, Outcome, Result, RolloutConfig, Situation};
+use crate::behavior::Behavior;
+use crate::generate::{self, Futures, NamedDriver, RejectedSample, ShardOutput, SweepRollout, requested_events};
+use crate::progress::Progress;
+use crate::scenario::{EgoChoice, ScenarioRecord};
+use crate::scene::{ObservationMask, Scene, Trajectory};
+use crate::store::{SceneStore, as_stored};
+use std::sync::Arc;
+
+/// Drives on the scenarios of a shard that show the requested behavior, or all if none is requested; arrivals are those
+/// of places in `store`. A scenario whose ego has no way stays as it is, and one without a future is rejected.
+///
+/// # Errors
+/// When the model does not fit, the device fails or the store is damaged; [`generate::Error::Stopped`] when the process
+/// must stop between scenarios.
+pub fn roll_out_samples(
+    output: &mut ShardOutput,
+    config: &SweepRollout,
+    behavior: Option<&dyn Behavior>,
+    futures: &Futures<'_>,
+    store: &SceneStore,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let own = RolloutConfig { horizon_s: config.horizon_s, replan_s: config.replan_s };
+    own.check(futures)?;
+    let mut workers = (0..rayon::current_num_threads()).map(|_| pool_of_worker()).collect::<Result<Vec<_>>>()?;
+    let mut maps = Maps::new(store, store);
+    let is_wanted = |i: &usize| behavior.is_none() || output.records[*i].verified;
+    let wanted: Vec<usize> = (0..output.records.len()).filter(is_wanted).collect();
+    let mut lost = Vec::new();
+    for (n_done, chunk) in wanted.chunks(CHUNK * workers.len()).enumerate() {
+        progress.note(&format!("{} of {} driven on", n_done * CHUNK * workers.len(), wanted.len()));
+        if progress.must_stop() {
+            return Err(generate::Error::Stopped.into());
+        }
+        let mut situations = Vec::new();
+        for i in chunk {
+            let mut situation = match maps.situation(&output.records[*i], &EgoChoice::Event) {
+                Ok(situation) => situation,
+                Err(Error::Unfit { .. }) => continue,
+                Err(error) => return Err(error),
+            };
+            let [n_steps, _] = own.n_steps(situation.scene.dt_s);
+            maps.expect_arrivals(&mut situation, futures.seed(), [n_steps, 0, n_steps])?;
+            situations.push((*i, situation));
+        }
+        let driven = in_parallel(&situations, &mut workers, |pool, (_, situation)| {
+            let others = Others::Continued(futures);
+            let start = situation.start(futures.seed());
+            pool.install(|| roll_out(situation, start, named(config.ego).as_mut(), &others, &own, None))
+        })?;
+        for ((i, situation), driven) in situations.iter().zip(driven) {
+            match driven.outcome {
+                Outcome::NotSampled | Outcome::PlannerFailed | Outcome::TimedOut => {
+                    lost.push((*i, driven.why.unwrap_or_default()));
+                }
+                _ => continue_with(&mut output.records[*i], situation, &driven, (config, &own), behavior),
+            }
+        }
+    }
+    for (i, reason) in lost.into_iter().rev() {
+        let record = output.records.remove(i);
+        let provenance = record.scenario.provenance;
+        output.rejected.push(RejectedSample {
+            scene_id: provenance.scene_id,
+            sweep: record.sweep,
+            level: provenance.guidance.level,
+            sample_idx: provenance.sample_idx,
+            seed: provenance.seed,
+            reason,
+        });
+    }
+    Ok(())
+}
+
+/// Makes the scenario what was driven.
+fn continue_with(
+    record: &mut ScenarioRecord,
+    situation: &Situation,
+    driven: &Driven,
+    (config, own): (&SweepRollout, &RolloutConfig),
+    behavior: Option<&dyn Behavior>,
+) {
+    let sampled = &record.scenario.scene;
+    let [_, n_plan] = own.n_steps(sampled.dt_s);
+    let follows_sample = matches!(config.ego, NamedDriver::Model | NamedDriver::Log);
+    let n_given = |agent_idx: usize| match agent_idx == situation.ego_idx && !follows_sample {
+        true => sampled.n_history,
+        false => sampled.n_history + n_plan,
+    };
+    let mut scene = situation.driven(&driven.world);
+    for (agent_idx, track) in scene.tracks.iter_mut().enumerate() {
+        // The states of the sample stay as they are, velocities included.
+        let entry = |(timestep, state): (usize, &Option<_>)| match timestep < n_given(agent_idx) {
+            true if agent_idx == situation.ego_idx => sampled.state(agent_idx, timestep).copied(),
+            true => driven.world.state(agent_idx, timestep),
+            false => *state,
+        };
+        track.trajectory = Trajectory::new(track.trajectory.entries().iter().enumerate().map(entry).collect());
+    }
+    let n_before = sampled.tracks.len();
+    let mut idx = 0;
+    scene.tracks.retain(|track| {
+        idx += 1;
+        idx <= n_before || track.trajectory.valid().next().is_some()
+    });
+    let lanes = situation.lanes_along(sampled, &scene, sampled.n_history + n_plan);
+    let scene = Scene { lanes: lanes.unwrap_or_else(|| Arc::clone(&sampled.lanes)), ego_idx: sampled.ego_idx, ..scene };
+    let observed = &record.scenario.observed;
+    let mask = ObservationMask::from_fn(scene.tracks.len(), scene.n_timesteps, |agent_idx, timestep| {
+        agent_idx < observed.n_agents()
+            && timestep < observed.n_timesteps()
+            && observed.is_observed(agent_idx, timestep)
+    });
+    let scene = as_stored(&scene);
+    if let Some(behavior) = behavior {
+        let roles = &record.scenario.provenance.guidance.roles;
+        (record.verified, record.events) = requested_events(behavior, roles, &scene);
+    }
+    record.scenario.observed = mask;
+    record.scenario.scene = scene;
+    record.scenario.provenance.ego_driver = Some(config.ego.name().to_owned());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{corpus, model, record, write_scenes};
+    use super::*;
+    use crate::behavior::BehaviorConfig;
+    use crate::progress::Silent;
+    use crate::store::CorpusReader;
+    use candle_core::Device;
+
+    /// A scenario with a cut-in, and one in which none was found, after a closed loop with this driver of the ego.
+    fn rolled_out(ego: NamedDriver, [horizon_s, replan_s]: [f64; 2], n_threads: usize) -> [ScenarioRecord; 3] {
+        let dir = tempfile::tempdir().unwrap();
+        let sampled = record();
+        write_scenes(
+            dir.path(),
+            &CorpusReader::open(&corpus()).unwrap(),
+            std::slice::from_ref(&sampled.scenario.scene),
+        );
+        let store = SceneStore::open(dir.path()).unwrap();
+        let model = model();
+        let futures = Futures::new(&model, 3, &Device::Cpu).unwrap();
+        let unverified = ScenarioRecord { verified: false, events: Vec::new(), ..sampled.clone() };
+        let mut output = ShardOutput { records: vec![sampled.clone(), unverified], ..ShardOutput::default() };
+        let behavior = BehaviorConfig::from_id("cut_in").unwrap().build();
+        let config = SweepRollout { horizon_s, replan_s, ego };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+        pool.install(|| roll_out_samples(&mut output, &config, Some(behavior.as_ref()), &futures, &store, &Silent))
+            .unwrap();
+        let [verified, unverified] = <[ScenarioRecord; 2]>::try_from(output.records).unwrap();
+        [sampled, verified, unverified]
+    }
+
+    #[test]
+    fn a_sample_that_is_driven_to_its_end_stays_as_it_is() {
+        let [sampled, mut driven, unverified] = rolled_out(NamedDriver::Log, [3.0, 3.0], 1);
+        assert_eq!(driven.scenario.provenance.ego_driver.take().as_deref(), Some("log"));
+        // The corpus may come from a program that rounded differently.
+        for (found, expected) in driven.events.iter().zip(&sampled.events) {
+            let mut both = found.parameters.iter().zip(&expected.parameters);
+            assert!(both.all(|(a, b)| a.0 == b.0 && (a.1 - b.1).abs() < 1e-9));
+        }
+        driven.events.clone_from(&sampled.events);
+        assert_eq!(driven, sampled);
+        assert_eq!(unverified.scenario, sampled.scenario);
+    }
+
+    #[test]
+    fn a_closed_loop_goes_on_from_the_first_plan_to_the_same_bytes() {
+        let [sampled, driven, _] = rolled_out(NamedDriver::Model, [3.6, 0.5], 1);
+        assert_eq!(driven, rolled_out(NamedDriver::Model, [3.6, 0.5], 2)[1]);
+        let (before, scene) = (&sampled.scenario.scene, &driven.scenario.scene);
+        assert_eq!((scene.n_timesteps, scene.n_history, scene.ego_idx), (46, 10, before.ego_idx));
+        assert_eq!(*scene, as_stored(scene), "what was verified is what is written");
+        let same =
+            |timestep: usize| (0..before.tracks.len()).all(|i| before.state(i, timestep) == scene.state(i, timestep));
+        assert_eq!((0..40).position(|timestep| !same(timestep)), Some(15), "the first plan is the sample");
+        let observed = &driven.scenario.observed;
+        assert_eq!((observed.n_agents(), observed.n_timesteps()), (scene.tracks.len(), 46));
+        assert!(observed.is_observed(0, 9) && !observed.is_observed(0, 45));
+        // The event is kept in aim, and its parameters are those of the closed loop.
+        assert!(driven.verified && driven.events[0].roles == sampled.events[0].roles);
+        let [_, by_idm, _] = rolled_out(NamedDriver::Idm, [3.6, 0.5], 1);
+        let ego_idx = sampled.subject_idx().unwrap();
+        assert_ne!(by_idm.scenario.scene.state(ego_idx, 12), before.state(ego_idx, 12), "it drives from the present");
+        assert_eq!(by_idm.scenario.provenance.ego_driver.as_deref(), Some("idm"));
+    }
+}
