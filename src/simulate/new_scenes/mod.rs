@@ -25,8 +25,8 @@ use crate::settings::{Issue, Result as Checked};
 use crate::store::SceneStore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 use sight::Sight;
+use std::sync::Arc;
 use windows::windows;
 
 /// `[situations]`: how many closed loops go on from held-out scenes, and what becomes of them.
