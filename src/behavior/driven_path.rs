@@ -66,6 +66,12 @@ impl DrivenPath {
         self.path.project(point)
     }
 
+    /// Distance along the path from the agent's front bumper to something whose center is there, and that reaches this
+    /// far before it, meters.
+    pub(crate) fn ahead_m(&self, center: &Projection, reaches_m: f64) -> f64 {
+        center.station_m - reaches_m - EXTENSION_M - self.half_length_m
+    }
+
     /// The position and heading of the agent after it has driven `driven_m` along the path. Past the end it goes
     /// straight on.
     pub(crate) fn pose_at(&self, driven_m: f64) -> (Vec2, f64) {

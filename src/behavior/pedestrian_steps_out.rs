@@ -18,6 +18,12 @@ pub(super) const PARAMETERS: &[&str] = &["time_to_arrival_s", "gap_m", "ego_spee
 
 /// An agent that is ever faster than this is a cyclist, m/s: some recordings do not separate pedestrians from cyclists.
 pub(super) const MAX_PEDESTRIAN_MPS: f64 = 3.0;
+/// Whether an agent in this state may be a pedestrian.
+pub(crate) fn may_walk(class: AgentClass, state: &State) -> bool {
+    let is_class = matches!(class, AgentClass::Pedestrian | AgentClass::PedestrianOrCyclist);
+    is_class && state.speed_mps() <= MAX_PEDESTRIAN_MPS
+}
+
 /// Times to arrival that are too long by less than this are a hard negative, seconds.
 const NEGATIVE_MORE_S: f64 = 2.0;
 

@@ -6,14 +6,14 @@ use super::protocol::{Done, FromPlanner, Hello, Observation, Peek, Peeked, ToPla
 use super::{action, answer};
 use crate::generate::NamedDriver;
 use crate::scene::State;
-use crate::simulate::{Driver, Error, Failed, MOST_FUTURES, Outcome, Peeker, Result, RolloutConfig, Situation, World};
+use crate::simulate::{
+    Driver, Error, Failed, MOST_FUTURES, MOST_PEEKS, Outcome, Peeker, Result, RolloutConfig, Situation, World,
+};
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// How often a planner may peek before an action.
-const MOST_PEEKS: usize = 8;
 /// Additional time for the first answer of a process, which has to start, seconds.
 const START_S: f64 = 30.0;
 /// What programs say that the machine does not let start.

@@ -114,11 +114,11 @@ mod tests {
         let (kept, others) = begin("a");
         assert_eq!(others, "");
         assert!(kept.get("x/1").unwrap().is_none());
-        kept.put("x/1", &(vec![driven.clone()], None)).unwrap();
+        kept.put("x/1", &(vec![("idm".to_owned(), driven.clone())], None)).unwrap();
         let (kept, others) = begin("a");
         let (again, margin) = kept.get("x/1").unwrap().unwrap();
         assert_eq!(others, "");
-        assert_eq!((format!("{again:?}"), margin, kept.n_found()), (format!("{:?}", [driven]), None, 1));
+        assert_eq!((format!("{:?}", again[0].1), margin, kept.n_found()), (format!("{driven:?}"), None, 1));
         let (other, others) = begin("b");
         assert!(other.get("x/1").unwrap().is_none() && others == "planner");
         kept.remove().unwrap();

@@ -2,7 +2,7 @@
 
 use super::margin::{Margin, Margins};
 use super::page::Cards;
-use super::pool::Drives;
+use super::pool::{Drives, of_driver};
 use super::report::DriveReport;
 use super::{DriveConfig, Error, Result};
 use crate::files::AtomicFile;
@@ -32,6 +32,8 @@ pub const STATES_DIR: &str = "states";
 pub(super) struct Output<'a> {
     out: &'a Path,
     config: &'a DriveConfig,
+    /// The command that drives a scenario again.
+    again: String,
     states: DrivenWriter,
     rows: Vec<DriveRow>,
     margins: Vec<Margin>,
@@ -41,11 +43,25 @@ pub(super) struct Output<'a> {
 }
 
 impl<'a> Output<'a> {
-    /// Nothing yet, in the folder `out`.
-    pub(super) fn create(out: &'a Path, config: &'a DriveConfig, futures: &Futures<'_>) -> Result<Self> {
+    /// Nothing yet, in the folder `out`, for drives of this corpus.
+    pub(super) fn create(
+        (corpus, out): (&Path, &'a Path),
+        config: &'a DriveConfig,
+        futures: &Futures<'_>,
+    ) -> Result<Self> {
+        let quoted = |text: &str| format!("'{}'", text.replace('\'', r"'\''"));
+        let again = format!(
+            "djinn drive {} --scenario {{ID}} --ego {} --horizon-s {} --replan-s {} --seed {} --out again",
+            quoted(&corpus.display().to_string()),
+            quoted(config.ego.name()),
+            config.rollout.horizon_s,
+            config.rollout.replan_s,
+            futures.seed()
+        );
         Ok(Self {
             out,
             config,
+            again,
             states: DrivenWriter::create(&out.join(DRIVEN_FILE))?,
             rows: Vec::new(),
             margins: Vec::new(),
@@ -57,10 +73,10 @@ impl<'a> Output<'a> {
 
     /// Adds the drives of a situation.
     pub(super) fn add(&mut self, situation: &Situation, (drives, margin): Drives) -> Result<()> {
-        let own = self.config.ego.name_in_tables();
-        let careful = drives.last().map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
-        let careful_survives = careful.map(|outcome| outcome == Outcome::Survived);
-        for (driven, name) in drives.iter().zip([own, NamedDriver::Careful.name()]) {
+        let careful = of_driver(&drives, NamedDriver::Careful);
+        let judged = careful.map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
+        let careful_survives = judged.map(|outcome| outcome == Outcome::Survived);
+        for (name, driven) in &drives {
             let scene = situation.driven(&driven.world);
             let (n_history, plan_ends) = (scene.n_history, driven.world.plan_ends);
             let moved_by = |agent_idx: usize, timestep: usize| match () {
@@ -69,12 +85,12 @@ impl<'a> Output<'a> {
                 () if situation.planned.contains(&agent_idx) && timestep <= plan_ends => "plan",
                 () => "model",
             };
-            self.states.push([&situation.scenario_id, name], &scene, &moved_by)?;
+            self.states.push([&situation.scenario_id, name], (&scene, &situation.event_roles), &moved_by)?;
             self.report.count(name, driven);
             self.rows.push(row(situation, name, driven, careful_survives));
             self.log(&situation.scenario_id, driven)?;
         }
-        if let Some(saved) = drives.first().and_then(|driven| driven.saved.as_ref()) {
+        if let Some(saved) = drives.first().and_then(|(_, driven)| driven.saved.as_ref()) {
             let folder = self.out.join(STATES_DIR);
             fs_err::create_dir_all(&folder)?;
             // Ids are hexadecimal, but those of a foreign corpus need not be.
@@ -84,8 +100,9 @@ impl<'a> Output<'a> {
             write_atomically::<Error>(&path, |file| Ok(file.write_all(text.as_bytes())?))?;
             self.report.n_saved += 1;
         }
-        if let [asked, careful] = drives.as_slice() {
-            self.cards.offer(situation, (own, asked), (NamedDriver::Careful.name(), careful));
+        if let Some(((own, asked), careful)) = drives.first().zip(careful) {
+            let again = self.again.replace("{ID}", &situation.scenario_id);
+            self.cards.offer(situation, &again, (own, asked), (NamedDriver::Careful.name(), careful));
         }
         self.margins.extend(margin);
         Ok(())
@@ -105,7 +122,7 @@ impl<'a> Output<'a> {
 
     /// Writes what is not written yet. Returns the report, in which scenarios that could not be driven are `left_out`.
     pub(super) fn finish(self, left_out: BTreeMap<String, u64>) -> Result<DriveReport> {
-        let Self { out, config, states, rows, margins, log, cards, mut report } = self;
+        let Self { out, config, again: _, states, rows, margins, log, cards, mut report } = self;
         states.finish()?;
         log.map(AtomicFile::commit).transpose()?;
         write_drives(&out.join(DRIVES_FILE), &rows)?;

@@ -21,8 +21,15 @@ const TELLING: [&str; 5] = ["gap_m", "relative_speed_mps", "time_to_arrival_s", 
 pub(super) struct Cards(Vec<(f64, SceneCard)>);
 
 impl Cards {
-    /// Adds the drives of the driver under test (`asked`) and of the careful one, if they matter.
-    pub(super) fn offer(&mut self, situation: &Situation, asked: (&str, &Driven), careful: (&str, &Driven)) {
+    /// Adds the drives of the driver under test (`asked`) and of the careful one, if they matter, with the command that
+    /// drives them `again`.
+    pub(super) fn offer(
+        &mut self,
+        situation: &Situation,
+        again: &str,
+        asked: (&str, &Driven),
+        careful: (&str, &Driven),
+    ) {
         if !asked.1.outcome.is_failure() || careful.1.outcome != Outcome::Survived {
             return;
         }
@@ -37,11 +44,11 @@ impl Cards {
         let braking_mps2 = careful.1.max_braking_mps2;
         let behavior = situation.behavior.as_deref().unwrap_or("scenario").replace('_', " ");
         let title = format!(
-            "{behavior}, {}: the careful driver brakes with up to {braking_mps2:.1} m/s²",
-            situation.scene.source.place
+            "{behavior} {}, {}: the careful driver brakes with up to {braking_mps2:.1} m/s²",
+            situation.scenario_id, situation.scene.source.place
         );
         let parameters = situation.parameters.iter().map(|(name, value)| Fact::new(name, format!("{value:.2}")));
-        let facts = [Fact::new("Scenario", &situation.scenario_id)].into_iter().chain(parameters).collect();
+        let facts = [Fact::new("Again", again)].into_iter().chain(parameters).collect();
         self.0
             .push((braking_mps2, SceneCard::of_drives((situation.scenario_id.clone(), title), facts, &drives, &roles)));
         self.0.sort_by(|(a, one), (b, other)| b.total_cmp(a).then_with(|| one.id.cmp(&other.id)));
@@ -50,14 +57,25 @@ impl Cards {
 
     /// The page of these cards, the report and the rows of `asked`.
     pub(super) fn page(self, report: &DriveReport, rows: &[DriveRow], asked: &str) -> DrivesPage {
-        let facts = vec![
+        let steady = report.n_survived_at_constant_velocity.map(|n| Fact::new("Survived at constant velocity, too", n));
+        let median = report.margins.as_ref().map(|margins| {
+            let [own, careful] = margins.median_delay_s;
+            let delays = format!("{own:.1} s by this driver, {careful:.1} s by the careful one");
+            Fact::new("Delay of the others survived, median", delays)
+        });
+        let sooner = report.margins.as_ref().map(|margins| {
+            let sooner = format!("{} of {}, later in {}", margins.n_sooner, margins.n_scenarios, margins.n_later);
+            Fact::new("Fails at a shorter delay than the careful driver", sooner)
+        });
+        let counts = [
             Fact::new("Driver", &report.ego),
             Fact::new("Scenarios", report.n_scenarios),
             Fact::new("Failed", report.failures.n_failed),
             Fact::new("Of these, the careful driver survives", report.failures.n_avoidable),
             Fact::new("Hit in the rear", report.failures.n_hit_in_rear),
-            Fact::new("Seed", report.seed),
         ];
+        let more = [steady, median, sooner].into_iter().flatten();
+        let facts = counts.into_iter().chain(more).chain([Fact::new("Seed", report.seed)]).collect();
         let mut by_behavior: BTreeMap<&str, Vec<&DriveRow>> = BTreeMap::new();
         for row in rows.iter().filter(|row| row.driver == asked) {
             by_behavior.entry(row.behavior.as_deref().unwrap_or("none")).or_default().push(row);

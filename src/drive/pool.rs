@@ -1,4 +1,4 @@
-//! Drives situations at the same time, each with the driver under test and with the careful one.
+//! Drives situations at the same time, each with the driver under test, the careful one, and one that does nothing.
 
 use super::external::External;
 use super::kept::Kept;
@@ -7,14 +7,23 @@ use super::{DriveConfig, EgoDriver, Origin, Result, SaveAt};
 use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::simulate::{
-    CHUNK, Careful, Driven, Driver, Others, Situation, in_parallel, named, pool_of_worker, roll_out,
+    CHUNK, Driven, Driver, Others, Outcome, Situation, in_parallel, named, pool_of_worker, roll_out,
 };
 use rayon::ThreadPool;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// The drives from a situation, by driver, and its margin.
-pub(super) type Drives = (Vec<Driven>, Option<Margin>);
+/// The drivers beside the one under test, unless it is one of them: the careful one says what can be avoided, and one
+/// at constant velocity whether a scenario asks for anything.
+pub(super) const BESIDE: [NamedDriver; 2] = [NamedDriver::Careful, NamedDriver::ConstantVelocity];
+
+/// The drives from a situation, by the name of the driver in tables, that under test first; and the margin.
+pub(super) type Drives = (Vec<(String, Driven)>, Option<Margin>);
+
+/// The drive of this driver.
+pub(super) fn of_driver(drives: &[(String, Driven)], driver: NamedDriver) -> Option<&Driven> {
+    drives.iter().find(|(name, _)| name == driver.name()).map(|(_, driven)| driven)
+}
 
 /// Drivers, some for each thread.
 pub(super) struct Pool<'a> {
@@ -60,10 +69,9 @@ impl<'a> Pool<'a> {
     }
 }
 
-/// The drivers of one thread: the one under test, and the careful one if it is another.
+/// The drivers of one thread, the one under test first.
 struct Worker {
-    asked: Box<dyn Driver>,
-    careful: Option<Careful>,
+    drivers: Vec<(String, Box<dyn Driver>)>,
     pool: ThreadPool,
 }
 
@@ -74,11 +82,13 @@ impl Worker {
             EgoDriver::Named(driver) => named(*driver),
             EgoDriver::External(command) => Box::new(External::new(command, config.rollout, config.time_limit_s, runs)),
         };
-        let careful = (config.ego != EgoDriver::Named(NamedDriver::Careful)).then(Careful::default);
-        Ok(Self { asked, careful, pool: pool_of_worker()? })
+        let beside = BESIDE.into_iter().filter(|driver| config.ego != EgoDriver::Named(*driver));
+        let beside = beside.map(|driver| (driver.name().to_owned(), named(driver)));
+        let drivers = [(config.ego.name_in_tables().to_owned(), asked)].into_iter().chain(beside).collect();
+        Ok(Self { drivers, pool: pool_of_worker()? })
     }
 
-    /// The drives from one situation, of the driver under test and of the careful one, and their margin.
+    /// The drives from one situation, and its margin.
     fn drive(
         &mut self,
         situation: &Situation,
@@ -95,26 +105,25 @@ impl Worker {
             SaveAt::Event => situation.event[0],
             SaveAt::Timestep(timestep) => timestep,
         });
-        let Self { asked, careful, pool } = self;
+        let Self { drivers, pool } = self;
         pool.install(|| {
-            let driven = roll_out(situation, start(), asked.as_mut(), &others, &config.rollout, save_at)?;
-            let beside = match careful {
-                Some(careful) => Some(roll_out(situation, start(), careful, &others, &config.rollout, None)?),
-                None => None,
-            };
-            let outcomes = [driven.outcome, beside.as_ref().map_or(driven.outcome, |beside| beside.outcome)];
+            let mut drives = Vec::new();
+            for (i, (name, driver)) in drivers.iter_mut().enumerate() {
+                let save_at = save_at.filter(|_| i == 0);
+                let driven = roll_out(situation, start(), driver.as_mut(), &others, &config.rollout, save_at)?;
+                drives.push((name.clone(), driven));
+            }
+            let careful = drivers.iter().position(|(name, _)| name == NamedDriver::Careful.name()).unwrap_or_default();
+            let outcomes: [Outcome; 2] = [0, careful].map(|i| drives[i].1.outcome);
             let margin = match (config.bisects, from) {
                 (true, Origin::Scenarios(_)) => Margin::find(situation, outcomes, |driver, later| {
-                    let driver: &mut dyn Driver = match careful {
-                        Some(careful) if driver == 1 => careful,
-                        _ => asked.as_mut(),
-                    };
+                    let (_, driver) = &mut drivers[if driver == 0 { 0 } else { careful }];
                     let start = later.start(futures.seed());
-                    Ok(roll_out(later, start, driver, &others, &config.rollout, None)?.outcome)
+                    Ok(roll_out(later, start, driver.as_mut(), &others, &config.rollout, None)?.outcome)
                 })?,
                 _ => None,
             };
-            Ok(([driven].into_iter().chain(beside).collect(), margin))
+            Ok((drives, margin))
         })
     }
 }

@@ -198,8 +198,8 @@ impl Hello {
             left_neighbor: lane.left_neighbor.map(|id| id.0),
             right_neighbor: lane.right_neighbor.map(|id| id.0),
         });
-        let n_points = (situation.route.length_m() / ROUTE_SPACING_M) as usize + 1;
-        let route = (0..n_points).map(|i| situation.route.pose_at(i as f64 * ROUTE_SPACING_M).0);
+        let n_points = (situation.way.route.length_m() / ROUTE_SPACING_M) as usize + 1;
+        let route = (0..n_points).map(|i| situation.way.route.pose_at(i as f64 * ROUTE_SPACING_M).0);
         let extent = ego.extent_or_nominal();
         Self {
             version: PROTOCOL,
@@ -211,7 +211,7 @@ impl Hello {
             ego_id: ego.id.0.clone(),
             length_m: extent.length_m,
             width_m: extent.width_m,
-            target_speed_mps: situation.target_speed_mps,
+            target_speed_mps: situation.way.target_speed_mps,
             route: route.map(|point| pair(world.point(point))).collect(),
             lanes: lanes.collect(),
         }

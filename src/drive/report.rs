@@ -34,6 +34,9 @@ pub struct DriveReport {
     pub n_saved: u64,
     /// By driver: scenarios by outcome.
     pub outcomes: BTreeMap<String, BTreeMap<&'static str, u64>>,
+    /// Scenarios of those judged that an ego at constant velocity survives, too; missing if nobody drove so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub n_survived_at_constant_velocity: Option<u64>,
     /// Failures of the driver under test.
     pub failures: Failures,
     /// Failures by behavior.
@@ -134,9 +137,14 @@ impl Failures {
 }
 
 impl DriveReport {
+    /// The driven scenarios in which the others had a future.
+    pub fn n_judged(&self) -> u64 {
+        self.n_scenarios + self.left_out.values().sum::<u64>() - self.n_unjudged
+    }
+
     pub(super) fn new(ego: &EgoDriver, rollout: Option<RolloutConfig>, seed: u64, model: &str) -> Self {
         Self {
-            schema: "drive_report.v4",
+            schema: "drive_report.v5",
             ego: ego.name().to_owned(),
             seed,
             model: model.to_owned(),
@@ -146,6 +154,7 @@ impl DriveReport {
             n_unjudged: 0,
             n_saved: 0,
             outcomes: BTreeMap::new(),
+            n_survived_at_constant_velocity: None,
             failures: Failures::default(),
             by_behavior: BTreeMap::new(),
             by_parameter: Vec::new(),
@@ -169,6 +178,10 @@ impl DriveReport {
         self.n_scenarios = own.len() as u64;
         let is_unjudged = |row: &&&DriveRow| row.outcome == Outcome::NotSampled.name();
         self.n_unjudged = self.left_out.values().sum::<u64>() + own.iter().filter(is_unjudged).count() as u64;
+        let steady: Vec<&DriveRow> =
+            rows.iter().filter(|row| row.driver == NamedDriver::ConstantVelocity.name()).collect();
+        let n_survived = steady.iter().filter(|row| row.outcome == Outcome::Survived.name()).count() as u64;
+        self.n_survived_at_constant_velocity = (!steady.is_empty()).then_some(n_survived);
         self.failures = Failures::of(own.iter().copied());
         let mut by_behavior: BTreeMap<&str, Vec<&DriveRow>> = BTreeMap::new();
         for row in &own {

@@ -38,7 +38,7 @@ pub fn drive_corpus(
         let changed = changed.join(", ");
         progress.warn(&format!("the drive begins anew: {changed} changed since it was interrupted"));
     }
-    let mut output = Output::create(folder.path(), config, futures)?;
+    let mut output = Output::create((corpus, folder.path()), config, futures)?;
     let mut pool = Pool::new(from, config, futures)?;
     progress.start("drive", starts.n_most() as u64, "scenarios");
     loop {

@@ -6,11 +6,13 @@ use super::{EgoDriver, Error, Result};
 use crate::export::Selection;
 use crate::files::NewFolder;
 use crate::generate::NamedDriver;
+use crate::metrics::CarefulReplay;
 use crate::progress::Progress;
 use crate::scenario::{DriveRow, EgoChoice, ScenarioRecord};
 use crate::scene::{Scene, State};
 use crate::simulate::{
-    self, Careful, Driven, Driver, Failed, Log, Maps, Others, Outcome, RolloutConfig, Situation, World, moved, roll_out,
+    self, Careful, Driven, Driver, Failed, Log, Maps, Others, Outcome, RolloutConfig, Situation, World, moved, named,
+    roll_out,
 };
 use crate::store::{CorpusReader, Planned, read_planned, write_drives, write_json_atomically};
 use rayon::prelude::*;
@@ -26,7 +28,7 @@ const RECORDED: &str = "recorded";
 
 /// Scores the trajectories in `planned` for scenarios of the corpus in `corpus`, and writes the table of drives and the
 /// report into the folder `out`, which must be new or empty. Beside each it scores the careful driver, who answers to
-/// the others as they are, the ego of the scenario, and the recording.
+/// the others as they are, an ego at constant velocity, the ego of the scenario, and the recording.
 ///
 /// # Errors
 /// [`Error::Config`] when the file has other scenarios than the corpus; errors of the corpus, the file and the folder.
@@ -68,10 +70,12 @@ pub fn score(
         let drives: Result<Vec<_>> = chunk
             .par_iter()
             .map(|(recorded, situation, states)| {
+                let steady = NamedDriver::ConstantVelocity;
                 let drive = |situation: &Situation, driver: &mut dyn Driver| replayed(situation, driver);
                 let mut drives = vec![
                     (PLANNED, drive(situation, &mut Plan { states, judged: VecDeque::new() })?),
-                    (NamedDriver::Careful.name(), drive(situation, &mut Careful::default())?),
+                    (NamedDriver::Careful.name(), careful(situation)?),
+                    (steady.name(), drive(situation, named(steady).as_mut())?),
                     (SCENARIO, drive(situation, &mut Log)?),
                 ];
                 if let Some(recorded) = recorded {
@@ -119,6 +123,26 @@ fn replayed(situation: &Situation, driver: &mut dyn Driver) -> Result<Driven> {
     let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
     let config = RolloutConfig { horizon_s, replan_s: horizon_s };
     Ok(roll_out(situation, situation.start(0), driver, &Others::Replayed, &config, None)?)
+}
+
+/// The drive of the careful driver. Whether it survives is what the corpus says, too ([`CarefulReplay`]): whoever hits
+/// its rear does not answer here, and what must happen right after the end of the scenario counts.
+fn careful(situation: &Situation) -> Result<Driven> {
+    let driven = replayed(situation, &mut Careful::default())?;
+    let contact = CarefulReplay::of(&situation.scene, situation.ego_idx).and_then(|replay| replay.contact());
+    let is_hit = driven.outcome == Outcome::Hit;
+    Ok(match contact {
+        None if is_hit => {
+            let why = driven.why.map(|why| format!("{why}, by who does not answer"));
+            Driven { outcome: Outcome::Survived, why, ..driven }
+        }
+        Some((time_s, agent_idx)) if !is_hit => {
+            let track = &situation.scene.tracks[agent_idx].id;
+            let why = Some(format!("touches track {track} {time_s:.1} s after the present if all go on"));
+            Driven { outcome: Outcome::Hit, why, ..driven }
+        }
+        _ => driven,
+    })
 }
 
 /// The recorded scene in place of the scenario that continues it. `None` without a recorded future of the ego.
@@ -182,5 +206,29 @@ impl Driver for Plan<'_> {
 
     fn next(&mut self, _situation: &Situation, _world: &World, _sampled: Option<State>) -> Result<State, Failed> {
         self.judged.pop_front().ok_or_else(|| Failed::because("the plan is too short"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulate::testing::{records, situation};
+
+    #[test]
+    fn the_careful_driver_survives_what_the_corpus_calls_preventable() {
+        for record in records() {
+            let (situation, scene) = (situation(&record), &record.scenario.scene);
+            let expected = CarefulReplay::of(scene, situation.ego_idx).unwrap().judgment(None);
+            let driven = careful(&situation).unwrap();
+            assert_eq!(
+                driven.outcome == Outcome::Survived,
+                expected.preventable,
+                "{}: {:?}",
+                record.scenario.id,
+                driven.why
+            );
+            let found = record.assessment.as_ref().unwrap().careful.unwrap();
+            assert_eq!((found.preventable, found.braking_from_s), (expected.preventable, expected.braking_from_s));
+        }
     }
 }

@@ -5,8 +5,8 @@ use super::config::EvaluateConfig;
 use super::error::Result;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::metrics::{
-    Check, CutInJudgment, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges, SceneCriticality,
-    Violation,
+    CarefulJudgment, CarefulReplay, Check, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges,
+    SceneCriticality, Violation,
 };
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Roles, Scene, SituationKind};
@@ -19,8 +19,21 @@ use std::path::Path;
 /// Number of recorded scenes for the ranges of motion: enough to estimate a thousandth at either end, few enough to be
 /// fast.
 const N_REFERENCE_SCENES: usize = 400;
-/// The behaviors to which the careful driver applies.
+/// The behaviors in which somebody comes into the lane of the ego.
 const CUT_INS: [&str; 2] = ["cut_in", "cut_in_paper"];
+/// The behavior that comes from behind: braking is no answer to it.
+const FROM_BEHIND: &str = "tailgating";
+
+/// What the careful driver makes of a scenario in place of its subject. `None` if there is none, or the event is its
+/// own or comes from behind.
+fn careful(record: &ScenarioRecord) -> Option<CarefulJudgment> {
+    let (scene, event) = (&record.scenario.scene, record.main_event()?);
+    let subject_idx = record.subject_idx().filter(|_| event.behavior != FROM_BEHIND)?;
+    let mut others = event.roles.tracks().filter_map(|id| scene.track_idx(id)).filter(|idx| *idx != subject_idx);
+    let other = others.next()?;
+    let cuts_in = CUT_INS.contains(&event.behavior.as_str());
+    Some(CarefulReplay::of(scene, subject_idx)?.judgment_with_margin(cuts_in.then_some(other)))
+}
 
 /// Everything that scenarios are judged by.
 pub(super) struct Judge<'a> {
@@ -103,9 +116,7 @@ impl<'a> Judge<'a> {
             recorded_likeness: None,
             pair: pair.and_then(|pair| PairCriticality::of(scene, pair)),
             scene: SceneCriticality::of(scene),
-            cut_in: pair
-                .filter(|_| asked.is_some_and(|asked| CUT_INS.contains(&asked)))
-                .and_then(|pair| CutInJudgment::of(scene, pair)),
+            careful: careful(record),
             ending: ending.map(|(_, ending)| ending),
             nearest_recorded_event: record
                 .main_event()

@@ -124,6 +124,8 @@ impl<'a> Verdicts<'a> {
             accepted: assessment.accepted,
             kept: is_kept,
             reasons: reasons.into_iter().map(str::to_owned).collect(),
+            preventable: assessment.careful.map(|careful| careful.preventable),
+            careful_margin_s: assessment.careful.and_then(|careful| careful.margin_s),
             not_checked: not_checked.iter().map(|check| check.id().to_owned()).collect(),
             scenario_id,
             sweep: record.sweep.clone(),

@@ -1,6 +1,6 @@
 //! The selection of scenarios to export.
 
-use crate::scenario::ScenarioRecord;
+use crate::scenario::{Assessment, ScenarioRecord};
 use crate::store::CorpusReader;
 use serde::Serialize;
 
@@ -11,6 +11,8 @@ pub struct Selection {
     pub only_verified: bool,
     /// Only accepted scenarios: verified, valid and not a near-duplicate.
     pub only_accepted: bool,
+    /// Also valid scenarios of which nothing was requested.
+    pub also_ordinary: bool,
     /// Only scenarios for which this behavior was requested.
     pub behavior: Option<String>,
     /// Only scenarios of this sweep.
@@ -28,7 +30,13 @@ impl Selection {
     /// When the corpus lacks a named one.
     pub(crate) fn positions(&self, reader: &CorpusReader) -> crate::store::Result<Vec<usize>> {
         if self.scenario_ids.is_empty() {
-            return Ok((0..reader.len()).collect());
+            let is_wanted = |(behavior, accepted): (Option<&str>, bool)| {
+                let is_ordinary = self.also_ordinary && behavior.is_none();
+                (!self.only_accepted || accepted || is_ordinary)
+                    && self.behavior.as_deref().is_none_or(|own| behavior == Some(own))
+            };
+            let requests = reader.requests()?.enumerate();
+            return Ok(requests.filter(|(_, request)| is_wanted(*request)).map(|(position, _)| position).collect());
         }
         let found = self.scenario_ids.iter().map(|id| reader.position(id));
         let mut positions = found.collect::<crate::store::Result<Vec<usize>>>()?;
@@ -40,7 +48,7 @@ impl Selection {
     /// Whether a scenario passes, whatever its id.
     pub(crate) fn wants(&self, record: &ScenarioRecord) -> bool {
         (!self.only_verified || record.verified)
-            && (!self.only_accepted || is_accepted(record))
+            && (!self.only_accepted || is_accepted(record) || (self.also_ordinary && is_ordinary(record)))
             && self.behavior.as_ref().is_none_or(|behavior| record.requested_behavior.as_ref() == Some(behavior))
             && self.sweep.as_ref().is_none_or(|sweep| record.sweep == *sweep)
     }
@@ -63,6 +71,12 @@ impl Selection {
     }
 }
 
+/// Whether a scenario is valid and nothing was requested of it.
+fn is_ordinary(record: &ScenarioRecord) -> bool {
+    let is_valid = record.assessment.as_ref().is_some_and(Assessment::is_valid);
+    record.requested_behavior.is_none() && is_valid
+}
+
 /// Whether a scenario was accepted.
 pub(super) fn is_accepted(record: &ScenarioRecord) -> bool {
     record.assessment.as_ref().is_some_and(|assessment| assessment.accepted)
@@ -72,7 +86,6 @@ pub(super) fn is_accepted(record: &ScenarioRecord) -> bool {
 mod tests {
     use super::*;
     use crate::export::testing;
-    use crate::scenario::Assessment;
 
     #[test]
     fn each_filter_takes_away_and_all_must_pass() {
@@ -88,6 +101,10 @@ mod tests {
             ScenarioRecord { assessment, ..record.clone() }
         };
         assert!(accepted.wants(&judged(true)) && !accepted.wants(&judged(false)) && !accepted.wants(&record));
+        // Of ordinary scenarios, valid ones are never accepted, but may be asked for.
+        let ordinary = ScenarioRecord { requested_behavior: None, ..judged(false) };
+        let also = Selection { also_ordinary: true, only_verified: false, ..accepted.clone() };
+        assert!(also.wants(&ordinary) && !accepted.wants(&ordinary) && !also.wants(&judged(false)));
         let behavior = |name: &str| Selection { behavior: Some(name.to_owned()), ..verified.clone() };
         assert!(behavior("cut_in").wants(&record) && !behavior("left_turn").wants(&record));
         let sweep = |name: &str| Selection { sweep: Some(name.to_owned()), ..behavior("cut_in") };

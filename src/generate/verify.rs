@@ -22,10 +22,11 @@ pub fn verify(behavior: &dyn Behavior, roles: &Roles, recorded: &Scene, generate
     Verification { verified, events, recorded_event }
 }
 
-/// The positive events of `behavior` in a scene, those with the requested `roles` first, and whether there are any of
-/// these; without roles, events of any agents are.
+/// The positive events of `behavior` in a scene, those with the requested `roles` that happen mostly after the present
+/// first, and whether there are any of these; without roles, events of any agents are.
 pub fn requested_events(behavior: &dyn Behavior, roles: &Roles, scene: &Scene) -> (bool, Vec<BehaviorEvent>) {
-    let is_requested = |event: &BehaviorEvent| roles.is_empty() || event.roles == *roles;
+    let is_requested =
+        |event: &BehaviorEvent| (roles.is_empty() || event.roles == *roles) && event.is_mostly_ahead(scene);
     let (mut events, others): (Vec<_>, Vec<_>) = positive_events(behavior, scene).into_iter().partition(is_requested);
     let is_found = !events.is_empty();
     events.extend(others);

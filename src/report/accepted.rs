@@ -6,8 +6,6 @@ use std::collections::BTreeMap;
 
 /// The metric by which scenarios are sorted, the hardest first: the shortest time to collision.
 pub(super) const HARDNESS: &str = "pair_min_ttc_s";
-/// The metric that is 0 where a careful driver could not have prevented the event from becoming a collision.
-const PREVENTABLE: &str = "preventable_rate";
 /// A time to collision below this is critical, seconds.
 const CRITICAL_S: f64 = 1.5;
 
@@ -16,8 +14,9 @@ const CRITICAL_S: f64 = 1.5;
 pub struct Accepted {
     /// The shortest time to collision of each scenario by its id, seconds; infinite without a collision course.
     min_ttc_s: BTreeMap<String, f64>,
-    /// `None` where no scenario, accepted or not, has the metric.
-    n_not_preventable: Option<u64>,
+    /// Those in which the careful driver was judged, and of them, those in which it could not prevent a collision.
+    n_careful: u64,
+    n_not_preventable: u64,
     /// Whether any scenario, accepted or not, has a time to collision: if not, it was not measured.
     has_ttc: bool,
 }
@@ -31,14 +30,18 @@ pub struct HardnessSummary {
     pub n_critical: Option<u64>,
     /// Scenarios without a time to collision; `None` if it was not measured.
     pub n_without_ttc: Option<u64>,
-    /// Scenarios that a careful driver could not have prevented; `None` if that was not judged.
-    pub n_not_preventable: Option<u64>,
+    /// Scenarios in which a careful driver was judged, and of them, those that it could not have prevented.
+    pub n_careful: u64,
+    /// See `n_careful`.
+    pub n_not_preventable: u64,
 }
 
 impl Accepted {
     /// Adds a scenario if it was accepted.
     pub fn add_verdict(&mut self, row: VerdictRow) {
         if row.accepted {
+            self.n_careful += u64::from(row.preventable.is_some());
+            self.n_not_preventable += u64::from(row.preventable == Some(false));
             self.min_ttc_s.insert(row.scenario_id, f64::INFINITY);
         }
     }
@@ -47,15 +50,9 @@ impl Accepted {
     pub fn add_metric(&mut self, row: &MetricRow) {
         let Some(id) = &row.scenario_id else { return };
         let accepted = self.min_ttc_s.get_mut(id);
-        match row.metric.as_str() {
-            HARDNESS => {
-                self.has_ttc = true;
-                accepted.into_iter().for_each(|min_ttc_s| *min_ttc_s = row.value);
-            }
-            PREVENTABLE => {
-                *self.n_not_preventable.get_or_insert(0) += u64::from(accepted.is_some() && row.value == 0.0);
-            }
-            _ => {}
+        if row.metric == HARDNESS {
+            self.has_ttc = true;
+            accepted.into_iter().for_each(|min_ttc_s| *min_ttc_s = row.value);
         }
     }
 
@@ -72,6 +69,7 @@ impl Accepted {
             n_situations: n_situations as u64,
             n_critical: n_of(|ttc_s| ttc_s < CRITICAL_S),
             n_without_ttc: n_of(f64::is_infinite),
+            n_careful: self.n_careful,
             n_not_preventable: self.n_not_preventable,
         }
     }
@@ -82,8 +80,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_names_are_those_of_metrics() {
-        assert!([HARDNESS, PREVENTABLE].into_iter().all(|name| crate::metrics::by_id(name).is_some()));
+    fn the_name_is_that_of_a_metric() {
+        assert!(crate::metrics::by_id(HARDNESS).is_some());
     }
 
     #[test]

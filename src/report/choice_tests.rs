@@ -87,7 +87,18 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
     for i in 0..4 {
         let level = GuidanceLevel::UNGUIDED;
         let (sweep, reasons, not_checked) = ("asked".into(), vec![], vec![]);
-        let row = VerdictRow { scenario_id: id(i), sweep, level, accepted: true, kept: true, reasons, not_checked };
+        let (preventable, careful_margin_s) = ([None, Some(true), Some(false), Some(true)][i], None);
+        let row = VerdictRow {
+            scenario_id: id(i),
+            sweep,
+            level,
+            accepted: true,
+            kept: true,
+            reasons,
+            preventable,
+            careful_margin_s,
+            not_checked,
+        };
         accepted.add_verdict(row);
     }
     let metric = |i: usize, metric: &str, value: f64| MetricRow {
@@ -97,19 +108,13 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
         n: 1,
         ..MetricRow::example(metric, value)
     };
-    for (i, name, value) in [
-        (1, "pair_min_ttc_s", 2.5),
-        (2, "pair_min_ttc_s", 0.5),
-        (3, "pair_min_ttc_s", 4.0),
-        (4, "pair_min_ttc_s", 0.1),
-        (2, "preventable_rate", 0.0),
-        (3, "preventable_rate", 1.0),
-        (4, "preventable_rate", 0.0),
-    ] {
+    for (i, name, value) in
+        [(1, "pair_min_ttc_s", 2.5), (2, "pair_min_ttc_s", 0.5), (3, "pair_min_ttc_s", 4.0), (4, "pair_min_ttc_s", 0.1)]
+    {
         accepted.add_metric(&metric(i, name, value));
     }
-    let summary =
-        HardnessSummary { n_situations: 1, n_critical: Some(1), n_without_ttc: Some(1), n_not_preventable: Some(1) };
+    let (n_critical, n_without_ttc) = (Some(1), Some(1));
+    let summary = HardnessSummary { n_situations: 1, n_critical, n_without_ttc, n_careful: 3, n_not_preventable: 1 };
     assert_eq!(accepted.summary(1), summary);
     let config = ReportConfig { n_drawn: 3, ..ReportConfig::default() };
     let mut choice = Choice::new(&config, Some(&accepted));

@@ -1,6 +1,6 @@
 //! The judgment of a generated scenario: could it have happened, how critical is it, is it new?
 
-use crate::metrics::{CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
+use crate::metrics::{CarefulJudgment, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::rates::BucketRate;
 use serde::{Deserialize, Serialize};
 
@@ -19,8 +19,8 @@ pub struct Assessment {
     pub pair: Option<PairCriticality>,
     /// How critical the worst encounter of any two agents is.
     pub scene: Option<SceneCriticality>,
-    /// The judgment of the requested cut-in by UN Regulation No. 157.
-    pub cut_in: Option<CutInJudgment>,
+    /// What the careful driver makes of it in place of the subject, if the event comes from another agent.
+    pub careful: Option<CarefulJudgment>,
     /// The ending for the subject of the requested event; `None` also if a collision was requested.
     pub ending: Option<Ending>,
     /// Distance of its event from the nearest recorded one, in typical spreads.

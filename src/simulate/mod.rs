@@ -29,7 +29,6 @@
 
 mod aim;
 mod arrivals;
-mod bends;
 mod driver;
 mod drivers;
 mod error;
@@ -65,6 +64,6 @@ pub(crate) use drivers::{Careful, Log, named};
 pub(crate) use event::is_decided_by_ego;
 pub(crate) use maps::{Maps, Places};
 pub(crate) use motion::{most_curvature_1pm, moved, plain};
-pub(crate) use peek::MOST_FUTURES;
+pub(crate) use peek::{MOST_FUTURES, MOST_PEEKS};
 pub(crate) use rollout::MOST_HORIZON_S;
 pub(crate) use workers::{CHUNK, in_parallel, pool_of_worker};

@@ -3,7 +3,7 @@
 use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
-use super::reaction::{brake, go_on};
+use super::reaction::{brake, go_on, walk_on};
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
@@ -11,6 +11,7 @@ use super::{Contact, Driver, Error, Failed, Outcome, Result};
 use crate::generate::{Continued, Futures, check_times};
 use crate::scene::{Scene, State, UnfitScene};
 use serde::{Deserialize, Serialize};
+use std::cell::Cell;
 
 /// The longest drive, seconds.
 pub(crate) const MOST_HORIZON_S: f64 = 600.0;
@@ -213,8 +214,9 @@ impl Drive<'_> {
             None => None,
         };
         let world = &self.world;
+        let n_peeked = Cell::new(0);
         let peek = |n: usize| match futures {
-            Some(futures) => peek(situation, world, futures, n),
+            Some(futures) => peek(situation, world, futures, n_peeked.replace(n_peeked.get() + n)..n_peeked.get()),
             None => Err(Failed::because("others that do not answer have no futures")),
         };
         if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
@@ -277,6 +279,7 @@ impl Drive<'_> {
             };
             let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
             go_on(situation, &self.world, sampled, &agents);
+            walk_on(situation, sampled, &agents);
             brake(situation, sampled, &agents);
         }
         Ok(sampled)
@@ -322,7 +325,7 @@ impl Drive<'_> {
         let speed = |timestep: usize| self.world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());
         let stands = self.world.now() - first >= n_stopped
             && (first..=self.world.now()).all(|timestep| speed(timestep) < STANDING_MPS)
-            && situation.target_speed_mps > 1.0;
+            && situation.way.target_speed_mps > 1.0;
         match stands && free_m(situation, &self.world) > FREE_M {
             true => (Outcome::StoppedDead, Some("stands with free road ahead".to_owned())),
             false => (Outcome::Survived, None),
@@ -338,10 +341,15 @@ impl Drive<'_> {
         if logged.is_some_and(|logged| logged.position.distance(ego.position) < LEFT_LOG_M) {
             return false;
         }
-        let n_ahead = (LOOKS_AHEAD_S / situation.scene.dt_s).round() as usize;
+        let dt_s = situation.scene.dt_s;
+        let n_ahead = (LOOKS_AHEAD_S / dt_s).round() as usize;
         situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
+            // After its end, the plan goes on at its last velocity.
+            let mut last = world.present(*agent_idx).filter(|_| situation.plan(world, *agent_idx, now + 1).is_some());
             expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
-                let Some(other) = situation.plan(world, *agent_idx, now + 1 + i) else { return false };
+                let on = last.map(|last| State { position: last.position + last.velocity * dt_s, ..last });
+                last = situation.plan(world, *agent_idx, now + 1 + i).or(on);
+                let Some(other) = last else { return false };
                 let place = (then.position - other.position).rotated(-other.heading_rad);
                 let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
                 is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])

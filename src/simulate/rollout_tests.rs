@@ -114,7 +114,7 @@ fn peeking_shows_several_futures_that_know_nothing_of_the_plan_and_changes_nothi
     let (situation, model) = (situation(&record()), model());
     let futures = Futures::new(&model, 1, &Device::Cpu).unwrap();
     let world = situation.start(1);
-    let found = peek::peek(&situation, &world, &futures, 3).unwrap();
+    let found = peek::peek(&situation, &world, &futures, 0..3).unwrap();
     let at = |future: &Scene, idx: usize| future.state(idx, 30).map(|state| state.position).unwrap();
     let planned = situation.planned[0];
     let plan = situation.plan(&world, planned, 30).unwrap().position;
@@ -122,7 +122,9 @@ fn peeking_shows_several_futures_that_know_nothing_of_the_plan_and_changes_nothi
         assert!(at(&found[0], idx) != at(&found[1], idx) && at(&found[1], idx) != at(&found[2], idx));
     }
     assert!(found.iter().all(|future| at(future, planned).distance(plan) > 1e-3));
-    assert_eq!(found, peek::peek(&situation, &world, &futures, 3).unwrap());
+    assert_eq!(found, peek::peek(&situation, &world, &futures, 0..3).unwrap());
+    let again = peek::peek(&situation, &world, &futures, 3..6).unwrap();
+    assert!(found.iter().all(|future| at(future, planned) != at(&again[0], planned)));
     assert_eq!(world, situation.start(1));
 }
 
@@ -182,7 +184,7 @@ fn drivers_keep_to_the_way_and_within_what_vehicles_can() {
         assert!(driven.max_braking_mps2 <= 8.0 + 1e-6 && driven.progress_m > 1.0, "{name}: {driven:?}");
         for timestep in situation.scene.n_history..driven.world.n_timesteps() {
             let state = driven.world.state(situation.ego_idx, timestep).unwrap();
-            let aside_m = situation.route.project(state.position).unwrap().offset_m;
+            let aside_m = situation.way.route.project(state.position).unwrap().offset_m;
             assert!(aside_m.abs() < 0.2, "{name} is {aside_m} m beside its way at {timestep}");
         }
     }

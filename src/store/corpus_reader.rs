@@ -10,7 +10,7 @@ use super::{Error, Result, parquet_file};
 use crate::metrics::MetricRow;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{LaneGraph, LaneId, MapId, ObservationMask, SceneId, Track};
-use arrow::array::{RecordBatch, StringArray, UInt64Array};
+use arrow::array::{BooleanArray, RecordBatch, StringArray, UInt64Array};
 use arrow::compute::concat_batches;
 use arrow::datatypes::UInt32Type;
 use std::collections::{BTreeMap, BTreeSet};
@@ -90,6 +90,13 @@ impl CorpusReader {
     pub fn scenario_ids(&self) -> Result<impl Iterator<Item = &str>> {
         let ids: &StringArray = self.columns().get("scenario_id")?;
         Ok(ids.iter().flatten())
+    }
+
+    /// The behavior requested of each scenario, and whether it was accepted.
+    pub fn requests(&self) -> Result<impl Iterator<Item = (Option<&str>, bool)>> {
+        let behaviors: &StringArray = self.columns().get("requested_behavior")?;
+        let accepted: &BooleanArray = self.columns().get("accepted")?;
+        Ok(behaviors.iter().zip(accepted.iter().map(|accepted| accepted == Some(true))))
     }
 
     /// The position of the scenario whose id is or begins with `scenario_id`.

@@ -5,7 +5,7 @@ use super::parquet_file::{ParquetFile, write_batch};
 use super::tables::{drive, driven};
 use crate::files::FileStamp;
 use crate::scenario::DriveRow;
-use crate::scene::Scene;
+use crate::scene::{Roles, Scene};
 use std::path::Path;
 
 /// Writes the table of drives.
@@ -25,14 +25,14 @@ impl DrivenWriter {
         ParquetFile::create(path, &driven::schema(), driven::schema().arrow()).map(Self)
     }
 
-    /// Adds all states of a drive with its scenario and driver; `moved_by` gives who moved an agent at a timestep.
+    /// Adds all states of a drive with its scenario and driver, and the roles of the event; `moved_by` gives who moved an agent at a timestep.
     pub fn push(
         &mut self,
         drive: [&str; 2],
-        scene: &Scene,
+        (scene, roles): (&Scene, &Roles),
         moved_by: &dyn Fn(usize, usize) -> &'static str,
     ) -> Result<()> {
-        self.0.write(&driven::encode(drive, scene, moved_by)?)
+        self.0.write(&driven::encode(drive, (scene, roles), moved_by)?)
     }
 
     /// Finishes the table and gives the file its name.
@@ -72,9 +72,11 @@ mod tests {
         let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(9.0, 0.0, 0.0, 10.0)]);
         let mut writer = DrivenWriter::create(&states).unwrap();
         let moved_by = |agent_idx, timestep| if timestep < 4 { "scenario" } else { ["driver", "model"][agent_idx] };
-        writer.push(["a", "careful"], &scene, &moved_by).unwrap();
+        writer.push(["a", "careful"], (&scene, &Roles::from([("ego", "1")])), &moved_by).unwrap();
         writer.finish().unwrap();
         let batch = &parquet_file::read(&states, &driven::schema()).unwrap()[0];
+        let roles = batch["event_role"].as_string::<i32>();
+        assert_eq!([0, 23].map(|row| roles.iter().nth(row).flatten()), [Some("ego"), None]);
         let moved = batch["moved_by"].as_string::<i32>();
         assert_eq!(
             (batch.num_rows(), moved.value(0), moved.value(5), moved.value(23)),

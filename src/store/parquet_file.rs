@@ -212,6 +212,8 @@ mod tests {
             accepted: false,
             kept: false,
             reasons: Vec::new(),
+            preventable: None,
+            careful_margin_s: None,
             not_checked: Vec::new(),
         };
         let (n_batches, per_batch) = (80, 512);

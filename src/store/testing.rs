@@ -3,7 +3,7 @@
 use super::as_stored;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
-use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
+use crate::metrics::{CarefulJudgment, Check, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::rates::{BucketRate, RateSource};
 use crate::scenario::{Assessment, BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use crate::scene::{
@@ -182,9 +182,10 @@ pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
             min_distance_m: 1.5,
         }),
         scene: Some(SceneCriticality { min_ttc_s: Some(1.25), max_drac_mps2: 4.0, min_distance_m: 0.5 }),
-        cut_in: has_all.then_some(CutInJudgment {
+        careful: has_all.then_some(CarefulJudgment {
             preventable: false,
             braking_from_s: Some(1.45),
+            margin_s: Some(-0.25),
             intrusion_ttc_s: None,
             avoidance_required: Some(true),
         }),

@@ -52,6 +52,8 @@ mod tests {
             accepted: reasons.is_empty(),
             kept: reasons.len() < 2,
             reasons: reasons.iter().map(|reason| (*reason).to_owned()).collect(),
+            preventable: (id == "b").then_some(false),
+            careful_margin_s: (id == "b").then_some(-0.25),
             not_checked: if id == "b" { vec!["offroad".to_owned()] } else { Vec::new() },
         };
         let rows = [row("a", &["not_verified", "jerk"]), row("b", &[]), row("c", &["near_duplicate"])];

@@ -46,6 +46,7 @@ fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_s
     drive("model", &one, &[&shared[..], &["1"]].concat()).expect(0);
     let outcome = drive("model", &two, &[&shared[..], &["3"]].concat()).expect(0);
     assert!(outcome.stdout.contains("of 4 scenarios fail ("), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains(" of 4 are survived at constant velocity, too"), "{}", outcome.stdout);
     assert_same(&files(&one), &files(&two));
     let (found, tables) = (report(&one), ["drives.parquet", "driven.parquet"]);
     assert!(found["n_scenarios"] == N_SCENARIOS && tables.iter().all(|table| one.join(table).is_file()));
@@ -53,7 +54,7 @@ fn a_drive_has_the_same_bytes_for_any_number_of_threads_and_goes_on_from_saved_s
     let count = |driver: &str| -> u64 {
         found["outcomes"][driver].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum()
     };
-    assert_eq!([count("model"), count("careful")], [N_SCENARIOS; 2]);
+    assert_eq!(["model", "careful", "constant_velocity"].map(count), [N_SCENARIOS; 3]);
 
     let state = fs_err::read_dir(one.join("states")).unwrap().next().unwrap().unwrap().path();
     let [fork, again] = ["fork", "again"].map(|name| dir.path().join(name));
@@ -157,7 +158,8 @@ fn scenarios_are_made_harder_until_a_driver_fails() {
     let n_panels = |title: &str| page.split("[\"").filter(|part| part.starts_with(title)).count();
     // Each title names a panel and its only drive.
     assert_eq!(["careful: survived", "planner: hit"].map(n_panels), [2 * n_matter; 2]);
-    assert!(page.contains("a drive ends when it fails"));
+    assert!(page.contains("a drive ends when it fails") && page.matches("djinn drive").count() >= n_matter);
+    assert!(page.contains("Delay of the others survived, median") && page.contains("at constant velocity, too"));
     let margins = &found["margins"];
     assert_eq!(margins["n_scenarios"], N_SCENARIOS);
     let (all, n_sooner) = (margins["scenarios"].as_array().unwrap(), margins["n_sooner"].as_u64().unwrap() as usize);
@@ -431,8 +433,8 @@ fn planned_trajectories_are_scored_beside_the_careful_driver_the_scenario_and_th
     score(&["--max-unjudged", "0"]).expect(0);
     let found = report(&out);
     let count = |driver: &str| found["outcomes"][driver].as_object().unwrap().values().filter_map(|n| n.as_u64()).sum();
-    let counts: [u64; 3] = ["planner", "careful", "scenario"].map(count);
-    assert_eq!((counts, &found["outcomes"]["planner"]), ([N_SCENARIOS; 3], &found["outcomes"]["scenario"]));
+    let counts: [u64; 4] = ["planner", "careful", "constant_velocity", "scenario"].map(count);
+    assert_eq!((counts, &found["outcomes"]["planner"]), ([N_SCENARIOS; 4], &found["outcomes"]["scenario"]));
     assert!(found["outcomes"]["recorded"].is_object(), "{found}");
     fs_err::remove_dir_all(&out).unwrap();
     // Nobody drives ten meters aside at once.

@@ -167,10 +167,9 @@ impl Trial<'_> {
         let mut driven = alone.clone();
         let own: Vec<usize> = (0..alone.tracks.len()).collect();
         plan.template(alone, &own)?.apply(&mut driven);
-        // An event that is over at present does not count.
         let is_meant = |event: &BehaviorEvent| {
             event.label == EventLabel::Positive
-                && event.end_timestep >= alone.n_history
+                && event.is_mostly_ahead(&driven)
                 && event.roles.tracks().eq(alone.tracks.iter().map(|track| &track.id))
         };
         let event = behavior.detect(&driven).into_iter().find(is_meant)?;

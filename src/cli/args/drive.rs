@@ -87,7 +87,7 @@ pub(in crate::cli) struct ChosenArgs {
     /// Only scenarios of this requested behavior, such as cut_in
     #[arg(long, value_name = "NAME")]
     pub(in crate::cli) behavior: Option<String>,
-    /// Only scenarios of this sweep
+    /// Only scenarios of this sweep; if nothing is requested in it, its valid ones
     #[arg(long, value_name = "NAME")]
     pub(in crate::cli) sweep: Option<String>,
     /// Only the scenario with this id (may be repeated)
@@ -118,10 +118,11 @@ pub(in crate::cli) struct DriveGates {
 }
 
 impl ChosenArgs {
-    /// The selection of accepted scenarios.
+    /// The selection of accepted scenarios, and of ordinary ones that are named.
     pub(in crate::cli) fn selection(&self) -> Selection {
         Selection {
             only_accepted: true,
+            also_ordinary: self.sweep.is_some() || !self.scenarios.is_empty(),
             behavior: self.behavior.clone(),
             sweep: self.sweep.clone(),
             scenario_ids: self.scenarios.clone(),

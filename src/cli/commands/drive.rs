@@ -80,16 +80,10 @@ fn tell(report: &DriveReport, gates: &DriveGates, out: &Path, printer: &Printer)
     {
         return Err(Failure::gate(format_args!("--{gate}: {n} scenarios, expected at most {most}")));
     }
-    match max_unjudged.is_some() && n_judged(report) == 0 {
+    match max_unjudged.is_some() && report.n_judged() == 0 {
         true => Err(Failure::gate("no scenario was judged: in none had the model a future for the others")),
         false => Ok(()),
     }
-}
-
-/// The driven scenarios in which the others had a future.
-fn n_judged(report: &DriveReport) -> u64 {
-    let n_left_out: u64 = report.left_out.values().sum();
-    report.n_scenarios + n_left_out - report.n_unjudged
 }
 
 /// The outcomes, and the hardest scenarios that matter.
@@ -106,12 +100,15 @@ fn text(report: &DriveReport) -> String {
         text,
         "{} of {} scenarios fail ({} hit in the rear); the careful driver survives {} of these",
         failures.n_failed,
-        n_judged(report),
+        report.n_judged(),
         failures.n_hit_in_rear,
         failures.n_avoidable
     );
+    if let Some(n_survived) = report.n_survived_at_constant_velocity {
+        let _ = writeln!(text, "{n_survived} of {} are survived at constant velocity, too", report.n_judged());
+    }
     if report.n_unjudged > 0 {
-        let n_all = n_judged(report) + report.n_unjudged;
+        let n_all = report.n_judged() + report.n_unjudged;
         let _ = writeln!(text, "{} of {n_all} chosen scenarios were not judged", report.n_unjudged);
     }
     let _ = writeln!(
@@ -124,7 +121,7 @@ fn text(report: &DriveReport) -> String {
         let _ = writeln!(
             text,
             "with the others of {} events later, it fails before the careful driver in {} and after it in {}; the \
-             median delays that they survive are {own:.1} and {careful:.1} s",
+             median delay survived is {own:.1} s for it, {careful:.1} s for the careful driver",
             margins.n_scenarios, margins.n_sooner, margins.n_later
         );
     }

@@ -13,6 +13,7 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
     let selection = Selection {
         only_verified: args.only_verified,
         only_accepted: args.only_accepted,
+        also_ordinary: false,
         behavior: args.behavior.clone(),
         sweep: args.sweep.clone(),
         scenario_ids: args.scenarios.clone(),

@@ -14,7 +14,7 @@ type Number = (&'static str, fn(&Assessment) -> Option<f64>);
 /// A truth value of an assessment, under the name of its column.
 type Flag = (&'static str, fn(&Assessment) -> Option<bool>);
 
-const NUMBERS: [Number; 23] = [
+const NUMBERS: [Number; 24] = [
     ("plausibility", |judged| judged.plausibility),
     ("recorded_likeness", |judged| judged.recorded_likeness),
     ("pair_min_ttc_s", |judged| judged.pair?.min_ttc_s),
@@ -27,8 +27,9 @@ const NUMBERS: [Number; 23] = [
     ("scene_min_ttc_s", |judged| judged.scene?.min_ttc_s),
     ("scene_max_drac_mps2", |judged| Some(judged.scene?.max_drac_mps2)),
     ("scene_min_distance_m", |judged| Some(judged.scene?.min_distance_m)),
-    ("careful_braking_from_s", |judged| judged.cut_in?.braking_from_s),
-    ("intrusion_ttc_s", |judged| judged.cut_in?.intrusion_ttc_s),
+    ("careful_braking_from_s", |judged| judged.careful?.braking_from_s),
+    ("careful_margin_s", |judged| judged.careful?.margin_s),
+    ("intrusion_ttc_s", |judged| judged.careful?.intrusion_ttc_s),
     ("end_contact_s", |judged| judged.ending?.contact_s),
     ("end_required_deceleration_mps2", |judged| Some(judged.ending?.required_deceleration_mps2)),
     ("end_remaining_mps", |judged| judged.ending?.remaining_mps),
@@ -43,8 +44,8 @@ const NUMBERS: [Number; 23] = [
 const FLAGS: [Flag; 5] = [
     ("accepted", |judged| Some(judged.accepted)),
     ("valid", |judged| Some(judged.is_valid())),
-    ("preventable", |judged| Some(judged.cut_in?.preventable)),
-    ("avoidance_required", |judged| judged.cut_in?.avoidance_required),
+    ("preventable", |judged| Some(judged.careful?.preventable)),
+    ("avoidance_required", |judged| judged.careful?.avoidance_required),
     ("subject_reacts", |judged| Some(judged.ending?.subject_reacts)),
 ];
 
@@ -134,7 +135,7 @@ impl AssessmentColumns {
 pub(super) mod tests {
     use super::*;
     use crate::export::testing;
-    use crate::metrics::{CutInJudgment, PairCriticality, SceneCriticality, Violation};
+    use crate::metrics::{CarefulJudgment, PairCriticality, SceneCriticality, Violation};
 
     /// A judgment with every part except the time headway.
     pub(in crate::export::openlabel) fn judgment() -> Assessment {
@@ -147,9 +148,10 @@ pub(super) mod tests {
             pet_s: Some(0.7),
             min_distance_m: 2.125,
         };
-        let cut_in = CutInJudgment {
+        let careful = CarefulJudgment {
             preventable: true,
             braking_from_s: Some(0.2),
+            margin_s: None,
             intrusion_ttc_s: Some(2.5),
             avoidance_required: Some(true),
         };
@@ -166,7 +168,7 @@ pub(super) mod tests {
             recorded_likeness: Some(0.4375),
             pair: Some(pair),
             scene: Some(SceneCriticality { min_ttc_s: Some(1.0), max_drac_mps2: 4.0, min_distance_m: 1.5 }),
-            cut_in: Some(cut_in),
+            careful: Some(careful),
             ending: None,
             nearest_recorded_event: Some(0.5),
             nearest_scenario_m: Some(0.125),

@@ -12,6 +12,21 @@ use std::collections::BTreeMap;
 /// Windows of a recording are situations of their own if their presents are this many timesteps apart: three seconds.
 const APART: i64 = 30;
 
+/// The moment of a cell.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct Moment {
+    recording: String,
+    agents: Vec<TrackId>,
+    frame: i64,
+    idx: usize,
+}
+
+impl Moment {
+    fn is_of_situation_of(&self, first: &Self) -> bool {
+        self.recording == first.recording && self.agents == first.agents && self.frame < first.frame + APART
+    }
+}
+
 /// The cells that a request may use, in random order; written before anything is sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pool {
@@ -34,21 +49,18 @@ impl Pool {
     /// The situation of each cell: pairs are in one if they are the same agents, at moments of one recording or closed
     /// loop less than [`APART`] timesteps apart.
     pub(super) fn situations(&self) -> Vec<usize> {
-        let key = |cell: &Cell| {
+        let moment = |(idx, cell): (usize, &Cell)| {
             let (recording, frame) = SceneId::window_of(&cell.scene_id.0).unwrap_or((&cell.scene_id.0, 0));
-            let agents: Vec<TrackId> = cell.roles.tracks().cloned().collect();
-            (recording.to_owned(), agents, frame)
+            let agents = cell.roles.tracks().cloned().collect();
+            Moment { recording: recording.to_owned(), agents, frame, idx }
         };
-        let mut in_order: Vec<((String, Vec<TrackId>, i64), usize)> =
-            self.cells.iter().map(key).enumerate().map(|(idx, key)| (key, idx)).collect();
+        let mut in_order: Vec<Moment> = self.cells.iter().enumerate().map(moment).collect();
         in_order.sort();
         let (mut situations, mut n, mut first) = (vec![0; self.cells.len()], 0, None);
-        for ((recording, agents, frame), idx) in in_order {
-            let is_same = first.as_ref().is_some_and(|(known, of, since): &(String, Vec<TrackId>, i64)| {
-                (known, of) == (&recording, &agents) && frame < since + APART
-            });
-            if !is_same {
-                (n, first) = (n + 1, Some((recording, agents, frame)));
+        for moment in in_order {
+            let idx = moment.idx;
+            if !first.as_ref().is_some_and(|first: &Moment| moment.is_of_situation_of(first)) {
+                (n, first) = (n + 1, Some(moment));
             }
             situations[idx] = n - 1;
         }

@@ -1,75 +1,49 @@
-//! Could a careful driver have prevented a collision after a cut-in? The performance model of UN Regulation No. 157.
+//! Could a careful driver prevent a collision? The performance models of UN Regulation No. 157, in one implementation
+//! for recorded, sampled and driven traffic.
 //!
-//! The driver of Annex 3 (guidance on traffic disturbance critical scenarios, cut-in) takes the place of the ego, with
-//! the ego's speed at present and on its future path. The other moves as in the scene, and after the end of the scene
-//! at its last velocity.
+//! [`CarefulDriver`] is a function of what it has seen so far. On the way of the ego it drives as fast as the ego does
+//! in the scene, and keeps its distance as ordinary drivers do, with at most 2 m/s², from whoever it has perceived ahead
+//! in its way or coming there. Beside that it reacts to risks as the regulation's driver does:
 //!
-//! 1. *Perception.* Within 0.375 m of its place in its lane a vehicle only wanders. Once it has come closer to the path
-//!    than that, it takes 0.4 s to see that it cuts in. Maps need not show lanes, so its place is where it was farthest
-//!    from the path up to then.
-//! 2. *Danger.* The driver reacts when, from then on, the time to collision along the path is 2 s or less.
-//! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, that is by 12.65 m/s³,
-//!    and stays.
+//! 1. *Perception.* A risk is perceived 0.4 s after it begins. *Cut-in:* a vehicle has come closer to the path by more
+//!    than 0.375 m, or is in the lane; within that it only wanders. Maps need not show lanes, so its place is where it
+//!    was farthest from the path up to then. *Cut-out:* the vehicle ahead, which hides those ahead of it, has left its
+//!    place by more than 0.375 m. *Deceleration:* the vehicle ahead brakes with more than 5 m/s². *Pedestrian:*
+//!    somebody walks toward the path; the regulation only says from when on a collision must be avoided, so this is
+//!    ours.
+//! 2. *Danger.* After a cut-in, if the time to collision along the path is at most 2 s; after a cut-out or
+//!    deceleration, if the headway is; for a pedestrian, as soon as stopping takes as far, unless the ego has passed
+//!    before.
+//! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, and stays until the
+//!    danger is over: the other is out of the way or no slower, or the ego stands before a pedestrian.
 //!
-//! The cut-in is preventable if the boxes do not touch before the driver is no faster than the other, or stands. A
-//! driver without a reason to react keeps its speed. Steering is not modeled, nor is the regulation's stronger braking
-//! once both vehicles are in line.
+//! It does not steer. [`CarefulReplay`] drives it through a scene whose others move as they do there, and after its end
+//! at their last velocities, while there is a danger. Contacts at its rear do not count: who follows does not answer
+//! there. `margin_s` is by how much later it could react. Closed loops drive
+//! the same driver among others that answer; what differs then is the world.
 //!
-//! Paragraph 5.2.5.2 has a simple bound, too: a collision must be avoided if, when the other is 0.3 m beyond the lane
-//! marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s. The marking is assumed to be half a lane's
-//! width beside the path.
+//! Paragraph 5.2.5.2 has a simple bound, too: a collision must be avoided if a slower vehicle has moved across in sight
+//! for 0.72 s, and when it is 0.3 m beyond the lane marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s.
+//! The marking is assumed to be half a lane's width beside the path.
 
+mod bends;
 mod braking;
-mod encounter;
+mod driver;
 mod ending;
+mod judgment;
+mod ordinary;
 mod preventable_rate;
 mod regulation;
 #[cfg(test)]
 mod tests;
 mod watch;
+mod way;
 
+pub use driver::CarefulDriver;
 pub use ending::Ending;
+pub use judgment::{CarefulJudgment, CarefulReplay};
+pub(crate) use ordinary::{acceleration_mps2, eased_mps2, half_width_m};
 pub use preventable_rate::PreventableRate;
-pub use watch::{CarefulWatch, Seen};
-
-use crate::scene::Scene;
-use braking::Braking;
-use encounter::Encounter;
-use regulation::{BOUND_DECELERATION_MPS2, BOUND_DELAY_S, DELAY_S};
-use serde::{Deserialize, Serialize};
-
-/// The judgment of a cut-in by the regulation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CutInJudgment {
-    /// Whether the careful driver avoids the collision.
-    pub preventable: bool,
-    /// When it begins to brake, seconds since the present; `None` if it does not.
-    pub braking_from_s: Option<f64>,
-    /// Time to collision at the intrusion, seconds; `None` if the gap does not close then.
-    pub intrusion_ttc_s: Option<f64>,
-    /// Whether the simple bound requires that a collision be avoided; `None` if the other is alongside at the
-    /// intrusion, where the bound does not apply.
-    pub avoidance_required: Option<bool>,
-}
-
-impl CutInJudgment {
-    /// Judges how `other` cuts in before `ego`, given by their indices; `None` if either is not tracked at present, or
-    /// the other does not enter the ego's lane in the future.
-    pub fn of(scene: &Scene, [ego, other]: [usize; 2]) -> Option<Self> {
-        let encounter = Encounter::of(scene, [ego, other])?;
-        let intrusion = encounter.intrusion()?;
-        let perceived_s = encounter.perceived_s();
-        let danger_s = perceived_s.and_then(|perceived_s| encounter.danger_s(perceived_s));
-        let braking_from_s = danger_s.map(|danger_s| (danger_s + DELAY_S).max(0.0));
-        let braking = Braking::careful(encounter.ego_speed_mps, braking_from_s);
-        let closing_mps = intrusion.ego_speed_mps - intrusion.other_speed_mps;
-        let intrusion_ttc_s = (closing_mps > 0.0 && intrusion.gap_m >= 0.0).then(|| intrusion.gap_m / closing_mps);
-        let bound_s = closing_mps / (2.0 * BOUND_DECELERATION_MPS2) + BOUND_DELAY_S;
-        Some(Self {
-            preventable: !encounter.touches(&braking),
-            braking_from_s,
-            intrusion_ttc_s,
-            avoidance_required: (intrusion.gap_m >= 0.0).then(|| intrusion_ttc_s.is_none_or(|ttc_s| ttc_s > bound_s)),
-        })
-    }
-}
+pub use watch::Seen;
+pub use way::Way;
+pub(crate) use way::body;

@@ -1,6 +1,6 @@
 //! The share of cut-ins in which a careful driver avoids a collision.
 
-use super::CutInJudgment;
+use super::CarefulReplay;
 use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
 
 /// Among samples in which the requested `other` enters the lane of the requested `ego`, the share in which the careful
@@ -23,8 +23,8 @@ impl Metric for PreventableRate {
         let (ego, other) = (group.asked.track("ego")?, group.asked.track("other")?);
         group.recorded.has_future().then_some(())?;
         group.mean_over_samples(|sample| {
-            let pair = [sample.track_idx(ego)?, sample.track_idx(other)?];
-            Some(f64::from(u8::from(CutInJudgment::of(sample, pair)?.preventable)))
+            let (replay, other) = (CarefulReplay::of(sample, sample.track_idx(ego)?)?, sample.track_idx(other)?);
+            replay.intrudes(other).then(|| f64::from(u8::from(replay.contact().is_none())))
         })
     }
 }

@@ -1,14 +1,20 @@
-//! The careful driver in a closed loop: what it has seen of another agent so far, and how hard it brakes for it.
-//!
-//! Perception, danger, delay and ramp are those of [`CutInJudgment`](super::CutInJudgment), but timestep by timestep,
-//! so that the other may answer to the braking. Because it is not known beforehand which vehicle cuts in, one is in the
-//! way if its flank is in the lane of the path, or will be within the time that counts as danger at its present lateral
-//! speed.
+//! What the careful driver knows of one other, from all that it has seen of it: is it a risk, and a danger?
 
-use super::encounter::is_danger;
+use super::braking::Braking;
 use super::regulation::{
-    DANGER_TTC_S, DELAY_S, INTRUSION_M, LANE_WIDTH_M, MAX_DECELERATION_MPS2, PERCEPTION_S, RAMP_S, WANDERING_M,
+    CROSSES_MPS, DANGER_S, DELAY_S, INTRUSION_M, LANE_WIDTH_M, LEADER_BRAKES_MPS2, MAX_DECELERATION_MPS2, PERCEPTION_S,
+    RAMP_S, SPARE_M, WALKS_MPS, WANDERING_M,
 };
+use std::collections::VecDeque;
+
+/// Half the width that counts as the lane of the path, meters: up to 0.3 m beyond its markings.
+pub(super) const IN_LANE_M: f64 = LANE_WIDTH_M / 2.0 - INTRUSION_M;
+/// The braking of others is judged over this time, seconds: over a shorter one it is noise.
+const BRAKES_OVER_S: f64 = 0.3;
+/// Who brakes by less, m/s², has stopped braking.
+const BRAKES_NO_MORE_MPS2: f64 = 1.0;
+/// An ego that is slower, m/s, stands.
+const STANDING_MPS: f64 = 0.3;
 
 /// Another road user, relative to the ego's path.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,93 +29,170 @@ pub struct Seen {
     pub closing_mps: f64,
     /// The length of both together, meters.
     pub lengths_m: f64,
+    /// Whether it is a pedestrian.
+    pub is_on_foot: bool,
 }
 
-/// The knowledge of the careful driver of one other.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct CarefulWatch {
+/// The ego at a look.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Looking {
+    /// Seconds since some origin, and since the last look.
+    pub(super) now_s: f64,
+    pub(super) dt_s: f64,
+    pub(super) ego_mps: f64,
+    /// Half the width that it needs, meters.
+    pub(super) half_width_m: f64,
+}
+
+/// The knowledge of one other. A time of perception is when the risk began and 0.4 s more.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Watch {
     farthest_m: f64,
+    farthest_at_s: f64,
+    nearest_m: Option<f64>,
     last_offset_m: Option<f64>,
-    perceived_s: Option<f64>,
+    /// Whether it is in the way of the ego, or will be within 2 s at its present speed across.
+    is_in_way: bool,
+    /// Its speeds along the path at the last looks, m/s.
+    speeds_mps: VecDeque<f64>,
+    /// When it is perceived that it is in the lane or comes there.
+    coming_s: Option<f64>,
+    /// When it is perceived that it brakes.
+    braking_s: Option<f64>,
+    /// Whether somebody ahead hides it, and when it is perceived since that one left.
+    was_hidden: bool,
+    revealed_s: Option<f64>,
     danger_s: Option<f64>,
 }
 
-impl CarefulWatch {
-    /// Looks at the other at `now_s`, `dt_s` after the last look; `None` if it is not visible.
-    pub fn look(&mut self, now_s: f64, dt_s: f64, seen: Option<&Seen>) {
+impl Watch {
+    /// Looks at the other; `None` if it is not there. `is_hidden` if somebody in the lane ahead of it hides it.
+    pub(super) fn look(&mut self, look: &Looking, seen: Option<&Seen>, is_hidden: bool) {
         let Some(seen) = seen else {
             *self = Self::default();
             return;
         };
-        let limit_m = LANE_WIDTH_M / 2.0 - INTRUSION_M;
+        let &Looking { now_s, dt_s, ego_mps, half_width_m } = look;
         let toward_mps = self.last_offset_m.map_or(0.0, |last_m| (last_m - seen.offset_m) / dt_s);
-        self.last_offset_m = Some(seen.offset_m);
-        self.farthest_m = self.farthest_m.max(seen.offset_m);
-        let is_within = seen.flank_m <= limit_m;
-        if is_within || self.farthest_m - seen.offset_m > WANDERING_M {
-            self.perceived_s.get_or_insert(now_s + PERCEPTION_S);
+        let brakes_mps2 = self.remember(look, seen);
+        let perceives_s = now_s + PERCEPTION_S;
+        if is_hidden {
+            (self.was_hidden, self.danger_s) = (true, None);
+            return;
         }
-        let is_in_way = is_within || seen.flank_m - toward_mps * DANGER_TTC_S <= limit_m;
-        // Times of timesteps are rounded products; rounding must not decide.
-        let is_perceived = self.perceived_s.is_some_and(|perceived_s| now_s >= perceived_s - 1e-9);
-        if is_in_way && is_perceived && is_danger(seen.gap_m, seen.closing_mps, seen.lengths_m) {
+        if std::mem::take(&mut self.was_hidden) {
+            self.revealed_s = Some(perceives_s);
+        }
+        let is_within = seen.flank_m <= IN_LANE_M;
+        let comes = match seen.is_on_foot {
+            true => toward_mps >= WALKS_MPS,
+            false => self.farthest_m - seen.offset_m > WANDERING_M,
+        };
+        if is_within || comes {
+            self.coming_s.get_or_insert(perceives_s);
+        }
+        if seen.leads(half_width_m) && brakes_mps2 > LEADER_BRAKES_MPS2 {
+            self.braking_s.get_or_insert(perceives_s);
+        } else if self.danger_s.is_none() && brakes_mps2 < BRAKES_NO_MORE_MPS2 {
+            self.braking_s = None;
+        }
+        // Whoever begins to walk may soon walk faster.
+        let walks = seen.is_on_foot && toward_mps >= WALKS_MPS;
+        let expected_mps = if walks { toward_mps.max(CROSSES_MPS) } else { toward_mps.max(0.0) };
+        self.is_in_way = seen.flank_m - expected_mps * DANGER_S < half_width_m;
+        if self.is_in_way && self.is_danger(look, seen, expected_mps) {
             self.danger_s.get_or_insert(now_s);
-        } else if !is_in_way || seen.closing_mps <= 0.0 {
-            self.danger_s = None;
+        } else if self.is_over(seen, toward_mps, ego_mps) {
+            (self.danger_s, self.braking_s, self.revealed_s) = (None, None, None);
         }
     }
 
-    /// Whether it has perceived by `now_s` that the other is, or comes, in the way.
-    pub fn has_perceived(&self, now_s: f64) -> bool {
-        self.perceived_s.is_some_and(|perceived_s| now_s >= perceived_s - 1e-9)
+    /// Remembers where it is; returns how hard it brakes, m/s².
+    fn remember(&mut self, look: &Looking, seen: &Seen) -> f64 {
+        if self.last_offset_m.is_none() || seen.offset_m >= self.farthest_m {
+            (self.farthest_m, self.farthest_at_s) = (seen.offset_m, look.now_s);
+        }
+        self.last_offset_m = Some(seen.offset_m);
+        self.nearest_m = Some(self.nearest_m.map_or(seen.offset_m, |nearest_m| nearest_m.min(seen.offset_m)));
+        let n = (BRAKES_OVER_S / look.dt_s).round().max(1.0) as usize;
+        self.speeds_mps.push_back(look.ego_mps - seen.closing_mps);
+        if self.speeds_mps.len() > n + 1 {
+            self.speeds_mps.pop_front();
+        }
+        let n_steps = self.speeds_mps.len() - 1;
+        let fallen_mps = self.speeds_mps[0] - self.speeds_mps[n_steps];
+        if n_steps == n { fallen_mps / (n as f64 * look.dt_s) } else { 0.0 }
     }
 
-    /// The deceleration for the other at `now_s`, m/s²; 0 before braking begins.
-    pub fn braking_mps2(&self, now_s: f64) -> f64 {
-        let ramp = self.danger_s.map_or(0.0, |danger_s| (now_s - danger_s - DELAY_S) / RAMP_S);
+    /// Whether the other, which is or comes in the way, is a danger by one of the cases.
+    fn is_danger(&self, look: &Looking, seen: &Seen, expected_mps: f64) -> bool {
+        let &Seen { gap_m, closing_mps, lengths_m, .. } = seen;
+        // The ego need not brake for one behind it, by more than the lengths of both, but for one alongside.
+        if closing_mps <= 0.0 || gap_m < -lengths_m {
+            return false;
+        }
+        let is_perceived = |at_s: Option<f64>| is_past(at_s, look.now_s);
+        if seen.is_on_foot {
+            let stops_m = closing_mps * DELAY_S + stopping_m(closing_mps) + SPARE_M;
+            // Whoever has passed before the other steps in need not brake.
+            let enters_s = (seen.flank_m - look.half_width_m) / expected_mps.max(1e-9);
+            let is_met = seen.flank_m < look.half_width_m || enters_s < (gap_m + lengths_m) / closing_mps;
+            return is_perceived(self.coming_s) && is_met && gap_m <= stops_m.max(DANGER_S * closing_mps);
+        }
+        let follows = seen.leads(look.half_width_m) && gap_m <= DANGER_S * look.ego_mps;
+        is_perceived(self.coming_s) && gap_m <= DANGER_S * closing_mps
+            || follows && (is_perceived(self.braking_s) || is_perceived(self.revealed_s))
+    }
+
+    /// Whether a danger is over.
+    fn is_over(&self, seen: &Seen, toward_mps: f64, ego_mps: f64) -> bool {
+        match seen.is_on_foot {
+            // Whoever waits beside the lane may step in at any time.
+            true => {
+                let is_away = seen.flank_m > IN_LANE_M && toward_mps <= -WALKS_MPS;
+                ego_mps < STANDING_MPS || is_away || seen.gap_m < -seen.lengths_m
+            }
+            false => !self.is_in_way || seen.closing_mps <= 0.0,
+        }
+    }
+
+    /// Whether a vehicle ahead hides what is behind it: it is in the lane, and has not left its place there.
+    pub(super) fn hides(&self, seen: &Seen) -> bool {
+        let has_left = self.nearest_m.is_some_and(|nearest_m| seen.offset_m - nearest_m > WANDERING_M);
+        !seen.is_on_foot && seen.flank_m <= 0.0 && seen.gap_m >= 0.0 && !has_left
+    }
+
+    /// Whether a driver keeps its distance from the other: it is ahead in the way or comes there, which has been
+    /// perceived by then.
+    pub(super) fn is_kept_from(&self, seen: &Seen, known_s: f64) -> bool {
+        let is_ahead = seen.gap_m > -seen.lengths_m / 2.0;
+        is_ahead && self.is_in_way && !self.was_hidden && is_past(self.coming_s, known_s)
+    }
+
+    /// Whether it is a danger.
+    pub(super) const fn is_dangerous(&self) -> bool {
+        self.danger_s.is_some()
+    }
+
+    /// For how long it has moved toward the path, seconds.
+    pub(super) fn moves_for_s(&self, now_s: f64) -> f64 {
+        now_s - self.farthest_at_s
+    }
+
+    /// The deceleration for the other by a driver who takes `later_s` longer than the regulation's, m/s²; 0 before
+    /// braking begins.
+    pub(super) fn braking_mps2(&self, now_s: f64, later_s: f64) -> f64 {
+        let ramp = self.danger_s.map_or(0.0, |danger_s| (now_s - danger_s - DELAY_S - later_s) / RAMP_S);
         MAX_DECELERATION_MPS2 * ramp.clamp(0.0, 1.0)
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// Whether a time has come. Times of timesteps are rounded products; rounding must not decide.
+fn is_past(at_s: Option<f64>, now_s: f64) -> bool {
+    at_s.is_some_and(|at_s| now_s >= at_s - 1e-9)
+}
 
-    /// A car, with a total length of both of 9 m, 20 m ahead and 10 m/s slower, `offset_m` beside the path.
-    fn seen(offset_m: f64, closing_mps: f64) -> Seen {
-        Seen { offset_m, flank_m: offset_m - 0.9, gap_m: 19.9, closing_mps, lengths_m: 9.0 }
-    }
-
-    #[test]
-    fn it_brakes_after_perception_and_delay_and_until_the_gap_opens() {
-        let mut watch = CarefulWatch::default();
-        let mut brakes_from_s = None;
-        for step in 0..40 {
-            let now_s = f64::from(step) * 0.1;
-            // It comes over with 1 m/s from 1 s on: after 1.4 s it has moved by 0.4 m, which is seen 0.4 s later.
-            let offset_m = 3.5 - (now_s - 1.0).max(0.0);
-            watch.look(now_s, 0.1, Some(&seen(offset_m, 10.0)));
-            if watch.braking_mps2(now_s) > 0.0 {
-                brakes_from_s = brakes_from_s.or(Some(now_s));
-            }
-        }
-        // 1.4 + 0.4 + 0.75 s, and the next timestep in the ramp.
-        assert!((brakes_from_s.unwrap() - 2.6).abs() < 1e-9, "{brakes_from_s:?}");
-        assert!((watch.braking_mps2(4.0) - MAX_DECELERATION_MPS2).abs() < 1e-9);
-        watch.look(4.0, 0.1, Some(&seen(0.0, -1.0)));
-        assert_eq!(watch.braking_mps2(4.0), 0.0);
-    }
-
-    #[test]
-    fn who_keeps_beside_the_lane_is_no_danger() {
-        let mut watch = CarefulWatch::default();
-        for step in 0..40 {
-            // It wanders by half a meter within its own lane, and stays there.
-            let offset_m = if step < 5 { 3.8 } else { 3.3 };
-            watch.look(f64::from(step) * 0.1, 0.1, Some(&seen(offset_m, 10.0)));
-        }
-        assert!(watch.has_perceived(3.9) && watch.braking_mps2(3.9) == 0.0);
-        watch.look(4.0, 0.1, None);
-        assert_eq!(watch, CarefulWatch::default());
-    }
+/// The distance that full braking takes from this speed until the vehicle stands, meters.
+fn stopping_m(speed_mps: f64) -> f64 {
+    Braking::careful(speed_mps, Some(0.0)).driven_m(f64::INFINITY)
 }

@@ -85,8 +85,9 @@ fn got(model: &ReportModel) -> Markup {
                     "; " strong { (count(n_critical)) } " have a time to collision below 1.5 s, "
                     strong { (count(n_without)) } " have none"
                 }
-                @if let Some(n_not_preventable) = hardness.n_not_preventable {
-                    "; a careful driver could not prevent " strong { (count(n_not_preventable)) }
+                @if hardness.n_careful > 0 {
+                    "; a careful driver could not prevent " strong { (count(hardness.n_not_preventable)) } " of "
+                    (count(hardness.n_careful)) " judged"
                 }
             }
         }

@@ -1,20 +1,10 @@
 //! The intelligent driver model (Treiber, Hennecke and Helbing 2000) along the way of the ego.
 
 use super::way::{advanced, eased, ego, seen};
-use crate::metrics::Seen;
+use crate::metrics::{Seen, acceleration_mps2, half_width_m};
 use crate::scene::State;
 use crate::simulate::driver::{Driver, Failed};
 use crate::simulate::{Situation, World};
-
-/// Time headway, seconds; least gap, meters; acceleration and comfortable deceleration, m/s².
-const HEADWAY_S: f64 = 1.5;
-const LEAST_GAP_M: f64 = 2.0;
-const ACCELERATES_MPS2: f64 = 1.5;
-const BRAKES_MPS2: f64 = 2.0;
-/// Full braking, m/s².
-const MOST_MPS2: f64 = 8.0;
-/// An agent this close to the flank of the ego, meters, is in its way.
-const MARGIN_M: f64 = 0.2;
 
 /// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
@@ -63,10 +53,9 @@ fn behind_nearest(situation: &Situation, ego: &State, seen: &[Option<Seen>]) -> 
 
 /// The agents ahead in the way of the ego, with their present states as seen from it.
 pub(super) fn leaders(situation: &Situation, seen: &[Option<Seen>]) -> impl Iterator<Item = (usize, Seen)> {
-    let half_width_m = situation.scene.tracks[situation.ego_idx].extent_or_nominal().width_m / 2.0;
+    let half_width_m = half_width_m(situation.scene.tracks[situation.ego_idx].extent_or_least().width_m);
     let all = seen.iter().enumerate().filter_map(|(agent_idx, seen)| Some((agent_idx, (*seen)?)));
-    all.filter(|(agent_idx, _)| situation.can_touch(*agent_idx))
-        .filter(move |(_, seen)| seen.flank_m < half_width_m + MARGIN_M && seen.gap_m > -seen.lengths_m / 2.0)
+    all.filter(move |(agent_idx, seen)| situation.can_touch(*agent_idx) && seen.leads(half_width_m))
 }
 
 /// The distance to the nearest agent in the way of the ego now, meters; infinite if there is none.
@@ -76,12 +65,5 @@ pub(in crate::simulate) fn free_m(situation: &Situation, world: &World) -> f64 {
 
 /// The model's acceleration behind these leaders, m/s²; without any, that on a free road.
 pub(super) fn acceleration(situation: &Situation, ego: &State, leaders: impl Iterator<Item = Seen>) -> f64 {
-    let (speed_mps, wanted_mps) = (ego.speed_mps(), situation.wanted_speed_mps(ego.position).max(1.0));
-    let free = (1.0 - (speed_mps / wanted_mps).powi(4)).max(-BRAKES_MPS2 / ACCELERATES_MPS2);
-    let held = leaders.map(|seen| {
-        let closing_m = speed_mps * seen.closing_mps / (2.0 * (ACCELERATES_MPS2 * BRAKES_MPS2).sqrt());
-        let wanted_m = LEAST_GAP_M + (speed_mps * HEADWAY_S + closing_m).max(0.0);
-        (wanted_m / seen.gap_m.max(0.1)).powi(2)
-    });
-    (ACCELERATES_MPS2 * (free - held.fold(0.0, f64::max))).max(-MOST_MPS2)
+    acceleration_mps2(ego.speed_mps(), situation.way.wanted_speed_mps(ego.position), leaders)
 }

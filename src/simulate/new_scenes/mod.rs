@@ -5,6 +5,7 @@
 //! everything in the loop is valid.
 
 mod populate;
+mod sight;
 mod windows;
 
 pub use populate::AddedConfig;
@@ -24,6 +25,7 @@ use crate::settings::{Issue, Result as Checked};
 use crate::store::SceneStore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use sight::Sight;
 use std::sync::Arc;
 use windows::windows;
 
@@ -126,6 +128,15 @@ struct Job {
     situation: Situation,
     kind: SituationKind,
     map: Option<Arc<LaneGraph>>,
+    place: Arc<Place>,
+}
+
+/// What recordings of a place show.
+#[derive(Default)]
+struct Place {
+    map_id: Option<MapId>,
+    seen: Vec<Scene>,
+    sight: Sight,
 }
 
 impl NewScenes<'_> {
@@ -153,6 +164,7 @@ impl NewScenes<'_> {
         }
         let mut workers = (0..rayon::current_num_threads()).map(|_| pool_of_worker()).collect::<Result<Vec<_>>>()?;
         let mut maps = Maps::new(self.store, self.store);
+        let mut place = Arc::default();
         let of_kind = |n: usize, kind| {
             let scenes = positions.iter().copied().cycle().take(if positions.is_empty() { 0 } else { n });
             scenes.enumerate().map(move |(i, position)| (position, i / positions.len().max(1), kind))
@@ -167,7 +179,7 @@ impl NewScenes<'_> {
             }
             let mut jobs: Vec<Job> = Vec::new();
             for loop_of in chunk {
-                jobs.extend(self.job(*loop_of, &mut maps, &mut counts)?);
+                jobs.extend(self.job(*loop_of, (&mut maps, &mut place), &mut counts)?);
             }
             let found = in_parallel(&jobs, &mut workers, |pool, job| pool.install(|| self.drive(job)))?;
             let needed = jobs.iter().filter_map(|job| Some((job.situation.scene.map_id.clone()?, job.map.clone()?)));
@@ -189,19 +201,21 @@ impl NewScenes<'_> {
     fn job(
         &self,
         (position, variant, kind): (usize, usize, SituationKind),
-        maps: &mut Maps<'_>,
+        (maps, place): (&mut Maps<'_>, &mut Arc<Place>),
         counts: &mut LoopCounts,
     ) -> Result<Option<Job>> {
         let mut scene = self.store.scene(position)?;
         let name = format!("{}+{}{variant}", scene.id.0.replace('@', "_"), kind.name());
         let map = maps.map_of(&scene)?.cloned().map(Arc::new);
+        if let Some(id) = scene.map_id.as_ref().filter(|id| place.map_id.as_ref() != Some(id)) {
+            let seen = self.store.scenes_on(id, &scene)?;
+            *place = Arc::new(Place { map_id: Some(id.clone()), sight: Sight::of(&seen), seen });
+        }
+        // Without a map, nothing is known of the place.
+        let place = if scene.map_id.is_some() { Arc::clone(place) } else { Arc::default() };
         if kind == SituationKind::Populated {
-            let seen = match &scene.map_id {
-                Some(id) => self.store.scenes_on(id, &scene)?,
-                None => Vec::new(),
-            };
             let mut rng = Seed(self.futures.seed()).derive_named("populate", &name).rng();
-            if populate::populate(&mut scene, &seen, &self.config.added, &mut rng) == 0 {
+            if populate::populate(&mut scene, &place.seen, &self.config.added, &mut rng) == 0 {
                 counts.n_full += 1;
                 return Ok(None);
             }
@@ -214,11 +228,11 @@ impl NewScenes<'_> {
         };
         let [n_steps, _] = self.config.rollout().n_steps(situation.scene.dt_s);
         maps.expect_arrivals(&mut situation, self.futures.seed(), [n_steps, 0, n_steps])?;
-        Ok(Some(Job { situation, kind, map }))
+        Ok(Some(Job { situation, kind, map, place }))
     }
 
     /// The scenes of a loop, and whether it ended early.
-    fn drive(&self, Job { situation, kind, map }: &Job) -> Result<(Vec<Scene>, bool)> {
+    fn drive(&self, Job { situation, kind, map, place }: &Job) -> Result<(Vec<Scene>, bool)> {
         let (config, seed) = (self.config.rollout(), self.futures.seed());
         let mut driver = named(NamedDriver::Model);
         let others = Others::Sampled(self.futures);
@@ -228,7 +242,7 @@ impl NewScenes<'_> {
         let n_every = n_every.max(situation.scene.n_history);
         let has_ended = driven.world.now() < situation.scene.current_timestep() + n_steps;
         let from = SceneId(situation.scenario_id.clone());
-        let found = windows(situation, &driven.world, n_every, self.validity);
+        let found = windows(situation, &driven.world, n_every, (self.validity, &place.sight));
         let scenes = found.into_iter().filter_map(|mut raw| {
             (raw.source.situation, raw.source.continues) = (*kind, Some(situation.scene.id.clone()));
             raw.id = SceneId(format!("{from}@{}", raw.source.first_frame));

@@ -68,11 +68,11 @@ pub(super) fn populate(scene: &mut Scene, seen: &[Scene], added: &AddedConfig, r
         for number in 0..n {
             let placed = (0..N_TRIED).find_map(|tried| {
                 // Half of the pedestrians come as they were seen.
-                let as_seen = !known.is_empty() && !(on_foot && tried % 2 == 1);
-                let track = match as_seen {
-                    true => transplanted(scene, known[rng.below(known.len())]),
-                    false if on_foot => walker(scene, &road, class_on_foot(seen), rng),
-                    false => None,
+                let walks = on_foot && (known.is_empty() || tried % 2 == 1);
+                let track = match known.get(rng.below(known.len().max(1))) {
+                    _ if walks => walker(scene, &road, class_on_foot(seen), rng),
+                    Some(known) => transplanted(scene, *known),
+                    None => None,
                 };
                 track.filter(|track| fits(scene, track))
             });

@@ -1,5 +1,6 @@
 //! Cuts the windows of a closed loop, for as long as everything in it is valid.
 
+use super::sight::Sight;
 use crate::ingest::RawScene;
 use crate::metrics::{Judged, ValidityConfig};
 use crate::scene::{MapId, Roles, Scene, SceneSource, Track};
@@ -11,7 +12,7 @@ pub(super) fn windows(
     situation: &Situation,
     world: &World,
     n_every: usize,
-    validity: &ValidityConfig,
+    (validity, sight): (&ValidityConfig, &Sight),
 ) -> Vec<RawScene> {
     let start = &situation.scene;
     let (n_history, n_future) = (start.n_history, start.n_timesteps - start.n_history);
@@ -27,11 +28,10 @@ pub(super) fn windows(
         let first = present + 1 - n_history;
         let scene = situation.piece(world, first, n_history + n_future);
         let is_there = |track: &Track| track.trajectory.is_valid(n_history - 1);
-        let tracks = scene
-            .tracks
-            .into_iter()
-            .filter(is_there)
-            .map(|track| Track { trajectory: track.trajectory.into_frame(&start.world_from_scene), ..track });
+        let in_recording =
+            |track: Track| Track { trajectory: track.trajectory.into_frame(&start.world_from_scene), ..track };
+        let seen = scene.tracks.into_iter().map(in_recording).map(|track| sight.seen(track, n_history - 1));
+        let tracks = seen.filter(is_there);
         found.push(RawScene {
             id: start.id.clone(),
             source: SceneSource { first_frame: first.to_string(), ..start.source.clone() },

@@ -5,15 +5,12 @@ mod whereabouts;
 mod window;
 
 use self::whereabouts::{bounds, near};
-use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Bounds;
-use crate::behavior::kept_lane::way_on;
-use crate::geometry::{OrientedBox, Vec2};
-use crate::metrics::Road;
+use crate::geometry::OrientedBox;
+use crate::metrics::{Road, Way, body};
 use crate::scenario::ScenarioRecord;
-use crate::scene::{LaneGraph, Scene, State};
+use crate::scene::{LaneGraph, Roles, Scene, State};
 use crate::simulate::arrivals::{Arrivals, Ends, Recorded};
-use crate::simulate::bends::{BendSpeeds, rounded};
 use crate::simulate::event::is_decided_by_ego;
 use crate::simulate::{Error, Result, World};
 use std::collections::BTreeMap;
@@ -22,8 +19,6 @@ use std::sync::Arc;
 /// The map is known this far around the ego at present, meters: farther than a drive leads, since maps of cities are
 /// large.
 const MAP_WITHIN_M: f64 = 400.0;
-/// How far the route of the ego goes on after the scenario, meters.
-const WAY_ON_M: f64 = 300.0;
 
 /// A scenario as the start of a drive.
 #[derive(Clone)]
@@ -38,7 +33,9 @@ pub struct Situation {
     pub scene: Scene,
     /// The driven agent.
     pub ego_idx: usize,
-    /// The agents of the event, in the order of its roles.
+    /// The roles of the event, and their agents, in the same order.
+    pub event_roles: Roles,
+    /// See `event_roles`.
     pub roles: Vec<usize>,
     /// The agents of the event other than the ego.
     pub planned: Vec<usize>,
@@ -48,12 +45,8 @@ pub struct Situation {
     pub is_collision: bool,
     /// Whether the event is kept in aim where the ego drives otherwise.
     pub(in crate::simulate) aims: bool,
-    /// The ego's largest speed in the scenario, m/s, at which it would like to drive.
-    pub target_speed_mps: f64,
-    /// The route of the ego: its path in the scenario, and on along its lane.
-    pub(crate) route: DrivenPath,
-    /// How fast it takes the bends after the scenario.
-    bend_speeds: BendSpeeds,
+    /// The way of the ego.
+    pub way: Way,
     /// The arrivals: the last tracks of the scene, absent at present.
     pub(in crate::simulate) arrivals: Arrivals,
     road: Arc<Road>,
@@ -79,6 +72,7 @@ impl Situation {
         let Some(event) = record.main_event() else { return Ok(situation) };
         situation.roles = event.roles.tracks().filter_map(|track| situation.scene.track_idx(track)).collect();
         situation.planned = situation.roles.iter().copied().filter(|idx| *idx != ego_idx).collect();
+        situation.event_roles.clone_from(&event.roles);
         situation.parameters.clone_from(&event.parameters);
         situation.event = [event.start_timestep, event.end_timestep];
         Ok(situation)
@@ -103,32 +97,19 @@ impl Situation {
             let near = map.subset(&near(map, &bounds(map), &[center], MAP_WITHIN_M));
             scene.lanes = Arc::new(near.into_frame(&scene.world_from_scene.inverse()));
         }
-        let ego = &scene.tracks[ego_idx];
-        let driven: Vec<&State> = (present..scene.n_timesteps).map_while(|t| scene.state(ego_idx, t)).collect();
-        let target_speed_mps = driven.iter().map(|state| state.speed_mps()).fold(0.0, f64::max);
-        let mut points: Vec<Vec2> = driven.iter().map(|state| state.position).collect();
-        let ended = Scene { n_timesteps: present + driven.len(), ..scene.clone() };
-        let (last, on) = (points[points.len() - 1], way_on(&ended, ego_idx, WAY_ON_M));
-        points.extend(rounded(&[vec![last], on].concat()));
-        if points.iter().all(|point| point.distance(now.position) < 1.0) {
-            points = vec![now.position, now.position + Vec2::from_angle(now.heading_rad) * WAY_ON_M];
-        }
-        let length_m = ego.extent_or_nominal().length_m;
-        let route = DrivenPath::along(&points, length_m).ok_or_else(|| unfit("has no way for its ego"))?;
-        let bend_speeds = BendSpeeds::new(&route, route.driven_m(last).unwrap_or_default());
+        let way = Way::of(&scene, ego_idx).ok_or_else(|| unfit("has no way for its ego"))?;
         let mut situation = Self {
             scenario_id: name.to_owned(),
             behavior: None,
             parameters: BTreeMap::new(),
             ego_idx,
+            event_roles: Roles::default(),
             roles: Vec::new(),
             planned: Vec::new(),
             event: [present; 2],
             is_collision: false,
             aims: true,
-            target_speed_mps,
-            route,
-            bend_speeds,
+            way,
             arrivals: Arrivals::default(),
             road: Arc::new(Road::new(&scene.lanes)),
             lane_bounds: bounds(&scene.lanes),
@@ -178,17 +159,9 @@ impl Situation {
         World::new(&self.scenario_id, seed, ends.min(self.scene.n_timesteps - 1), tracks)
     }
 
-    /// The speed at which the ego would like to drive at a place of its route, m/s.
-    pub(in crate::simulate) fn wanted_speed_mps(&self, at: Vec2) -> f64 {
-        let in_bend_mps = self.route.driven_m(at).map_or(f64::INFINITY, |driven_m| self.bend_speeds.at(driven_m));
-        self.target_speed_mps.min(in_bend_mps)
-    }
-
     /// The box of an agent in this state; the least of its class if its size is unknown.
     pub(in crate::simulate) fn body(&self, agent_idx: usize, state: &State) -> OrientedBox {
-        let extent = self.scene.tracks[agent_idx].extent_or_least();
-        let State { position: center, heading_rad, .. } = *state;
-        OrientedBox { center, heading_rad, length_m: extent.length_m, width_m: extent.width_m }
+        body(&self.scene.tracks[agent_idx], state)
     }
 
     /// Whether the boxes of two agents overlap.

@@ -3,7 +3,7 @@
 use super::columns::{
     Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
 };
-use crate::metrics::{Check, CutInJudgment, Ending, PairCriticality, SceneCriticality, Violation};
+use crate::metrics::{CarefulJudgment, Check, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::rates::{BucketRate, RateSource};
 use crate::scenario::Assessment;
 use crate::scene::TrackId;
@@ -73,24 +73,30 @@ pub(crate) fn fields() -> Vec<Field> {
         ),
         flag(
             "preventable",
-            "For a cut-in: whether the careful driver of UN Regulation No. 157, in place of the ego, avoids a \
-             collision; missing for other behaviors, and if the other never enters the ego's lane.",
+            "Whether the careful driver of UN Regulation No. 157, in place of the subject, avoids any contact but at \
+             its rear if all others move as they do; missing if the event is its own or comes from behind.",
         ),
         number(
             "careful_braking_from_s",
             "s",
-            "When that driver begins to brake, since the present; missing if it does not brake.",
+            "When that driver begins to brake hard, since the present; missing if it does not.",
+        ),
+        number(
+            "careful_margin_s",
+            "s",
+            "By how much later that driver could react and still avoid any contact, at most 2; negative if it would \
+             have to react sooner, and -0.75 if that is not enough either.",
         ),
         number(
             "intrusion_ttc_s",
             "s",
-            "Time to collision when the other is 0.3 m beyond the lane marking; missing if the gap does not close \
-             then.",
+            "For a cut-in: time to collision when the other is 0.3 m beyond the lane marking; missing if the gap does \
+             not close then.",
         ),
         flag(
             "avoidance_required",
-            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, so that the regulation requires that a collision \
-             be avoided; missing if the other is alongside.",
+            "Whether that time exceeds v_rel / (2 · 6 m/s²) + 0.35 s, and the other has moved across for 0.72 s, so \
+             that the regulation requires that a collision be avoided; missing where that time is.",
         ),
         flag(
             "subject_reacts",
@@ -200,10 +206,11 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         scene(|s| s.min_ttc_s),
         scene(|s| Some(s.max_drac_mps2)),
         scene(|s| Some(s.min_distance_m)),
-        flag(&|a| Some(a.cut_in?.preventable)),
-        number(&|a| a.cut_in?.braking_from_s),
-        number(&|a| a.cut_in?.intrusion_ttc_s),
-        flag(&|a| a.cut_in?.avoidance_required),
+        flag(&|a| Some(a.careful?.preventable)),
+        number(&|a| a.careful?.braking_from_s),
+        number(&|a| a.careful?.margin_s),
+        number(&|a| a.careful?.intrusion_ttc_s),
+        flag(&|a| a.careful?.avoidance_required),
         flag(&|a| Some(a.ending?.subject_reacts)),
         number(&|a| a.ending?.contact_s),
         number(&|a| Some(a.ending?.required_deceleration_mps2)),
@@ -251,10 +258,11 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         }
         _ => None,
     };
-    let cut_in = match columns.optional_flag("preventable", row)? {
-        Some(preventable) => Some(CutInJudgment {
+    let careful = match columns.optional_flag("preventable", row)? {
+        Some(preventable) => Some(CarefulJudgment {
             preventable,
             braking_from_s: number("careful_braking_from_s")?,
+            margin_s: number("careful_margin_s")?,
             intrusion_ttc_s: number("intrusion_ttc_s")?,
             avoidance_required: columns.optional_flag("avoidance_required", row)?,
         }),
@@ -276,7 +284,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         recorded_likeness: number("recorded_likeness")?,
         pair,
         scene,
-        cut_in,
+        careful,
         ending,
         nearest_recorded_event: number("nearest_recorded_event")?,
         nearest_scenario_m: number("nearest_scenario_m")?,

@@ -1,9 +1,9 @@
 //! The table of driven states: one row a state of a road user in a drive.
 
-use super::columns::texts;
+use super::columns::{optional_texts, texts};
 use super::state_rows::{self, StateRow, rows_of};
-use crate::scene::Scene;
-use crate::store::schema::{TableSchema, column};
+use crate::scene::{Roles, Scene};
+use crate::store::schema::{ColumnExt, TableSchema, column};
 use crate::store::{Error, Result};
 use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
@@ -15,6 +15,7 @@ pub(crate) fn schema() -> TableSchema {
         column("driver", DataType::Utf8, "Who drives the ego, as in the table of drives."),
     ];
     fields.extend(state_rows::who_fields("scenario"));
+    fields.push(column("event_role", DataType::Utf8, "Its role in the event; missing if it has none.").optional());
     fields.push(column(
         "moved_by",
         DataType::Utf8,
@@ -32,15 +33,16 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// The rows of a drive; `moved_by` gives who moved an agent at a timestep.
+/// The rows of a drive with the roles of its event; `moved_by` gives who moved an agent at a timestep.
 pub(crate) fn encode(
     [scenario_id, driver]: [&str; 2],
-    scene: &Scene,
+    (scene, roles): (&Scene, &Roles),
     moved_by: &dyn Fn(usize, usize) -> &'static str,
 ) -> Result<RecordBatch> {
     let rows: Vec<StateRow<'_>> = rows_of(scene).collect();
     let mut arrays = vec![texts(rows.iter().map(|_| scenario_id)), texts(rows.iter().map(|_| driver))];
     arrays.extend(state_rows::who(&rows));
+    arrays.push(optional_texts(rows.iter().map(|row| roles.role_of(&row.track().id))));
     arrays.push(texts(rows.iter().map(|row| moved_by(row.agent_idx, row.timestep))));
     arrays.extend(state_rows::when(&rows)?);
     arrays.extend(state_rows::states(&rows));

@@ -1,6 +1,6 @@
 //! The table of verdicts: one row a generated scenario.
 
-use super::columns::{Columns, entries, flags, lists, numbers, texts};
+use super::columns::{Columns, entries, flags, lists, numbers, optional_flags, optional_numbers, texts};
 use super::{strength_column, weight_column};
 use crate::scenario::VerdictRow;
 use crate::scene::GuidanceLevel;
@@ -25,6 +25,19 @@ pub(crate) fn schema() -> TableSchema {
             "Why it is not accepted, the first reason first: nothing_asked or not_verified, what a request found, \
              failed checks of validity, near_duplicate; empty where it is.",
         ),
+        column(
+            "preventable",
+            DataType::Boolean,
+            "Whether the careful driver avoids any contact, as in the corpus; missing where it was not judged.",
+        )
+        .optional(),
+        column(
+            "careful_margin_s",
+            DataType::Float64,
+            "By how much later it could react, as in the corpus; missing where it was not judged.",
+        )
+        .unit("s")
+        .optional(),
         column(
             "not_checked",
             list_of(DataType::Utf8),
@@ -54,6 +67,8 @@ pub(crate) fn encode(rows: &[VerdictRow]) -> Result<RecordBatch> {
         flags(rows.iter().map(|row| row.accepted)),
         flags(rows.iter().map(|row| row.kept)),
         lists(rows.iter().map(|row| row.reasons.len()), reasons),
+        optional_flags(rows.iter().map(|row| row.preventable)),
+        optional_numbers::<Float64Type>(rows.iter().map(|row| row.careful_margin_s)),
         lists(rows.iter().map(|row| row.not_checked.len()), not_checked),
     ];
     RecordBatch::try_new(schema().arrow(), arrays).map_err(|error| Error::invalid("verdicts", error.to_string()))
@@ -79,6 +94,8 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<VerdictRow>
             accepted: columns.flag("accepted", row)?,
             kept: columns.flag("kept", row)?,
             reasons: reasons(row),
+            preventable: columns.optional_flag("preventable", row)?,
+            careful_margin_s: columns.optional_number::<Float64Type>("careful_margin_s", row)?,
             not_checked: not_checked(row),
         })
     };

@@ -30,7 +30,8 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
             n_situations: 2,
             n_critical: Some(1),
             n_without_ttc: Some(1),
-            n_not_preventable: None,
+            n_careful: 0,
+            n_not_preventable: 0,
         }),
         title: format!("Cut-ins at the merging highway ({name})"),
         facts: vec![
