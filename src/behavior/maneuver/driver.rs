@@ -25,9 +25,8 @@ const BRAKES_MPS2: f64 = 3.5;
 /// is let go of, seconds.
 const COASTS_MPS2: f64 = 1.0;
 const LETS_GO_S: f64 = 1.0;
-/// The fastest changes of acceleration, m/s³: to the full braking of UN Regulation No. 157, 7.59 m/s² within 0.6 s, and
-/// from the brake to the gas.
-const BRAKING_JERK_MPS3: f64 = 12.65;
+/// The fastest changes of acceleration, m/s³: from gas to full braking in a second, and from the brake to the gas.
+const BRAKING_JERK_MPS3: f64 = 10.0;
 const EASING_JERK_MPS3: f64 = 2.5;
 /// More than an agent leaves the places of its rail: drifting aside, or beyond the last.
 const LEAVES_RAIL_M: f64 = 5.0;

@@ -314,7 +314,7 @@ mod tests {
     #[test]
     fn limits_are_on_each_scenario_and_without_others_those_of_validity_are() {
         let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
-        let records = || vec![record(&scene(1), &roles, 2.0), record(&collided(1), &roles, 2.0)];
+        let records = || vec![record(&scene(1), &roles, 2.0), record(&collided(1), &roles, 3.0)];
         let (within, beyond) = (RequestOutcome::Accepted, RequestOutcome::BeyondLimits);
         for (limits, expected) in [
             ("", [beyond; 2]),
@@ -339,13 +339,20 @@ mod tests {
                 state.map(|state| State { position: state.position + offset, ..state })
             });
             scene.tracks[1].trajectory = Trajectory::new(states.collect());
-            record(&scene, &roles, 2.0)
+            scene
         };
-        // The mean over two agents, one of which is moved: 0.2 and 0.3 m.
-        let (outcomes, tallies) =
-            judged(ANYTHING, &[cell(1, &roles)], vec![moved(0.0), moved(0.4), moved(0.6)]).unwrap();
-        assert_eq!(outcomes, [RequestOutcome::Accepted, RequestOutcome::NearDuplicate, RequestOutcome::Accepted]);
+        let with_gap = |left_m: f64, gap_m: f64| record(&moved(left_m), &roles, gap_m);
+        // The mean over two agents, one of which is moved: 0.2 and 0.3 m. In the fourth they move otherwise, but it is the
+        // same event as the third to half a meter; the same in another situation is another event.
+        let records = vec![with_gap(0.0, 2.0), with_gap(0.4, 3.0), with_gap(0.6, 4.0), with_gap(2.0, 4.4)];
+        let (outcomes, tallies) = judged(ANYTHING, &[cell(1, &roles)], records).unwrap();
+        let (taken, like) = (RequestOutcome::Accepted, RequestOutcome::NearDuplicate);
+        assert_eq!(outcomes, [taken, like, taken, like]);
         let hits = tallies[0].hits[&0];
-        assert_eq!((hits.n_accepted, hits.n_near_duplicates, hits.n(), tallies[0].accepted_paths.len()), (2, 1, 2, 2));
+        assert_eq!((hits.n_accepted, hits.n_near_duplicates, hits.n(), tallies[0].accepted_paths.len()), (2, 2, 2, 2));
+        let elsewhere = record(&scene(2), &roles, 4.4);
+        let records = vec![with_gap(0.6, 4.0), elsewhere];
+        let (outcomes, _) = judged(ANYTHING, &[cell(1, &roles), cell(2, &roles)], records).unwrap();
+        assert_eq!(outcomes, [taken, taken]);
     }
 }

@@ -90,7 +90,7 @@ mod tests {
         let request = json!({ "name": "tight", "behavior": "cut_in", "ended": "budget",
             "budget": { "n_samples": null, "n_evaluations": 1900 }, "n_rounds": 3, "n_samples": 100,
             "n_evaluations": 1900, "n_scenes": 4, "n_cells": 4, "n_infeasible": 0,
-            "n_wanted": 15, "n_accepted": 6,
+            "n_wanted": 15, "n_accepted": 6, "n_situations": 4,
             "arms": [{ "name": "guided", "strength": 2.0, "weight": 0.0, "n_evaluations_per_sample": 19,
                 "n_aimed": 0, "n_aimed_hits": 0,
                 "total": own(6), "first_round": own(0) }],
