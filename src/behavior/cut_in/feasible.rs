@@ -231,13 +231,13 @@ mod tests {
 
     #[test]
     fn the_way_aside_takes_its_share_of_the_time() {
-        // 3.3 m aside, less 1.8 m of two half widths and 0.2 m of a corner: 1.3 m. A speed of 1.43 m/s is reached within
-        // 1.0725 s and half as many times 1.43 m, and the rest takes 0.373 s. At its speed, 7.5 m ahead of an ego that
+        // 3.3 m aside, less 1.8 m of two half widths and 0.2 m of a corner: 1.3 m. A speed of 1.5 m/s is reached within
+        // 1.125 s and half as many times 1.5 m, and the rest takes 0.304 s. At its speed, 7.5 m ahead of an ego that
         // needs 0.75 s for them, it can come in after 1.5 to 2.5 of the 4 s: 2.75 would leave too little time.
         let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
         let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
         let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();
-        let least_s: f64 = 1.0725 / 2.0 + 1.3 / 1.43;
+        let least_s: f64 = 1.125 + (1.3 - 1.5 * 1.125 / 2.0) / 1.5;
         let expected = [2.5, 2.25, 2.0, 1.75, 1.5].map(|time_s| (least_s / time_s).powi(2));
         assert!(efforts.len() >= 3, "{efforts:?}");
         for (effort, expected) in efforts.iter().rev().zip(expected) {
