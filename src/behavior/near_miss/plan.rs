@@ -7,7 +7,6 @@ use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::limits::SOONEST_REACTION_S;
 use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace, building_up_s};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
@@ -17,8 +16,8 @@ use std::collections::BTreeMap;
 use std::rc::Rc;
 
 /// The times to collision at which one brakes, seconds, and the decelerations, m/s².
-const BRAKES_AT_S: [f64; 5] = [0.5, 0.6, 0.7, 0.8, 0.9];
-const BRAKES_MPS2: [f64; 2] = [5.0, 7.2];
+const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
+const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
 /// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
@@ -138,19 +137,8 @@ impl<'a> Search<'a> {
         if !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
             return None;
         }
-        let is_urgent = |step: &usize| {
-            let velocities = [own.drive.velocity(*step), other.drive.velocity(*step)];
-            let bodies = [&own.drive.outer[*step], &other.drive.outer[*step]];
-            let time_s = time_to_collision_s(bodies[0], velocities[0], bodies[1], velocities[1]);
-            time_s.is_some_and(|time_s| self.behavior.is_urgent(time_s, (velocities[0] - velocities[1]).norm()))
-        };
-        // It is the miner's moment, too, at which it begins to be dangerous.
-        let dangerous_s = ((0..=begins).find(is_urgent).unwrap_or(begins) + 1) as f64 * self.dt_s;
         BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
             let from_s = (at_once_s - building_up_s(own.acceleration_mps2, -deceleration_mps2) / 2.0).max(SOONEST_S);
-            if from_s < dangerous_s + SOONEST_REACTION_S {
-                return None;
-            }
             let key = ([evader, own.rail, begins], [own.acceleration_mps2, deceleration_mps2].map(f64::to_bits));
             let course = || self.course(evader, own.rail, own.acceleration_mps2, Some((from_s, deceleration_mps2)));
             let braked = Rc::clone(self.braked.borrow_mut().entry(key).or_insert_with(|| Rc::new(course())));
