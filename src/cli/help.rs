@@ -197,8 +197,8 @@ Example:
 
 /// Help after the options of `corpus filter`.
 pub(super) const CORPUS_FILTER: &str = "\
-A condition is a column of `scenarios`, one of =, !=, <, <=, > and >=, and a value. A flag may stand alone: verified. A \
-missing value fails every comparison. For any other choice, select ids by SQL and pipe them in: --ids -.
+A condition is a column of `scenarios`, one of =, !=, <, <=, > and >=, and a value. A flag may stand alone: \
+verified. A missing value fails every comparison. For any other choice, select ids by SQL and pipe them in: --ids -.
 
 Examples:
   djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight

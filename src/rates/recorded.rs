@@ -69,8 +69,8 @@ impl RecordedTraffic {
         &self.recordings
     }
 
-    /// How often events were recorded; of a bucket of severe ones with hardly any, how often the tail of the others lets
-    /// expect them. `None` if nothing was recorded there.
+    /// How often events were recorded; of a bucket of severe ones with hardly any, how often the tail of the others
+    /// lets expect them. `None` if nothing was recorded there.
     pub fn rate(&self, asked: Asked<'_>) -> Option<RateRow> {
         let counts = self.counts(asked, self.found(asked).map(|(recording, _)| recording));
         let (per_hour, per_1000_km) = (counts.per_hour()?, counts.per_1000_km());
@@ -101,7 +101,8 @@ impl RecordedTraffic {
         }
     }
 
-    /// The row with the rate of a level that the tail of less severe events gives, or with the reason why it gives none.
+    /// The row with the rate of a level that the tail of less severe events gives, or with the reason why it gives
+    /// none.
     fn extrapolated(&self, asked: Asked<'_>, level: &Level, row: RateRow) -> RateRow {
         let all = Asked { within: &Within::default(), ..asked };
         let at = BehaviorEntry::of(asked.behavior)

@@ -10,9 +10,9 @@ const CELL_M: f64 = 0.01;
 /// Where cells begin, meters: what a recording rounds to millimeters or tenths of these is never at the edge of one.
 const EDGE_M: f64 = 0.000_15;
 
-/// Marks of the moments of a scene, at most one a timestep, with their timesteps: the places of two moving agents there and a timestep later,
-/// in the recording's frame. A moment in which fewer move has no mark. Scenes that have any mark in common overlap: two
-/// pairs of agents do not move so alike by chance.
+/// Marks of the moments of a scene, at most one a timestep, with their timesteps: the places of two moving agents there
+/// and a timestep later, in the recording's frame. A moment in which fewer move has no mark. Scenes that have any mark
+/// in common overlap: two pairs of agents do not move so alike by chance.
 pub fn moments(scene: &Scene) -> Vec<(usize, u64)> {
     let at = |timestep: usize| {
         let mut moving: Vec<u64> =

@@ -81,8 +81,9 @@ pub(super) fn go_on(situation: &Situation, world: &World, scene: &mut Scene, age
     }
 }
 
-/// Makes pedestrians of the event that are on the road walk on across it as they walk, and keeps all of `agents` on foot
-/// from running in the future of this scene: the model knows few who cross in front of somebody, and freezes them there.
+/// Makes pedestrians of the event that are on the road walk on across it as they walk, and keeps all of `agents` on
+/// foot from running in the future of this scene: the model knows few who cross in front of somebody, and freezes them
+/// there.
 pub(super) fn walk_on(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
     for agent_idx in agents.iter().copied() {
         let (own, class) = (future(scene, agent_idx), situation.scene.tracks[agent_idx].class);

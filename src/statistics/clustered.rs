@@ -18,9 +18,9 @@ pub struct ClusteredRate {
 /// The rate in clusters, such as recordings, of (events, exposure). `None` without exposure.
 ///
 /// Events that come together tell less than their number. Their dispersion is that of counts over clusters (Pearson's
-/// χ² over its degrees of freedom; McCullagh and Nelder 1989, section 6.2): as many independent events as `n` divided by
-/// it are as sure. The interval is the exact one for their number (Garwood 1936), which for a single cluster, or where
-/// events do not cluster, is that of a Poisson variable.
+/// χ² over its degrees of freedom; McCullagh and Nelder 1989, section 6.2): as many independent events as `n` divided
+/// by it are as sure. The interval is the exact one for their number (Garwood 1936), which for a single cluster, or
+/// where events do not cluster, is that of a Poisson variable.
 pub fn clustered_rate(clusters: &[(u64, f64)]) -> Option<ClusteredRate> {
     let n: u64 = clusters.iter().map(|(n, _)| n).sum();
     let exposure: f64 = clusters.iter().map(|(_, exposure)| exposure).sum();

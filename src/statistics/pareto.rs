@@ -24,8 +24,8 @@ pub struct Pareto {
 }
 
 impl Pareto {
-    /// The most likely distribution of these exceedances, which are positive. `None` if there are fewer than two, or its
-    /// shape is at an end of what can be fitted.
+    /// The most likely distribution of these exceedances, which are positive. `None` if there are fewer than two, or
+    /// its shape is at an end of what can be fitted.
     pub fn fit(exceedances: Vec<f64>) -> Option<Self> {
         let most = exceedances.iter().copied().fold(0.0, f64::max);
         if exceedances.len() < 2 || !(most > 0.0 && most.is_finite()) {

@@ -25,7 +25,8 @@ impl DrivenWriter {
         ParquetFile::create(path, &driven::schema(), driven::schema().arrow()).map(Self)
     }
 
-    /// Adds all states of a drive with its scenario and driver, and the roles of the event; `moved_by` gives who moved an agent at a timestep.
+    /// Adds all states of a drive with its scenario and driver, and the roles of the event; `moved_by` gives who moved
+    /// an agent at a timestep.
     pub fn push(
         &mut self,
         drive: [&str; 2],

@@ -24,8 +24,9 @@
 //! - `recording_too_short`, `window_across_holdout`, `empty_window`: see [`Recording::windows`](super::windows);
 //! - `no_rows`, `bad_header`, `unreadable`, `too_large`: of a whole file or case.
 //!
-//! Tolerated: columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end, whole numbers printed as floats (ids, too: `1.0` is `1`),
-//! sizes that change along a track (the first counts), are blank or `nan`, quotes around cells (closed on their line).
+//! Tolerated: columns in any order and unknown ones, CRLF, byte order marks, empty lines, a missing last line end,
+//! whole numbers printed as floats (ids, too: `1.0` is `1`), sizes that change along a track (the first counts), are
+//! blank or `nan`, quotes around cells (closed on their line).
 
 mod cases;
 mod columns;

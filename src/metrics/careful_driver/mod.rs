@@ -2,8 +2,8 @@
 //! for recorded, sampled and driven traffic.
 //!
 //! [`CarefulDriver`] is a function of what it has seen so far. On the way of the ego it drives as fast as the ego does
-//! in the scene, and keeps its distance as ordinary drivers do, with at most 2 m/s², from whoever it has perceived ahead
-//! in its way or coming there. Beside that it reacts to risks as the regulation's driver does:
+//! in the scene, and keeps its distance as ordinary drivers do, with at most 2 m/s², from whoever it has perceived
+//! ahead in its way or coming there. Beside that it reacts to risks as the regulation's driver does:
 //!
 //! 1. *Perception.* A risk is perceived 0.4 s after it begins. *Cut-in:* a vehicle has come closer to the path by more
 //!    than 0.375 m, or is in the lane; within that it only wanders. Maps need not show lanes, so its place is where it
@@ -23,8 +23,8 @@
 //! the same driver among others that answer; what differs then is the world.
 //!
 //! Paragraph 5.2.5.2 has a simple bound, too: a collision must be avoided if a slower vehicle has moved across in sight
-//! for 0.72 s, and when it is 0.3 m beyond the lane marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35 s.
-//! The marking is assumed to be half a lane's width beside the path.
+//! for 0.72 s, and when it is 0.3 m beyond the lane marking, the time to collision exceeds v_rel / (2 · 6 m/s²) + 0.35
+//! s. The marking is assumed to be half a lane's width beside the path.
 
 mod bends;
 mod braking;

@@ -26,8 +26,8 @@ impl Seen {
     }
 }
 
-/// The model's acceleration at this speed behind these leaders, if the driver would like to drive at `wanted_mps`, m/s²;
-/// without leaders, that on a free road.
+/// The model's acceleration at this speed behind these leaders, if the driver would like to drive at `wanted_mps`,
+/// m/s²; without leaders, that on a free road.
 pub(crate) fn acceleration_mps2(speed_mps: f64, wanted_mps: f64, leaders: impl Iterator<Item = Seen>) -> f64 {
     let free = (1.0 - (speed_mps / wanted_mps.max(1.0)).powi(4)).max(-BRAKES_MPS2 / ACCELERATES_MPS2);
     let held = leaders.map(|seen| {

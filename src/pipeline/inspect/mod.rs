@@ -51,7 +51,8 @@ pub fn inspect(path: &Path) -> Result<Description> {
         }
     }
     Err(Failure::input_message(format_args!("{} is nothing that can be inspected", path.display())).with_hint(
-        "known: run folders, scene stores, event tables, rates, checkpoints, samples and corpora; SQL and jq read the rest",
+        "known: run folders, scene stores, event tables, rates, checkpoints, samples and corpora; SQL and jq read \
+                 the rest",
     ))
 }
 

@@ -47,7 +47,8 @@ pub(in crate::report) fn rate_chart(name: &str, unit: &str, marks: &[RateMark]) 
                 @let middle = ROW * (i as f64 + 0.5) + 4.0;
                 @let (low, high) = (x(low_of(mark)), x(mark.interval.high.log10()));
                 text class="tick" x=(labels - 8.0) y=(middle) dy="0.32em" text-anchor="end" { (mark.label) }
-                path class="whisker" d=(format!("M{low} {middle}L{high} {middle}M{high} {}L{high} {}", middle - 4.0, middle + 4.0)) {}
+                @let (above, below) = (middle - 4.0, middle + 4.0);
+                path class="whisker" d=(format!("M{low} {middle}L{high} {middle}M{high} {above}L{high} {below}")) {}
                 @if mark.rate > 0.0 {
                     circle cx=(x(mark.rate.log10())) cy=(middle) r="4" stroke=(color(0)) stroke-width="1.5"
                         fill=(if mark.is_extrapolated { "none" } else { color(0) }) {}

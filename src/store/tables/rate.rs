@@ -44,7 +44,8 @@ pub(crate) fn schema() -> TableSchema {
             "method",
             DataType::Utf8,
             "over_recordings: the interval allows for events that come in clusters; one_recording: it does not, for \
-             one recording cannot tell; none_found: an upper end only; extrapolated: from the tail of less severe events.",
+             one recording cannot tell; none_found: an upper end only; extrapolated: from the tail of less severe \
+             events.",
         ),
         column("note", DataType::Utf8, "From where the rate is extrapolated, or why it is not.").optional(),
     ];
