@@ -166,8 +166,8 @@ nobody drove them. How far their motion is from recorded motion, and how often t
 measured: see `metrics` and the report of the run.\n- How often something happens here says nothing of how often it \
 happens on roads: scenarios were asked for. `rate_per_1000_km` and `rate_per_hour` do, with an interval, where \
 `rate_source` is not `none`: at the place, as recorded.\n- Scenarios of one recorded scene are not independent of each \
-other: split by `scene_id`, not by scenario.\n- Traffic lights, rules and intentions that the recordings do not hold are not \
-in the scenarios either.\n\n";
+other: split by `scene_id`, not by scenario.\n- Traffic lights, rules and intentions that the recordings do not hold \
+are not in the scenarios either.\n\n";
 
 fn tables(text: &mut String, manifest: &CorpusManifest) -> fmt::Result {
     writeln!(text, "## Tables and columns\n\nUnits, frames and descriptions are also in the metadata of the files.\n")?;

@@ -344,7 +344,7 @@ mod tests {
         let with_gap = |left_m: f64, gap_m: f64| record(&moved(left_m), &roles, gap_m);
         // The mean over two agents, one of which is moved: 0.2 and 0.3 m. In the fourth they move otherwise, but it is
         // the same event as the third to half a meter; the same in another situation is another event.
-        let records = vec![with_gap(0.0, 2.0), with_gap(0.4, 3.0), with_gap(0.6, 4.0), with_gap(2.0, 4.4)];
+        let records = vec![with_gap(0.0, 2.0), with_gap(0.4, 3.0), with_gap(0.6, 4.0), with_gap(1.2, 4.4)];
         let (outcomes, tallies) = judged(ANYTHING, &[cell(1, &roles)], records).unwrap();
         let (taken, like) = (RequestOutcome::Accepted, RequestOutcome::NearDuplicate);
         assert_eq!(outcomes, [taken, like, taken, like]);

@@ -246,11 +246,9 @@ fn cases(_: &Path) -> Vec<Vec<u8>> {
     let table = |header: &str, rows: Vec<String>| format!("{header}\n{}\n", rows.join("\n")).into_bytes();
     let in_order =
         (1..4).flat_map(|case| (1..3).flat_map(move |track| (8..14).map(move |frame| row(case, track, frame))));
-    let scattered = (8..14).flat_map(|frame| (1..4).map(move |case| row(case, 1, frame)));
     let marked = (8..11).map(|frame| format!("{},1.0,0.0", row(1, 1, frame)));
     vec![
         table(header, in_order.collect()),
-        table(header, scattered.collect()),
         table(&format!("{header},track_to_predict,interesting_agent"), marked.collect()),
     ]
 }
