@@ -4,7 +4,7 @@ use super::distribution::Distribution;
 use super::quantities::{EventParameters, MotionDistributions, event_distributions};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scenario::ScenarioRecord;
-use crate::scene::{GuidanceTag, Provenance, Scene};
+use crate::scene::{GuidanceTag, Provenance, Scene, SituationKind};
 use crate::store::{Result, SceneSet};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -38,7 +38,9 @@ impl BesideRecordings {
     pub(super) fn add_recording(&mut self, scene_idx: usize, recorded: &Scene) {
         if self.wants_recording(scene_idx) {
             self.recorded.insert(scene_idx);
-            self.motion.add("recorded", recorded);
+            if recorded.source.situation == SituationKind::Recorded {
+                self.motion.add("recorded", recorded);
+            }
         }
     }
 

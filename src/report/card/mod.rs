@@ -202,8 +202,10 @@ impl SceneCard {
             samples,
         };
         let history = ObservationMask::predictive(recorded.tracks.len(), recorded.n_timesteps, recorded.n_history);
-        let recording = DrawnSample::of("recorded", recorded, &history, roles, &view);
-        let mut panels = vec![panel("recorded".to_owned(), true, vec![recording])];
+        // Not all that is continued was recorded.
+        let before = recorded.source.situation.name();
+        let recording = DrawnSample::of(before, recorded, &history, roles, &view);
+        let mut panels = vec![panel(before.to_owned(), true, vec![recording])];
         let title_of_samples = match samples {
             [] => None,
             [one] => Some(format!("generated, {}", one.name)),
