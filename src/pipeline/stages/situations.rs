@@ -6,13 +6,14 @@ use super::with_precision;
 use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::evaluate::{for_maps, map_fits};
 use crate::generate::{Futures, held_out_in_order};
-use crate::ingest::IngestConfig;
+use crate::ingest::{IngestConfig, usual_horizon};
 use crate::metrics::ValidityConfig;
 use crate::model::TrainedDenoiser;
 use crate::nn::Precision;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::{Layout, SITUATIONS};
-use crate::scene::Split;
+use crate::scene::{INGESTED_DT_S, Split};
+use crate::settings::Issue;
 use crate::simulate::{NewScenes, SituationsConfig};
 use crate::store::{SceneStore, SceneWriter};
 use crate::train::SceneChoice;
@@ -58,7 +59,10 @@ impl Stage for Situations<'_> {
     }
 
     fn check(&self) -> Result<()> {
-        self.config.validate().map_err(|issue| Failure::input(issue.within("situations")))
+        let told = |issue: Issue| Failure::input(issue.within("situations"));
+        self.config.validate().map_err(told)?;
+        let Some(horizon) = self.ingest.and_then(|ingest| usual_horizon(ingest).ok()) else { return Ok(()) };
+        self.config.check(INGESTED_DT_S, horizon.n_future as f64 * INGESTED_DT_S).map_err(told)
     }
 
     fn config(&self) -> anyhow::Result<Value> {

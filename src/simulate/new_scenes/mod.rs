@@ -15,7 +15,7 @@ use super::maps::{Maps, Places};
 use super::rollout::{Others, roll_out};
 use super::workers::{in_parallel, pool_of_worker};
 use super::{Error, Result, RolloutConfig, Situation};
-use crate::generate::{self, Futures, NamedDriver};
+use crate::generate::{self, Futures, NamedDriver, check_times};
 use crate::ingest::IngestConfig;
 use crate::metrics::ValidityConfig;
 use crate::progress::Progress;
@@ -26,6 +26,7 @@ use crate::store::SceneStore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sight::Sight;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use windows::windows;
 
@@ -83,6 +84,19 @@ impl SituationsConfig {
         }
     }
 
+    /// Rejects times that do not fit timesteps of `dt_s`, or a model that sees `future_s` ahead.
+    pub fn check(&self, dt_s: f64, future_s: f64) -> Checked {
+        check_times([self.horizon_s, self.replan_s], [dt_s, future_s])?;
+        let n_every = self.every_s / dt_s;
+        match (n_every - n_every.round()).abs() < 1e-6 {
+            true => Ok(()),
+            false => {
+                let expected = format_args!("is {}, expected a multiple of the timestep, {dt_s} s", self.every_s);
+                Err(Issue::new("every_s", expected))
+            }
+        }
+    }
+
     fn rollout(&self) -> RolloutConfig {
         RolloutConfig { horizon_s: self.horizon_s, replan_s: self.replan_s }
     }
@@ -115,6 +129,8 @@ pub struct LoopCounts {
     pub n_ended: u64,
     /// Their scenes.
     pub n_scenes: u64,
+    /// Scenes that are missing, because a loop ended or was not valid, or a recording would be rejected for them.
+    pub n_left_out: u64,
 }
 
 /// Loops that are driven and written together, whatever the number of threads: enough for all of them.
@@ -127,16 +143,23 @@ pub type TakeScenes<'t> = dyn FnMut(&[Scene], &[(MapId, LaneGraph)], &LoopCounts
 struct Job {
     situation: Situation,
     kind: SituationKind,
-    map: Option<Arc<LaneGraph>>,
     place: Arc<Place>,
 }
 
-/// What recordings of a place show.
+/// A place: its map, and what recordings show of it.
 #[derive(Default)]
 struct Place {
-    map_id: Option<MapId>,
+    map: Option<(MapId, Arc<LaneGraph>)>,
     seen: Vec<Scene>,
     sight: Sight,
+}
+
+/// The outcome of a loop.
+struct Looped {
+    scenes: Vec<Scene>,
+    n_left_out: u64,
+    /// Whether it ended before its horizon.
+    has_ended: bool,
 }
 
 impl NewScenes<'_> {
@@ -154,14 +177,9 @@ impl NewScenes<'_> {
         take: &mut TakeScenes<'_>,
     ) -> Result<LoopCounts> {
         let Self { config, futures, .. } = self;
-        config.rollout().check(futures)?;
-        let n_every = config.every_s / futures.dt_s();
-        if (n_every - n_every.round()).abs() > 1e-6 {
-            let (every_s, dt_s) = (config.every_s, futures.dt_s());
-            return Err(Error::Config(format!(
-                "situations.every_s is {every_s}, expected a multiple of the timestep, which is {dt_s} s"
-            )));
-        }
+        let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
+        let checked = config.check(futures.dt_s(), future_s);
+        checked.map_err(|issue| Error::Config(issue.within("situations").to_string()))?;
         let mut workers = (0..rayon::current_num_threads()).map(|_| pool_of_worker()).collect::<Result<Vec<_>>>()?;
         let mut maps = Maps::new(self.store, self.store);
         let mut place = Arc::default();
@@ -182,11 +200,16 @@ impl NewScenes<'_> {
                 jobs.extend(self.job(*loop_of, (&mut maps, &mut place), &mut counts)?);
             }
             let found = in_parallel(&jobs, &mut workers, |pool, job| pool.install(|| self.drive(job)))?;
-            let needed = jobs.iter().filter_map(|job| Some((job.situation.scene.map_id.clone()?, job.map.clone()?)));
-            let needed: Vec<(MapId, LaneGraph)> = needed.map(|(id, map)| (id, map.as_ref().clone())).collect();
+            let needed: BTreeMap<&MapId, &Arc<LaneGraph>> =
+                jobs.iter().filter_map(|job| job.place.map.as_ref().map(|(id, map)| (id, map))).collect();
+            let needed: Vec<(MapId, LaneGraph)> =
+                needed.into_iter().map(|(id, map)| (id.clone(), map.as_ref().clone())).collect();
             counts.n_loops += jobs.len() as u64;
-            counts.n_ended += found.iter().filter(|(_, has_ended)| *has_ended).count() as u64;
-            let scenes: Vec<Scene> = found.into_iter().flat_map(|(scenes, _)| scenes).collect();
+            for looped in &found {
+                counts.n_ended += u64::from(looped.has_ended);
+                counts.n_left_out += looped.n_left_out;
+            }
+            let scenes: Vec<Scene> = found.into_iter().flat_map(|looped| looped.scenes).collect();
             counts.n_scenes += scenes.len() as u64;
             counts.n_done += chunk.len() as u64;
             take(&scenes, &needed, &counts)?;
@@ -206,10 +229,12 @@ impl NewScenes<'_> {
     ) -> Result<Option<Job>> {
         let mut scene = self.store.scene(position)?;
         let name = format!("{}+{}{variant}", scene.id.0.replace('@', "_"), kind.name());
-        let map = maps.map_of(&scene)?.cloned().map(Arc::new);
-        if let Some(id) = scene.map_id.as_ref().filter(|id| place.map_id.as_ref() != Some(id)) {
+        let map = maps.map_of(&scene)?;
+        let is_known = |id: &MapId| place.map.as_ref().is_some_and(|(known, _)| known == id);
+        if let Some((id, map)) = scene.map_id.as_ref().zip(map).filter(|(id, _)| !is_known(id)) {
             let seen = self.store.scenes_on(id, &scene)?;
-            *place = Arc::new(Place { map_id: Some(id.clone()), sight: Sight::of(&seen), seen });
+            let map = Some((id.clone(), Arc::new(map.clone())));
+            *place = Arc::new(Place { map, sight: Sight::of(&seen), seen });
         }
         // Without a map, nothing is known of the place.
         let place = if scene.map_id.is_some() { Arc::clone(place) } else { Arc::default() };
@@ -221,18 +246,19 @@ impl NewScenes<'_> {
             }
         }
         let ego_idx = scene.ego_idx;
-        let mut situation = match Situation::without_event(&name, scene, ego_idx, map.as_deref()) {
+        let map = place.map.as_ref().map(|(_, map)| map.as_ref());
+        let mut situation = match Situation::without_event(&name, scene, ego_idx, map) {
             Ok(situation) => situation,
             Err(Error::Unfit { .. }) => return Ok(None),
             Err(error) => return Err(error),
         };
         let [n_steps, _] = self.config.rollout().n_steps(situation.scene.dt_s);
         maps.expect_arrivals(&mut situation, self.futures.seed(), [n_steps, 0, n_steps])?;
-        Ok(Some(Job { situation, kind, map, place }))
+        Ok(Some(Job { situation, kind, place }))
     }
 
-    /// The scenes of a loop, and whether it ended early.
-    fn drive(&self, Job { situation, kind, map, place }: &Job) -> Result<(Vec<Scene>, bool)> {
+    /// The scenes of a loop.
+    fn drive(&self, Job { situation, kind, place }: &Job) -> Result<Looped> {
         let (config, seed) = (self.config.rollout(), self.futures.seed());
         let mut driver = named(NamedDriver::Model);
         let others = Others::Sampled(self.futures);
@@ -241,17 +267,21 @@ impl NewScenes<'_> {
             RolloutConfig { replan_s: self.config.every_s, ..config }.n_steps(situation.scene.dt_s);
         let n_every = n_every.max(situation.scene.n_history);
         let has_ended = driven.world.now() < situation.scene.current_timestep() + n_steps;
+        let n_future = situation.scene.n_timesteps - situation.scene.n_history;
+        let n_possible = n_steps.saturating_sub(n_future) / n_every;
         let from = SceneId(situation.scenario_id.clone());
         let found = windows(situation, &driven.world, n_every, (self.validity, &place.sight));
+        let map = place.map.as_ref().map(|(_, map)| map);
         let scenes = found.into_iter().filter_map(|mut raw| {
             (raw.source.situation, raw.source.continues) = (*kind, Some(situation.scene.id.clone()));
             raw.id = SceneId(format!("{from}@{}", raw.source.first_frame));
             // What recordings would be rejected for is left out here, too.
-            let scene = crate::ingest::assemble_window(raw, map.clone(), self.ingest).ok()?;
+            let scene = crate::ingest::assemble_window(raw, map.cloned(), self.ingest).ok()?;
             let is_valid = windows::is_valid(&scene, self.validity);
             is_valid.then_some(scene)
         });
-        Ok((scenes.collect(), has_ended))
+        let scenes: Vec<Scene> = scenes.collect();
+        Ok(Looped { n_left_out: n_possible.saturating_sub(scenes.len()) as u64, scenes, has_ended })
     }
 }
 
@@ -298,6 +328,7 @@ mod tests {
     fn windows_of_loops_are_scenes_whose_past_was_sampled() {
         let (recorded, scenes, counts) = made(&CONFIG, 1);
         assert_eq!((counts.n_done, counts.n_loops, counts.n_scenes), (2, 2, scenes.len() as u64));
+        assert_eq!(counts.n_left_out, 0, "of one scene each");
         let kinds: Vec<SituationKind> = scenes.iter().map(|scene| scene.source.situation).collect();
         assert_eq!(kinds, [SituationKind::Continued, SituationKind::Populated]);
         for (scene, name) in scenes.iter().zip(["continued0", "populated0"]) {
@@ -363,5 +394,8 @@ mod tests {
         assert!(none.validate().unwrap_err().to_string().contains("continued is 0, and so is populated"));
         let short = SituationsConfig { horizon_s: 1.0, ..CONFIG };
         assert!(short.validate().unwrap_err().to_string().contains("every_s is 2, expected at most horizon_s"));
+        let uneven = SituationsConfig { every_s: 2.05, ..CONFIG };
+        assert!(uneven.check(0.1, 3.0).unwrap_err().to_string().contains("every_s is 2.05, expected a multiple"));
+        assert!(CONFIG.check(0.1, 3.0).is_ok() && CONFIG.check(0.1, 0.3).is_err());
     }
 }
