@@ -100,18 +100,18 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
                 && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
         })
         .collect();
-    let is_single = behavior.roles().len() == 1;
+    let (is_single, planned) = (behavior.roles().len() == 1, sweep.planned(scene));
     let mut candidates = Vec::new();
     for &first in &eligible {
         for &second in &eligible {
             if (first == second) != is_single || distance_m(scene, first, second) > sweep.pairs.max_distance_m {
                 continue;
             }
-            let agents = if is_single { Some(vec![first]) } else { behavior.completed(scene, [first, second]) };
+            let agents = if is_single { Some(vec![first]) } else { behavior.completed(&planned, [first, second]) };
             let Some(agents) = agents.filter(|agents| agents.iter().all(|idx| eligible.contains(idx))) else {
                 continue;
             };
-            let outcomes = behavior.feasible(scene, &agents);
+            let outcomes = behavior.feasible(&planned, &agents);
             let effort = outcomes.iter().map(Outcome::effort).reduce(f64::min);
             if sweep.pairs.only_feasible && effort.is_none() {
                 continue;
