@@ -230,7 +230,8 @@ impl Generator<'_> {
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
         // The number of earlier samples of the pair with this target.
         let variant = sample_idx / cell.targets.len().max(1);
-        let target = cell.target(sample_idx);
+        let mut target = cell.target(sample_idx);
+        target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
         let planned = sweep.planned(recorded);
         let template = behavior.template(&planned, &asked, &target, variant);
         let anything =

@@ -1,6 +1,7 @@
 //! Which agents of a scene can show a behavior, and which are most likely to?
 
-use super::{Error, Generator, PairRanking, ResolvedSweep};
+use super::targets::hardness;
+use super::{Aim, Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
 use crate::model::TrainedClassifier;
@@ -118,7 +119,11 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
             }
             let roles = behavior.roles().iter().zip(&agents);
             let roles = roles.map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[*agent_idx].id.clone()));
-            let score = -effort.unwrap_or(1.0) - distance_m(scene, first, second) / FAR_M;
+            let suits = match sweep.aim {
+                Aim::Hard => outcomes.iter().map(hardness).fold(0.0, f64::max),
+                Aim::Anything | Aim::Feasible => -effort.unwrap_or(1.0),
+            };
+            let score = suits - distance_m(scene, first, second) / FAR_M;
             candidates.push(CandidatePair { agents: (first, second), roles: roles.collect(), score, outcomes });
         }
     }
