@@ -55,26 +55,6 @@ impl Layout {
             .map(PathBuf::as_path)
             .collect()
     }
-
-    /// Moves places below the folder `from` to below `to`.
-    pub fn move_below(&mut self, from: &Path, to: &Path) {
-        for place in [
-            &mut self.scenes,
-            &mut self.events,
-            &mut self.denoiser,
-            &mut self.distilled,
-            &mut self.classifier,
-            &mut self.baseline,
-            &mut self.situations,
-            &mut self.samples,
-            &mut self.corpus,
-            &mut self.metrics,
-        ] {
-            if let Ok(name) = place.strip_prefix(from) {
-                *place = to.join(name);
-            }
-        }
-    }
 }
 
 /// The scene store.
