@@ -15,8 +15,8 @@ pub(super) struct Manner {
 /// Lane changes. In simulated recordings their median is 0.95 m/s at the crossing, their 95 % quantile 1.32 m/s, their
 /// maximum 1.45 m/s (346 lane changes). On roads they take 3 to 6 s (Toledo and Zohar 2007: 4.6 s in the mean).
 pub(super) const LANE_CHANGE: Manner = Manner { mps: [0.95, 1.33], most_mps2: 2.0 };
-/// Cut-ins. In simulated recordings their median is 1.0 m/s at the intrusion, their 95 % quantile 1.35 m/s, their maximum
-/// 1.57 m/s. UN Regulation No. 157 and the framework of JAMA judge lateral speeds of up to 1.8 m/s.
+/// Cut-ins. In simulated recordings their median is 1.0 m/s at the intrusion, their 95 % quantile 1.35 m/s, their
+/// maximum 1.57 m/s. UN Regulation No. 157 and the framework of JAMA judge lateral speeds of up to 1.8 m/s.
 pub(super) const CUT_IN: Manner = Manner { mps: [0.95, 1.43], most_mps2: 2.0 };
 /// Moving over to the oncoming lane, as to overtake: the largest lateral speed that the regulation judges.
 pub(super) const OVERTAKING: Manner = Manner { mps: [0.95, 1.65], most_mps2: 2.4 };
@@ -101,8 +101,8 @@ impl Sideways {
     }
 }
 
-/// The integral of a value that changes smoothly from 0 to 1 within `takes_s`, by 3 u² - 2 u³, and stays: over the first
-/// `elapsed_s`, seconds.
+/// The integral of a value that changes smoothly from 0 to 1 within `takes_s`, by 3 u² - 2 u³, and stays: over the
+/// first `elapsed_s`, seconds.
 pub(super) fn changed_s(elapsed_s: f64, takes_s: f64) -> f64 {
     if takes_s <= 0.0 {
         return elapsed_s.max(0.0);

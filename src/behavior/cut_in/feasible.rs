@@ -64,11 +64,11 @@ pub(super) struct CutInPlan {
 }
 
 impl CutIn {
-    /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other moves over as fast
-    /// as drivers do ([`CUT_IN`]) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego keeps its lane
-    /// and brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue straight.
-    /// Before the scene ends, the other's center is in the lane and the ego reaches the place where the other came in.
-    /// Only the past and the map are used.
+    /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other moves over as
+    /// fast as drivers do ([`CUT_IN`]) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego keeps its lane and
+    /// brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue straight. Before
+    /// the scene ends, the other's center is in the lane and the ego reaches the place where the other came in. Only
+    /// the past and the map are used.
     ///
     /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
     /// is too far to the side, ahead or behind.
@@ -231,9 +231,9 @@ mod tests {
 
     #[test]
     fn the_way_aside_takes_its_share_of_the_time() {
-        // 3.3 m aside, less 1.8 m of two half widths and 0.2 m of a corner: 1.3 m. A speed of 1.43 m/s is reached within
-        // 1.0725 s and half as many times 1.43 m, and the rest takes 0.373 s. At its speed, 7.5 m ahead of an ego that
-        // needs 0.75 s for them, it can come in after 1.5 to 2.5 of the 4 s: 2.75 would leave too little time.
+        // 3.3 m aside, less 1.8 m of two half widths and 0.2 m of a corner: 1.3 m. A speed of 1.43 m/s is reached
+        // within 1.0725 s and half as many times 1.43 m, and the rest takes 0.373 s. At its speed, 7.5 m ahead of an
+        // ego that needs 0.75 s for them, it can come in after 1.5 to 2.5 of the 4 s: 2.75 would leave too little time.
         let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
         let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
         let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();

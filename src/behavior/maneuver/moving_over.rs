@@ -38,8 +38,8 @@ pub(super) struct MovingOver {
     pub(super) positions: Vec<Vec2>,
 }
 
-/// The ways in which an agent can move over to a lane beside its own, at most `hurry` times as fast as drivers do. Empty
-/// if it is in no lane, or too slow.
+/// The ways in which an agent can move over to a lane beside its own, at most `hurry` times as fast as drivers do.
+/// Empty if it is in no lane, or too slow.
 pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, hurry: f64) -> Vec<MovingOver> {
     let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
     let now = driver.state;

@@ -156,7 +156,8 @@ pub(in crate::cli) struct RunArgs {
 /// Where the results of a pipeline go.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct RunPlace {
-    /// The folder for the results of all pipelines, or a URL to copy them to [default: run.output of the file, or output]
+    /// The folder for the results of all pipelines, or a URL to copy them to [default: run.output of the file, or
+    /// output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) output: Option<PathBuf>,
     /// Name of the run; reusing a name resumes that run

@@ -18,9 +18,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// where \[·\] is the distance to the target interval (`gap_m`, 1 to 30 m if there is none, and `relative_speed_mps`):
 /// the boxes begin to share a path there, and `before` gets there within Δ(t), 3 s or the time that is left of the
-/// scene. The best moment decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last half
-/// second of ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front. And
-/// ½ ∫ (max(|d'| - 1.45 m/s, 0) / 0.1 m/s)² dt: nobody moves over faster than drivers do.
+/// scene. The best moment decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last
+/// half second of ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in
+/// front. And ½ ∫ (max(|d'| - 1.45 m/s, 0) / 0.1 m/s)² dt: nobody moves over faster than drivers do.
 ///
 /// `before` is taken as it is: nothing pulls at it, so that it does not move in behind the other instead. J = -(both),
 /// and 0 where one of the two has no future.

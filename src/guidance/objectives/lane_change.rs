@@ -11,10 +11,9 @@ use serde::{Deserialize, Serialize};
 /// Be in the lane beside one's own by the end, and stay there.
 ///
 /// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on
-/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last 1.1 s, less ½ ∫ (max(|d'| - 1.35
-/// m/s, 0) / 0.1 m/s)² dt: nobody moves over faster than drivers do. If there are several lanes, the one that costs least
-/// counts. 0 if the map has no lane on the target side: see
-/// `pairs.only_feasible`.
+/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last 1.1 s, less ½ ∫ (max(|d'| -
+/// 1.35 m/s, 0) / 0.1 m/s)² dt: nobody moves over faster than drivers do. If there are several lanes, the one that
+/// costs least counts. 0 if the map has no lane on the target side: see `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneChange {
