@@ -12,6 +12,8 @@ const PLACE: &str = "place";
 /// The parameter whose numbers have names: +1 is the left side, -1 the right one.
 pub(super) const SIDE: &str = "side";
 const SIDES: [&str; 2] = ["left", "right"];
+/// By how much later the careful driver could react in place of whom the event happens to, seconds.
+pub(super) const CAREFUL_MARGIN: &str = "careful_margin_s";
 /// The suffix of a role that names the class of its agent.
 const CLASS_SUFFIX: &str = "_class";
 
@@ -20,7 +22,7 @@ pub(super) fn known_names(behavior: &BehaviorEntry) -> Vec<String> {
     let parameters = behavior.parameters.iter().map(|name| (*name).to_owned());
     let classes = behavior.roles.iter().map(|role| format!("{role}{CLASS_SUFFIX}"));
     let attributes = ATTRIBUTES.iter().map(|attribute| attribute.name.to_owned());
-    parameters.chain(classes).chain(attributes).chain([PLACE.to_owned()]).collect()
+    parameters.chain(classes).chain(attributes).chain([PLACE, CAREFUL_MARGIN].map(str::to_owned)).collect()
 }
 
 /// Refuses a name that is unknown, or that is used with numbers although its values are texts.
@@ -33,7 +35,7 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
         nearest.truncate(3);
         return refuse(format!("is not a parameter of {}; similar: {}", behavior.id, nearest.join(", ")));
     }
-    let is_parameter = behavior.parameters.contains(&name);
+    let is_parameter = behavior.parameters.contains(&name) || name == CAREFUL_MARGIN;
     let Some(texts) = texts else {
         return match is_parameter {
             true => Ok(()),
@@ -65,7 +67,7 @@ fn attribute(name: &str) -> Option<(usize, &'static Attribute)> {
 pub(super) fn text_of_scene<'a>(name: &str, scene: &'a Scene) -> Option<&'a str> {
     match attribute(name) {
         Some((idx, _)) => Some(Tags::of(scene).each()[idx].value()),
-        None => (name == PLACE).then_some(&scene.source.place),
+        None => (name == PLACE).then_some(scene.source.place.as_str()),
     }
 }
 
@@ -79,6 +81,8 @@ pub(super) const fn side(value: f64) -> &'static str {
 pub(super) struct Facts<'a> {
     pub(super) scene: &'a Scene,
     pub(super) event: &'a BehaviorEvent,
+    /// See [`CAREFUL_MARGIN`]; `None` also if nobody asks for it.
+    pub(super) careful_margin_s: Option<f64>,
 }
 
 impl Facts<'_> {
@@ -107,7 +111,10 @@ impl Facts<'_> {
     }
 
     fn number(&self, name: &str) -> Option<f64> {
-        self.event.parameters.get(name).copied()
+        match name {
+            CAREFUL_MARGIN => self.careful_margin_s,
+            _ => self.event.parameters.get(name).copied(),
+        }
     }
 
     fn text(&self, name: &str) -> Option<&str> {
@@ -157,7 +164,7 @@ mod tests {
         let event = BehaviorEvent::new(("cut_in", cut_in().roles), &scene, EventLabel::Positive, &[0, 1], 5..=7)
             .with("gap_m", 5.0)
             .with("side", -1.0);
-        let facts = Facts { scene: &scene, event: &event };
+        let facts = Facts { scene: &scene, event: &event, careful_margin_s: Some(0.4) };
         let texts = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
         let edges = |edges: &[f64]| Divisions::Edges(edges.to_vec());
         assert_eq!(facts.part("gap_m", &edges(&[0.0, 5.0, 10.0])), Some(1));
@@ -165,6 +172,7 @@ mod tests {
         assert_eq!(facts.part("ttc_s", &edges(&[0.0, 100.0])), None, "absent");
         assert_eq!(facts.part("side", &Divisions::Texts(texts(&["left", "right"]))), Some(1));
         assert_eq!(facts.part("side", &edges(&[-2.0, 0.0, 2.0])), Some(0));
+        assert_eq!(facts.part(CAREFUL_MARGIN, &edges(&[0.0, 0.3, 1.0])), Some(1));
         let place = scene.source.place.clone();
         assert_eq!(facts.part("place", &Divisions::Texts(vec!["elsewhere".into(), place])), Some(1));
         assert_eq!(facts.part("junction", &Divisions::Texts(texts(&["merge", "none"]))), Some(1));
