@@ -110,7 +110,7 @@ fn text(report: &DriveReport) -> String {
     }
     let _ = writeln!(
         text,
-        "the event happens in {} of them, and in {} the driver avoids a collision or near miss in time",
+        "the event happens in {} scenarios; the driver avoids {} collisions and near misses in time",
         failures.n_event_happens, failures.n_event_avoided
     );
     if let Some(margins) = &report.margins {

@@ -1,7 +1,9 @@
-//! Which facts of an event can a request name? Its parameters, the place, and the classes of its agents.
+//! Which facts of an event can a request name? Its parameters, the place, the attributes of coverage, and the classes of
+//! its agents.
 
 use super::config::{Divisions, Requirement};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
+use crate::coverage::{ATTRIBUTES, Attribute, Tags};
 use crate::scene::{AgentClass, Scene};
 use crate::settings::{self, Issue};
 
@@ -19,7 +21,8 @@ const CLASS_SUFFIX: &str = "_class";
 pub(super) fn known_names(behavior: &BehaviorEntry) -> Vec<String> {
     let parameters = behavior.parameters.iter().map(|name| (*name).to_owned());
     let classes = behavior.roles.iter().map(|role| format!("{role}{CLASS_SUFFIX}"));
-    parameters.chain(classes).chain([PLACE, CAREFUL_MARGIN].map(str::to_owned)).collect()
+    let attributes = ATTRIBUTES.iter().map(|attribute| attribute.name.to_owned());
+    parameters.chain(classes).chain(attributes).chain([PLACE, CAREFUL_MARGIN].map(str::to_owned)).collect()
 }
 
 /// Refuses a name that is unknown, or that is used with numbers although its values are texts.
@@ -43,6 +46,7 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
         PLACE => None,
         SIDE => Some(SIDES.to_vec()),
         _ if is_parameter => return refuse("is a number; give numbers instead of strings".to_owned()),
+        _ if attribute(name).is_some() => attribute(name).map(|(_, attribute)| attribute.values.to_vec()),
         _ => Some(AgentClass::ALL.into_iter().map(AgentClass::name).collect()),
     };
     let unknown = texts.iter().find(|text| values.as_ref().is_some_and(|values| !values.contains(&text.as_str())));
@@ -51,6 +55,19 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
             refuse(format!("cannot be `{unknown}`, expected one of {}", values.join(", ")))
         }
         _ => Ok(()),
+    }
+}
+
+/// The attribute of coverage of this name, with its position.
+fn attribute(name: &str) -> Option<(usize, &'static Attribute)> {
+    ATTRIBUTES.iter().enumerate().find(|(_, attribute)| attribute.name == name)
+}
+
+/// The text of this name that all events of a scene have: its place, or a tag.
+pub(super) fn text_of_scene<'a>(name: &str, scene: &'a Scene) -> Option<&'a str> {
+    match attribute(name) {
+        Some((idx, _)) => Some(Tags::of(scene).each()[idx].value()),
+        None => (name == PLACE).then_some(scene.source.place.as_str()),
     }
 }
 
@@ -102,8 +119,8 @@ impl Facts<'_> {
 
     fn text(&self, name: &str) -> Option<&str> {
         match name {
-            PLACE => Some(&self.scene.source.place),
             SIDE => Some(side(self.number(SIDE)?)),
+            _ if text_of_scene(name, self.scene).is_some() => text_of_scene(name, self.scene),
             _ => {
                 let track = self.event.track(name.strip_suffix(CLASS_SUFFIX)?)?;
                 Some(self.scene.tracks[self.scene.track_idx(track)?].class.name())
@@ -132,10 +149,11 @@ mod tests {
         assert!(refusal("gap_m", Some(&texts(&["small"]))).contains("is a number"));
         assert!(refusal("side", Some(&texts(&["above"]))).contains("left, right"));
         assert!(refusal("ego_class", Some(&texts(&["lorry"]))).contains("vehicle"));
+        assert!(refusal("junction", Some(&texts(&["bridge"]))).contains("roundabout"));
         for (name, of) in [("gap_m", None), ("side", None)] {
             check_name(cut_in(), name, of).unwrap();
         }
-        for (name, of) in [("side", "left"), ("place", "anywhere"), ("other_class", "bus")] {
+        for (name, of) in [("side", "left"), ("place", "anywhere"), ("other_class", "bus"), ("junction", "merge")] {
             check_name(cut_in(), name, Some(&texts(&[of]))).unwrap();
         }
     }
@@ -157,6 +175,7 @@ mod tests {
         assert_eq!(facts.part(CAREFUL_MARGIN, &edges(&[0.0, 0.3, 1.0])), Some(1));
         let place = scene.source.place.clone();
         assert_eq!(facts.part("place", &Divisions::Texts(vec!["elsewhere".into(), place])), Some(1));
+        assert_eq!(facts.part("junction", &Divisions::Texts(texts(&["merge", "none"]))), Some(1));
         assert!(facts.satisfies("gap_m", &Requirement::Range([5.0, 6.0])));
         assert!(facts.satisfies("gap_m", &Requirement::Range([4.0, 5.0])));
         assert!(!facts.satisfies("gap_m", &Requirement::Range([5.1, 6.0])));

@@ -136,7 +136,10 @@ impl ResolvedRequest {
         let n_samples = self.arms[shard.arm].n_samples;
         let cell_tally = |(cell, planned): (&usize, &Cell)| CellTally {
             cell: *cell,
-            aimed: planned.targets.first().and_then(|target| self.buckets.with_target(target)),
+            aimed: planned
+                .targets
+                .first()
+                .and_then(|target| self.buckets.with_target(target, &ledger.cells[*cell].reaches)),
             n_samples: n_samples as u64,
             next_sample: shard.plan.first_sample + n_samples,
             ..CellTally::default()

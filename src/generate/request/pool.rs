@@ -138,12 +138,12 @@ impl Generator<'_> {
 
     /// The buckets that a cell can reach, given its past, with the least effort for each.
     fn feasible_buckets(&self, request: &ResolvedRequest, cell: &Cell) -> Result<BTreeMap<usize, f64>, Error> {
-        let all = 0..request.buckets.len();
+        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
+        let all = request.buckets.of_scene(&scene).into_iter();
         let sweep = self.most_patient(request);
         let Some(behavior) = self.behavior(sweep).filter(|_| request.config.pairs.only_feasible) else {
             return Ok(all.map(|bucket| (bucket, 0.0)).collect());
         };
-        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
         let agents: Vec<usize> = cell.roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
         let mut outcomes = behavior.feasible(&sweep.planned(&scene), &agents);
         outcomes.retain(|outcome| {
