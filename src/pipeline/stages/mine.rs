@@ -88,7 +88,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        11
+        12
     }
 
     fn check(&self) -> Result<()> {
