@@ -219,8 +219,8 @@ behaviors! {
     FailureToYield in failure_to_yield {
         subject: Subject::Role("priority"), is_collision: false, needs_lanes: true
     }:
-        "one vehicle (entering) gets into the way of one that has the right of way and brakes for it, or is there 1 s \
-         later",
+        "one vehicle (entering) gets into the way of one that has the right of way, which brakes for it with at least 3.4 \
+         m/s²",
     /// A vehicle drives against the direction of its lane.
     WrongWay in wrong_way { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: true }:
         "a vehicle drives against the direction of its lane for at least 1.5 s",

@@ -17,7 +17,7 @@ const NOTICES_S: f64 = 1.5;
 /// How hard the other brakes, m/s², if it would follow by at least this, seconds; how long after the first gets into
 /// its way; and how hard it accelerates once it can, or this long after the first has left its way; if it has braked
 /// for this long.
-const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
+const BRAKES_MPS2: [f64; 3] = [1.5, 3.8, 5.5];
 const FOLLOWS_S: [f64; 3] = [1.0, 0.5, 0.0];
 const REACTION_S: f64 = 0.4;
 const GOES_ON_MPS2: f64 = 0.5;
