@@ -8,6 +8,7 @@
 //! draw up candidates, one file each in `maneuver`; kept are those that stay on the road, within the limits of vehicles
 //! and clear of others, and in which the behavior's own miner finds the event.
 
+mod cause;
 mod collision;
 mod conflict;
 mod cut_in;
@@ -44,6 +45,7 @@ mod turn;
 mod unprotected_left_turn;
 mod wrong_way;
 
+pub use cause::{Cause, Explanation, explanation, needs_cause};
 pub use collision::Collision;
 pub use cut_in::CutIn;
 pub use cut_in_paper::CutInPaper;

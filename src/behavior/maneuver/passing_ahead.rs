@@ -101,6 +101,7 @@ impl Pair<'_> {
                 effort: effort(own.mps2).max(effort(theirs.mps2)),
                 parameters,
                 in_the_way: Some(InTheWay::Ahead),
+                others: Vec::new(),
                 positions: vec![
                     self.first.positions(own.rail, &own.driven_m),
                     self.other.positions(theirs.rail, &braking.driven_m),

@@ -44,7 +44,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        18
+        19
     }
 
     fn check(&self) -> Result<()> {
