@@ -65,9 +65,19 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 /// Parameters: `side` (+1 left, -1 right); at the crossing `crossing_timestep`, `speed_mps` and `lateral_speed_mps`
 /// (toward the new lane); `duration_s` from start to end; `margin_m` (smallest distance to the side of the lane, for
 /// agents that never cross).
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct LaneChange {}
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LaneChange {
+    /// In templates, the agent moves over this many times as fast as drivers do at most. Default 1.
+    #[schemars(range(min = 0.5, max = 3.0))]
+    pub hurry: f64,
+}
+
+impl Default for LaneChange {
+    fn default() -> Self {
+        Self { hurry: 1.0 }
+    }
+}
 
 impl LaneChange {
     fn detect_agent<'a>(scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {

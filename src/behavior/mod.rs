@@ -33,6 +33,7 @@ mod pairs;
 mod pedestrian_steps_out;
 mod right_turn;
 mod runs_stop_line;
+mod sideways;
 pub(crate) mod speed_profile;
 mod subject;
 pub(crate) mod swept_boxes;

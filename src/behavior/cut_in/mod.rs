@@ -115,11 +115,14 @@ pub struct CutIn {
     pub min_shift_m: f64,
     /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
+    /// In templates, the other moves over this many times as fast as drivers do at most. Default 1.
+    #[schemars(range(min = 0.5, max = 3.0))]
+    pub hurry: f64,
 }
 
 impl Default for CutIn {
     fn default() -> Self {
-        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false }
+        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false, hurry: 1.0 }
     }
 }
 
