@@ -48,7 +48,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        19
+        20
     }
 
     fn check(&self) -> Result<()> {
