@@ -1,9 +1,9 @@
 //! The tags of a scene: attributes of its operational design domain that follow from its map and its tracks alone.
 //!
 //! Attributes are those of ISO 34503:2023 (scenery; dynamic elements), in the names of ASAM OpenLABEL 1.0.0, whose
-//! definitions refer to BSI PAS 1883:2020. They describe the surroundings of the center at the present, so that a scenario
-//! has the tags of the scene that it continues. What maps do not tell as they are read has no tag: surfaces, signs,
-//! crossings for pedestrians, weather.
+//! definitions refer to BSI PAS 1883:2020. They describe the surroundings of the center at the present, so that a
+//! scenario has the tags of the scene that it continues. What maps do not tell as they are read has no tag: surfaces,
+//! signs, crossings for pedestrians, weather.
 
 use super::roads;
 use crate::scene::{AgentClass, Scene, SceneId, Split, Track};
@@ -48,15 +48,15 @@ pub static ATTRIBUTES: [Attribute; 5] = [
         name: "speed",
         openlabel: "none (SubjectVehicleSpeed is that of one vehicle)",
         values: &["below_15_km_h", "15_to_30_km_h", "30_to_60_km_h", "above_60_km_h", "none"],
-        definition: "The mean speed of motorized road users within 50 m of the center, with itself, who are not parked. \
-                     None: there are none.",
+        definition: "The mean speed of motorized road users within 50 m of the center, itself included and parked ones \
+                     left out. None: there are none.",
     },
     Attribute {
         name: "density",
         openlabel: "TrafficAgentDensity",
         values: &["below_50_per_km", "50_to_100_per_km", "above_100_per_km"],
-        definition: "How many motorized road users are within 50 m of the center, with itself, who are not parked, by the \
-                     100 m of road: fewer than 5, fewer than 10, more.",
+        definition: "Motorized road users within 50 m of the center, itself included and parked ones left out, per \
+                     100 m of road: fewer than 5, fewer than 10, or more.",
     },
     Attribute {
         name: "road_users",
