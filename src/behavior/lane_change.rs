@@ -99,7 +99,7 @@ impl LaneChange {
                 None => (EventLabel::Positive, crossing.timestep + stay),
             };
             let start = trace.departure(crossing, START_OFFSET_M);
-            if is_between_neighbors(lanes, crossing, trajectory, (start, end)) != Some(true) {
+            if is_between_neighbors(lanes, crossing, trajectory, start) != Some(true) {
                 continue;
             }
             events.push(Self::crossing_event(scene, agent_idx, crossing, label, start, end));
@@ -145,18 +145,18 @@ impl LaneChange {
 }
 
 /// Whether the lanes of a crossing run beside each other around it, neither comes out of a turn there, and the agent
-/// moves over between them, from timestep `start` to `end`.
+/// moves over between them, from timestep `start` on.
 fn is_between_neighbors(
     lanes: &SceneLanes<'_>,
     crossing: &LaneMove<'_>,
     trajectory: &Trajectory,
-    (start, end): (usize, usize),
+    start: usize,
 ) -> Option<bool> {
     let [old, new] = [crossing.from, crossing.lane].map(|lane| KeptLane::from_lane(lanes, lane));
     let toward_m =
         |timestep: usize| old.project(trajectory.get(timestep)?.position).map(|place| crossing.side * place.offset_m);
     let nearest_m = (0..crossing.timestep).filter_map(toward_m).reduce(f64::min).unwrap_or(f64::INFINITY);
-    let farthest_m = (crossing.timestep..=end).filter_map(toward_m).reduce(f64::max)?;
+    let farthest_m = (crossing.timestep..=crossing.last_followed).filter_map(toward_m).reduce(f64::max)?;
     let station_m = new.project(crossing.position)?.station_m;
     let started_m = new.project(trajectory.get(start)?.position)?.station_m;
     let from_m = started_m.min(station_m - BESIDE_M);

@@ -142,21 +142,26 @@ impl CutIn {
     fn plan(&self, pair: &Pair, time_s: f64, acceleration_mps2: f64) -> Option<Option<CutInPlan>> {
         let Pair { own_mps, lengths_m: [own_length_m, their_length_m], .. } = *pair;
         let then_mps = pair.their_mps + acceleration_mps2 * time_s;
+        if then_mps < STANDING_MPS {
+            return Some(None);
+        }
         let driven_m = (pair.their_mps + then_mps) / 2.0 * time_s;
         // Its position in its own lane, at the present offset from the center line.
         let on_lane = pair.their_lane.point_at(pair.their_station_m + driven_m)?;
         let then = pair.lane.project(on_lane)?;
+        let half_lengths_m = (own_length_m + their_length_m) / 2.0;
+        let gap_m = then.station_m - pair.own_station_m - own_mps * time_s - half_lengths_m;
+        // The ego must get there before the scene ends.
+        let left_s = self.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
+        if !(LEAST_GAP_M..own_mps * left_s).contains(&gap_m) {
+            return Some(None);
+        }
         let aside_m = (then.offset_m + pair.their_offset_m - pair.own_offset_m).abs();
         let half_widths_m = (pair.widths_m[0] + pair.widths_m[1]) / 2.0;
         let shift_m = (aside_m - half_widths_m - CORNER_M).max(0.0);
         let fastest = pair.manner.fastest(aside_m);
         let least_s = fastest.reaches_s(shift_m);
-        let half_lengths_m = (own_length_m + their_length_m) / 2.0;
-        let gap_m = then.station_m - pair.own_station_m - own_mps * time_s - half_lengths_m;
-        // The ego must get there before the scene ends.
-        let left_s = self.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
-        let is_reached = (LEAST_GAP_M..own_mps * left_s).contains(&gap_m);
-        if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
+        if least_s > time_s {
             return Some(None);
         }
         // Its center must be in the lane, too, before the scene ends.

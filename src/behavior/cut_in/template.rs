@@ -13,10 +13,9 @@ use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// The search for the time at which the box enters the path: spacing of times in seconds, how many of them the coarse
-/// search skips, and how often the start is corrected.
+/// The search for the time at which the box enters the path: spacing of times in seconds, and how often the start is
+/// corrected.
 const STEP_S: f64 = 0.02;
-const N_FINE: usize = 5;
 const N_CORRECTIONS: usize = 2;
 /// How long before the end of the scene the other must be in the lane, seconds.
 const IN_LANE_S: f64 = 0.2;
@@ -215,11 +214,18 @@ impl Pair {
             let half_across_m = (self.lengths_m[1] * sin.abs() + self.widths_m[1] * cos.abs()) / 2.0;
             Some((place.offset_m - self.own_offset_m).abs() <= self.widths_m[0] / 2.0 + half_across_m)
         };
-        let n_steps = (2.0 * plan.time_s / STEP_S) as usize;
         let at = |step: usize| step as f64 * STEP_S;
-        // Coarsely first.
-        let first = (0..n_steps).step_by(N_FINE).find(|step| is_in_path(at(*step)) == Some(true))?;
-        (first.saturating_sub(N_FINE)..=first).map(at).find(|elapsed_s| is_in_path(*elapsed_s) == Some(true))
+        let (mut outside, mut inside) = (0, (2.0 * plan.time_s / STEP_S) as usize);
+        if is_in_path(at(outside))? {
+            return Some(at(outside));
+        }
+        // Coming nearer all the time, it enters the path once.
+        is_in_path(at(inside)).filter(|is_in_path| *is_in_path)?;
+        while inside - outside > 1 {
+            let middle = usize::midpoint(outside, inside);
+            if is_in_path(at(middle))? { inside = middle } else { outside = middle }
+        }
+        Some(at(inside))
     }
 
     /// The place of the other under the plan, `elapsed_s` after the present.

@@ -75,6 +75,7 @@ impl CutOut {
                     effort: way.effort.max(effort(*own_mps2)).max(effort(*their_mps2)),
                     parameters: &["ttc_s", "gap_m", "relative_speed_mps", "side"],
                     in_the_way: Some(InTheWay::Everybody),
+                    others: Vec::new(),
                     positions: vec![
                         ego.positions(*own_rail, &ego.travel(*own_rail, &pace).driven_m),
                         revealed_at,

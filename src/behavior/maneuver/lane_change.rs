@@ -20,6 +20,7 @@ impl LaneChange {
             effort: way.effort,
             parameters: &["side"],
             in_the_way: Some(InTheWay::Everybody),
+            others: Vec::new(),
             positions: vec![way.positions],
         };
         ways.map(maneuver).collect()

@@ -16,7 +16,7 @@ const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 const NOTICES_S: f64 = 1.5;
 /// How hard the other brakes, m/s², if it would follow by at least this, seconds; and how hard it accelerates once it
 /// can, or this long after the first has left its way; if it has braked for this long.
-const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
+const BRAKES_MPS2: [f64; 3] = [1.5, 3.8, 5.5];
 const FOLLOWS_S: [f64; 3] = [1.0, 0.5, 0.0];
 const SEES_IT_LEAVE_S: f64 = 0.4;
 const GOES_ON_MPS2: f64 = 0.5;
@@ -101,6 +101,7 @@ impl Pair<'_> {
                 effort: effort(own.mps2).max(effort(theirs.mps2)),
                 parameters,
                 in_the_way: Some(InTheWay::Ahead),
+                others: Vec::new(),
                 positions: vec![
                     self.first.positions(own.rail, &own.driven_m),
                     self.other.positions(theirs.rail, &braking.driven_m),

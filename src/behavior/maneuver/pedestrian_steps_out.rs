@@ -87,6 +87,7 @@ impl PedestrianStepsOut {
                         effort: effort(own_mps2).max(walks_mps / MAX_PEDESTRIAN_MPS),
                         parameters: &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"],
                         in_the_way: Some(InTheWay::Ahead),
+                        others: Vec::new(),
                         positions: vec![driver.positions(rail, &driven_m), walked.clone()],
                     });
                 }

@@ -101,7 +101,8 @@ impl Generator<'_> {
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
         let ending = record.ending();
         let ends_well = ending.is_none_or(|(_, ending)| ending.remaining_mps.is_none());
-        let is_valid = ends_well && verdicts.iter().all(Option::is_none);
+        let is_explained = record.explanation() != Some(None);
+        let is_valid = ends_well && is_explained && verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }

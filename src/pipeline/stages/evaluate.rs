@@ -1,6 +1,6 @@
 //! Generated scenarios to metrics and the corpus: the files around [`Evaluation`].
 
-use super::generate::SampleManifest;
+use super::generate::{SampleManifest, read_requests};
 use super::mine::MineConfig;
 use crate::behavior::Behavior;
 use crate::coverage::CoverageTally;
@@ -8,7 +8,7 @@ use crate::engine::shards::{Division, Gathering, Sharded, Shards};
 use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::evaluate::{
     EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
-    ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs,
+    ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs, of_requests,
 };
 use crate::generate::GenerateConfig;
 use crate::nn::Compute;
@@ -48,7 +48,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        19
+        20
     }
 
     fn check(&self) -> Result<()> {
@@ -166,7 +166,8 @@ impl Sharded for Evaluate<'_> {
         corpus.write_metrics(found.rows_of_corpus()?)?;
         write_coverage(&path(COVERAGE), found.coverage.clone())?;
         let n_accepted_scenes = found.n_accepted_scenes;
-        let summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
+        let mut summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
+        summary.gates.extend(of_requests(&config.gates, &read_requests(&self.layout.samples)?));
         corpus.finish(&self.notes(&summary))?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
         Ok(json!({
