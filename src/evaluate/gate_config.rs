@@ -25,6 +25,10 @@ pub struct GatesConfig {
     /// that sees all features picks the generated one, .5 to 1. 0.5 is indistinguishable.
     #[schemars(range(min = 0.5, max = 1.0))]
     pub max_distinguishability: Option<f64>,
+    /// Largest factor between modeled and recorded rates, at least 1, of any behavior with ten recorded events at its
+    /// place.
+    #[schemars(range(min = 1.0))]
+    pub max_rate_factor: Option<f64>,
     /// Whether in every sweep that requests a behavior at several strengths the strongest must find it more often than
     /// strength 0; at least one must.
     pub guidance_raises_rate: bool,
