@@ -227,7 +227,8 @@ impl<'a> Way<'a> {
         let extent = scene.tracks[self.agent_idx].extent_or_nominal();
         let stops_s = (speed_mps / COMFORTABLE_MPS2).min(LONGEST_S);
         let ahead = Vec2::from_angle(now.heading_rad);
-        let is_behind = |idx: usize| place(idx, from).is_some_and(|state| (state.position - now.position).dot(ahead) < 0.0);
+        let is_behind =
+            |idx: usize| place(idx, from).is_some_and(|state| (state.position - now.position).dot(ahead) < 0.0);
         let others: Vec<usize> =
             (0..scene.tracks.len()).filter(|idx| *idx != self.agent_idx && !is_behind(*idx)).collect();
         (0..=(stops_s / scene.dt_s) as usize).find_map(|step| {
