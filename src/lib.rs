@@ -20,6 +20,7 @@ pub mod ingest;
 pub mod metrics;
 pub mod rates;
 
+pub mod coverage;
 pub mod diffusion;
 pub mod nn;
 pub mod scenario;

@@ -146,9 +146,14 @@ impl Conflict {
     /// The post-encroachment time if the other kept the speed of a second before the first gets into its way, when it
     /// may begin to brake for it, seconds. `None` as for [`Self::arrival_s`].
     pub(super) fn pet_at_kept_speed_s(&self, other: &Course<'_>, dt_s: f64) -> Option<f64> {
-        let before = self.enters.saturating_sub((FORESIGHT_S / dt_s).round() as usize);
+        let before = self.foreseen(dt_s);
         let taken_s = (self.leaves - before) as f64 * dt_s;
         self.arrival_s(other, before).map(|arrival_s| arrival_s - taken_s)
+    }
+
+    /// The timestep from which the other may brake for the first.
+    pub(super) fn foreseen(&self, dt_s: f64) -> usize {
+        self.enters.saturating_sub((FORESIGHT_S / dt_s).round() as usize)
     }
 
     /// The last timestep of the conflict: the other's arrival, if recorded, or else when the first is out of the way.

@@ -104,6 +104,11 @@ impl KeptLane {
         self.center.pose_at(station_m).map(|(_, heading_rad)| heading_rad)
     }
 
+    /// Whether the lane is in the map at this distance along its center line, which runs straight on beyond both ends.
+    pub(super) fn is_mapped(&self, station_m: f64) -> bool {
+        (EXTENSION_M..=self.center.length_m() - EXTENSION_M).contains(&station_m)
+    }
+
     /// The point at this distance along the center line.
     pub(super) fn point_at(&self, station_m: f64) -> Option<Vec2> {
         self.center.pose_at(station_m).map(|(point, _)| point)

@@ -1,12 +1,12 @@
 //! Lane change: does an agent move over to the lane beside its own and stay there?
 
 use super::kept_lane::KeptLane;
-use super::lane_relation::SceneLanes;
+use super::lane_relation::{PARALLEL_RAD, SceneLanes};
 use super::lane_tracker::{LaneMove, LaneTrace};
 use super::maneuver::Maneuver;
 use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
-use crate::scene::Scene;
+use crate::scene::{Scene, Trajectory};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,14 +23,21 @@ const MIN_STAY_S: f64 = 1.0;
 /// How far the center must be beyond the lane's side before it has left the lane, meters: more than the center of a
 /// vehicle along a side wavers.
 const HYSTERESIS_M: f64 = 0.3;
-/// Lanes go on beside each other if they are at least this far apart up to this far before and after the crossing,
-/// meters.
-const APART_M: f64 = 2.0;
+/// The two lanes run beside each other from where the change begins, at least this far before the crossing, to this far
+/// after it, meters. Places this far apart are looked at.
 const BESIDE_M: f64 = 8.0;
-/// A lane that has turned by more than the first over that distance, and turns by less than the second from the
-/// crossing on, comes out of a turn, radians.
+const SPACING_M: f64 = 2.0;
+/// Lanes beside each other overlap by at most the first, and leave at most the second between them, meters: the sides of
+/// neighbors may be drawn twice.
+const MOST_OVERLAP_M: f64 = 0.8;
+const MOST_GAP_M: f64 = 1.5;
+/// A lane that has turned by more than the second over the first distance, meters, and turns by less than the third
+/// from the crossing on, comes out of a turn, radians.
+const TURN_M: f64 = 15.0;
 const TURNED_RAD: f64 = 0.5;
 const STRAIGHT_RAD: f64 = 0.3;
+/// How far the center must move over between the lanes while it is seen, meters: less is a wavering over a line.
+const LEAST_SHIFT_M: f64 = 1.0;
 /// How far the center must be from the old center line for the change to have begun, meters.
 const START_OFFSET_M: f64 = 0.5;
 /// An agent that stays in its lane but comes closer to the lane beside it than this is a hard negative, meters.
@@ -46,9 +53,11 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 /// - It is *complete* when the center has been in the new lane for 1 s. Crossing several lanes, each in less than
 ///   that, is one event: the last crossing.
 /// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
-///   crossing between lanes that are less than 2 m apart 8 m before or after, as where they fork, merge or overlap;
-///   coming out of a turn in another lane; moving over to an oncoming lane; weaving within 0.3 m of a line; changes
-///   that the scene ends too early to confirm.
+///   crossing between lanes that do not run beside each other, in one direction (within 20 degrees), from the start, or
+///   8 m before the crossing, to 8 m after it: that fork or merge there, that overlap by more than 0.8 m or lie more than
+///   1.5 m apart, or of which the new one only begins there; coming out of a turn (of 30 degrees in 15 m) in another
+///   lane; moving over to an oncoming lane; moving over by less than 1 m while it is seen; changes that the scene ends
+///   too early to confirm.
 ///
 /// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its center comes within
 /// 0.5 m of a lane beside its own.
@@ -56,9 +65,19 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 /// Parameters: `side` (+1 left, -1 right); at the crossing `crossing_timestep`, `speed_mps` and `lateral_speed_mps`
 /// (toward the new lane); `duration_s` from start to end; `margin_m` (smallest distance to the side of the lane, for
 /// agents that never cross).
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct LaneChange {}
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LaneChange {
+    /// In templates, the agent moves over this many times as fast as drivers do at most. Default 1.
+    #[schemars(range(min = 0.5, max = 3.0))]
+    pub hurry: f64,
+}
+
+impl Default for LaneChange {
+    fn default() -> Self {
+        Self { hurry: 1.0 }
+    }
+}
 
 impl LaneChange {
     fn detect_agent<'a>(scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
@@ -74,15 +93,15 @@ impl LaneChange {
             let is_soon = |next: &LaneMove<'_>| next.timestep < crossing.timestep + stay;
             let back = crossings.next_if(|next| is_soon(next) && next.side != crossing.side);
             let goes_on = crossings.peek().is_some_and(|next| is_soon(next));
-            if !is_between_neighbors(lanes, crossing) {
-                continue;
-            }
             let (label, end) = match back {
                 Some(back) => (EventLabel::Negative, back.timestep),
                 None if goes_on || crossing.last_followed < crossing.timestep + stay => continue,
                 None => (EventLabel::Positive, crossing.timestep + stay),
             };
             let start = trace.departure(crossing, START_OFFSET_M);
+            if is_between_neighbors(lanes, crossing, trajectory, start) != Some(true) {
+                continue;
+            }
             events.push(Self::crossing_event(scene, agent_idx, crossing, label, start, end));
         }
         events
@@ -125,25 +144,42 @@ impl LaneChange {
     }
 }
 
-/// Whether the lanes of a crossing go on beside each other, before and after it, and neither comes out of a turn there.
-fn is_between_neighbors(lanes: &SceneLanes<'_>, crossing: &LaneMove<'_>) -> bool {
+/// Whether the lanes of a crossing run beside each other around it, neither comes out of a turn there, and the agent
+/// moves over between them, from timestep `start` on.
+fn is_between_neighbors(
+    lanes: &SceneLanes<'_>,
+    crossing: &LaneMove<'_>,
+    trajectory: &Trajectory,
+    start: usize,
+) -> Option<bool> {
     let [old, new] = [crossing.from, crossing.lane].map(|lane| KeptLane::from_lane(lanes, lane));
-    let heading_rad = |lane: &KeptLane, ahead_m: f64| {
-        let station_m = lane.project(crossing.position)?.station_m + ahead_m;
-        lane.project(lane.point_at(station_m)?).map(|place| place.heading_rad)
-    };
-    let apart_m = |ahead_m: f64| {
-        let station_m = new.project(crossing.position)?.station_m + ahead_m;
-        old.project(new.point_at(station_m)?).map(|place| place.offset_m.abs())
-    };
+    let toward_m =
+        |timestep: usize| old.project(trajectory.get(timestep)?.position).map(|place| crossing.side * place.offset_m);
+    let nearest_m = (0..crossing.timestep).filter_map(toward_m).reduce(f64::min).unwrap_or(f64::INFINITY);
+    let farthest_m = (crossing.timestep..=crossing.last_followed).filter_map(toward_m).reduce(f64::max)?;
+    let station_m = new.project(crossing.position)?.station_m;
+    let started_m = new.project(trajectory.get(start)?.position)?.station_m;
+    let from_m = started_m.min(station_m - BESIDE_M);
+    let n_places = ((station_m + BESIDE_M - from_m) / SPACING_M).ceil() as usize;
+    let run_beside =
+        (0..=n_places).all(|i| run_beside(&old, &new, from_m + i as f64 * SPACING_M, crossing.side) == Some(true));
     let turn_rad = |lane: &KeptLane, from_m: f64, to_m: f64| {
-        let (from, to) = heading_rad(lane, from_m).zip(heading_rad(lane, to_m))?;
+        let station_m = lane.project(crossing.position)?.station_m;
+        let (from, to) = lane.heading_at(station_m + from_m).zip(lane.heading_at(station_m + to_m))?;
         Some(angle_difference(to, from).abs())
     };
-    let turned = turn_rad(&old, -BESIDE_M, 0.0).is_some_and(|turn| turn > TURNED_RAD);
-    let comes_out = turned && turn_rad(&new, 0.0, BESIDE_M).is_some_and(|turn| turn < STRAIGHT_RAD);
-    let is_apart = |ahead_m: &f64| apart_m(*ahead_m).is_some_and(|apart_m| apart_m >= APART_M);
-    [-BESIDE_M, 0.0, BESIDE_M].iter().all(is_apart) && !comes_out
+    let comes_out = turn_rad(&old, -TURN_M, 0.0)? > TURNED_RAD && turn_rad(&new, 0.0, BESIDE_M)? < STRAIGHT_RAD;
+    Some(run_beside && !comes_out && farthest_m - nearest_m >= LEAST_SHIFT_M)
+}
+
+/// Whether `new` runs on this side of `old` at this distance along it, in its direction.
+fn run_beside(old: &KeptLane, new: &KeptLane, station_m: f64, side: f64) -> Option<bool> {
+    let center = new.point_at(station_m).filter(|_| new.is_mapped(station_m))?;
+    let place = old.project(center)?;
+    // Of adjacent lanes, the center of each is half a width beyond the side of the other: their distance in sum.
+    let overlap_m = place.offset_m.abs() - old.beyond_m(center, side)? - new.beyond_m(place.point, -side)?;
+    let is_parallel = angle_difference(place.heading_rad, new.heading_at(station_m)?).abs() < PARALLEL_RAD;
+    Some(is_parallel && place.offset_m * side > 0.0 && (-MOST_GAP_M..=MOST_OVERLAP_M).contains(&overlap_m))
 }
 
 impl Behavior for LaneChange {

@@ -13,7 +13,7 @@ const END_TOLERANCE_M: f64 = 0.5;
 /// The most connections between two lanes of which one still counts as following the other.
 const MAX_HOPS: usize = 3;
 /// Lanes whose directions differ by less than this run side by side, radians (20 degrees).
-const PARALLEL_RAD: f64 = 0.35;
+pub(crate) const PARALLEL_RAD: f64 = 0.35;
 
 /// The place of a point on a lane.
 #[derive(Debug, Clone, Copy, PartialEq)]

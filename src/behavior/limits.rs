@@ -4,8 +4,9 @@ use crate::scene::Scene;
 
 /// The accelerations of vehicles along their way, m/s².
 pub(super) const ACCELERATIONS_MPS2: std::ops::RangeInclusive<f64> = -4.0..=2.5;
-/// Their largest lateral acceleration, m/s².
-pub(super) const LATERAL_ACCELERATION_MPS2: f64 = 2.0;
+/// How long after it can see what comes a driver brakes, seconds: as UN Regulation No. 157 assumes, or, if that is too
+/// late, as attentive drivers do who expect it (Green 2000: 0.7 to 0.75 s, of which less than half is perception).
+pub(super) const REACTIONS_S: [f64; 2] = [0.75, 0.4];
 
 /// The share of the limits that an acceleration uses.
 pub(super) fn effort(acceleration_mps2: f64) -> f64 {

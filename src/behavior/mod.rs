@@ -8,6 +8,7 @@
 //! draw up candidates, one file each in `maneuver`; kept are those that stay on the road, within the limits of vehicles
 //! and clear of others, and in which the behavior's own miner finds the event.
 
+mod cause;
 mod collision;
 mod conflict;
 mod cut_in;
@@ -32,6 +33,7 @@ mod pairs;
 mod pedestrian_steps_out;
 mod right_turn;
 mod runs_stop_line;
+mod sideways;
 pub(crate) mod speed_profile;
 mod subject;
 pub(crate) mod swept_boxes;
@@ -44,6 +46,7 @@ mod turn;
 mod unprotected_left_turn;
 mod wrong_way;
 
+pub use cause::{Cause, Explanation, explanation, needs_cause};
 pub use collision::Collision;
 pub use cut_in::CutIn;
 pub use cut_in_paper::CutInPaper;
@@ -219,8 +222,8 @@ behaviors! {
     FailureToYield in failure_to_yield {
         subject: Subject::Role("priority"), is_collision: false, needs_lanes: true
     }:
-        "one vehicle (entering) gets into the way of one that has the right of way and brakes for it, or is there 1 s \
-         later",
+        "one vehicle (entering) gets into the way of one that has the right of way, which brakes for it with at least 3.4 \
+         m/s²",
     /// A vehicle drives against the direction of its lane.
     WrongWay in wrong_way { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: true }:
         "a vehicle drives against the direction of its lane for at least 1.5 s",

@@ -36,8 +36,8 @@ relative to the file, those of the command line to the current directory. A bund
 name (`djinn run quickstart`). Results go to <output>/<pipeline>/<run>/. A stage runs again only if its \
 configuration or inputs changed. A model that took more than ten minutes to train is retrained only if its own section \
 changed, or with --redo; the old model is moved aside. Several workers can share generation and evaluation. \
-Recordings and the output \
-may be in object stores (s3://, gs://, az://), whose credentials come from the environment (pipelines/CLUSTER.md).
+Recordings may be in object stores (s3://, gs://), and results are copied there at the end if --output is a URL; \
+credentials come from the environment (pipelines/CLUSTER.md).
 
 Examples:
   djinn run pipelines/cut_in_corpus.toml

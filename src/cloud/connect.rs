@@ -4,7 +4,6 @@ use super::error::{Error, Result};
 use super::redact::redacted;
 use super::{ObjectUrl, Scheme};
 use object_store::aws::AmazonS3Builder;
-use object_store::azure::MicrosoftAzureBuilder;
 use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::{BackoffConfig, ClientOptions, ObjectStore, RetryConfig};
 use std::sync::{Arc, OnceLock};
@@ -34,17 +33,17 @@ pub(super) fn connect(url: &ObjectUrl) -> Result<Arc<dyn ObjectStore>> {
     let store: object_store::Result<Arc<dyn ObjectStore>> = match url.scheme {
         Scheme::S3 => {
             let builder = AmazonS3Builder::from_env().with_client_options(allowing_http(options, "AWS_ALLOW_HTTP"));
-            builder.with_bucket_name(bucket).with_retry(retry).build().map(|store| Arc::new(store) as _)
+            builder
+                .with_bucket_name(bucket)
+                .with_disable_bulk_delete(true)
+                .with_retry(retry)
+                .build()
+                .map(|store| Arc::new(store) as _)
         }
         Scheme::Gs => {
             let builder = GoogleCloudStorageBuilder::from_env();
             let builder = builder.with_client_options(allowing_http(options, "GOOGLE_ALLOW_HTTP"));
             builder.with_bucket_name(bucket).with_retry(retry).build().map(|store| Arc::new(store) as _)
-        }
-        Scheme::Az => {
-            let builder = MicrosoftAzureBuilder::from_env();
-            let builder = builder.with_client_options(allowing_http(options, "AZURE_ALLOW_HTTP"));
-            builder.with_container_name(bucket).with_retry(retry).build().map(|store| Arc::new(store) as _)
         }
     };
     store.map_err(|error| Error::Denied { doing: "open", url: url.clone(), why: redacted(&error.to_string()) })
@@ -60,7 +59,6 @@ pub(super) fn endpoint(url: &ObjectUrl) -> String {
     let variables: &[&str] = match url.scheme {
         Scheme::S3 => &["AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"],
         Scheme::Gs => &["GOOGLE_BASE_URL"],
-        Scheme::Az => &["AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT", "AZURE_STORAGE_ACCOUNT_NAME"],
     };
     let values = variables.iter().filter_map(|name| std::env::var(name).ok());
     values.collect::<Vec<_>>().join(" ")

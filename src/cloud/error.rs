@@ -50,12 +50,9 @@ pub enum Error {
         /// The last failure.
         why: String,
     },
-    /// Objects that another program has written since they were last seen.
-    #[error(
-        "cannot write {url}: something else has written it since this command looked; nothing of it was changed; \
-         make sure that only one command at a time writes there, and run the same command again"
-    )]
-    Changed {
+    /// Objects of others where results would be copied to.
+    #[error("{url} was not written by djinn; nothing was changed there; remove it, or choose another output")]
+    Foreign {
         /// The first of them.
         url: ObjectUrl,
     },
@@ -71,16 +68,8 @@ pub enum Error {
         /// The object.
         url: ObjectUrl,
     },
-    /// A place to which another process of this machine writes.
-    #[error("{url} is in use by {holder} on this machine; wait for it, or choose another output")]
-    Busy {
-        /// The place.
-        url: ObjectUrl,
-        /// The process that holds it.
-        holder: String,
-    },
-    /// No folder for downloads.
-    #[error("no folder for downloads is known: pass --cache-dir, or set DJINN_CACHE_DIR")]
+    /// No folder of this machine.
+    #[error("no folder for what is in object stores is known: pass --cache-dir, or set DJINN_CACHE_DIR")]
     NoCache,
     /// The disk does not work.
     #[error(transparent)]
@@ -101,13 +90,6 @@ impl Error {
 impl From<io::Error> for Error {
     fn from(error: io::Error) -> Self {
         Self::Files(error.into())
-    }
-}
-
-/// For code that only knows errors of files.
-impl From<Error> for io::Error {
-    fn from(error: Error) -> Self {
-        Self::other(error)
     }
 }
 

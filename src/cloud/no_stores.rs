@@ -1,23 +1,23 @@
 //! Object stores in a build without them: no instance can exist.
 
+use super::ObjectUrl;
 use super::error::{Error, Result};
-use super::{Access, ObjectUrl};
 use std::path::{Path, PathBuf};
 
-/// A folder of objects, shown on disk.
+/// A URL to which results are copied.
 #[derive(Debug)]
-pub(super) enum Mirrored {}
+pub(super) enum Target {}
 
-impl Mirrored {
-    pub(super) fn open(url: &ObjectUrl, _: Access, _: Option<&Path>) -> Result<Self> {
-        Err(Error::NotBuilt { url: url.clone() })
+impl Target {
+    pub(super) fn at(url: ObjectUrl) -> Result<Self> {
+        Err(Error::NotBuilt { url })
     }
 
-    pub(super) fn path(&self) -> &Path {
+    pub(super) fn work_folder(&self) -> Result<PathBuf> {
         match *self {}
     }
 
-    pub(super) fn finish(&self) -> Result<()> {
+    pub(super) fn copy_from(&self, _: &Path) -> Result<(ObjectUrl, usize)> {
         match *self {}
     }
 }

@@ -1,7 +1,7 @@
 //! Keeps credentials out of messages.
 //!
-//! Clients include the answers of servers and the addresses of requests in their errors. Azure's signatures are part of
-//! addresses, and servers repeat the requests.
+//! Clients include the answers of servers and the addresses of requests in their errors. Servers repeat the requests,
+//! and signatures may be part of addresses.
 
 /// Nothing shorter is a secret; replacing it would only garble the message.
 const LEAST_CHARS: usize = 6;
@@ -15,8 +15,8 @@ pub(super) fn redacted(text: &str) -> String {
 
 fn without_values(text: &str, variables: impl Iterator<Item = (String, String)>) -> String {
     let is_secret = |(name, value): &(String, String)| {
-        let is_of_store = ["AWS_", "AZURE_", "GOOGLE_"].iter().any(|prefix| name.starts_with(prefix));
-        let is_told = ["KEY", "SECRET", "TOKEN", "SAS", "PASSWORD"].iter().any(|word| name.contains(word));
+        let is_of_store = ["AWS_", "GOOGLE_"].iter().any(|prefix| name.starts_with(prefix));
+        let is_told = ["KEY", "SECRET", "TOKEN", "PASSWORD"].iter().any(|word| name.contains(word));
         is_of_store && is_told && value.len() >= LEAST_CHARS
     };
     variables.filter(is_secret).fold(text.to_owned(), |text, (name, value)| text.replace(&value, &format!("<{name}>")))

@@ -13,18 +13,15 @@ pub enum Scheme {
     S3,
     /// Google Cloud Storage.
     Gs,
-    /// Azure Blob Storage.
-    Az,
 }
 
 impl Scheme {
-    const ALL: [Self; 3] = [Self::S3, Self::Gs, Self::Az];
+    const ALL: [Self; 2] = [Self::S3, Self::Gs];
 
     const fn prefix(self) -> &'static str {
         match self {
             Self::S3 => "s3://",
             Self::Gs => "gs://",
-            Self::Az => "az://",
         }
     }
 }
@@ -34,7 +31,7 @@ impl Scheme {
 pub struct ObjectUrl {
     /// The kind of store.
     pub scheme: Scheme,
-    /// The bucket; Azure calls it a container.
+    /// The bucket.
     pub bucket: String,
     /// The key after the bucket, without slashes at its ends; empty for the whole bucket.
     pub key: String,
@@ -86,7 +83,7 @@ impl FromStr for ObjectUrl {
     fn from_str(text: &str) -> Result<Self, Unreadable> {
         let split = Scheme::ALL.into_iter().find_map(|scheme| Some((scheme, text.strip_prefix(scheme.prefix())?)));
         let Some((scheme, rest)) = split else {
-            return Err("expected a URL such as s3://bucket/folder, gs://… or az://…".into());
+            return Err("expected a URL such as s3://bucket/folder or gs://bucket/folder".into());
         };
         let (bucket, key) = rest.split_once('/').unwrap_or((rest, ""));
         // A refused name is not shown: it may be a password.
@@ -132,7 +129,7 @@ mod tests {
         for (text, bucket, key, shown) in [
             ("s3://b", "b", "", "s3://b"),
             ("gs://b-1.x/", "b-1.x", "", "gs://b-1.x"),
-            ("az://b/a/c d.zip", "b", "a/c d.zip", "az://b/a/c d.zip"),
+            ("gs://b/a/c d.zip", "b", "a/c d.zip", "gs://b/a/c d.zip"),
             ("s3://b/a/", "b", "a", "s3://b/a"),
         ] {
             let found = ObjectUrl::of(Path::new(text)).unwrap().unwrap();

@@ -1,7 +1,6 @@
 //! Who has to act when something fails: the user, or those who maintain the program and the machine?
 
 use super::kind::StageKind;
-use crate::cloud;
 use std::{fmt, io};
 
 /// Who can do something about a failure. The command line turns this into the exit code.
@@ -88,21 +87,14 @@ impl fmt::Debug for Failure {
 /// An error that nobody classified is a fault of ours: the user is never blamed by default.
 impl From<anyhow::Error> for Failure {
     fn from(error: anyhow::Error) -> Self {
-        let is_refusal = error.downcast_ref::<io::Error>().is_some_and(is_refusal_of_store);
-        Self { blame: if is_refusal { Blame::Input } else { Blame::Fault }, error, hint: None }
+        Self::fault(error)
     }
 }
 
 impl From<io::Error> for Failure {
     fn from(error: io::Error) -> Self {
-        Self::from(anyhow::Error::from(error))
+        Self::fault(error)
     }
-}
-
-/// Whether an error means that an object store does not support an operation on a file that it mirrors.
-fn is_refusal_of_store(error: &io::Error) -> bool {
-    let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<cloud::Error>());
-    cause.is_some_and(cloud::Error::is_refusal)
 }
 
 /// Assigns the blame for an error of another layer.

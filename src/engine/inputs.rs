@@ -6,8 +6,8 @@ use super::kind::StageInput;
 use super::planned::{Action, PlannedStage};
 use super::record::{InputRecord, StageRecord};
 use super::stage::Stage;
-use crate::cloud::{ObjectUrl, Recordings};
-use crate::files::{Error, check_overlap, name_elsewhere};
+use crate::cloud::Recordings;
+use crate::files::check_overlap;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -164,7 +164,6 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
             let inputs = reader.inputs().into_iter().filter(|input| input.producer != Some(writer.kind()));
             for input in inputs {
                 for name in writer.outputs() {
-                    check_urls(&root.join(name), &input)?;
                     check_overlap(&root.join(name), [(input.name.as_str(), input.path.as_path())]).map_err(
                         |error| {
                             let failure = Failure::from(error).context(format!("stage {} cannot run", writer.kind()));
@@ -181,15 +180,4 @@ pub(super) fn check_overlaps(root: &Path, stages: &[Box<dyn Stage + '_>]) -> Res
         }
     }
     Ok(())
-}
-
-/// Refuses an output in a bucket that overlaps an input there.
-fn check_urls(output: &Path, input: &StageInput) -> Result<()> {
-    let of = |path: &Path| ObjectUrl::of(path).map_err(Failure::input);
-    let Some(output_url) = name_elsewhere(output).map_or(Ok(None), |name| of(Path::new(&name)))? else { return Ok(()) };
-    let relation = of(&input.path)?.and_then(|input| output_url.relation_to(&input));
-    let Some(relation) = relation else { return Ok(()) };
-    let (output, name, input) = (output_url.to_string().into(), input.name.clone(), input.path.clone());
-    Err(Failure::from(Error::Overlap { output, relation, name, input })
-        .with_hint("use separate folders for recordings and results"))
 }

@@ -19,12 +19,12 @@ use super::stage::StageContext;
 use super::timings::StageClock;
 pub use super::timings::{StageTiming, TIMINGS_FILE, Timings};
 use super::work_folder::WorkFolder;
-use crate::files::{Lock, mirror_above, name_elsewhere};
+use crate::files::Lock;
 use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{write_atomically, write_record};
 use serde::{Deserialize, Serialize};
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -96,8 +96,7 @@ pub fn run_stages(
     let compute = if computes { choice.open()? } else { Compute::cpu() };
     let root = folder.root.as_path();
     let logged = Logged::open(&root.join(LOG_FILE), progress)?;
-    let place = name_elsewhere(root).unwrap_or_else(|| root.display().to_string());
-    logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), place));
+    logged.line(&format!("djinn {} begins in {}", env!("CARGO_PKG_VERSION"), root.display()));
     for PlannedStage { expected, action, .. } in &planned {
         logged.line(&format!("{}: {action}", expected.stage));
     }
@@ -122,14 +121,11 @@ pub fn run_stages(
     }
     let clock = RefCell::new(StageClock::open(root));
     let context = StageContext { root, compute: &compute, progress: &logged };
-    let is_new = Cell::new(false);
     let mut after = |record: &StageRecord| {
         clock.borrow_mut().keep_times(record)?;
-        save(Some(record))?;
-        if is_new.take() { publish(root) } else { Ok(()) }
+        save(Some(record))
     };
     let mut around = |stage: &'static StageKind, moment: Moment| {
-        is_new.set(moment == Moment::End);
         let mut clock = clock.borrow_mut();
         if moment == Moment::End { clock.end(stage) } else { clock.begin(stage) }
     };
@@ -140,11 +136,6 @@ pub fn run_stages(
         Err(failure) => logged.line(&format!("failed: {:#}", failure.error)),
     }
     outcome
-}
-
-/// Publishes the outputs of a stage that just ended, if the folder has a mirror.
-fn publish(root: &Path) -> anyhow::Result<()> {
-    mirror_above(root).map_or(Ok(()), |mirror| Ok(mirror.publish()?))
 }
 
 /// A folder to write into, locked against other processes.

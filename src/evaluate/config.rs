@@ -22,6 +22,9 @@ pub struct EvaluateConfig {
     pub keep: Keep,
     /// The limits for valid scenarios.
     pub validity: ValidityConfig,
+    /// Whether a hard brake needs a cause in its scene, and a near miss an ordinary mistake, to be accepted (column
+    /// `cause`). Default true. Requests always ask for it.
+    pub require_cause: bool,
     /// A scenario is a near-duplicate of an earlier accepted one if the paths of the requested agents differ by less
     /// than this, meters: the mean over the future, of a position each half second, in the frame of the first of them.
     /// 0 for none. Requests accept no near-duplicates. Default 0.25.
@@ -41,6 +44,7 @@ impl Default for EvaluateConfig {
             modes: None,
             keep: Keep::default(),
             validity: ValidityConfig::default(),
+            require_cause: true,
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
             terms: BTreeMap::new(),
             gates: GatesConfig::default(),

@@ -13,6 +13,7 @@ use super::sampling::SamplingTally;
 use super::summary::EvaluationSummary;
 use super::validity::ValidityTable;
 use super::verdicts::Verdicts;
+use crate::coverage::{CoverageRow, CoverageTally};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, MetricRow};
 use crate::rates::RecordedTraffic;
@@ -29,6 +30,8 @@ pub struct Evaluated {
     pub summary: EvaluationSummary,
     /// The number of recorded scenes that accepted scenarios continue.
     pub n_accepted_scenes: u64,
+    /// What of the operational design domain was recorded and generated.
+    pub coverage: Vec<CoverageRow>,
     rows: FinishedRows,
 }
 
@@ -86,6 +89,7 @@ pub struct Evaluation<'a> {
     sampling: SamplingTally,
     distinguished: Distinguished,
     rates: Option<BucketRates>,
+    coverage: CoverageTally,
     /// The recorded scenes that accepted scenarios continue.
     accepted_scenes: BTreeSet<SceneId>,
 }
@@ -108,6 +112,7 @@ impl<'a> Evaluation<'a> {
             realism: RealismTable::default(),
             sampling: SamplingTally::default(),
             rates: None,
+            coverage: CoverageTally::default(),
             accepted_scenes: BTreeSet::new(),
             config,
         })
@@ -117,6 +122,12 @@ impl<'a> Evaluation<'a> {
     #[must_use]
     pub fn with_rates_of(self, traffic: Option<RecordedTraffic>) -> Self {
         Self { rates: traffic.map(BucketRates::new), ..self }
+    }
+
+    /// Counts scenarios beside what was recorded.
+    #[must_use]
+    pub fn with_coverage_of(self, recorded: CoverageTally) -> Self {
+        Self { coverage: recorded, ..self }
     }
 
     /// Counts the losses of generation: samples without a scenario, and samples that the selection of a sweep rejected,
@@ -160,7 +171,11 @@ impl<'a> Evaluation<'a> {
             let rate = self.rates.as_mut().and_then(|rates| rates.of(&record));
             record.assessment = assessment.map(|assessment| Assessment { rate, ..assessment });
             let verdict = self.verdicts.decide(&mut record, not_checked.as_deref().unwrap_or_default());
-            if record.assessment.as_ref().is_some_and(|assessment| assessment.accepted) {
+            let is_accepted = record.assessment.as_ref().is_some_and(|assessment| assessment.accepted);
+            if let Some(event) = record.main_event() {
+                self.coverage.add_scenario(&record.scenario.scene, event, is_accepted);
+            }
+            if is_accepted {
                 self.accepted_scenes.insert(record.scenario.provenance.scene_id.clone());
             }
             kept.extend(verdict.kept.then_some(record));
@@ -197,6 +212,6 @@ impl<'a> Evaluation<'a> {
         };
         summary.gates = gates::check(&self.config.gates, &summary);
         let n_accepted_scenes = self.accepted_scenes.len() as u64;
-        Ok(Evaluated { summary, rows, n_accepted_scenes })
+        Ok(Evaluated { summary, rows, n_accepted_scenes, coverage: self.coverage.rows() })
     }
 }

@@ -25,6 +25,9 @@ pub struct GatesConfig {
     /// that sees all features picks the generated one, .5 to 1. 0.5 is indistinguishable.
     #[schemars(range(min = 0.5, max = 1.0))]
     pub max_distinguishability: Option<f64>,
+    /// Smallest share of the scenarios that a request wants, of each request, 0 to 1: 1 means that all are filled.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub min_filled: Option<f64>,
     /// Whether in every sweep that requests a behavior at several strengths the strongest must find it more often than
     /// strength 0; at least one must.
     pub guidance_raises_rate: bool,
@@ -37,6 +40,9 @@ impl GatesConfig {
     /// [`Error::Config`] with the gate and the sweep.
     pub fn check_generated(&self, generated: &ResolvedGeneration) -> Result<()> {
         let sweeps = &generated.sweeps;
+        if self.min_filled.is_some() && generated.requests.is_empty() {
+            return Err(refusal("min_filled", "is set, but there is no [[generate.requests]]"));
+        }
         if self.guidance_raises_rate {
             let mut compared = sweeps.iter().filter(|sweep| sweep.behavior.is_some() && sweep.levels().len() > 1);
             let has_zero = |sweep: &&ResolvedSweep| {

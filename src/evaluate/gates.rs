@@ -4,6 +4,7 @@ use super::distinguishability::DistinguishabilityRow;
 use super::gate_config::GatesConfig;
 use super::measures::BEHAVIOR_RATE;
 use super::summary::{EvaluationSummary, GateResult};
+use crate::generate::RequestSummary;
 use crate::metrics::{MetricRow, SeriesKey};
 use crate::scene::LevelAxis;
 use std::fmt;
@@ -27,6 +28,20 @@ pub(super) fn check(gates: &GatesConfig, found: &EvaluationSummary) -> Vec<GateR
         results.extend(measured.guidance_raises_rate());
     }
     results
+}
+
+/// Checks how far requests are filled, if that is asked for.
+pub fn of_requests(gates: &GatesConfig, requests: &[RequestSummary]) -> Vec<GateResult> {
+    let filled = |share: f64| {
+        let of_request = move |request: &RequestSummary| {
+            let RequestSummary { name, n_wanted, n_accepted, .. } = request;
+            let is_met = *n_accepted as f64 >= share * *n_wanted as f64;
+            let found = format!("{name}: at least {share} of {n_wanted} required, {n_accepted} found");
+            judged("min_filled".to_owned(), is_met, found)
+        };
+        requests.iter().map(of_request)
+    };
+    gates.min_filled.into_iter().flat_map(filled).collect()
 }
 
 /// The data that gates look at, over all places.

@@ -1,13 +1,14 @@
 //! Tests of every gate: met, at its edge, unmet, and without anything to judge.
 
 use super::gate_config::GatesConfig;
-use super::gates::check;
+use super::gates::{check, of_requests};
 use super::summary::EvaluationSummary;
 use super::{DistinguishabilityRow, GateResult, SamplingRow, ValidityRow};
 use crate::behavior::BehaviorConfig;
-use crate::generate::GenerateConfig;
+use crate::generate::{GenerateConfig, RequestSummary};
 use crate::metrics::{Group, MetricRow, SeriesKey};
 use crate::scene::GuidanceLevel;
+use serde_json::json;
 use std::collections::BTreeMap;
 
 const SWEEP: &str = "cut_ins";
@@ -170,6 +171,22 @@ fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
     assert_eq!(raises("[0.0, 10.0]"), None);
     assert!(raises("[5.0, 10.0]").expect("no zero").contains("sweep s has no strength 0"));
     assert!(raises("[0.0]").expect("one strength").contains("no sweep requests a behavior at several strengths"));
+}
+
+#[test]
+fn every_request_must_be_filled_as_far_as_is_asked() {
+    let request = |name: &str, n_accepted: u64| -> RequestSummary {
+        let budget = json!({ "n_samples": 9 });
+        serde_json::from_value(json!({
+            "name": name, "behavior": "cut_in", "ended": "budget", "budget": budget, "n_rounds": 1, "n_samples": 9,
+            "n_evaluations": 9, "n_scenes": 1, "n_cells": 1, "n_infeasible": 0, "n_wanted": 10,
+            "n_accepted": n_accepted, "n_situations": 1, "arms": [], "buckets": [],
+        }))
+        .unwrap()
+    };
+    let requests = [request("all", 10), request("most", 9)];
+    let met = |gate: &str| of_requests(&gates(gate), &requests).iter().map(|gate| gate.met).collect::<Vec<_>>();
+    assert_eq!([met("min_filled = 1.0"), met("min_filled = 0.9"), met("")], [vec![true, false], vec![true; 2], vec![]]);
 }
 
 #[test]

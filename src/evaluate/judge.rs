@@ -118,6 +118,7 @@ impl<'a> Judge<'a> {
             scene: SceneCriticality::of(scene),
             careful: careful(record),
             ending: ending.map(|(_, ending)| ending),
+            explanation: record.explanation().flatten(),
             nearest_recorded_event: record
                 .main_event()
                 .zip(space)

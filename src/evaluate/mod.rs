@@ -42,6 +42,7 @@ pub use distinguishability::{DistinguishabilityRow, Distinguished, TellingFeatur
 pub use error::{Error, Result};
 pub use evaluation::{Evaluated, Evaluation, EvaluationFiles, KeptScenarios};
 pub use gate_config::GatesConfig;
+pub use gates::of_requests;
 pub use map_fits::{MapFitRow, for_maps, map_fits};
 pub use measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 pub use measures::MetricDoc;

@@ -2,6 +2,7 @@
 //! in the order of the samples.
 
 use super::config::{EvaluateConfig, Keep};
+use crate::behavior::needs_cause;
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
@@ -13,6 +14,8 @@ use std::collections::BTreeMap;
 const NOTHING_ASKED: &str = "nothing_asked";
 /// The reason not to accept a scenario in which the miner does not find the requested behavior.
 const NOT_VERIFIED: &str = "not_verified";
+/// The reason not to accept a scenario whose event happens without a cause.
+const NO_CAUSE: &str = "no_cause";
 /// The reason not to accept a scenario that resembles an earlier one.
 const NEAR_DUPLICATE: &str = "near_duplicate";
 /// The reason why a sample is not a scenario.
@@ -106,7 +109,7 @@ impl<'a> Verdicts<'a> {
             let is_near = distance_m < self.config.duplicate_distance_m;
             assessment.near_duplicate_of = is_near.then(|| nearest.to_owned());
         }
-        let reasons = reasons_against(record, &assessment);
+        let reasons = reasons_against(record, &assessment, self.config.require_cause);
         assessment.accepted = reasons.is_empty();
         let is_kept = match self.config.keep {
             Keep::Accepted => assessment.accepted,
@@ -187,7 +190,7 @@ impl<'a> Verdicts<'a> {
 }
 
 /// Why a scenario is not accepted; empty if it is.
-fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'static str> {
+fn reasons_against(record: &ScenarioRecord, assessment: &Assessment, require_cause: bool) -> Vec<&'static str> {
     let mut reasons = Vec::new();
     if !record.verified {
         reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
@@ -196,6 +199,8 @@ fn reasons_against(record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'st
     // already.
     reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
     reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
+    let needs_cause = require_cause && record.main_event().is_some_and(|event| needs_cause(&event.behavior));
+    reasons.extend((needs_cause && assessment.explanation.is_none()).then_some(NO_CAUSE));
     reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE).filter(|why| !reasons.contains(why)));
     reasons
 }

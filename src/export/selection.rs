@@ -62,8 +62,8 @@ impl Selection {
         if self.only_accepted {
             words.push("accepted".to_owned());
         }
-        words.extend(self.behavior.iter().map(|behavior| format!("asked to hold {behavior}")));
-        words.extend(self.sweep.iter().map(|sweep| format!("of sweep {sweep}")));
+        words.extend(self.behavior.iter().map(|behavior| format!("requested as {behavior}")));
+        words.extend(self.sweep.iter().map(|sweep| format!("from sweep {sweep}")));
         if !self.scenario_ids.is_empty() {
             words.push(format!("one of {}", self.scenario_ids.join(", ")));
         }
@@ -109,6 +109,6 @@ mod tests {
         assert!(behavior("cut_in").wants(&record) && !behavior("left_turn").wants(&record));
         let sweep = |name: &str| Selection { sweep: Some(name.to_owned()), ..behavior("cut_in") };
         assert!(sweep("cut_ins").wants(&record) && !sweep("others").wants(&record));
-        assert_eq!(sweep("others").words(), "verified and asked to hold cut_in and of sweep others");
+        assert_eq!(sweep("others").words(), "verified and requested as cut_in and from sweep others");
     }
 }

@@ -1,6 +1,5 @@
 //! Files that are either whole or absent: how does a killed or failed write leave no damaged file under its final name?
 
-use super::mirror::{tell_committed, tell_removed};
 use super::written::{enter, sync_folder};
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
@@ -68,8 +67,7 @@ impl AtomicFile {
     /// Brings the content to the disk and the file to its final name.
     ///
     /// # Errors
-    /// On I/O errors; nothing is then under the final name that was not before. Errors of the folder's
-    /// [`Mirror`](super::Mirror), which is notified last.
+    /// On I/O errors; nothing is then under the final name that was not before.
     pub fn commit(mut self) -> io::Result<FileStamp> {
         let Some(mut file) = self.file.take() else {
             return Err(io::Error::other("the file is committed already"));
@@ -85,7 +83,6 @@ impl AtomicFile {
             return Err(error);
         }
         sync_folder(self.path.parent().unwrap_or(Path::new("")))?;
-        tell_committed(&self.path)?;
         Ok(self.stamp())
     }
 }
@@ -136,7 +133,7 @@ pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
     enter(to)?;
     if fs::hard_link(from, to).is_ok() {
         sync_folder(to.parent().unwrap_or(Path::new("")))?;
-        return tell_committed(to);
+        return Ok(());
     }
     let mut from = fs::File::open(from)?;
     write_atomically(to, |file| io::copy(&mut from, file).map(drop)).map(drop)
@@ -148,10 +145,9 @@ pub fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
 /// On I/O errors other than a missing file.
 pub fn remove_if_present(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
     }
-    tell_removed(path)
 }
 
 /// A name beside `path` for an unfinished file or folder: `<name>.<16 hexadecimal digits>.partial`. The digits are

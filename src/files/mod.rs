@@ -1,19 +1,17 @@
-//! What may a command write, and what may it remove? Whole files, lists of our own files, locks, overlaps, and notices
-//! to mirrors.
+//! What may a command write, and what may it remove? Whole files, lists of our own files, locks, and overlaps.
 //!
 //! The rule: a command removes only files that a list of ours names. It refuses an output that overlaps an input or
 //! holds foreign files before it touches anything.
 //!
 //! `AtomicFile` writes next to its target under a name that no other process uses; a `NewFolder` appears complete or
-//! not at all; `regular` rejects anything other than files and folders before it is opened. A `Mirror` is notified of
-//! changes in a folder that others see elsewhere.
+//! not at all; `regular` rejects anything other than files and folders before it is opened.
 
 mod as_text;
 mod atomic;
 mod error;
 mod exchange;
 mod lock;
-mod mirror;
+mod names;
 mod new_folder;
 mod overlap;
 mod regular;
@@ -29,7 +27,7 @@ pub use atomic::{
 pub use error::{Error, PathRelation, Result};
 pub use exchange::exchange;
 pub use lock::{LOCK_FILE, Lock};
-pub use mirror::{Mirror, call, in_their_names, mirror, mirror_above, name_elsewhere, tell_committed, unmirror};
+pub use names::{call, in_their_names};
 pub use new_folder::{NewFolder, check_free};
 pub use overlap::{check_overlap, resolve};
 pub use regular::regular;

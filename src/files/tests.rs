@@ -288,62 +288,11 @@ fn what_appears_meanwhile_is_not_replaced() {
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
 }
 
-/// Records its notifications.
-#[derive(Debug, Default)]
-struct Noted(std::sync::Mutex<Vec<String>>);
-
-impl Noted {
-    fn note(&self, what: &str, path: &Path) -> std::io::Result<()> {
-        let name = path.file_name().unwrap().to_str().unwrap();
-        self.0.lock().unwrap().push(format!("{what} {name}"));
-        Ok(())
-    }
-}
-
-impl Mirror for Noted {
-    fn committed(&self, path: &Path) -> std::io::Result<()> {
-        assert!(path.is_file(), "it is there before others know of it");
-        self.note("committed", path)
-    }
-
-    fn removed(&self, path: &Path) -> std::io::Result<()> {
-        self.note("removed", path)
-    }
-
-    fn refresh(&self, _: &Path) -> std::io::Result<()> {
-        Ok(())
-    }
-
-    fn n_bytes_elsewhere(&self, _: &Path) -> Option<u64> {
-        None
-    }
-
-    fn publish(&self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
 #[test]
-fn a_mirror_is_told_of_final_names_and_of_removals_and_nobody_else_is() {
+fn messages_call_copies_by_their_names() {
     let dir = tempfile::tempdir().unwrap();
-    let (shown, beside) = (dir.path().join("shown"), dir.path().join("shown-not"));
-    fs::create_dir(&shown).unwrap();
-    fs::create_dir(&beside).unwrap();
-    let noted = std::sync::Arc::new(Noted::default());
-    mirror(&shown, "s3://bucket/run".to_owned(), noted.clone());
-    write(&shown.join("a"), "a");
-    write(&beside.join("b"), "b");
-    drop(AtomicFile::create(&shown.join("given_up")).unwrap());
-    link_or_copy(&shown.join("a"), &shown.join("c")).unwrap();
-    remove_if_present(&shown.join("a")).unwrap();
-    assert_eq!(*noted.0.lock().unwrap(), ["committed a", "committed c", "removed a"]);
-
-    assert_eq!(name_elsewhere(&shown.join("x/y")).as_deref(), Some("s3://bucket/run/x/y"));
-    assert_eq!(name_elsewhere(&beside), None);
-    unmirror(&shown);
-    write(&shown.join("d"), "d");
-    assert_eq!(noted.0.lock().unwrap().len(), 3);
-    let message = format!("cannot read {}/d", shown.display());
-    assert_eq!(in_their_names(&message), "cannot read s3://bucket/run/d", "messages may come late");
+    let message = format!("cannot read {}/d", dir.path().display());
+    call(dir.path(), "s3://bucket/run".to_owned());
+    assert_eq!(in_their_names(&message), "cannot read s3://bucket/run/d");
     assert_eq!(in_their_names("cannot read x"), "cannot read x");
 }

@@ -119,8 +119,8 @@ pub(super) struct Conditioned {
     pub(super) mask: ObservationMask,
     /// The requested agents; the first is at the center.
     pub(super) agents: (usize, usize),
-    /// The agents that follow a template.
-    performers: Vec<usize>,
+    /// The agents that follow a template, each with its states after the end of the scene.
+    performers: Vec<(usize, Vec<State>)>,
 }
 
 impl Conditioned {
@@ -133,11 +133,30 @@ impl Conditioned {
         SceneView { scene: &self.scene, ego_idx: self.agents.0, mask: &self.mask }
     }
 
+    /// The sample of this scene with what its template does after the end of the sample.
+    pub(super) fn with_maneuver(&self, sample: Scene) -> Scene {
+        let n_further = self.performers.iter().map(|(_, further)| further.len()).max().unwrap_or_default();
+        if n_further == 0 {
+            return sample;
+        }
+        let mut scene = sample.lasting(sample.n_timesteps + n_further);
+        for (agent_idx, further) in &self.performers {
+            let states = sample.tracks[*agent_idx].trajectory.entries().iter().copied();
+            scene.tracks[*agent_idx].trajectory =
+                Trajectory::new(states.chain(further.iter().copied().map(Some)).collect());
+        }
+        scene
+    }
+
+    fn is_performer(&self, agent_idx: usize) -> bool {
+        self.performers.iter().any(|(performer, _)| *performer == agent_idx)
+    }
+
     /// The observed states of a scenario that continues this scene. States of a template count as generated, although
     /// the denoiser observes them.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
-            let is_made = timestep >= generated.n_history && self.performers.contains(&agent_idx);
+            let is_made = timestep >= generated.n_history && self.is_performer(agent_idx);
             !is_made
                 && timestep < self.mask.n_timesteps()
                 && self.mask.is_observed(agent_idx, timestep)
@@ -191,33 +210,42 @@ impl Generator<'_> {
             scene = scene.completed(|agent_idx, timestep| !mask.is_observed(agent_idx, timestep));
         }
         let mask = ObservationMask::from_fn(mask.n_agents(), mask.n_timesteps(), |agent_idx, timestep| {
-            let is_of_template = performers.contains(&agent_idx) && scene.state(agent_idx, timestep).is_some();
+            let is_of_template = performers.iter().any(|(performer, _)| *performer == agent_idx)
+                && scene.state(agent_idx, timestep).is_some();
             is_of_template || mask.is_observed(agent_idx, timestep)
         });
         Ok(Conditioned { scene, mask, agents, performers })
     }
 
     /// Puts the template of a sample into `scene`: one that reaches the sample's target, or else any. Returns the
-    /// agents that follow it; none if there is no template.
+    /// agents that follow it, each with its states after the end of the scene; none if there is no template.
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
         (cell, sample_idx): (&Cell, usize),
         recorded: &Scene,
         scene: &mut Scene,
-    ) -> Vec<usize> {
+    ) -> Vec<(usize, Vec<State>)> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
         // The number of earlier samples of the pair with this target.
         let variant = sample_idx / cell.targets.len().max(1);
-        let target = cell.target(sample_idx);
-        let template = behavior.template(recorded, &asked, &target, variant);
+        let mut target = cell.target(sample_idx);
+        target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
+        let planned = sweep.planned(recorded);
+        let template = behavior.template(&planned, &asked, &target, variant);
         let anything =
-            || (!target.is_empty()).then(|| behavior.template(recorded, &asked, &Target::new(), sample_idx))?;
+            || (!target.is_empty()).then(|| behavior.template(&planned, &asked, &Target::new(), sample_idx))?;
         let Some(template) = template.or_else(anything) else { return Vec::new() };
-        let performers = template.agents().collect();
-        template.apply(scene);
-        performers
+        let performers: Vec<usize> = template.agents().collect();
+        let mut performed = planned.into_owned();
+        template.apply(&mut performed);
+        let follow = |agent_idx: usize| {
+            let (sampled, further) = performed.tracks[agent_idx].trajectory.entries().split_at(scene.n_timesteps);
+            scene.tracks[agent_idx].trajectory = Trajectory::new(sampled.to_vec());
+            (agent_idx, further.iter().copied().flatten().collect())
+        };
+        performers.into_iter().map(follow).collect()
     }
 
     /// The target states of some samples of a cell, among the states that `base` generates in row `row`.

@@ -1,6 +1,7 @@
 //! Which agents of a scene can show a behavior, and which are most likely to?
 
-use super::{Error, Generator, PairRanking, ResolvedSweep};
+use super::targets::hardness;
+use super::{Aim, Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
 use crate::model::TrainedClassifier;
@@ -100,25 +101,29 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
                 && (0..scene.n_history).all(|timestep| track.trajectory.is_valid(timestep))
         })
         .collect();
-    let is_single = behavior.roles().len() == 1;
+    let (is_single, planned) = (behavior.roles().len() == 1, sweep.planned(scene));
     let mut candidates = Vec::new();
     for &first in &eligible {
         for &second in &eligible {
             if (first == second) != is_single || distance_m(scene, first, second) > sweep.pairs.max_distance_m {
                 continue;
             }
-            let agents = if is_single { Some(vec![first]) } else { behavior.completed(scene, [first, second]) };
+            let agents = if is_single { Some(vec![first]) } else { behavior.completed(&planned, [first, second]) };
             let Some(agents) = agents.filter(|agents| agents.iter().all(|idx| eligible.contains(idx))) else {
                 continue;
             };
-            let outcomes = behavior.feasible(scene, &agents);
+            let outcomes = behavior.feasible(&planned, &agents);
             let effort = outcomes.iter().map(Outcome::effort).reduce(f64::min);
             if sweep.pairs.only_feasible && effort.is_none() {
                 continue;
             }
             let roles = behavior.roles().iter().zip(&agents);
             let roles = roles.map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[*agent_idx].id.clone()));
-            let score = -effort.unwrap_or(1.0) - distance_m(scene, first, second) / FAR_M;
+            let suits = match sweep.aim {
+                Aim::Hard => outcomes.iter().map(hardness).fold(0.0, f64::max),
+                Aim::Anything | Aim::Feasible => -effort.unwrap_or(1.0),
+            };
+            let score = suits - distance_m(scene, first, second) / FAR_M;
             candidates.push(CandidatePair { agents: (first, second), roles: roles.collect(), score, outcomes });
         }
     }

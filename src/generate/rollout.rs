@@ -1,13 +1,19 @@
 //! How scenarios of a sweep go on in a closed loop.
 
+use crate::scene::Scene;
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// The longest maneuver of a template, seconds: most lane changes take less.
+const MANEUVER_S: f64 = 6.0;
+
 /// A closed loop: a sample is driven for `replan_s`; from then on the futures of everybody are sampled anew every
 /// `replan_s`, from the last second that was driven, as the sweep samples but without its guidance. Other traffic
 /// arrives and leaves, as in `djinn drive`. Until the requested event has happened, its other agents follow the sample,
-/// faster or slower where the ego would undo it. Samples without the requested event stay as they are.
+/// faster or slower where the ego would undo it. A template is solved for up to six seconds, so that it takes the time
+/// that people take, and its agents follow it beyond the end of the sample. Samples without the requested event stay as
+/// they are.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SweepRollout {
@@ -38,6 +44,12 @@ impl SweepRollout {
                 format_args!("is {}, expected at most horizon_s, which is {}", self.replan_s, self.horizon_s),
             )),
         }
+    }
+
+    /// The timesteps for which the template of a scene is solved.
+    pub(super) fn n_timesteps_planned(&self, scene: &Scene) -> usize {
+        let n_driven = (self.horizon_s.min(MANEUVER_S) / scene.dt_s).round() as usize;
+        scene.n_timesteps.max(scene.n_history + n_driven)
     }
 
     /// Rejects what cannot be driven with timesteps of `dt_s` and a model that sees `future_s` ahead.

@@ -114,7 +114,9 @@ impl Generator<'_> {
             for Sampled { level, sample_idx, draw } in selected {
                 match draw {
                     Ok(draw) => {
-                        let scenario = (&draw.scene, given.of(at, sample_idx).observed(&draw.scene));
+                        let given = given.of(at, sample_idx);
+                        let performed = given.with_maneuver(draw.scene);
+                        let scenario = (&performed, given.observed(&performed));
                         let sample = (level, sample_idx, draw.probability);
                         output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
                     }

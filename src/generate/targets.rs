@@ -4,6 +4,7 @@ use super::pairs::CandidatePair;
 use super::{Aim, Generator, ResolvedSweep};
 use crate::behavior::Outcome;
 use crate::guidance::Target;
+use crate::metrics::least_ttc_s;
 use crate::scene::SceneId;
 use crate::seed::Seed;
 
@@ -13,6 +14,8 @@ const HALF_WIDTH: f64 = 0.5;
 /// The weight of an outcome that takes everything the limits of driving allow; an effortless one has this weight plus
 /// 1.
 const LEAST_EASE: f64 = 0.1;
+/// The weight of outcomes that are not hard at all, where hard ones are aimed at.
+const LEAST_HARDNESS: f64 = 1e-3;
 
 impl Generator<'_> {
     /// The targets of the samples of `pair`, in order: as many as the sweep has samples, or as the pair has outcomes.
@@ -20,7 +23,7 @@ impl Generator<'_> {
     pub(super) fn targets(&self, sweep: &ResolvedSweep, scene: &SceneId, pair: &CandidatePair) -> Vec<Target> {
         let parameters = match sweep.aim {
             Aim::Anything => return Vec::new(),
-            Aim::Feasible => sweep.aims_at(),
+            Aim::Feasible | Aim::Hard => sweep.aims_at(),
         };
         let target = |outcome: &Outcome| -> Target {
             let values = parameters.iter().filter_map(|name| Some((*name, outcome.get(name)?)));
@@ -32,18 +35,34 @@ impl Generator<'_> {
         };
         let (first, second) = pair.agents;
         let seed = self.seed().derive_named("aim", &scene.0).derive("pair", &[first as u64, second as u64]);
-        in_drawn_order(&pair.outcomes, seed).take(sweep.n_samples).map(target).filter(|t| !t.is_empty()).collect()
+        let weight = if sweep.aim == Aim::Hard { |outcome: &_| LEAST_HARDNESS + hardness(outcome) } else { ease };
+        in_drawn_order(&pair.outcomes, weight, seed)
+            .take(sweep.n_samples)
+            .map(target)
+            .filter(|t| !t.is_empty())
+            .collect()
     }
 }
 
-/// The outcomes in an order drawn without replacement, each with a chance in proportion to its ease (Efraimidis and
+/// The weight of an outcome: easy ones come more often.
+fn ease(outcome: &Outcome) -> f64 {
+    LEAST_EASE + 1.0 - outcome.effort().clamp(0.0, 1.0)
+}
+
+/// How near an outcome is to what cannot be avoided, from 0 to 1: a quarter with each second to spare. 0 if it cannot
+/// be, or no gap closes.
+pub(super) fn hardness(outcome: &Outcome) -> f64 {
+    let closing = outcome.get("relative_speed_mps").filter(|mps| *mps > 0.0);
+    let spare_s = outcome.get("gap_m").zip(closing).map(|(gap_m, mps)| gap_m / mps - least_ttc_s(mps));
+    spare_s.filter(|spare_s| *spare_s >= 0.0).map_or(0.0, |spare_s| (-2.0 * spare_s).exp2())
+}
+
+/// All outcomes in an order drawn without replacement, each with a chance in proportion to its weight (Efraimidis and
 /// Spirakis 2006).
-fn in_drawn_order(outcomes: &[Outcome], seed: Seed) -> impl Iterator<Item = &Outcome> {
+fn in_drawn_order(outcomes: &[Outcome], weight: fn(&Outcome) -> f64, seed: Seed) -> impl Iterator<Item = &Outcome> {
     let mut rng = seed.rng();
-    let mut keyed: Vec<(f64, &Outcome)> = outcomes
-        .iter()
-        .map(|outcome| (rng.uniform().powf(1.0 / (LEAST_EASE + 1.0 - outcome.effort().clamp(0.0, 1.0))), outcome))
-        .collect();
+    let key = |outcome| (rng.uniform().powf(1.0 / weight(outcome)), outcome);
+    let mut keyed: Vec<(f64, &Outcome)> = outcomes.iter().map(key).collect();
     keyed.sort_by(|a, b| b.0.total_cmp(&a.0));
     keyed.into_iter().map(|(_, outcome)| outcome)
 }
@@ -53,13 +72,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn hard_outcomes_close_in_little_more_time_than_a_careful_driver_needs() {
+        let at =
+            |gap_m: f64, mps: f64| hardness(&Outcome::default().with("gap_m", gap_m).with("relative_speed_mps", mps));
+        // 6 m/s need 6 / 12 + 0.35 s: 5.1 m.
+        assert!((at(5.1, 6.0) - 1.0).abs() < 1e-9 && (at(11.1, 6.0) - 0.25).abs() < 1e-9);
+        assert_eq!([at(5.0, 6.0), at(5.0, -1.0), hardness(&Outcome::default())], [0.0; 3]);
+    }
+
+    #[test]
     fn easy_outcomes_come_first_in_proportion_and_each_comes_once() {
         let outcomes: Vec<Outcome> =
             [0.0, 0.5, 1.0].iter().map(|effort| Outcome::default().with("gap_m", *effort).at_effort(*effort)).collect();
         let mut n_first = [0; 3];
         for draw in 0..3000 {
             let order: Vec<f64> =
-                in_drawn_order(&outcomes, Seed(draw)).filter_map(|outcome| outcome.get("gap_m")).collect();
+                in_drawn_order(&outcomes, ease, Seed(draw)).filter_map(|outcome| outcome.get("gap_m")).collect();
             let mut sorted = order.clone();
             sorted.sort_by(f64::total_cmp);
             assert_eq!(sorted, [0.0, 0.5, 1.0]);

@@ -55,26 +55,6 @@ impl Layout {
             .map(PathBuf::as_path)
             .collect()
     }
-
-    /// Moves places below the folder `from` to below `to`.
-    pub fn move_below(&mut self, from: &Path, to: &Path) {
-        for place in [
-            &mut self.scenes,
-            &mut self.events,
-            &mut self.denoiser,
-            &mut self.distilled,
-            &mut self.classifier,
-            &mut self.baseline,
-            &mut self.situations,
-            &mut self.samples,
-            &mut self.corpus,
-            &mut self.metrics,
-        ] {
-            if let Ok(name) = place.strip_prefix(from) {
-                *place = to.join(name);
-            }
-        }
-    }
 }
 
 /// The scene store.
@@ -87,6 +67,8 @@ pub const OCCURRENCES: &str = "occurrences.parquet";
 pub const EXPOSURE: &str = "exposure.parquet";
 /// How often behaviors were recorded.
 pub const RATES: &str = "rates.parquet";
+/// What surrounds the center of each recorded scene.
+pub const TAGS: &str = "tags.parquet";
 /// Counts of the mined events.
 pub const MINE_SUMMARY: &str = "mine.json";
 /// The trained denoiser.
@@ -109,6 +91,8 @@ pub const METRICS: &str = "metrics.parquet";
 pub const METRICS_SUMMARY: &str = "metrics.json";
 /// The outcome of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";
+/// What was recorded and generated of which behavior, by what surrounds the center.
+pub const COVERAGE: &str = "coverage.parquet";
 /// The report.
 pub const REPORT: &str = "report.html";
 /// The figures of the report as files.

@@ -2,8 +2,8 @@
 
 use super::config::PipelineConfig;
 use super::layout::{
-    BASELINE, CLASSIFIER, CORPUS, DENOISER, DISTILLED, EVENTS, EXPOSURE, FIGURES, Layout, METRICS, METRICS_SUMMARY,
-    MINE_SUMMARY, OCCURRENCES, RATES, REPORT, SAMPLES, SCENES, SITUATIONS, VERDICTS,
+    BASELINE, CLASSIFIER, CORPUS, COVERAGE, DENOISER, DISTILLED, EVENTS, EXPOSURE, FIGURES, Layout, METRICS,
+    METRICS_SUMMARY, MINE_SUMMARY, OCCURRENCES, RATES, REPORT, SAMPLES, SCENES, SITUATIONS, TAGS, VERDICTS,
 };
 use super::stages::is_round_file;
 use crate::engine::{ShardNames, StageKind};
@@ -165,7 +165,7 @@ pub static KINDS: [StageKind; 10] = [
         is_checked_by_readers: true,
         ..plain("ingest", "ingest", &[SCENES])
     },
-    plain("mine", "mine", &[EVENTS, OCCURRENCES, EXPOSURE, RATES, MINE_SUMMARY]),
+    plain("mine", "mine", &[EVENTS, OCCURRENCES, EXPOSURE, RATES, TAGS, MINE_SUMMARY]),
     training("train_denoiser", "train denoiser", "train.denoiser", &[DENOISER]),
     training("train_distill", "train distill", "train.distill", &[DISTILLED]),
     training("train_classifier", "train classifier", "train.classifier", &[CLASSIFIER]),
@@ -179,7 +179,7 @@ pub static KINDS: [StageKind; 10] = [
     },
     StageKind {
         shards: Some(ShardNames { shard: "figures", ending: "bin", is_other: |_| false }),
-        ..plain("evaluate", "evaluate", &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS])
+        ..plain("evaluate", "evaluate", &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, COVERAGE])
     },
     plain("report", "report", &[REPORT, FIGURES]),
 ];

@@ -51,6 +51,8 @@ pub struct ShownScene {
     pub recording: usize,
     /// The scene's first frame in the recording.
     pub first_frame: i64,
+    /// Time that it shows and no scene before it does, hours.
+    pub new_h: f64,
 }
 
 /// Adds up what scenes show. The windows of a recording must come by time.
@@ -97,7 +99,8 @@ impl ExposureTally {
         let hours = scene.dt_s / 3600.0;
         let n_shown =
             frames.clone().zip(&is_new).filter(|(frame, is_new)| **is_new && !recording.frames.contains(*frame));
-        recording.row.observed_h += n_shown.count() as f64 * hours;
+        let new_h = n_shown.count() as f64 * hours;
+        recording.row.observed_h += new_h;
         recording.row.n_scenes += 1;
         // Later windows begin later: who ended before this one is not met again.
         recording.counted_until.retain(|_, until| *until > first_frame);
@@ -115,7 +118,7 @@ impl ExposureTally {
             }
         }
         recording.frames.add(frames);
-        Some(ShownScene { recording: idx, first_frame })
+        Some(ShownScene { recording: idx, first_frame, new_h })
     }
 
     /// Whether an earlier recording shows this frame as well.

@@ -35,7 +35,7 @@ impl OccurrenceTally {
         events: &[BehaviorEvent],
         exposure: &ExposureTally,
     ) -> Vec<Numbered> {
-        let ShownScene { recording, first_frame } = shown;
+        let ShownScene { recording, first_frame, .. } = shown;
         let margin = (SAME_WITHIN_S / scene.dt_s).round() as i64;
         let mut over = self.close(|(of, ..), open| *of == recording && open.until_frame + margin < first_frame);
         let mut n_seen: BTreeMap<&str, usize> = BTreeMap::new();

@@ -5,6 +5,7 @@ use super::card::SceneCard;
 use super::choice::Drawn;
 use super::distribution::Distribution;
 use super::plain::{PlainSection, PlainTable};
+use crate::coverage::CoverageRow;
 use crate::evaluate::{EvaluationSummary, MiningSummary};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
@@ -26,6 +27,8 @@ pub struct ReportModel {
     pub ingest: Option<IngestReport>,
     /// How often behaviors were recorded.
     pub rates: Vec<RateRow>,
+    /// What of the operational design domain was recorded and generated.
+    pub coverage: Vec<CoverageRow>,
     /// The mined behaviors.
     pub mining: Option<MiningSummary>,
     /// The training of each network.

@@ -1,5 +1,6 @@
 //! The judgment of a generated scenario: could it have happened, how critical is it, is it new?
 
+use crate::behavior::Explanation;
 use crate::metrics::{CarefulJudgment, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::rates::BucketRate;
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,8 @@ pub struct Assessment {
     pub careful: Option<CarefulJudgment>,
     /// The ending for the subject of the requested event; `None` also if a collision was requested.
     pub ending: Option<Ending>,
+    /// Why its event happens, if it is one that needs a cause and has one.
+    pub explanation: Option<Explanation>,
     /// Distance of its event from the nearest recorded one, in typical spreads.
     pub nearest_recorded_event: Option<f64>,
     /// Distance of its requested agents' paths from those of the nearest earlier accepted scenario, meters.

@@ -1,7 +1,7 @@
 //! A generated scenario with its request, the findings in it and its judgment.
 
 use super::{Assessment, RequestTag};
-use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel};
+use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel, Explanation, explanation, needs_cause};
 use crate::metrics::Ending;
 use crate::scene::{Scenario, Track};
 
@@ -57,6 +57,12 @@ impl ScenarioRecord {
         let first = || event.roles.tracks().next().and_then(|track| scene.track_idx(track));
         let subject_idx = event.subject_idx(scene).or_else(first)?;
         Some((subject_idx, Ending::of(scene, subject_idx, event.start_timestep)?))
+    }
+
+    /// Why its event happens: `None` if it needs no cause, `Some(None)` if it needs one and has none.
+    pub fn explanation(&self) -> Option<Option<Explanation>> {
+        let event = self.main_event().filter(|event| needs_cause(&event.behavior))?;
+        Some(explanation(&self.scenario.scene, event))
     }
 
     /// The index of that vehicle among the tracks.

@@ -1,6 +1,6 @@
 //! A recorded traffic scene.
 
-use super::{Dataset, LaneGraph, MapId, SceneId, State, Track, TrackId};
+use super::{Dataset, LaneGraph, MapId, SceneId, State, Track, TrackId, Trajectory};
 use crate::geometry::Transform2;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -146,6 +146,18 @@ impl Scene {
     /// The state of a track at `timestep`, if it was tracked then.
     pub fn state(&self, agent_idx: usize, timestep: usize) -> Option<&State> {
         self.tracks.get(agent_idx).and_then(|track| track.trajectory.get(timestep))
+    }
+
+    /// The scene with this number of timesteps: shorter, or with nobody tracked at the further ones.
+    #[must_use]
+    pub fn lasting(&self, n_timesteps: usize) -> Self {
+        let mut scene = Self { n_timesteps, ..self.clone() };
+        for track in &mut scene.tracks {
+            let mut states = track.trajectory.entries().to_vec();
+            states.resize(n_timesteps, None);
+            track.trajectory = Trajectory::new(states);
+        }
+        scene
     }
 
     /// Whether the future after `n_history` is recorded (test splits have none).

@@ -34,8 +34,8 @@ pub fn roll_out_samples(
     own.check(futures)?;
     let mut workers = (0..rayon::current_num_threads()).map(|_| pool_of_worker()).collect::<Result<Vec<_>>>()?;
     let mut maps = Maps::new(store, store);
-    let is_wanted = |i: &usize| behavior.is_none() || output.records[*i].verified;
-    let wanted: Vec<usize> = (0..output.records.len()).filter(is_wanted).collect();
+    let is_wanted = |record: &ScenarioRecord| behavior.is_none() || record.verified;
+    let (wanted, mut unfit) = (0..output.records.len()).partition::<Vec<_>, _>(|i| is_wanted(&output.records[*i]));
     let mut lost = Vec::new();
     for (n_done, chunk) in wanted.chunks(CHUNK * workers.len()).enumerate() {
         progress.note(&format!("{} of {} driven on", n_done * CHUNK * workers.len(), wanted.len()));
@@ -46,7 +46,10 @@ pub fn roll_out_samples(
         for i in chunk {
             let mut situation = match maps.situation(&output.records[*i], &EgoChoice::Event) {
                 Ok(situation) => situation,
-                Err(Error::Unfit { .. }) => continue,
+                Err(Error::Unfit { .. }) => {
+                    unfit.push(*i);
+                    continue;
+                }
                 Err(error) => return Err(error),
             };
             let [n_steps, _] = own.n_steps(situation.scene.dt_s);
@@ -67,6 +70,8 @@ pub fn roll_out_samples(
             }
         }
     }
+    // The maneuver of a template needs the closed loop for its end.
+    unfit.into_iter().for_each(|i| end_with_sample(&mut output.records[i], futures.n_timesteps(), behavior));
     for (i, reason) in lost.into_iter().rev() {
         let record = output.records.remove(i);
         let provenance = record.scenario.provenance;
@@ -80,6 +85,21 @@ pub fn roll_out_samples(
         });
     }
     Ok(())
+}
+
+/// Leaves out what a template plans after the end of the sample.
+fn end_with_sample(record: &mut ScenarioRecord, n_timesteps: usize, behavior: Option<&dyn Behavior>) {
+    let scenario = &mut record.scenario;
+    if scenario.scene.n_timesteps <= n_timesteps {
+        return;
+    }
+    let is_observed = |agent_idx: usize, timestep: usize| scenario.observed.is_observed(agent_idx, timestep);
+    let mask = ObservationMask::from_fn(scenario.scene.tracks.len(), n_timesteps, is_observed);
+    (scenario.observed, scenario.scene) = (mask, scenario.scene.lasting(n_timesteps));
+    if let Some(behavior) = behavior {
+        let roles = &scenario.provenance.guidance.roles;
+        (record.verified, record.events) = requested_events(behavior, roles, &scenario.scene);
+    }
 }
 
 /// Makes the scenario what was driven.
@@ -141,9 +161,17 @@ mod tests {
     use candle_core::Device;
 
     /// A scenario with a cut-in, and one in which none was found, after a closed loop with this driver of the ego.
-    fn rolled_out(ego: NamedDriver, [horizon_s, replan_s]: [f64; 2], n_threads: usize) -> [ScenarioRecord; 3] {
+    fn rolled_out(ego: NamedDriver, times_s: [f64; 2], n_threads: usize) -> [ScenarioRecord; 3] {
+        rolled_out_from(record(), ego, times_s, n_threads)
+    }
+
+    fn rolled_out_from(
+        sampled: ScenarioRecord,
+        ego: NamedDriver,
+        [horizon_s, replan_s]: [f64; 2],
+        n_threads: usize,
+    ) -> [ScenarioRecord; 3] {
         let dir = tempfile::tempdir().unwrap();
-        let sampled = record();
         write_scenes(
             dir.path(),
             &CorpusReader::open(&corpus()).unwrap(),
@@ -175,6 +203,37 @@ mod tests {
         driven.events.clone_from(&sampled.events);
         assert_eq!(driven, sampled);
         assert_eq!(unverified.scenario, sampled.scenario);
+    }
+
+    #[test]
+    fn a_maneuver_is_driven_to_its_end_after_that_of_the_sample_or_ends_with_it() {
+        let (plain, other) = (record(), record().events[0].roles.track("other").cloned().unwrap());
+        let n_steps = plain.scenario.scene.n_timesteps;
+        let mut planned = plain.clone();
+        let scene = &mut planned.scenario.scene;
+        *scene = scene.lasting(n_steps + 8);
+        let other_idx = scene.track_idx(&other).unwrap();
+        let track = &mut scene.tracks[other_idx];
+        let last = *track.trajectory.get(n_steps - 1).unwrap();
+        let further = (1..=8).map(|step| {
+            let position = last.position + last.velocity * (f64::from(step) * scene.dt_s);
+            Some(crate::scene::State { position, ..last })
+        });
+        let states = track.trajectory.entries()[..n_steps].iter().copied().chain(further).collect();
+        track.trajectory = Trajectory::new(states);
+        // The event would be found later than it is, so that the plan is kept to its end.
+        planned.events[0].end_timestep = n_steps + 7;
+        let [_, driven, unverified] = rolled_out_from(planned.clone(), NamedDriver::Log, [3.8, 3.0], 1);
+        let (scene, planned) = (&driven.scenario.scene, &planned.scenario.scene);
+        assert_eq!(scene.n_timesteps, n_steps + 8);
+        let apart_m = |timestep: usize| {
+            let [a, b] = [scene, planned].map(|scene| scene.state(other_idx, timestep).unwrap().position);
+            a.distance(b)
+        };
+        assert!((0..n_steps + 8).all(|timestep| apart_m(timestep) < 1e-3), "everybody else is sampled");
+        let bystander = (0..planned.tracks.len()).find(|idx| planned.state(*idx, n_steps).is_none()).unwrap();
+        assert!(scene.state(bystander, n_steps).is_some());
+        assert_eq!(unverified.scenario, plain.scenario);
     }
 
     #[test]

@@ -56,6 +56,8 @@ impl TableSchema {
             tables::event::schema(),
             tables::exposure::schema(),
             tables::rate::schema(),
+            tables::tag::schema(),
+            tables::coverage::schema(),
             tables::sample::schema(),
             tables::scenario::schema(),
             tables::track::schema(),

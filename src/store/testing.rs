@@ -1,7 +1,7 @@
 //! Scenes, maps and scenarios for the tests of this layer: arbitrary, but the same for the same seed.
 
 use super::as_stored;
-use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::behavior::{BehaviorEvent, Cause, EventLabel, Explanation};
 use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::metrics::{CarefulJudgment, Check, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::rates::{BucketRate, RateSource};
@@ -195,6 +195,7 @@ pub(crate) fn assessment(scene: &Scene, has_all: bool) -> Assessment {
             remaining_mps: None,
             subject_reacts: true,
         }),
+        explanation: has_all.then_some(Explanation { cause: Cause::LookedTooLate, mistake_s: Some(0.75) }),
         nearest_recorded_event: Some(2.5),
         nearest_scenario_m: has_all.then_some(0.125),
         near_duplicate_of: has_all.then(|| "before".to_owned()),

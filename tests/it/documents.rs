@@ -49,7 +49,8 @@ fn columns_in_the_example_queries_exist() {
     // Parameters of events are columns too, where events have them.
     let parameters = ["gap_m", "min_distance_m", "relative_speed_mps"].map(str::to_owned);
     let known: Vec<String> =
-        [columns("scenario"), columns("track"), columns("recording"), parameters.to_vec()].concat();
+        [columns("scenario"), columns("track"), columns("recording"), columns("coverage"), parameters.to_vec()]
+            .concat();
     let keywords = ["read_parquet", "hive_partitioning", "speed_mps", "deviation_m"];
     for query in blocks_of_pages("sql") {
         let code: String = query.lines().filter(|line| !line.starts_with("--")).collect::<Vec<_>>().join("\n");

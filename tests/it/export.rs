@@ -138,7 +138,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     for (format, out, more, message) in [
         ("openlabel", "few", vec![], "is not empty"),
         ("openlabel", "none", vec!["--scenario", "nobody"], "holds no scenario nobody"),
-        ("openlabel", "none", vec!["--behavior", "left_turn"], "asked to hold left_turn"),
+        ("openlabel", "none", vec!["--behavior", "left_turn"], "requested as left_turn"),
         ("interaction", "none", vec!["--free-ego"], "cannot leave the ego free"),
         ("commonroad", "none", vec!["--free-ego", "--replay-ego"], "cannot be used with"),
         ("commonroad", "none", vec!["--ego", "nobody"], "no track of that name"),

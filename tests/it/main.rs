@@ -16,6 +16,8 @@ mod fuzz;
 mod golden;
 mod malformed;
 mod mixture;
+#[cfg(feature = "cloud")]
+mod object_store;
 mod parts;
 mod pipelines;
 mod pytorch;

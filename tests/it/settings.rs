@@ -105,8 +105,8 @@ fn object_stores_need_their_feature() {
     ingest.inputs.0 is s3://bucket/x.zip
     built without object stores
     --features cloud
-run.output=az://container/runs
-    run.output is az://container/runs
+run.output=gs://bucket/runs
+    run.output is gs://bucket/runs
     built without object stores",
     ));
 }

@@ -14,6 +14,10 @@ const SETTLING_S: f64 = 1.0;
 /// Both must move at least this fast, m/s: a standing agent is not cut off, and its heading may be noise.
 const MIN_SPEED_MPS: f64 = 1.0;
 
+/// Lanes merge if their center lines are closer than the second this far ahead, meters.
+const MERGES_M: f64 = 50.0;
+const MERGED_M: f64 = 1.0;
+
 /// A pair (ego, other), relative to the lane that the ego keeps.
 pub(super) struct LaneCrossing<'a> {
     pub(super) scene: &'a Scene,
@@ -74,17 +78,31 @@ impl LaneCrossing<'_> {
         if shift_m < self.behavior.min_shift_m || shift_m <= ego_shift_m {
             return None;
         }
+        let keeps = |others: &KeptLane, end: usize| {
+            (present..=end).all(|t| state(other, t).is_none_or(|state| others.holds(state.position)))
+        };
+        let others = others_lane();
         // Where the two lanes merge ahead, the offsets of both vehicles are the same.
-        let is_mutual = others_lane().is_some_and(|others| {
-            let keeps = |t: usize| state(other, t).is_none_or(|state| others.holds(state.position));
-            self.lane.joins(others) && (present..=crossing).all(keeps)
-        });
+        let merging = others.filter(|others| self.merges_ahead(others, state(other, crossing)));
+        let is_mutual = merging.is_some_and(|others| keeps(others, crossing));
+        if !is_mutual && others.is_some_and(|others| keeps(others, last)) {
+            return None;
+        }
         let across_m = |track: &Track| across_headings_m(track, present, last);
         if is_mutual && side * across_m(ego)? >= -side * across_m(other)? {
             return None;
         }
         let moment = self.moment(intrusion, &places[intrusion], side, shift_m)?;
         Some(Crossing { intrusion, reached, crossing, ego_shift_m, moment })
+    }
+
+    /// Whether the lane of the other leads into that of the ego within [`MERGES_M`] ahead of the other.
+    fn merges_ahead(&self, others: &KeptLane, other: Option<&State>) -> bool {
+        let apart_m = other.and_then(|state| {
+            let station_m = others.project(state.position)?.station_m + MERGES_M;
+            Some(self.lane.project(others.point_at(station_m)?)?.offset_m.abs())
+        });
+        self.lane.joins(others) && apart_m.is_some_and(|apart_m| apart_m < MERGED_M)
     }
 
     /// The timestep from which the other, which comes from `side`, has its center in the lane, having headed along it

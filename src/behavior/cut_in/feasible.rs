@@ -1,25 +1,25 @@
 //! Which cut-ins can a pair of vehicles still show?
 
 use super::CutIn;
-use super::template::{CHANGE_PEAK, STYLES};
+use super::template::STYLES;
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::limits::{ACCELERATIONS_MPS2, LATERAL_ACCELERATION_MPS2, effort, horizon_s};
+use crate::behavior::limits::{ACCELERATIONS_MPS2, effort, horizon_s};
 use crate::behavior::outcome::Outcome;
+use crate::behavior::sideways::{CHANGE_PEAK, CUT_IN, Manner};
 use crate::behavior::template::settled_mps;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 
 /// Spacing of the tried accelerations, m/s², and times, seconds.
-const SPACING: f64 = 0.5;
-/// The least overlap of the boxes across the path, and the smallest gap, meters.
-const SHARE_M: f64 = 0.3;
+const SPACING_MPS2: f64 = 0.5;
+const SPACING_S: f64 = 0.25;
+/// The smallest gap, and by how much a corner of a box that is turned enters the path before its side, meters.
+const LEAST_GAP_M: f64 = 0.3;
+const CORNER_M: f64 = 0.2;
 /// How long before the end of the scene the ego must reach the place where the other came in, even if it brakes,
 /// seconds.
 const TO_SPARE_S: f64 = 0.5;
-/// The assumed lateral speed of the other once it is in the ego's path, m/s: about the mean of a lane change of three
-/// seconds.
-const CROSSING_MPS: f64 = 1.2;
 /// A vehicle that drifts away from the ego's lane faster than this does not cut in at once, m/s.
 const AWAY_MPS: f64 = 0.5;
 /// A vehicle farther than this from the middle of its lane is between lanes, meters.
@@ -45,6 +45,8 @@ pub(super) struct Pair {
     pub(super) lengths_m: [f64; 2],
     /// The side from which the other comes: 1 for the left, -1 for the right.
     pub(super) side: f64,
+    /// How the other moves over.
+    pub(super) manner: Manner,
     /// From the present to the end of the scene, seconds.
     pub(super) horizon_s: f64,
 }
@@ -62,11 +64,11 @@ pub(super) struct CutInPlan {
 }
 
 impl CutIn {
-    /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other leaves its lane
-    /// with at most 2 m/s² across on average and, at its peak, -4 to 2.5 m/s² along the lane. The ego keeps its lane
-    /// and brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue straight.
-    /// Before the scene ends, the other's center is in the lane and the ego reaches the place where the other came in.
-    /// Only the past and the map are used.
+    /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other moves over as
+    /// fast as drivers do ([`CUT_IN`]) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego keeps its lane and
+    /// brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue straight. Before
+    /// the scene ends, the other's center is in the lane and the ego reaches the place where the other came in. Only
+    /// the past and the map are used.
     ///
     /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
     /// is too far to the side, ahead or behind.
@@ -114,6 +116,7 @@ impl CutIn {
             widths_m: [own_extent.width_m, their_extent.width_m],
             lengths_m: [own_extent.length_m, their_extent.length_m],
             side,
+            manner: CUT_IN.of(self.hurry, their_extent.length_m),
             horizon_s: horizon_s(scene),
             lane,
             their_lane,
@@ -122,12 +125,12 @@ impl CutIn {
 
     /// The plans on a grid of times and of mean accelerations whose peaks are within the limits.
     pub(super) fn plans(&self, pair: &Pair) -> Option<Vec<CutInPlan>> {
-        let n = |range: f64| (range / SPACING).floor().max(0.0) as i32;
-        let [hardest, most] =
-            [ACCELERATIONS_MPS2.start(), ACCELERATIONS_MPS2.end()].map(|mps2| n(mps2.abs() / CHANGE_PEAK));
+        let n = |range: f64, spacing: f64| (range / spacing).floor().max(0.0) as i32;
+        let [hardest, most] = [ACCELERATIONS_MPS2.start(), ACCELERATIONS_MPS2.end()]
+            .map(|mps2| n(mps2.abs() / CHANGE_PEAK, SPACING_MPS2));
         let mut plans = Vec::new();
-        for time_s in (1..=n(pair.horizon_s)).map(|i| f64::from(i) * SPACING) {
-            for acceleration_mps2 in (-hardest..=most).map(|i| f64::from(i) * SPACING) {
+        for time_s in (1..=n(pair.horizon_s, SPACING_S)).map(|i| f64::from(i) * SPACING_S) {
+            for acceleration_mps2 in (-hardest..=most).map(|i| f64::from(i) * SPACING_MPS2) {
                 plans.extend(self.plan(pair, time_s, acceleration_mps2)?);
             }
         }
@@ -139,25 +142,31 @@ impl CutIn {
     fn plan(&self, pair: &Pair, time_s: f64, acceleration_mps2: f64) -> Option<Option<CutInPlan>> {
         let Pair { own_mps, lengths_m: [own_length_m, their_length_m], .. } = *pair;
         let then_mps = pair.their_mps + acceleration_mps2 * time_s;
+        if then_mps < STANDING_MPS {
+            return Some(None);
+        }
         let driven_m = (pair.their_mps + then_mps) / 2.0 * time_s;
         // Its position in its own lane, at the present offset from the center line.
         let on_lane = pair.their_lane.point_at(pair.their_station_m + driven_m)?;
         let then = pair.lane.project(on_lane)?;
-        let aside_m = (then.offset_m + pair.their_offset_m - pair.own_offset_m).abs();
-        let half_widths_m = (pair.widths_m[0] + pair.widths_m[1]) / 2.0;
-        let shift_m = (aside_m - half_widths_m + SHARE_M).max(0.0);
-        let least_s = 2.0 * (shift_m / LATERAL_ACCELERATION_MPS2).sqrt();
         let half_lengths_m = (own_length_m + their_length_m) / 2.0;
         let gap_m = then.station_m - pair.own_station_m - own_mps * time_s - half_lengths_m;
         // The ego must get there before the scene ends.
         let left_s = self.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
-        let is_reached = (SHARE_M..own_mps * left_s).contains(&gap_m);
-        if then_mps < STANDING_MPS || least_s > time_s || !is_reached {
+        if !(LEAST_GAP_M..own_mps * left_s).contains(&gap_m) {
+            return Some(None);
+        }
+        let aside_m = (then.offset_m + pair.their_offset_m - pair.own_offset_m).abs();
+        let half_widths_m = (pair.widths_m[0] + pair.widths_m[1]) / 2.0;
+        let shift_m = (aside_m - half_widths_m - CORNER_M).max(0.0);
+        let fastest = pair.manner.fastest(aside_m);
+        let least_s = fastest.reaches_s(shift_m);
+        if least_s > time_s {
             return Some(None);
         }
         // Its center must be in the lane, too, before the scene ends.
         let beyond_m = pair.lane.beyond_m(on_lane, pair.side)? + pair.side * pair.their_offset_m;
-        let crossed_s = time_s + (beyond_m - shift_m).max(0.0) / CROSSING_MPS;
+        let crossed_s = time_s - least_s + fastest.reaches_s(beyond_m.clamp(shift_m, aside_m));
         if crossed_s > pair.horizon_s - TO_SPARE_S {
             return Some(None);
         }
@@ -227,15 +236,17 @@ mod tests {
 
     #[test]
     fn the_way_aside_takes_its_share_of_the_time() {
-        // 3.3 m aside, less 1.8 m of two half widths, with 0.3 m inside the lane: 1.8 m, which take √3.6 s at 2 m/s².
-        // At its speed, 7.5 m ahead of an ego that needs 0.75 s for them, it can come in after 2 or 2.5 of the 4 s: 3
-        // would leave too little time.
+        // 3.3 m aside, less 1.8 m of two half widths and 0.2 m of a corner: 1.3 m. A speed of 1.43 m/s is reached
+        // within 1.0725 s and half as many times 1.43 m, and the rest takes 0.373 s. At its speed, 7.5 m ahead of an
+        // ego that needs 0.75 s for them, it can come in after 1.5 to 2.5 of the 4 s: 2.75 would leave too little time.
         let found = outcomes(drive(12.0, 3.3, 0.0, 10.0));
         let at_its_speed = found.iter().filter(|outcome| outcome.get("relative_speed_mps") == Some(0.0));
         let efforts: Vec<f64> = at_its_speed.map(Outcome::effort).collect();
-        assert_eq!(efforts.len(), 2, "{efforts:?}");
-        for (effort, time_s) in efforts.iter().zip([2.0, 2.5f64]) {
-            assert!((effort - 3.6 / time_s.powi(2)).abs() < 1e-9, "{effort} after {time_s} s");
+        let least_s: f64 = 1.0725 / 2.0 + 1.3 / 1.43;
+        let expected = [2.5, 2.25, 2.0, 1.75, 1.5].map(|time_s| (least_s / time_s).powi(2));
+        assert!(efforts.len() >= 3, "{efforts:?}");
+        for (effort, expected) in efforts.iter().rev().zip(expected) {
+            assert!((effort - expected).abs() < 1e-6, "{effort}, {expected}");
         }
     }
 

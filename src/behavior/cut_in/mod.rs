@@ -78,9 +78,10 @@ const ALONG_RAD: f64 = FRAC_PI_6;
 /// *What does not count*: an ego that moves in behind the other, changes lanes itself, or makes so much room that the
 /// other is never in its way; boxes that graze while both keep their lanes; crossing, turning and oncoming traffic;
 /// agents not tracked at present; an ego that is in no lane of the map, or a scene without a map: of two paths that
-/// meet, it is then unknown which one is kept. Where the two lanes lead into each other and both vehicles keep theirs,
-/// as on a ramp, offsets do not show which one cuts in: it is the one that moves more across the mean of its headings
-/// at both ends.
+/// meet, it is then unknown which one is kept; another that keeps a lane of its own (its center at most 0.3 m beyond a
+/// side) which runs beside that of the ego or overlaps it, as through junctions. Where the two lanes lead into each other
+/// within 50 m and both vehicles keep theirs, as on a ramp, offsets do not show which one cuts in: it is the one that
+/// moves more across the mean of its headings at both ends.
 ///
 /// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and
 /// end are the first and the last timestep of the scene.
@@ -114,11 +115,14 @@ pub struct CutIn {
     pub min_shift_m: f64,
     /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
+    /// In templates, the other moves over this many times as fast as drivers do at most. Default 1.
+    #[schemars(range(min = 0.5, max = 3.0))]
+    pub hurry: f64,
 }
 
 impl Default for CutIn {
     fn default() -> Self {
-        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false }
+        Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false, hurry: 1.0 }
     }
 }
 

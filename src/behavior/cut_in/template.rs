@@ -5,25 +5,18 @@ use super::CutIn;
 use super::feasible::{CutInPlan, Pair};
 use crate::behavior::Outcome;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::REACTIONS_S;
 use crate::behavior::maneuver::{has_room, spread};
-use crate::behavior::template::{
-    InTheWay, MOST_ANGLE_RAD, QUINTIC_PEAK, QUINTIC_SLOPE, Template, distinct, quintic, quintic_inverse,
-};
+use crate::behavior::sideways::{CHANGE_PEAK, Sideways, changed_s};
+use crate::behavior::template::{InTheWay, MOST_ANGLE_RAD, Template, distinct};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// The lateral acceleration of a comfortable lane change, m/s²: 3.5 m within five seconds, as most drivers take.
-const COMFORTABLE_MPS2: f64 = 0.85;
-/// The largest lateral acceleration, m/s².
-const MOST_MPS2: f64 = 3.0;
-/// The search for the time at which the box enters the path: spacing of times in seconds, how many of them the coarse
-/// search skips, and how often the start is corrected.
+/// The search for the time at which the box enters the path: spacing of times in seconds, and how often the start is
+/// corrected.
 const STEP_S: f64 = 0.02;
-const N_FINE: usize = 5;
 const N_CORRECTIONS: usize = 2;
-/// Durations of the lane change that are tried, as shares of the comfortable one.
-const HURRIES: [f64; 4] = [1.0, 0.85, 0.7, 0.55];
 /// How long before the end of the scene the other must be in the lane, seconds.
 const IN_LANE_S: f64 = 0.2;
 /// The largest final offset from the center line, meters.
@@ -45,8 +38,6 @@ const ALONG_AT_END_RAD: f64 = 0.2;
 const LATE_S: f64 = 0.1;
 /// How far the ego must pass the place where the other came in, meters, because positions are known only at timesteps.
 const IN_PLACE_M: f64 = 0.5;
-/// The largest slope of the smooth change of speed from 0 to 1.
-pub(super) const CHANGE_PEAK: f64 = 1.5;
 
 impl CutIn {
     /// A way in which `other` cuts in before `ego` with every `wanted` parameter in its range: a different one for each
@@ -109,64 +100,69 @@ impl CutIn {
 /// How drivers perform a maneuver.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Style {
-    /// Duration of the lane change, as a share of the comfortable one.
-    hurry: f64,
+    /// Speed across the lanes, as a multiple of the preferred one, if it suffices.
+    eager: f64,
     /// Preferred deceleration of the ego, m/s².
     brakes_mps2: f64,
 }
 
 /// Styles, the ordinary one first.
 pub(super) const STYLES: [Style; 4] = [
-    Style { hurry: 1.0, brakes_mps2: 2.0 },
-    Style { hurry: 0.8, brakes_mps2: 3.0 },
-    Style { hurry: 1.2, brakes_mps2: 1.2 },
-    Style { hurry: 0.9, brakes_mps2: 4.0 },
+    Style { eager: 1.0, brakes_mps2: 2.0 },
+    Style { eager: 1.25, brakes_mps2: 3.0 },
+    Style { eager: 0.85, brakes_mps2: 1.2 },
+    Style { eager: 1.1, brakes_mps2: 4.0 },
 ];
 
 /// When the other moves over, seconds after the present.
 #[derive(Clone, Copy)]
 struct ComingOver {
     begins_s: f64,
-    takes_s: f64,
+    sideways: Sideways,
 }
 
 impl ComingOver {
     /// When the center is midway between the lanes, seconds after the present.
     fn midway_s(self) -> f64 {
-        self.begins_s + self.takes_s / 2.0
+        self.begins_s + self.sideways.takes_s() / 2.0
     }
 }
 
-/// How the ego slows down to the speed of the other, from the intrusion on.
+/// How the ego slows down to the speed of the other, from some time after the intrusion on.
 #[derive(Clone, Copy)]
 struct Braking {
+    reacts_s: f64,
     takes_s: f64,
     less_mps: f64,
 }
 
 impl Pair {
     /// How the ego brakes for the other: in the given `style`, or as hard as it must to keep its distance. `None` if it
-    /// would have to brake too hard, or would reach the place where the other came in too late.
+    /// would have to brake too hard, or would reach the place where the other came in too late. It reacts as late as
+    /// leaves it that.
     fn braking(&self, plan: &CutInPlan, max_delay_s: f64, style: Style) -> Option<Braking> {
         let gap_m = plan.outcome.get("gap_m")?;
         // A vehicle that is too close behind falls back.
         let opens_mps = ((FOLLOWS_S * plan.then_mps - gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
         let less_mps = (self.own_mps - plan.then_mps + opens_mps).clamp(0.0, self.own_mps);
         let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
-        // While it brakes, it closes the gap at half of the speed difference on average.
-        let most_s = if less_mps > 0.0 { 2.0 * (gap_m - least_m) / less_mps } else { f64::INFINITY };
-        let takes_s = most_s.min(CHANGE_PEAK * less_mps / style.brakes_mps2);
-        let braking = Braking { takes_s, less_mps };
         let reached_s = max_delay_s.min(self.horizon_s - IN_LANE_S - plan.time_s);
-        let driven_m = self.own_driven_m(plan, braking, plan.time_s + reached_s) - self.own_mps * plan.time_s;
-        let is_possible = CHANGE_PEAK * less_mps <= HARDEST_MPS2 * takes_s && driven_m > gap_m + IN_PLACE_M;
-        is_possible.then_some(braking)
+        REACTIONS_S.into_iter().find_map(|reacts_s| {
+            let left_m = gap_m - least_m - (self.own_mps - plan.then_mps).max(0.0) * reacts_s;
+            // While it brakes, it closes the gap at half of the speed difference on average.
+            let most_s = if less_mps > 0.0 { 2.0 * left_m / less_mps } else { f64::INFINITY };
+            let takes_s = most_s.min(CHANGE_PEAK * less_mps / style.brakes_mps2);
+            let braking = Braking { reacts_s, takes_s, less_mps };
+            let driven_m = self.own_driven_m(plan, braking, plan.time_s + reached_s) - self.own_mps * plan.time_s;
+            let is_possible = CHANGE_PEAK * less_mps <= HARDEST_MPS2 * takes_s && driven_m > gap_m + IN_PLACE_M;
+            is_possible.then_some(braking)
+        })
     }
 
     /// The distance driven by the ego, meters.
-    fn own_driven_m(&self, plan: &CutInPlan, Braking { takes_s, less_mps }: Braking, elapsed_s: f64) -> f64 {
-        let since_s = (elapsed_s - plan.time_s).max(0.0);
-        self.own_mps * elapsed_s - less_mps * (changed_s(since_s, takes_s) + (since_s - takes_s).max(0.0))
+    fn own_driven_m(&self, plan: &CutInPlan, Braking { reacts_s, takes_s, less_mps }: Braking, elapsed_s: f64) -> f64 {
+        let since_s = (elapsed_s - plan.time_s - reacts_s).max(0.0);
+        self.own_mps * elapsed_s - less_mps * changed_s(since_s, takes_s)
     }
 
     /// The place of the ego under the plan, `elapsed_s` after the present.
@@ -179,20 +175,16 @@ impl Pair {
     fn coming_over(&self, plan: &CutInPlan, style: Style) -> Option<ComingOver> {
         let aside_m = self.aside_m(plan);
         if plan.aside_m.min(aside_m) < NOTHING_M {
-            return Some(ComingOver { begins_s: 0.0, takes_s: plan.time_s });
+            return Some(ComingOver { begins_s: 0.0, sideways: self.manner.fastest(0.0) });
         }
-        let share = quintic_inverse((plan.shift_m / aside_m).min(1.0));
-        let most_s = if share > 0.0 { plan.time_s / share } else { f64::INFINITY };
-        let comfortable_s = style.hurry * (QUINTIC_PEAK * aside_m / COMFORTABLE_MPS2).sqrt();
-        HURRIES.into_iter().find_map(|hurry| {
-            let takes_s = most_s.min(comfortable_s * hurry);
-            let along_m = f64::midpoint(self.their_mps, plan.then_mps) * takes_s;
-            let is_steep = QUINTIC_SLOPE * aside_m > MOST_ANGLE_RAD.tan() * along_m;
-            if is_steep || QUINTIC_PEAK * aside_m / (takes_s * takes_s) > MOST_MPS2 {
+        self.manner.ways(aside_m, style.eager).find_map(|sideways| {
+            let along_mps = f64::midpoint(self.their_mps, plan.then_mps);
+            let needed_s = sideways.reaches_s(plan.shift_m.min(aside_m));
+            if sideways.mps > MOST_ANGLE_RAD.tan() * along_mps || needed_s > plan.time_s + LATE_S {
                 return None;
             }
             // A vehicle that moves over is turned, so a corner of its box enters the path first.
-            let mut over = ComingOver { begins_s: plan.time_s - share * takes_s, takes_s };
+            let mut over = ComingOver { begins_s: (plan.time_s - needed_s).max(0.0), sideways };
             for _ in 0..N_CORRECTIONS {
                 over.begins_s = (over.begins_s + plan.time_s - self.intrusion_s(plan, over)?).max(0.0);
             }
@@ -222,35 +214,30 @@ impl Pair {
             let half_across_m = (self.lengths_m[1] * sin.abs() + self.widths_m[1] * cos.abs()) / 2.0;
             Some((place.offset_m - self.own_offset_m).abs() <= self.widths_m[0] / 2.0 + half_across_m)
         };
-        let n_steps = (2.0 * plan.time_s / STEP_S) as usize;
         let at = |step: usize| step as f64 * STEP_S;
-        // Coarsely first.
-        let first = (0..n_steps).step_by(N_FINE).find(|step| is_in_path(at(*step)) == Some(true))?;
-        (first.saturating_sub(N_FINE)..=first).map(at).find(|elapsed_s| is_in_path(*elapsed_s) == Some(true))
+        let (mut outside, mut inside) = (0, (2.0 * plan.time_s / STEP_S) as usize);
+        if is_in_path(at(outside))? {
+            return Some(at(outside));
+        }
+        // Coming nearer all the time, it enters the path once.
+        is_in_path(at(inside)).filter(|is_in_path| *is_in_path)?;
+        while inside - outside > 1 {
+            let middle = usize::midpoint(outside, inside);
+            if is_in_path(at(middle))? { inside = middle } else { outside = middle }
+        }
+        Some(at(inside))
     }
 
     /// The place of the other under the plan, `elapsed_s` after the present.
     fn place(&self, plan: &CutInPlan, over: ComingOver, elapsed_s: f64) -> Option<Vec2> {
         // Its speed changes smoothly, by the same amount and over the same distance as at a constant rate.
-        let until_s = elapsed_s.min(plan.time_s);
-        let driven_m = self.their_mps * until_s
-            + (plan.then_mps - self.their_mps) * changed_s(until_s, plan.time_s)
-            + plan.then_mps * (elapsed_s - until_s);
+        let driven_m =
+            self.their_mps * elapsed_s + (plan.then_mps - self.their_mps) * changed_s(elapsed_s, plan.time_s);
         let on_own = self.their_lane.beside(self.their_station_m + driven_m, self.their_offset_m)?;
         let station_m = self.lane.project(on_own)?.station_m;
         let on_egos = self.lane.beside(station_m, self.kept_offset_m())?;
-        Some(on_own.lerp(on_egos, quintic((elapsed_s - over.begins_s) / over.takes_s)))
+        Some(on_own.lerp(on_egos, over.sideways.share(elapsed_s - over.begins_s)))
     }
-}
-
-/// The integral of a speed that changes smoothly from 0 to 1 within `takes_s`, by 3 u² - 2 u³, over the first
-/// `elapsed_s` of them, seconds.
-fn changed_s(elapsed_s: f64, takes_s: f64) -> f64 {
-    if takes_s <= 0.0 {
-        return 0.0;
-    }
-    let u = (elapsed_s / takes_s).min(1.0);
-    takes_s * u * u * u * (1.0 - u / 2.0)
 }
 
 #[cfg(test)]

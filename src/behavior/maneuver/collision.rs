@@ -92,6 +92,7 @@ impl Collision {
                     effort: a.effort.max(b.effort),
                     parameters: &["relative_speed_mps", "heading_difference_rad", "bearing_rad"],
                     in_the_way: Some(InTheWay::Ahead),
+                    others: Vec::new(),
                     positions: vec![a.positions.clone(), b.positions.clone()],
                 });
             }

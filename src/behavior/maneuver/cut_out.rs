@@ -6,7 +6,7 @@ use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
 use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::limits::effort;
+use crate::behavior::limits::{REACTIONS_S, effort};
 use crate::behavior::template::InTheWay;
 use crate::scene::Scene;
 
@@ -15,9 +15,8 @@ const EGO_MPS2: [f64; 2] = [0.0, -1.0];
 const REVEALED_MPS2: [f64; 3] = [0.0, -1.0, -2.0];
 /// How long after it is midway the leader may be out of the lane, seconds.
 const REVEALED_AT_S: [f64; 3] = [0.0, 0.3, 0.6];
-/// How long after the leader is midway the ego brakes, how long before the scene ends at the latest, seconds, and how
-/// hard, m/s².
-const REACTION_S: f64 = 0.3;
+/// The ego brakes after the leader is midway, once it has reacted, this long before the scene ends at the latest,
+/// seconds, and how hard, m/s².
 const SHOWN_S: f64 = 0.4;
 const BRAKES_MPS2: [f64; 4] = [2.0, 3.5, 5.0, 7.0];
 
@@ -33,10 +32,11 @@ impl CutOut {
         let follower = is_admitted.then(|| Follower::as_observed(scene, &lanes, ego_idx)).flatten()?;
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
-        let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx) } else { Vec::new() };
+        let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx, 1.0) } else { Vec::new() };
         let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
         ways.retain(|way| {
-            way.midway_s + REACTION_S + SHOWN_S < horizon_s && way.has_room(scene, leader_idx, &[ego_idx, revealed_idx])
+            way.midway_s + REACTIONS_S[1] + SHOWN_S < horizon_s
+                && way.has_room(scene, leader_idx, &[ego_idx, revealed_idx])
         });
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
         let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));
@@ -59,8 +59,11 @@ impl CutOut {
                 let keeps = |(pace, mps2): &(Pace, f64)| {
                     keeps_distance(&ego.travel(*own_rail, pace), &theirs, next.gap_m, *mps2)
                 };
-                let braking = |mps2: f64| (Pace::steady(*own_mps2).then(way.midway_s + REACTION_S, -mps2), mps2);
-                let braking = if is_reached { BRAKES_MPS2.into_iter().map(braking).find(keeps) } else { None };
+                let braking = |mps2: f64| {
+                    let pace = |reacts_s: f64| Pace::steady(*own_mps2).then(way.midway_s + reacts_s, -mps2);
+                    REACTIONS_S.map(|reacts_s| (pace(reacts_s), mps2))
+                };
+                let braking = if is_reached { BRAKES_MPS2.into_iter().flat_map(braking).find(keeps) } else { None };
                 let pace = braking.map(|(pace, _)| pace);
                 let Some(pace) = pace else { continue };
                 let revealed_at = revealed.positions(*their_rail, &theirs.driven_m);
@@ -72,6 +75,7 @@ impl CutOut {
                     effort: way.effort.max(effort(*own_mps2)).max(effort(*their_mps2)),
                     parameters: &["ttc_s", "gap_m", "relative_speed_mps", "side"],
                     in_the_way: Some(InTheWay::Everybody),
+                    others: Vec::new(),
                     positions: vec![
                         ego.positions(*own_rail, &ego.travel(*own_rail, &pace).driven_m),
                         revealed_at,

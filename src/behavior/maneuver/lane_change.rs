@@ -13,13 +13,14 @@ impl LaneChange {
         if !scene.tracks[agent_idx].class.is_motorized() {
             return Vec::new();
         }
-        let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx).into_iter();
+        let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx, self.hurry).into_iter();
         let ways = ways.filter(|way| way.has_room(scene, agent_idx, &[]));
         let maneuver = |way: MovingOver| Maneuver {
             kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
             effort: way.effort,
             parameters: &["side"],
             in_the_way: Some(InTheWay::Everybody),
+            others: Vec::new(),
             positions: vec![way.positions],
         };
         ways.map(maneuver).collect()

@@ -55,6 +55,8 @@ pub struct Maneuver {
     pub(super) in_the_way: Option<InTheWay>,
     /// The positions of each agent, in the order of the roles: at present, and at each timestep after it.
     pub(super) positions: Vec<Vec<Vec2>>,
+    /// Other agents that the event happens because of, with their positions.
+    pub(super) others: Vec<(usize, Vec<Vec2>)>,
 }
 
 /// A maneuver that works, with its outcome.
@@ -62,6 +64,7 @@ pub struct Maneuver {
 pub(super) struct Plan {
     pub(super) outcome: Outcome,
     positions: Vec<Vec<Vec2>>,
+    others: Vec<(usize, Vec<Vec2>)>,
 }
 
 /// The plans by which `agents` show `behavior`, easiest first: maneuvers in which nobody leaves the road, accelerates
@@ -154,7 +157,8 @@ struct Trial<'a> {
 impl Trial<'_> {
     /// The plan of a maneuver; `None` if it does not lead to the event.
     fn plan(&self, behavior: &(impl Behavior + ?Sized), maneuver: Maneuver) -> Option<Plan> {
-        let mut plan = Plan { outcome: Outcome::default().at_effort(maneuver.effort), positions: maneuver.positions };
+        let outcome = Outcome::default().at_effort(maneuver.effort);
+        let mut plan = Plan { outcome, positions: maneuver.positions, others: maneuver.others };
         let alone = &self.alone;
         let among_all = plan.template(self.scene, self.agents)?;
         let is_possible = among_all.is_drivable(self.scene)
@@ -166,7 +170,7 @@ impl Trial<'_> {
         }
         let mut driven = alone.clone();
         let own: Vec<usize> = (0..alone.tracks.len()).collect();
-        plan.template(alone, &own)?.apply(&mut driven);
+        plan.template_of(alone, &own, &[])?.apply(&mut driven);
         let is_meant = |event: &BehaviorEvent| {
             event.label == EventLabel::Positive
                 && event.is_mostly_ahead(&driven)
@@ -181,15 +185,23 @@ impl Trial<'_> {
 }
 
 impl Plan {
-    /// The template of all agents. `None` if one of them cannot follow it.
+    /// The template of all agents and others. `None` if one of them cannot follow it.
     fn template(&self, scene: &Scene, agents: &[usize]) -> Option<Template> {
-        agents.iter().zip(&self.positions).try_fold(Template::empty(), |template, (agent_idx, positions)| {
-            template.with(scene, *agent_idx, |elapsed_s| {
-                let step = elapsed_s / scene.dt_s;
-                let before = (step as usize).min(positions.len() - 1);
-                let after = (before + 1).min(positions.len() - 1);
-                Some(positions[before].lerp(positions[after], step - before as f64))
-            })
-        })
+        self.template_of(scene, agents, &self.others)
+    }
+
+    fn template_of(&self, scene: &Scene, agents: &[usize], others: &[(usize, Vec<Vec2>)]) -> Option<Template> {
+        let others = others.iter().map(|(agent_idx, positions)| (agent_idx, positions));
+        agents.iter().zip(&self.positions).chain(others).try_fold(
+            Template::empty(),
+            |template, (agent_idx, positions)| {
+                template.with(scene, *agent_idx, |elapsed_s| {
+                    let step = elapsed_s / scene.dt_s;
+                    let before = (step as usize).min(positions.len() - 1);
+                    let after = (before + 1).min(positions.len() - 1);
+                    Some(positions[before].lerp(positions[after], step - before as f64))
+                })
+            },
+        )
     }
 }

@@ -4,7 +4,8 @@ use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::effort;
-use crate::behavior::template::{MOST_ANGLE_RAD, QUINTIC_PEAK, QUINTIC_SLOPE, quintic};
+use crate::behavior::sideways::{LANE_CHANGE, Manner, OVERTAKING};
+use crate::behavior::template::MOST_ANGLE_RAD;
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Extent, STANDING_STEP_M, Scene};
 use std::f64::consts::FRAC_PI_4;
@@ -13,13 +14,8 @@ use std::f64::consts::FRAC_PI_4;
 const ALONG_RAD: f64 = FRAC_PI_4;
 /// The least speed at which vehicles move over, m/s.
 const LEAST_SPEED_MPS: f64 = 2.0;
-/// When moving over begins and how long it takes, seconds.
+/// When moving over begins, seconds.
 const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
-const TAKES_S: [f64; 4] = [2.4, 3.0, 3.8, 4.6];
-/// The largest lateral acceleration, m/s²: of a car, and of a vehicle that is longer than cars are, meters.
-const MOST_ACROSS_MPS2: f64 = 3.0;
-const LONG_ACROSS_MPS2: f64 = 1.5;
-const LONG_M: f64 = 6.5;
 /// The least headway in the new lane, seconds; how hard the faster of two agents slows down there, m/s²; and the least
 /// distance between two bodies on the way, meters.
 const ROOM_S: f64 = 0.7;
@@ -42,8 +38,9 @@ pub(super) struct MovingOver {
     pub(super) positions: Vec<Vec2>,
 }
 
-/// The ways in which an agent can move over to a lane beside its own. Empty if it is in no lane, or too slow.
-pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Vec<MovingOver> {
+/// The ways in which an agent can move over to a lane beside its own, at most `hurry` times as fast as drivers do.
+/// Empty if it is in no lane, or too slow.
+pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize, hurry: f64) -> Vec<MovingOver> {
     let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
     let now = driver.state;
     let is_along = |heading_rad: f64| angle_difference(heading_rad, now.heading_rad).abs() < ALONG_RAD;
@@ -52,8 +49,8 @@ pub(super) fn ways_over(scene: &Scene, lanes: &SceneLanes<'_>, agent_idx: usize)
     beside.sort_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
     beside.dedup_by_key(|(lane, side)| (lane.lane.id, *side > 0.0));
     let targets = beside.into_iter().map(|(lane, side)| (KeptLane::from_lane(lanes, lane), side));
-    let most_mps2 = most_across_mps2(scene, agent_idx);
-    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side, most_mps2)).collect()
+    let manner = LANE_CHANGE.of(hurry, scene.tracks[agent_idx].extent_or_nominal().length_m);
+    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side, manner)).collect()
 }
 
 /// The ways in which an agent can move over to an oncoming lane beside its own, to drive against it.
@@ -61,13 +58,8 @@ pub(super) fn ways_over_to_oncoming(scene: &Scene, lanes: &SceneLanes<'_>, agent
     let Some(driver) = Driver::new(scene, lanes, agent_idx) else { return Vec::new() };
     let oncoming = lanes.oncoming(driver.state.position, driver.state.heading_rad).into_iter();
     let targets = oncoming.map(|(lane, side)| (KeptLane::from_lane(lanes, lane).reversed(), side));
-    let most_mps2 = most_across_mps2(scene, agent_idx);
-    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side, most_mps2)).collect()
-}
-
-fn most_across_mps2(scene: &Scene, agent_idx: usize) -> f64 {
-    let is_long = scene.tracks[agent_idx].extent_or_nominal().length_m > LONG_M;
-    if is_long { LONG_ACROSS_MPS2 } else { MOST_ACROSS_MPS2 }
+    let manner = OVERTAKING.of(1.0, scene.tracks[agent_idx].extent_or_nominal().length_m);
+    targets.flat_map(|(target, side)| over_to(scene, &driver, &target, side, manner)).collect()
 }
 
 impl MovingOver {
@@ -135,7 +127,7 @@ pub(super) fn is_clear_of(scene: &Scene, agents: [usize; 2], positions: [&[Vec2]
 }
 
 /// The ways in which a driver can move over to a lane on this side. Empty if it is too slow.
-fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mps2: f64) -> Vec<MovingOver> {
+fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, manner: Manner) -> Vec<MovingOver> {
     let now = driver.state;
     let Some(there) = target.project(now.position) else { return Vec::new() };
     let aside_m = there.offset_m.abs();
@@ -151,18 +143,19 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, most_mp
         let on_target: Option<Vec<Vec2>> =
             on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
         let Some(on_target) = on_target else { continue };
-        for (begins_s, takes_s) in BEGINS_S.iter().flat_map(|b| TAKES_S.map(|t| (*b, t))) {
-            let across_mps2 = QUINTIC_PEAK * aside_m / (takes_s * takes_s);
+        for (begins_s, over) in BEGINS_S.iter().flat_map(|b| manner.ways(aside_m, 1.0).map(move |over| (*b, over))) {
+            let lasts_s = over.takes_s().min(driven_m.len() as f64 * scene.dt_s - begins_s);
             let driven_m = |until_s: f64| driven_m[((until_s / scene.dt_s) as usize).clamp(1, driven_m.len()) - 1];
-            let along_m = driven_m(begins_s + takes_s) - if begins_s > 0.0 { driven_m(begins_s) } else { 0.0 };
-            if across_mps2 > most_mps2 || QUINTIC_SLOPE * aside_m > MOST_ANGLE_RAD.tan() * along_m {
+            let along_m = driven_m(begins_s + lasts_s) - if begins_s > 0.0 { driven_m(begins_s) } else { 0.0 };
+            if over.mps * lasts_s > MOST_ANGLE_RAD.tan() * along_m {
                 continue;
             }
-            let share = |step: usize| quintic((step as f64 * scene.dt_s - begins_s) / takes_s);
+            let share = |step: usize| over.share(step as f64 * scene.dt_s - begins_s);
             let both = on_own.iter().zip(&on_target).enumerate();
             let positions = both.map(|(step, (own, there))| own.lerp(*there, share(step))).collect();
-            let effort = effort(along_mps2).max(across_mps2 / MOST_ACROSS_MPS2);
-            found.push(MovingOver { side, midway_s: begins_s + takes_s / 2.0, effort, positions });
+            let midway_s = begins_s + over.reaches_s(aside_m / 2.0);
+            let effort = effort(along_mps2).max(over.mps / manner.mps[1]);
+            found.push(MovingOver { side, midway_s, effort, positions });
         }
     }
     found
@@ -183,7 +176,7 @@ mod tests {
             positions: (0..=20)
                 .map(|step| {
                     let now = scene.state(0, scene.current_timestep()).unwrap().position;
-                    now + Vec2::new(f64::from(step), 3.5 * quintic(f64::from(step) / 20.0))
+                    now + Vec2::new(f64::from(step), 3.5 * f64::from(step) / 20.0)
                 })
                 .collect(),
         };

@@ -4,7 +4,7 @@
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::footprint::{Bounds, Footprint};
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::limits::effort;
+use crate::behavior::limits::{REACTIONS_S, effort};
 use crate::behavior::template::InTheWay;
 use crate::scene::{Extent, Scene};
 use std::f64::consts::FRAC_PI_6;
@@ -14,12 +14,11 @@ const FIRST_MPS2: [f64; 4] = [0.0, 0.8, 1.6, 2.4];
 const OTHER_MPS2: [f64; 4] = [0.0, 0.6, 1.25, -1.0];
 /// How long before the first gets into its way the other sees it coming and gives no more gas, seconds.
 const NOTICES_S: f64 = 1.5;
-/// How hard the other brakes, m/s², if it would follow by at least this, seconds; how long after the first gets into
-/// its way; and how hard it accelerates once it can, or this long after the first has left its way; if it has braked
-/// for this long.
-const BRAKES_MPS2: [f64; 3] = [1.5, 3.0, 5.0];
+/// How hard the other brakes, m/s², if it would follow by at least this, seconds; and how hard it accelerates once it
+/// can, or this long after the first has left its way; if it has braked for this long.
+const BRAKES_MPS2: [f64; 3] = [1.5, 3.8, 5.5];
 const FOLLOWS_S: [f64; 3] = [1.0, 0.5, 0.0];
-const REACTION_S: f64 = 0.4;
+const SEES_IT_LEAVE_S: f64 = 0.4;
 const GOES_ON_MPS2: f64 = 0.5;
 const LEAST_BRAKING_S: f64 = 0.5;
 /// No agent brakes so hard without need that it would stop within this time, seconds.
@@ -79,16 +78,17 @@ impl Pair<'_> {
             return Vec::new();
         };
         let [enters_s, leaves_s] = [enters, own.last_in_way_of(theirs)].map(|step| (step + 1) as f64 * self.dt_s);
-        let brakes_s = enters_s + REACTION_S;
-        let (earliest_s, latest_s) = (brakes_s + LEAST_BRAKING_S, leaves_s + REACTION_S);
-        let n_times = ((latest_s - earliest_s) / GOES_ON_SPACING_S).ceil().max(0.0) as usize;
+        let latest_s = leaves_s + SEES_IT_LEAVE_S;
         let eased = Pace::steady(theirs.mps2).then((enters_s - NOTICES_S).max(0.0), theirs.mps2.min(0.0));
         let delay_s = delay as f64 * self.dt_s;
         let hard_enough = FOLLOWS_S.iter().position(|least_s| delay_s >= *least_s).unwrap_or_default();
         let stopping_mps2 = self.other.state.speed_mps() / LEAST_STOPPING_S;
         let ordinary = BRAKES_MPS2.iter().rposition(|mps2| *mps2 <= stopping_mps2).unwrap_or_default();
         let spacing = (DELAY_SPACING_S / self.dt_s).max(1.0) as usize;
-        let maneuver = |(nth, brakes_mps2): (usize, &f64)| {
+        let maneuver = |reacts_s: f64, (nth, brakes_mps2): (usize, &f64)| {
+            let brakes_s = enters_s + reacts_s;
+            let earliest_s = brakes_s + LEAST_BRAKING_S;
+            let n_times = ((latest_s - earliest_s) / GOES_ON_SPACING_S).ceil().max(0.0) as usize;
             let drive = |pace: &Pace| RailDrive::new(self.other, self.extents[1], theirs.rail, theirs.mps2, pace);
             let pace = eased.clone().then(brakes_s, theirs.mps2.min(-brakes_mps2));
             // It lets go of the brake as soon as that keeps the distance.
@@ -101,6 +101,7 @@ impl Pair<'_> {
                 effort: effort(own.mps2).max(effort(theirs.mps2)),
                 parameters,
                 in_the_way: Some(InTheWay::Ahead),
+                others: Vec::new(),
                 positions: vec![
                     self.first.positions(own.rail, &own.driven_m),
                     self.other.positions(theirs.rail, &braking.driven_m),
@@ -108,7 +109,10 @@ impl Pair<'_> {
             })
         };
         // No harder than it has to, but like a driver who sees how close it is.
-        BRAKES_MPS2.iter().enumerate().skip(hard_enough.min(ordinary)).find_map(maneuver).into_iter().collect()
+        let mut hard = BRAKES_MPS2.iter().enumerate().skip(hard_enough.min(ordinary));
+        hard.find_map(|braking| REACTIONS_S.into_iter().find_map(|reacts_s| maneuver(reacts_s, braking)))
+            .into_iter()
+            .collect()
     }
 }
 

@@ -3,7 +3,7 @@
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::following::Follower;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::limits::effort;
+use crate::behavior::limits::{REACTIONS_S, effort};
 use crate::behavior::pedestrian_steps_out::{MAX_PEDESTRIAN_MPS, PedestrianStepsOut};
 use crate::behavior::template::InTheWay;
 use crate::geometry::Vec2;
@@ -13,14 +13,9 @@ use crate::scene::Scene;
 const WALKS_MPS: [f64; 3] = [1.0, 1.4, 1.8];
 const STARTING_S: f64 = 0.8;
 const BEGINS_S: [f64; 6] = [0.0, 0.4, 0.8, 1.2, 1.6, 2.0];
-/// How far inside the lane the pedestrian is when the vehicle notices it, meters, and the latest this may be after the
-/// pedestrian has begun to walk toward it, seconds.
-const INSIDE_M: f64 = 0.1;
-const NOTICED_S: f64 = 1.0;
-/// Accelerations of the vehicle until the pedestrian turns to the lane, m/s²; how long after it has noticed that it
-/// brakes, seconds, and how hard, m/s².
+/// Accelerations of the vehicle until the pedestrian turns to the lane, m/s², and how hard it brakes, m/s², after the
+/// pedestrian has begun to reach into its lane and it has reacted.
 const EGO_MPS2: [f64; 3] = [0.0, 0.6, -1.0];
-const REACTION_S: f64 = 0.4;
 const BRAKES_MPS2: [f64; 5] = [1.5, 2.5, 3.5, 5.0, 7.0];
 /// How long before the scene ends the vehicle reacts at the latest, seconds.
 const SHOWN_S: f64 = 0.6;
@@ -45,7 +40,8 @@ impl PedestrianStepsOut {
         let toward = Vec2::from_angle(there.heading_rad).rotated(-side * std::f64::consts::FRAC_PI_2);
         let along = Vec2::from_angle(there.heading_rad);
         let along_mps = theirs.velocity.dot(along);
-        let to_lane_m = ego.lane.beyond_m(theirs.position, side)? + INSIDE_M;
+        let half_width_m = scene.tracks[walker_idx].extent_or_nominal().width_m / 2.0;
+        let to_lane_m = (ego.lane.beyond_m(theirs.position, side)? - half_width_m).max(0.0);
         let half_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m / 2.0;
         let gap_m = there.station_m - place.station_m - half_m(ego_idx) - half_m(walker_idx);
         let driver = Driver::new(scene, &lanes, ego_idx)?;
@@ -61,9 +57,14 @@ impl PedestrianStepsOut {
                     let along_s = elapsed_s.min(begins_s) + starting_s - rising_s;
                     toward * (walks_mps * (rising_s + since_s - starting_s)) + along * (along_mps * along_s)
                 };
-                let reaches_lane_s = STARTING_S / 2.0 + to_lane_m / walks_mps;
-                let seen_s = begins_s + reaches_lane_s.min(NOTICED_S);
-                if seen_s + REACTION_S + SHOWN_S > n_steps as f64 * scene.dt_s {
+                // While the speed rises from rest, half of the way of the full speed is covered.
+                let rising_m = walks_mps * STARTING_S / 2.0;
+                let reaches_s = match to_lane_m < rising_m {
+                    true => STARTING_S * (to_lane_m / rising_m).sqrt(),
+                    false => STARTING_S / 2.0 + to_lane_m / walks_mps,
+                };
+                let seen_s = begins_s + reaches_s;
+                if seen_s + REACTIONS_S[1] + SHOWN_S > n_steps as f64 * scene.dt_s {
                     continue;
                 }
                 let gap_m = gap_m + along_mps * (begins_s + STARTING_S / 2.0);
@@ -71,9 +72,10 @@ impl PedestrianStepsOut {
                     (0..=n_steps).map(|step| theirs.position + walked(step as f64 * scene.dt_s)).collect();
                 for (rail, own_mps2) in (0..driver.rails.len()).flat_map(|rail| EGO_MPS2.map(|mps2| (rail, mps2))) {
                     // As gently as suffices to stop before the pedestrian, if not before the scene ends.
-                    let stopping = BRAKES_MPS2.into_iter().find_map(|mps2| {
+                    let tried = BRAKES_MPS2.into_iter().flat_map(|mps2| REACTIONS_S.map(|reacts_s| (mps2, reacts_s)));
+                    let stopping = tried.into_iter().find_map(|(mps2, reacts_s)| {
                         let pace = Pace::steady(own_mps2).then(begins_s, own_mps2.min(0.0));
-                        let pace = pace.then(seen_s + REACTION_S, -mps2);
+                        let pace = pace.then(seen_s + reacts_s, -mps2);
                         let travel = driver.travel(rail, &pace);
                         let (driven_m, then_mps) = (*travel.driven_m.last()?, *travel.speeds_mps.last()?);
                         let stops_m = driven_m + then_mps * then_mps / (2.0 * mps2);
@@ -85,6 +87,7 @@ impl PedestrianStepsOut {
                         effort: effort(own_mps2).max(walks_mps / MAX_PEDESTRIAN_MPS),
                         parameters: &["time_to_arrival_s", "gap_m", "ego_speed_mps", "side"],
                         in_the_way: Some(InTheWay::Ahead),
+                        others: Vec::new(),
                         positions: vec![driver.positions(rail, &driven_m), walked.clone()],
                     });
                 }

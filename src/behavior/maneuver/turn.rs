@@ -23,6 +23,7 @@ pub(in crate::behavior) fn maneuvers(scene: &Scene, agent_idx: usize) -> Vec<Man
         effort: effort(mps2).max(briskness - 1.0),
         parameters: &["mean_speed_mps"],
         in_the_way: Some(InTheWay::Ahead),
+        others: Vec::new(),
         positions: vec![driver.positions(rail, &driver.travel(rail, &Pace::steady(mps2).brisk(briskness)).driven_m)],
     };
     tried.map(maneuver).collect()

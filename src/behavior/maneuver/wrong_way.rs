@@ -20,6 +20,7 @@ impl WrongWay {
             effort: way.effort,
             parameters: &["mean_speed_mps", "duration_s"],
             in_the_way: Some(InTheWay::Everybody),
+            others: Vec::new(),
             positions: vec![way.positions],
         };
         ways.map(maneuver).collect()

@@ -5,6 +5,7 @@ use super::NearMiss;
 use super::body::{FOLLOWING_RAD, extents};
 use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
+use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace, building_up_s};
@@ -22,6 +23,8 @@ const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
 const SOONEST_S: f64 = 0.3;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
+/// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
+const SPARE_LATE_S: f64 = 0.4;
 /// How far apart the boxes stay, whether one brakes or they cross, meters.
 const APART_M: f64 = 0.4;
 /// The kind of maneuvers in which nobody brakes. The kind of all others is the agent that brakes (0 or 1), and how many
@@ -134,7 +137,11 @@ impl<'a> Search<'a> {
         let straight_s =
             time_to_collision_s(&own.drive.inner[begins], velocities[0], &other.drive.inner[begins], velocities[1])?;
         let relative_mps = (velocities[0] - velocities[1]).norm();
-        if !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
+        // Who looks too late at somebody ahead gives no gas, and looks up in time for an ordinary mistake.
+        let is_behind = own.drive.outer[begins].forward.dot(other.drive.outer[begins].forward) > FOLLOWING_RAD.cos();
+        let late_s = relative_mps / (2.0 * COMFORTABLE_MPS2) - at_s;
+        let is_ordinary = !is_behind || (own.acceleration_mps2 <= 0.0 && late_s < MOST_LATE_S - SPARE_LATE_S);
+        if !is_ordinary || !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
             return None;
         }
         BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
@@ -171,7 +178,14 @@ impl<'a> Search<'a> {
     fn draft(&self, kind: [usize; 2], parameters: &'static [&'static str], courses: [&PlannedDrive; 2]) -> Maneuver {
         let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive.driven_m);
         let effort = courses[0].drive.effort.max(courses[1].drive.effort);
-        Maneuver { kind, effort, parameters, in_the_way: None, positions: [0, 1].map(positions).into() }
+        Maneuver {
+            kind,
+            effort,
+            parameters,
+            in_the_way: None,
+            positions: [0, 1].map(positions).into(),
+            others: Vec::new(),
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Arguments of the commands for clusters.
 
-use super::RunPlace;
+use super::{RunPlace, on_disk};
 use crate::pipeline::cluster::Engine;
 use std::path::PathBuf;
 
@@ -28,7 +28,7 @@ pub(in crate::cli) struct SubmitArgs {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct StatusArgs {
     /// The run folder
-    #[arg(value_name = "RUN_FOLDER")]
+    #[arg(value_name = "RUN_FOLDER", value_parser = on_disk())]
     pub(in crate::cli) run: PathBuf,
     /// Print JSON instead of text
     #[arg(long)]

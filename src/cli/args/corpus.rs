@@ -24,7 +24,7 @@ pub(in crate::cli) enum CorpusCommand {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct CorpusValidateArgs {
     /// The folder of the corpus
-    #[arg(value_name = "DIR")]
+    #[arg(value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) corpus: PathBuf,
     /// Print JSON instead of text
     #[arg(long)]
@@ -34,7 +34,7 @@ pub(in crate::cli) struct CorpusValidateArgs {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct CorpusMergeArgs {
     /// The folders of the corpora, at least two
-    #[arg(value_name = "DIR", required = true)]
+    #[arg(value_name = "DIR", required = true, value_parser = on_disk())]
     pub(in crate::cli) corpora: Vec<PathBuf>,
     /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
@@ -44,7 +44,7 @@ pub(in crate::cli) struct CorpusMergeArgs {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct CorpusFilterArgs {
     /// The folder of the corpus
-    #[arg(value_name = "DIR")]
+    #[arg(value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) corpus: PathBuf,
     /// A condition such as "gap_m < 5" (may be repeated; all must hold)
     #[arg(long = "where", value_name = "CONDITION", required_unless_present_any = ["ids", "top"])]
@@ -69,7 +69,7 @@ pub(in crate::cli) struct CorpusFilterArgs {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct CorpusSampleArgs {
     /// The folder of the corpus
-    #[arg(value_name = "DIR")]
+    #[arg(value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) corpus: PathBuf,
     /// Number of scenarios
     #[arg(long, value_name = "N")]

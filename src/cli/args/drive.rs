@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct DriveArgs {
     /// The corpus: the folder that `evaluate` wrote
-    #[arg(value_name = "CORPUS")]
+    #[arg(value_name = "CORPUS", value_parser = on_disk())]
     pub(in crate::cli) corpus: PathBuf,
     /// Who drives the ego: model, log, constant_velocity, idm, careful, or else the command of a planner
     #[arg(long, value_name = "CMD")]
@@ -66,7 +66,7 @@ pub(in crate::cli) struct DriveArgs {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ScoreArgs {
     /// The corpus: the folder that `evaluate` wrote
-    #[arg(value_name = "CORPUS")]
+    #[arg(value_name = "CORPUS", value_parser = on_disk())]
     pub(in crate::cli) corpus: PathBuf,
     /// The planned states: scenario_id, timestep (from the beginning of the past), x, y, heading in the frame of the
     /// recording; from the first timestep after the present to the end of the scenario

@@ -10,7 +10,7 @@ pub(in crate::cli) struct ExportArgs {
     #[arg(value_parser = FormatParser)]
     pub(in crate::cli) format: ExportFormat,
     /// The corpus: the folder that `evaluate` wrote
-    #[arg(value_name = "CORPUS")]
+    #[arg(value_name = "CORPUS", value_parser = on_disk())]
     pub(in crate::cli) corpus: PathBuf,
     /// The folder to write to; it must be new or empty
     #[arg(short, long, value_name = "DIR", value_parser = on_disk())]

@@ -52,7 +52,8 @@ pub(in crate::cli) struct OutputArgs {
     /// Number of worker threads, at most eight a core; 0 uses every core. Results do not depend on it
     #[arg(long, value_name = "N", global = true, help_heading = "Global options", value_parser = up_to(1024))]
     pub(in crate::cli) threads: Option<usize>,
-    /// Where to keep what is read from object stores [default: DJINN_CACHE_DIR, or djinn in the user's cache folder]
+    /// Where to keep what is read from and copied to object stores [default: DJINN_CACHE_DIR, or djinn in the user's
+    /// cache folder]
     #[arg(long, value_name = "DIR", global = true, help_heading = "Global options", value_parser = on_disk())]
     pub(in crate::cli) cache_dir: Option<PathBuf>,
 }
@@ -155,7 +156,8 @@ pub(in crate::cli) struct RunArgs {
 /// Where the results of a pipeline go.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct RunPlace {
-    /// The folder for the results of all pipelines, also s3://… [default: run.output of the file, or output]
+    /// The folder for the results of all pipelines, or a URL to copy them to [default: run.output of the file, or
+    /// output]
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) output: Option<PathBuf>,
     /// Name of the run; reusing a name resumes that run
@@ -169,10 +171,10 @@ pub(in crate::cli) struct RegenerateArgs {
     #[arg(value_name = "SCENARIO_ID")]
     pub(in crate::cli) scenario: String,
     /// The run folder it was generated in [default: the parent of --corpus, or the current folder]
-    #[arg(long, value_name = "RUN_FOLDER")]
+    #[arg(long, value_name = "RUN_FOLDER", value_parser = on_disk())]
     pub(in crate::cli) from: Option<PathBuf>,
     /// Compare with the scenario in this corpus instead of the one in the run's samples
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) corpus: Option<PathBuf>,
     /// Write the new scenario to this file, as a sample shard of one row
     #[arg(long, value_name = "FILE", value_parser = on_disk())]
@@ -205,6 +207,7 @@ fn on_disk() -> impl TypedValueParser<Value = PathBuf> {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct InspectArgs {
     /// A run folder, scene store, event table, checkpoint, sample folder or corpus
+    #[arg(value_parser = on_disk())]
     pub(in crate::cli) path: PathBuf,
     /// Print JSON instead of text
     #[arg(long)]

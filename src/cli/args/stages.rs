@@ -40,7 +40,7 @@ pub(in crate::cli) struct StageArgs {
     #[arg(long)]
     pub(in crate::cli) redo: bool,
     /// The run folder: results are written to it, and inputs that are not given are read from it
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) output: PathBuf,
 }
 
@@ -117,14 +117,15 @@ pub(in crate::cli) struct EvaluateArgs {
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ReportArgs {
     /// The run folder to report on [default: --output]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) from: Option<PathBuf>,
     /// Compare two runs instead
     #[arg(
         long,
         num_args = 2,
         value_names = ["RUN_A", "RUN_B"],
-        conflicts_with_all = ["from", "config", "set", "dry_run", "redo"]
+        conflicts_with_all = ["from", "config", "set", "dry_run", "redo"],
+        value_parser = on_disk()
     )]
     pub(in crate::cli) compare: Option<Vec<PathBuf>>,
     /// The file for the comparison [default: comparison.html]

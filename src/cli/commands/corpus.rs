@@ -3,7 +3,6 @@
 use crate::cli::args::{CorpusCommand, CorpusFilterArgs, OutputArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
-use crate::cloud::{Access, Place};
 use crate::corpus::{
     Condition, CopyOutcome, FilterOptions, Finding, SampleOptions, Severity, Top, ValidationReport, filter, merge,
     sample, validate,
@@ -11,15 +10,14 @@ use crate::corpus::{
 use crate::engine::{Failure, Result};
 use serde::Serialize;
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, printer: &Printer) -> Result<()> {
     super::use_threads(output, 0)?;
     let progress = TerminalProgress::new(output, *printer);
     match command {
         CorpusCommand::Validate(args) => {
-            let place = read(&args.corpus)?;
-            let report = validate(place.path(), &progress)?;
+            let report = validate(&args.corpus, &progress)?;
             print(printer, args.json, &report, validation_text)?;
             match report.n_damages {
                 0 => Ok(()),
@@ -32,23 +30,21 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
         }
         CorpusCommand::Merge(args) => {
             super::begins_anew(&args.out);
-            let places = args.corpora.iter().map(|path| read(path)).collect::<Result<Vec<_>>>()?;
-            let corpora: Vec<PathBuf> = places.iter().map(|place| place.path().to_owned()).collect();
-            let outcome = merge(&corpora, &args.out, &progress)?;
+            let outcome = merge(&args.corpora, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
         CorpusCommand::Filter(args) => {
             let options = filter_options(args)?;
             super::begins_anew(&args.out);
-            let outcome = filter(read(&args.corpus)?.path(), &options, &args.out, &progress)?;
+            let outcome = filter(&args.corpus, &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
         CorpusCommand::Sample(args) => {
             let options = SampleOptions { n: args.n, by: args.by.clone(), seed: args.seed };
             super::begins_anew(&args.out);
-            let outcome = sample(read(&args.corpus)?.path(), &options, &args.out, &progress)?;
+            let outcome = sample(&args.corpus, &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }
@@ -71,11 +67,6 @@ fn filter_options(args: &CorpusFilterArgs) -> Result<FilterOptions> {
         ids: ids.transpose()?,
         top,
     })
-}
-
-/// The place of a corpus, on disk or in an object store.
-fn read(corpus: &Path) -> Result<Place> {
-    Ok(Place::open(corpus, Access::Read)?)
 }
 
 /// Prints data as JSON or as text.

@@ -6,7 +6,6 @@ use crate::cli::args::{DriveArgs, DriveGates, OutputArgs, ScoreArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cli::signals;
-use crate::cloud::{Access, Place};
 use crate::drive::{DriveConfig, DriveReport, EgoDriver, Origin, drive_corpus, score as score_planned};
 use crate::engine::{ComputeChoice, Failure, Result, version};
 use crate::generate::Futures;
@@ -18,13 +17,12 @@ use std::path::Path;
 
 pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     use_threads(output, 0)?;
-    let corpus = Place::open(&args.corpus, Access::Read)?;
     let from = args.from.as_deref().map(World::read).transpose()?;
     let seed = from.as_ref().map_or(args.seed, |world| world.seed);
     let selection = args.chosen.selection();
     let from = from.map_or(Origin::Scenarios(&selection), Origin::State);
     let compute = ComputeChoice { device: args.device, precision: args.precision }.open()?;
-    let model = open_model(args.model.as_deref(), corpus.path(), &compute)?;
+    let model = open_model(args.model.as_deref(), &args.corpus, &compute)?;
     let futures = Futures::new(&model, seed, &compute.device)?;
     let config = DriveConfig {
         ego: EgoDriver::from_name(&args.ego),
@@ -42,7 +40,7 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
     ));
     let progress = TerminalProgress::new(output, *printer);
     let ego = EgoChoice::from_name(&args.chosen.ego_track);
-    let report = drive_corpus((corpus.path(), &args.out), &from, &ego, &config, &futures, &progress)?;
+    let report = drive_corpus((&args.corpus, &args.out), &from, &ego, &config, &futures, &progress)?;
     if args.save_at.is_some() {
         printer.message(format_args!("{} states were saved", report.n_saved));
     }
@@ -51,11 +49,10 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
 
 pub(in crate::cli) fn score(args: &ScoreArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     use_threads(output, 0)?;
-    let corpus = Place::open(&args.corpus, Access::Read)?;
     begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
     let ego = EgoChoice::from_name(&args.chosen.ego_track);
-    let paths = (corpus.path(), args.planned.as_path(), args.out.as_path());
+    let paths = (args.corpus.as_path(), args.planned.as_path(), args.out.as_path());
     let report = score_planned(paths, &args.chosen.selection(), &ego, &progress)?;
     tell(&report, &args.gates, &args.out, printer)
 }
@@ -113,7 +110,7 @@ fn text(report: &DriveReport) -> String {
     }
     let _ = writeln!(
         text,
-        "the event happens in {} of them, and in {} the driver avoids a collision or near miss in time",
+        "the event happens in {} scenarios; the driver avoids {} collisions and near misses in time",
         failures.n_event_happens, failures.n_event_avoided
     );
     if let Some(margins) = &report.margins {

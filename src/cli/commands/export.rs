@@ -3,7 +3,6 @@
 use crate::cli::args::{ExportArgs, OutputArgs};
 use crate::cli::printer::{Printer, stderr_line};
 use crate::cli::progress::TerminalProgress;
-use crate::cloud::{Access, Place};
 use crate::engine::{Failure, Result};
 use crate::export::{EgoMotion, Selection, export_corpus};
 use crate::scenario::EgoChoice;
@@ -27,9 +26,8 @@ pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &P
     };
     super::begins_anew(&args.out);
     let progress = TerminalProgress::new(output, *printer);
-    let corpus = Place::open(&args.corpus, Access::Read)?;
-    let report = export_corpus(corpus.path(), args.format, &args.out, &selection, &ego, motion, &progress);
-    let report = report.map_err(|error| hinted(error.into(), corpus.path()))?;
+    let report = export_corpus(&args.corpus, args.format, &args.out, &selection, &ego, motion, &progress);
+    let report = report.map_err(|error| hinted(error.into(), &args.corpus))?;
     for warning in report.warnings() {
         stderr_line(&printer.warning_line(&warning));
     }

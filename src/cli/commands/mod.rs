@@ -34,9 +34,7 @@ pub(super) use submit::submit;
 use crate::cli::args::OutputArgs;
 use crate::cli::printer::Printer;
 use crate::cli::signals;
-use crate::cloud::Place;
-use crate::engine::{Action, Blame, Failure, Kept, PlannedStage, Result};
-use crate::files::in_their_names;
+use crate::engine::{Action, Failure, Kept, PlannedStage, Result};
 use crate::pipeline::StageId;
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::estimate::estimate;
@@ -59,21 +57,18 @@ fn use_threads(output: &OutputArgs, configured: usize) -> Result<()> {
     })
 }
 
-/// Finishes the work in a folder, whatever its outcome: uploads the results if the folder is in an object store.
-fn finish(place: Place, outcome: Result<()>) -> Result<()> {
-    match (outcome, place.finish()) {
-        (Ok(()), finished) => Ok(finished?),
-        // A failed upload matters more than the message of a gate or an interruption.
-        (Err(failure), Err(error)) if matches!(failure.blame, Blame::Gate | Blame::Later) => Err(error.into()),
-        (Err(failure), _) => Err(failure),
-    }
+/// The refusal of several workers for a run whose results are copied to an object store.
+fn no_shared_folder(root: &Path) -> Failure {
+    let message = format_args!("{}: workers need a folder that all of them see, not an object store", root.display());
+    Failure::input_message(message)
+        .with_hint("mount a shared file system, and name a folder on it with --output (pipelines/CLUSTER.md)")
 }
 
 /// Sets the message for signals while stages work in a folder, whose work can be resumed.
 fn resumes_in(root: &Path) {
     signals::leaves_resumable(format!(
         "finished shards and saved training states are kept in {}; run the same command again to continue",
-        in_their_names(&root.to_string_lossy())
+        root.display()
     ));
 }
 

@@ -3,7 +3,6 @@
 use super::{begins_anew, use_threads};
 use crate::cli::args::{OutputArgs, RegenerateArgs};
 use crate::cli::printer::Printer;
-use crate::cloud::{Access, Place};
 use crate::engine::{ComputeChoice, Failure, Result};
 use crate::files::check_overlap;
 use crate::pipeline::layout::Layout;
@@ -14,10 +13,8 @@ use std::path::Path;
 pub(in crate::cli) fn regenerate(args: &RegenerateArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
     use_threads(output, 0)?;
     let beside_corpus = args.corpus.as_deref().and_then(Path::parent);
-    let root = Place::open(args.from.as_deref().or(beside_corpus).unwrap_or(Path::new(".")), Access::Read)?;
-    let corpus = args.corpus.as_ref().map(|corpus| Place::open(corpus, Access::Read)).transpose()?;
-    let corpus = corpus.as_ref().map(Place::path);
-    let mut layout = Layout::below(root.path());
+    let corpus = args.corpus.as_deref();
+    let mut layout = Layout::below(args.from.as_deref().or(beside_corpus).unwrap_or(Path::new(".")));
     args.scenes.scenes.iter().for_each(|path| layout.scenes.clone_from(path));
     args.models.replace_in(&mut layout);
     if let Some(path) = &args.out {

@@ -2,7 +2,6 @@
 
 use crate::cli::args::{Command, OutputArgs, ReportArgs};
 use crate::cli::printer::Printer;
-use crate::cloud::{Access, Place};
 use crate::engine::Result;
 use crate::pipeline::compare::write_comparison;
 use std::path::Path;
@@ -19,8 +18,7 @@ pub(in crate::cli) fn report(
     let Some([a, b]) = args.compare.as_deref() else { return super::stage(command, output, printer) };
     let page = args.out.as_deref().unwrap_or(Path::new(COMPARISON_FILE));
     super::begins_anew(page);
-    let (a, b) = (Place::open(a, Access::Read)?, Place::open(b, Access::Read)?);
-    write_comparison(a.path(), b.path(), page)?;
+    write_comparison(a, b, page)?;
     printer.message(format_args!("the comparison is in {}", page.display()));
     Ok(())
 }

@@ -5,11 +5,11 @@ use crate::cli::args::{OutputArgs, RunArgs, RunPlace};
 use crate::cli::bundled::PIPELINES;
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
-use crate::cloud::{Access, Place};
+use crate::cloud::{ObjectUrl, Output};
 use crate::engine::plan;
 use crate::engine::run_folder::{RunFolder, run_stages};
 use crate::engine::shards::{self, Makers, Part};
-use crate::engine::{Failure, PlannedStage, Result, StageRecord};
+use crate::engine::{Blame, Failure, PlannedStage, Result, StageRecord};
 use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::{CORPUS, Layout, REPORT};
 use crate::pipeline::{KINDS, StageId, kinds, stages};
@@ -20,14 +20,29 @@ pub(in crate::cli) fn run(args: &RunArgs, output: &OutputArgs, printer: &Printer
     let file = file_of(&args.pipeline, printer)?;
     let (config, root) = load(&file, &args.set, &args.place)?;
     use_threads(output, config.run.threads)?;
-    let access = match args.part {
-        _ if args.dry_run => Access::Read,
-        Some(Part::Work) => Access::Work,
-        _ => Access::Write,
-    };
-    let place = Place::open(&root, access)?;
+    if in_parts.is_some() && ObjectUrl::is_meant(&root) {
+        return Err(super::no_shared_folder(&root));
+    }
+    let place = Output::open(&root, config.recordings())?;
     let outcome = run_in(place.path(), (args, in_parts, &config), output, printer);
-    super::finish(place, outcome)
+    let is_whole = match &outcome {
+        Ok(()) => !args.dry_run,
+        Err(failure) => failure.blame == Blame::Gate,
+    };
+    // A failed copy matters more than the message of a gate.
+    if is_whole { copy(&place, printer).and(outcome) } else { outcome }
+}
+
+/// Copies the results to the object store, if they belong there.
+fn copy(place: &Output, printer: &Printer) -> Result<()> {
+    let copied = place.copy().map_err(|error| {
+        Failure::from(error).with_hint(format!(
+            "the results are whole in {}; run the same command again to copy what is missing",
+            place.path().display()
+        ))
+    })?;
+    copied.iter().for_each(|(url, n)| printer.message(format_args!("copied {n} files to {url}")));
+    Ok(())
 }
 
 /// Runs the pipeline in the folder `root`.

@@ -4,7 +4,6 @@ use super::{announce, print_dry_run, resumes_in, use_threads};
 use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
-use crate::cloud::{Access, Place};
 use crate::engine::plan;
 use crate::engine::run_folder::{RunFolder, run_stages};
 use crate::engine::shards::Makers;
@@ -13,13 +12,13 @@ use crate::pipeline::config::PipelineConfig;
 use crate::pipeline::layout::Layout;
 use crate::pipeline::{KINDS, StageId, stages};
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Printer) -> Result<()> {
     let Some(request) = Request::from_command(command) else {
         return Err(Failure::fault(anyhow::anyhow!("this command runs no stage")));
     };
-    let Request { id, args, mut layout, overrides, inputs, reads } = request;
+    let Request { id, args, layout, overrides, inputs } = request;
     let overrides = [overrides, args.set.clone()].concat();
     let mut config = PipelineConfig::load(args.config.as_deref(), &overrides)?.with_section(id);
     if let Some(ingest) = config.ingest.as_mut().filter(|ingest| ingest.inputs == in_text(inputs)) {
@@ -31,30 +30,14 @@ pub(in crate::cli) fn stage(command: &Command, output: &OutputArgs, printer: &Pr
         return super::explain::explain(&config, args, output, printer);
     }
     use_threads(output, config.run.threads)?;
-    let place = Place::open(&args.output, if args.dry_run { Access::Read } else { Access::Write })?;
-    let other = reads.map(|folder| Place::open(folder, Access::Read)).transpose()?;
-    for (named, place) in [(Some(args.output.as_path()), Some(&place)), (reads, other.as_ref())] {
-        named.zip(place).iter().for_each(|(named, place)| layout.move_below(named, place.path()));
-    }
-    let outcome = run_in(place.path(), (id, args), (&config, &layout), output, printer);
-    super::finish(place, outcome)
-}
-
-/// Runs the stage in the folder `root`.
-fn run_in(
-    root: &Path,
-    (id, args): (StageId, &StageArgs),
-    (config, layout): (&PipelineConfig, &Layout),
-    output: &OutputArgs,
-    printer: &Printer,
-) -> Result<()> {
+    let root = args.output.as_path();
     let redo = if args.redo { vec![id.kind()] } else { Vec::new() };
     let plan = || -> Result<Vec<PlannedStage<'_>>> {
-        let planned = plan::plan(root, &KINDS, vec![stages::alone(id, config, layout)?], &redo)?;
+        let planned = plan::plan(root, &KINDS, vec![stages::alone(id, &config, &layout)?], &redo)?;
         Ok(planned)
     };
     if args.dry_run {
-        return print_dry_run(config, layout, &plan()?, printer);
+        return print_dry_run(&config, &layout, &plan()?, printer);
     }
     resumes_in(root);
     let progress = TerminalProgress::new(output, *printer);
@@ -74,13 +57,11 @@ struct Request<'a> {
     overrides: Vec<String>,
     /// The recordings given to the command; the overrides have them as text only.
     inputs: &'a [PathBuf],
-    /// A run folder to read, other than the one to write.
-    reads: Option<&'a Path>,
 }
 
 impl<'a> Request<'a> {
     fn new(id: StageId, args: &'a StageArgs) -> Self {
-        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new(), inputs: &[], reads: None }
+        Self { id, args, layout: Layout::below(&args.output), overrides: Vec::new(), inputs: &[] }
     }
 
     fn ingest(args: &'a IngestArgs) -> Self {
@@ -133,7 +114,6 @@ impl<'a> Request<'a> {
                 let mut request = Self::new(StageId::Report, &args.stage);
                 if let Some(folder) = &args.from {
                     request.layout = Layout::below(folder);
-                    request.reads = Some(folder);
                 }
                 request
             }

@@ -2,13 +2,11 @@
 
 use crate::cli::args::StatusArgs;
 use crate::cli::printer::Printer;
-use crate::cloud::{Access, Place};
 use crate::engine::Result;
 use crate::pipeline::status::status as describe;
 
 pub(in crate::cli) fn status(args: &StatusArgs, printer: &Printer) -> Result<()> {
-    let place = Place::open(&args.run, Access::Look)?;
-    let status = describe(place.path())?;
+    let status = describe(&args.run)?;
     if args.json {
         let text = serde_json::to_string_pretty(&status).map_err(anyhow::Error::from)?;
         printer.data(&format!("{text}\n"))

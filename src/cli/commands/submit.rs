@@ -16,11 +16,8 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
     let cluster = config.cluster.clone().unwrap_or_default();
     // An impossible pipeline is rejected now instead of by every job.
     stages::of_pipeline(&config, &Layout::below(&root))?.iter().try_for_each(|stage| stage.check())?;
-    if args.engine != Engine::Json && ObjectUrl::is_meant(&root) {
-        let message = format!("{} cannot hold the output of jobs: run.output is in an object store", root.display());
-        return Err(Failure::input_message(message).with_hint(
-            "`--engine json` prints the jobs, to be run with the credentials of the store in their environment",
-        ));
+    if ObjectUrl::is_meant(&root) {
+        return Err(super::no_shared_folder(&root));
     }
     let submission = Submission {
         engine: args.engine,

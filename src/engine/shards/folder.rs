@@ -8,7 +8,7 @@ use super::plan_files::{ABOUT_FILE, LOG, PLAN_FILE, discard, plan_dirs, plans_of
 use super::tries::{MAX_TRIES, Tries};
 use crate::engine::record::unreadable;
 use crate::engine::{Failure, Result, ShardNames, StageKind};
-use crate::files::{FileStamp, files_below, mirror_above, remove_if_present};
+use crate::files::{FileStamp, files_below, remove_if_present};
 use crate::store::{self, read_record, write_record};
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde::{Deserialize, Serialize};
@@ -147,23 +147,7 @@ impl ShardFolder {
 
     /// Whether the plan still exists: nobody has sealed or discarded it.
     pub(super) fn is_there(&self) -> bool {
-        self.refresh();
         self.dir.join(ABOUT_FILE).exists()
-    }
-
-    /// Shows the work of other workers, if the folder has a mirror. A failure leaves what is known already: the next
-    /// shard that is written reports it.
-    pub(super) fn refresh(&self) {
-        if let Some(mirror) = mirror_above(&self.dir) {
-            drop(mirror.refresh(&self.dir));
-        }
-    }
-
-    /// The length of a shard's file, which may be on another machine.
-    fn n_bytes(&self, file: &str) -> Option<u64> {
-        let path = self.dir.join(file);
-        let here = fs_err::metadata(&path).ok().map(|metadata| metadata.len());
-        here.or_else(|| mirror_above(&path)?.n_bytes_elsewhere(&path))
     }
 
     /// The difference between the plan and a process of this identity; `None` if they fit together.
@@ -220,7 +204,8 @@ impl ShardFolder {
     pub(super) fn finished<S: DeserializeOwned>(&self, idx: usize) -> Option<FinishedShard<S>> {
         // A damaged record counts for nothing: the shard is made again.
         let shard: FinishedShard<S> = read_record(&self.sidecar(idx)).ok()??;
-        let is_whole = self.n_bytes(&self.file_name(idx)) == Some(shard.stamp.n_bytes);
+        let n_bytes = fs_err::metadata(self.dir.join(self.file_name(idx))).ok()?.len();
+        let is_whole = n_bytes == shard.stamp.n_bytes;
         (is_whole && self.dir.ends_with(&shard.plan_id)).then_some(shard)
     }
 

@@ -8,7 +8,7 @@ use crate::engine::inputs::{check_inputs, expected};
 use crate::engine::log::Logged;
 use crate::engine::stage::{Stage, Work};
 use crate::engine::{Blame, ComputeChoice, Failure, Result, StageRecord};
-use crate::files::{FileStamp, remove_if_present, tell_committed};
+use crate::files::{FileStamp, remove_if_present};
 use crate::progress::Progress;
 use crate::settings::Unreadable;
 use serde::Serialize;
@@ -106,8 +106,6 @@ pub fn work(
         Ok(()) => logged.line("no shard is left to start"),
         Err(failure) => logged.line(&format!("ended: {:#}", failure.error)),
     }
-    let told = tell_committed(&folder.log(worker.number));
-    let outcome = outcome.and_then(|()| Ok(told?));
     // Sealing or discarding a plan removes the folder while its last workers may still run.
     outcome.map_err(|failure| if folder.is_there() { failure } else { no_plan() })
 }
@@ -150,11 +148,7 @@ impl<'a> Shards<'a> {
 
     /// The facts about shard `idx`, if it is finished.
     pub fn finished<S: DeserializeOwned>(&self, idx: usize) -> Option<S> {
-        let found = || self.folder.finished::<S>(idx);
-        let shard = found().or_else(|| {
-            self.folder.refresh();
-            found()
-        })?;
+        let shard = self.folder.finished::<S>(idx)?;
         self.seconds.borrow_mut().insert(idx, shard.seconds);
         Some(shard.facts)
     }

@@ -6,7 +6,6 @@
 
 use crate::engine::clock::utc_now;
 use crate::engine::{Failure, Result};
-use crate::files::tell_committed;
 use crate::store::{read_json, write_json_atomically};
 use serde::{Deserialize, Serialize};
 use std::io::{ErrorKind, Write};
@@ -94,7 +93,6 @@ pub(super) fn begin(marks: impl Iterator<Item = PathBuf> + Clone, worker: &str) 
         match fs_err::File::options().write(true).create_new(true).open(&path) {
             Ok(mut file) => {
                 file.write_all(&text)?;
-                tell_committed(&path)?;
                 return Ok(Some(path));
             }
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {}

@@ -14,7 +14,7 @@ type Number = (&'static str, fn(&Assessment) -> Option<f64>);
 /// A truth value of an assessment, under the name of its column.
 type Flag = (&'static str, fn(&Assessment) -> Option<bool>);
 
-const NUMBERS: [Number; 24] = [
+const NUMBERS: [Number; 25] = [
     ("plausibility", |judged| judged.plausibility),
     ("recorded_likeness", |judged| judged.recorded_likeness),
     ("pair_min_ttc_s", |judged| judged.pair?.min_ttc_s),
@@ -33,6 +33,7 @@ const NUMBERS: [Number; 24] = [
     ("end_contact_s", |judged| judged.ending?.contact_s),
     ("end_required_deceleration_mps2", |judged| Some(judged.ending?.required_deceleration_mps2)),
     ("end_remaining_mps", |judged| judged.ending?.remaining_mps),
+    ("mistake_s", |judged| judged.explanation?.mistake_s),
     ("nearest_recorded_event", |judged| judged.nearest_recorded_event),
     ("nearest_scenario_m", |judged| judged.nearest_scenario_m),
     ("rate_per_1000_km", |judged| judged.rate?.per_1000_km),
@@ -51,6 +52,7 @@ const FLAGS: [Flag; 5] = [
 
 const NEAR_DUPLICATE_OF: &str = "near_duplicate_of";
 const RATE_SOURCE: &str = "rate_source";
+const CAUSE: &str = "cause";
 
 /// The tag of the assessment, and one for each failed validity check. Values that are not defined for the scenario are
 /// left out.
@@ -60,7 +62,8 @@ pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Vec<Value> {
         |(name, of): &Number| of(judged).map(|number| quantity(name, rounded(number), &columns.of(name, "unit")));
     let flag = |(name, of): &Flag| of(judged).map(|flag| value(name, flag));
     let near = judged.near_duplicate_of.as_ref().map(|id| value(NEAR_DUPLICATE_OF, id));
-    let text = near.into_iter().chain(judged.rate.map(|rate| value(RATE_SOURCE, rate.source.name())));
+    let cause = judged.explanation.map(|explanation| value(CAUSE, explanation.cause.id()));
+    let text = near.into_iter().chain(cause).chain(judged.rate.map(|rate| value(RATE_SOURCE, rate.source.name())));
     let whole = tag(
         "assessment",
         &json!({
@@ -170,6 +173,7 @@ pub(super) mod tests {
             scene: Some(SceneCriticality { min_ttc_s: Some(1.0), max_drac_mps2: 4.0, min_distance_m: 1.5 }),
             careful: Some(careful),
             ending: None,
+            explanation: None,
             nearest_recorded_event: Some(0.5),
             nearest_scenario_m: Some(0.125),
             near_duplicate_of: Some("0a1b9".to_owned()),

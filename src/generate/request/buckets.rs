@@ -1,9 +1,10 @@
 //! The buckets of a request: which one does an event fall into, and how many scenarios does each need?
 
 use super::config::{Divisions, RequestConfig};
-use super::facts::{Facts, SIDE, side};
+use super::facts::{Facts, SIDE, side, text_of_scene};
 use crate::behavior::Outcome;
 use crate::guidance::Target;
+use crate::scene::Scene;
 use crate::settings::{self, Issue};
 use serde::{Deserialize, Serialize};
 
@@ -134,9 +135,9 @@ impl Buckets {
         self.dimensions.iter().zip(self.part_indices(bucket)).filter_map(interval).collect()
     }
 
-    /// The bucket that has this target.
-    pub(super) fn with_target(&self, target: &Target) -> Option<usize> {
-        (0..self.wanted().len()).find(|bucket| self.target(*bucket) == *target)
+    /// The bucket that has this target, of those that a cell reaches: places and tags are no targets.
+    pub(super) fn with_target(&self, target: &Target, reached: &[usize]) -> Option<usize> {
+        reached.iter().copied().find(|bucket| self.target(*bucket) == *target)
     }
 
     /// Whether an outcome can lie in a bucket, judged by the parameters of the bucket that it has.
@@ -148,6 +149,19 @@ impl Buckets {
                 Divisions::Texts(texts) => side(value) == texts[part],
             }
         })
+    }
+
+    /// The buckets that events of a scene can lie in, judged by its place and its tags.
+    pub(super) fn of_scene(&self, scene: &Scene) -> Vec<usize> {
+        let own: Vec<Option<&str>> = self.dimensions.iter().map(|(name, _)| text_of_scene(name, scene)).collect();
+        let is_possible = |bucket: &usize| {
+            let parts = self.dimensions.iter().zip(self.part_indices(*bucket)).zip(&own);
+            parts.into_iter().all(|(((_, divisions), part), own)| match (divisions, own) {
+                (Divisions::Texts(texts), Some(own)) => texts[part] == *own,
+                _ => true,
+            })
+        };
+        (0..self.len()).filter(is_possible).collect()
     }
 
     /// The index of a bucket's part of each parameter.
@@ -184,6 +198,7 @@ fn apportion(n: u64, weights: &[f64]) -> Vec<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::testing::{Drive, scene};
 
     fn request(toml: &str) -> RequestConfig {
         let head = "name = 'r'\nbehavior = 'cut_in'\narms = ['a']\nbudget = { n_samples = 9 }\n";
@@ -221,6 +236,19 @@ mod tests {
         assert_eq!(allowing(Outcome::default().with("gap_m", 5.0)), [2, 3]);
         assert_eq!(allowing(Outcome::default().with("side", -1.0)), [1, 3]);
         assert!(allowing(Outcome::default().with("gap_m", 10.0)).is_empty());
+    }
+
+    #[test]
+    fn a_scene_reaches_the_buckets_of_its_place_and_its_tags() {
+        let toml = "junction = ['merge', 'none'], gap_m = [0, 5, 10], place = ['Test', 'Elsewhere']";
+        let buckets = Buckets::new(&request(&format!("per_bucket = 1\nbuckets = {{ {toml} }}")));
+        // In the order gap_m, junction, place: the scene has a straight lane at the place Test.
+        let reached = buckets.of_scene(&scene(&[Drive::straight(0.0, 0.0, 0.0, 5.0)]));
+        assert_eq!(reached, [2, 6]);
+        assert_eq!(buckets.ranges(6), "gap_m 5..10, junction none, place Test");
+        // Where buckets have one target, the one counts that can be reached.
+        let target = buckets.target(4);
+        assert_eq!(buckets.with_target(&target, &reached), Some(6));
     }
 
     #[test]

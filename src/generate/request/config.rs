@@ -14,9 +14,10 @@ pub struct RequestConfig {
     pub name: String,
     /// The mined behavior to request, such as `cut_in`.
     pub behavior: String,
-    /// The quantities that define buckets: parameters of the event, `place`, or the class of the agent with a role,
-    /// such as `other_class`. Ascending edges `[0, 5, 10]` make the intervals 0 to 5 and 5 to 10 (lower edge included,
-    /// upper not); texts `["left", "right"]` make a part each. The buckets are all combinations.
+    /// The quantities that define buckets: parameters of the event, `place`, an attribute of coverage such as
+    /// `junction`, or the class of the agent with a role, such as `other_class`. Ascending edges `[0, 5, 10]` make the
+    /// intervals 0 to 5 and 5 to 10 (lower edge included, upper not); texts `["left", "right"]` make a part each. The
+    /// buckets are all combinations.
     pub buckets: BTreeMap<String, Divisions>,
     /// Scenarios wanted in each bucket. Either this or `n_total`.
     #[serde(default)]

@@ -1,6 +1,7 @@
 //! Does a generated scenario meet the request, and is there room for it?
 
-use super::facts::Facts;
+use super::config::RequestConfig;
+use super::facts::{CAREFUL_MARGIN, Facts};
 use super::ledger::{CellTally, EventValues, Ledger, ShardTally};
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
@@ -8,7 +9,7 @@ use super::rounds::RoundShard;
 use crate::behavior::Behavior;
 use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
-use crate::metrics::PairPath;
+use crate::metrics::{CarefulReplay, PairPath};
 use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -85,7 +86,12 @@ impl Generator<'_> {
     fn placement(&self, request: &ResolvedRequest, cell: &Cell, record: &ScenarioRecord) -> Result<Placement, Error> {
         let Some(event) = record.main_event() else { return Ok(Placement::NotFound) };
         let scene = &record.scenario.scene;
-        let facts = Facts { scene, event };
+        let RequestConfig { buckets, conditions, .. } = &request.config;
+        let subject = record.subject_idx();
+        let subject =
+            subject.filter(|_| buckets.contains_key(CAREFUL_MARGIN) || conditions.contains_key(CAREFUL_MARGIN));
+        let replay = subject.and_then(|subject_idx| CarefulReplay::of(scene, subject_idx));
+        let facts = Facts { scene, event, careful_margin_s: replay.map(|replay| replay.margin_s()) };
         let is_allowed = request.config.conditions.iter().all(|(name, condition)| facts.satisfies(name, condition));
         let Some(bucket) = request.buckets.place(&facts).filter(|_| is_allowed) else { return Ok(Placement::Outside) };
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
@@ -95,7 +101,8 @@ impl Generator<'_> {
         let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
         let ending = record.ending();
         let ends_well = ending.is_none_or(|(_, ending)| ending.remaining_mps.is_none());
-        let is_valid = ends_well && verdicts.iter().all(Option::is_none);
+        let is_explained = record.explanation() != Some(None);
+        let is_valid = ends_well && is_explained && verdicts.iter().all(Option::is_none);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }
@@ -130,7 +137,10 @@ impl ResolvedRequest {
         let n_samples = self.arms[shard.arm].n_samples;
         let cell_tally = |(cell, planned): (&usize, &Cell)| CellTally {
             cell: *cell,
-            aimed: planned.targets.first().and_then(|target| self.buckets.with_target(target)),
+            aimed: planned
+                .targets
+                .first()
+                .and_then(|target| self.buckets.with_target(target, &ledger.cells[*cell].reaches)),
             n_samples: n_samples as u64,
             next_sample: shard.plan.first_sample + n_samples,
             ..CellTally::default()

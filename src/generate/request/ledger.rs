@@ -128,6 +128,8 @@ pub(super) struct Aimed {
 /// Counts of one cell over all arms.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
+    /// The buckets that it can reach.
+    pub(super) reaches: Vec<usize>,
     /// Samples by arm.
     pub(super) n_samples: Vec<u64>,
     pub(super) next_sample: usize,
@@ -172,10 +174,14 @@ struct SituationCounts {
 impl Ledger {
     /// The ledger of a request that has not begun.
     pub fn new(request: &ResolvedRequest, pool: &Pool) -> Self {
-        let n_cells = pool.cells.len();
         let (n_buckets, n_arms) = (request.buckets.len(), request.arms.len());
         let (hits, aimed) = (vec![Hits::default(); n_buckets], vec![Aimed::default(); n_buckets]);
         let counts = ArmCounts { hits, aimed, ..ArmCounts::default() };
+        let cell = |reaches: &BTreeMap<usize, f64>| CellCounts {
+            reaches: reaches.keys().copied().collect(),
+            n_samples: vec![0; n_arms],
+            ..CellCounts::default()
+        };
         let max_per_scene = request.config.max_per_scene;
         let situation_of_cell = pool.situations();
         let n_situations = situation_of_cell.iter().max().map_or(0, |last| last + 1);
@@ -189,7 +195,7 @@ impl Ledger {
             spent_while_open: vec![(0, 0); n_buckets],
             arms: vec![counts.clone(); n_arms],
             first_round: vec![counts; n_arms],
-            cells: vec![CellCounts { n_samples: vec![0; n_arms], ..CellCounts::default() }; n_cells],
+            cells: pool.feasible.iter().map(cell).collect(),
             n_evaluations_by_arm: request.arms.iter().map(|arm| arm.n_evaluations).collect(),
             behavior: request.config.behavior.clone(),
             paths: PathIndex::default(),

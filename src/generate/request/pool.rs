@@ -3,7 +3,7 @@
 use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use crate::behavior::Outcome;
-use crate::generate::{Cell, Error, Generator};
+use crate::generate::{Cell, Error, Generator, ResolvedSweep};
 use crate::scene::{SceneId, TrackId};
 use crate::store::{SceneIndex, SceneIndexEntry};
 use serde::{Deserialize, Serialize};
@@ -98,7 +98,7 @@ impl Generator<'_> {
             Some(Requirement::Texts(places)) => places.iter().any(|place| place == entry.place),
             _ => true,
         };
-        let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
+        let sweep = self.most_patient(request);
         let scenes = self.cells_by_scene((&request.config.name, sweep), index, &is_possible)?;
         let n_scenes = scenes.len();
         let (mut cells, mut feasible, mut n_infeasible) = (Vec::new(), Vec::new(), 0);
@@ -127,16 +127,25 @@ impl Generator<'_> {
         Ok(Pool { request: request.config.name.clone(), cells, n_scenes, feasible, n_infeasible, unmet: None })
     }
 
+    /// The arm of a request whose maneuvers may take longest.
+    fn most_patient(&self, request: &ResolvedRequest) -> &ResolvedSweep {
+        let arms = request.arms.iter().map(|arm| &self.config.sweeps[arm.sweep_idx]);
+        let plans_s =
+            |sweep: &&ResolvedSweep| sweep.rollout.filter(|_| sweep.uses_template()).map_or(0.0, |own| own.horizon_s);
+        // The last of equal ones is that of the first arm.
+        arms.rev().max_by(|a, b| plans_s(a).total_cmp(&plans_s(b))).unwrap_or(&self.config.sweeps[0])
+    }
+
     /// The buckets that a cell can reach, given its past, with the least effort for each.
     fn feasible_buckets(&self, request: &ResolvedRequest, cell: &Cell) -> Result<BTreeMap<usize, f64>, Error> {
-        let all = 0..request.buckets.len();
-        let sweep = &self.config.sweeps[request.arms[0].sweep_idx];
+        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
+        let all = request.buckets.of_scene(&scene).into_iter();
+        let sweep = self.most_patient(request);
         let Some(behavior) = self.behavior(sweep).filter(|_| request.config.pairs.only_feasible) else {
             return Ok(all.map(|bucket| (bucket, 0.0)).collect());
         };
-        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
         let agents: Vec<usize> = cell.roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
-        let mut outcomes = behavior.feasible(&scene, &agents);
+        let mut outcomes = behavior.feasible(&sweep.planned(&scene), &agents);
         outcomes.retain(|outcome| {
             request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {
                 (Some(value), Requirement::Range([least, most])) => (*least..=*most).contains(&value),

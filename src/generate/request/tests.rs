@@ -93,7 +93,10 @@ pub(super) fn fulfil(
                 CellTally {
                     cell: *cell,
                     n_samples: n_samples_drawn,
-                    aimed: planned.targets.first().and_then(|target| request.buckets.with_target(target)),
+                    aimed: planned
+                        .targets
+                        .first()
+                        .and_then(|target| request.buckets.with_target(target, &ledger.cells[*cell].reaches)),
                     next_sample: first + n_samples,
                     n_found,
                     hits,

@@ -52,7 +52,7 @@ impl SweepConfig {
             return Err(Issue::new("stop_after_verified", "is set, which needs a behavior that can be verified"));
         }
         let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
-        if self.aim == Aim::Feasible && !can_aim {
+        if self.aim != Aim::Anything && !can_aim {
             return Err(Issue::new(
                 "aim",
                 "is \"feasible\", which needs a behavior and what can aim at the event's parameters: template = true, \

@@ -8,7 +8,8 @@ use crate::generate::{
 };
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
 use crate::model::Distillation;
-use crate::scene::GuidanceLevel;
+use crate::scene::{GuidanceLevel, Scene};
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 
 /// A checked sweep. Only `GenerateConfig::resolve` makes one.
@@ -113,6 +114,16 @@ impl ResolvedSweep {
     /// Whether the requested agents follow a template; it differs from sample to sample.
     pub fn uses_template(&self) -> bool {
         self.diffusion().is_some_and(|diffusion| !diffusion.template.is_empty())
+    }
+
+    /// The scene with as many timesteps as maneuvers of its agents may take: those of templates end in the closed loop.
+    pub(in crate::generate) fn planned<'s>(&self, scene: &'s Scene) -> Cow<'s, Scene> {
+        match &self.rollout {
+            Some(rollout) if self.uses_template() && scene.has_future() => {
+                Cow::Owned(scene.lasting(rollout.n_timesteps_planned(scene)))
+            }
+            _ => Cow::Borrowed(scene),
+        }
     }
 
     /// Whether some of its samples are guided by the classifier of its behavior.

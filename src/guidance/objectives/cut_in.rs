@@ -1,7 +1,7 @@
 //! Move into the lane of another agent, ahead of it.
 
 use super::driven_paths::PathFrame;
-use super::motion::{best_potential, nothing, penalty};
+use super::motion::{best_potential, nothing, penalty, unhurried};
 use super::{AgentSelector, SceneContext, SceneObjective, Whose, beyond, ego, one_agent};
 use crate::settings;
 use candle_core::{Result, Tensor};
@@ -19,7 +19,8 @@ use serde::{Deserialize, Serialize};
 /// where \[·\] is the distance to the target interval (`gap_m`, 1 to 30 m if there is none, and `relative_speed_mps`):
 /// the boxes begin to share a path there, and `before` gets there within Δ(t), 3 s or the time that is left of the
 /// scene. The best moment decides, smoothly: (Σ (c + δ)⁻⁴)^(-1/4) with δ = 0.01. To it comes the mean over the last
-/// second of ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in front.
+/// half second of ½ (max(|d| - (h - overlap), 0) / 0.5 m)² + ½ (max(1 m - g, 0) / τ)²: who has moved over stays, in
+/// front. And ½ ∫ (max(|d'| - 1.45 m/s, 0) / 0.1 m/s)² dt: nobody moves over faster than drivers do.
 ///
 /// `before` is taken as it is: nothing pulls at it, so that it does not move in behind the other instead. J = -(both),
 /// and 0 where one of the two has no future.
@@ -47,11 +48,13 @@ const ANY_GAP_M: [f64; 2] = [1.0, 30.0];
 /// The default relative speed, m/s.
 const ANY_SPEED_MPS: [f64; 2] = [-1e3, 1e3];
 /// How long before the end the agent must stay in its new place, seconds.
-const SETTLED_S: f64 = 1.0;
+const SETTLED_S: f64 = 0.5;
 /// The smallest lateral overlap of the boxes at the end, meters.
-const OVERLAP_M: f64 = 0.8;
+const OVERLAP_M: f64 = 0.5;
 /// The least gap at the end, meters.
 const LEAST_GAP_M: f64 = 1.0;
+/// The largest speed across, m/s.
+const MOST_ACROSS_MPS: f64 = 1.45;
 /// The longest time after which `before` reaches the place, seconds.
 const MAX_DELAY_S: f64 = 3.0;
 /// The share of the longest delay that is used.
@@ -108,7 +111,7 @@ impl SceneObjective for CutIn {
         let n_counted = (counted.sum(1)? + 1e-6)?;
         let unsettled = (unsettled * &counted)?.sum(1)?.div(&n_counted)?;
 
-        unsettled + best
+        (unsettled + best)? + unhurried(&frame.beside_m, &frame.counts, MOST_ACROSS_MPS, context.dt_s)?
     }
 }
 
@@ -142,7 +145,7 @@ mod tests {
         let states = &after_ascent(&objective(), &traffic, 600)[0];
         assert_eq!(states[0], traffic.states_vec()[0][0]);
         let last = traffic.generated().end - 1;
-        assert!(states[1][last][1].abs() < 1.3, "{:?}", states[1][last]);
+        assert!(states[1][last][1].abs() < 1.6, "{:?}", states[1][last]);
         // The boxes begin to share a path with the target gap.
         let is_met = |t: usize| {
             let gap_m = states[1][t][0] - states[0][t][0] - 4.5;
@@ -154,7 +157,7 @@ mod tests {
     #[test]
     fn the_relative_speed_is_that_of_the_moment() {
         // The other moves over at once, 2 m/s slower than the ego.
-        let slower = || Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 2.6, -0.245, 6.185)]);
+        let slower = || Traffic::straight(&[(0.0, 0.0, 0.0, 8.0), (14.0, 2.6, -0.236, 6.17)]);
         let value = |range| slower().aiming_at(RELATIVE_SPEED, range).potential(&objective())[0];
         let (right, wrong) = (value([1.5, 2.5]), value([-2.5, -1.5]));
         assert!(right > -0.1, "{right}");
@@ -167,7 +170,7 @@ mod tests {
         let mut done = beside();
         let mut states: Vec<f64> = done.states.flatten_all().unwrap().to_vec1().unwrap();
         for (t, state) in states[36..].chunks_exact_mut(3).enumerate() {
-            state[1] = 3.5 * (1.0 - (t as f64 - 2.0).max(0.0) / 7.0).max(0.0);
+            state[1] = 3.4 - 0.29 * (t as f64 - 2.0).max(0.0);
         }
         let states = Tensor::from_vec(states, done.states.shape(), &candle_core::Device::Cpu).unwrap();
         done.states = candle_core::Var::from_tensor(&states).unwrap();
@@ -191,8 +194,8 @@ mod tests {
         let states = Tensor::from_vec(states, traffic.states.shape(), &candle_core::Device::Cpu).unwrap();
         traffic.states = candle_core::Var::from_tensor(&states).unwrap();
         let (bend, straight) = (traffic.potential(&objective())[0], beside().potential(&objective())[0]);
-        // The path continues straight after its owner's last state, which adds 10² / (2 · 50) = 1 m there.
-        assert!((bend - straight).abs() < 0.5 * straight.abs(), "{bend}, {straight}");
+        // The path continues straight after its owner's last state, which adds 10² / (2 · 50) = 1 m there, at 1.6 m/s.
+        assert!((bend - straight).abs() < 0.6 * straight.abs(), "{bend}, {straight}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Move over to the lane beside one's own.
 
-use super::motion::{nothing, penalty};
+use super::motion::{nothing, penalty, unhurried};
 use super::one_agent::{OneAgent, SIDE};
 use super::{AgentSelector, SceneContext, SceneObjective, Side, Whose};
 use crate::geometry::Polyline;
@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 /// Be in the lane beside one's own by the end, and stay there.
 ///
 /// With d(t) the offset from the center line of the lane beside the one that the agent is in at present, carried on
-/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last 1.2 s. If
-/// there are several lanes, the one that costs least counts. 0 if the map has no lane on the target side: see
-/// `pairs.only_feasible`.
+/// along its nearest successors, J = -mean of ½ (max(|d| - within, 0) / τ)² over the last 1.1 s, less ½ ∫ (max(|d'| -
+/// 1.35 m/s, 0) / 0.1 m/s)² dt: nobody moves over faster than drivers do. If there are several lanes, the one that
+/// costs least counts. 0 if the map has no lane on the target side: see `pairs.only_feasible`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneChange {
@@ -23,10 +23,13 @@ pub struct LaneChange {
 }
 
 /// How long the agent must be in the new lane at the end, seconds.
-const SETTLED_S: f64 = 1.2;
+const SETTLED_S: f64 = 1.1;
 
 /// How far from the center line of the new lane it may be then, meters.
-const WITHIN_M: f64 = 0.7;
+const WITHIN_M: f64 = 1.2;
+
+/// The largest speed across, m/s.
+const MOST_ACROSS_MPS: f64 = 1.35;
 
 /// The error τ of the offset that costs ½, meters.
 const TOLERANCE_M: f64 = 0.5;
@@ -43,18 +46,18 @@ impl SceneObjective for LaneChange {
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let asked = OneAgent::gather(states, context, agents)?;
         let line = |row: usize| asked.line_beside(context, row, self.side);
-        settled(states, context, &asked, line, [SETTLED_S, WITHIN_M, TOLERANCE_M])
+        settled(states, context, &asked, line, [SETTLED_S, WITHIN_M, TOLERANCE_M, MOST_ACROSS_MPS])
     }
 }
 
-/// The log potential of being within some meters of a line over the last seconds, (B): see [`LaneChange`]. 0 in rows
-/// without a line.
+/// The log potential of being within some meters of a line over the last seconds, and of moving there with at most some
+/// speed, (B): see [`LaneChange`]. 0 in rows without a line.
 pub(super) fn settled(
     states: &Tensor,
     context: &SceneContext,
     asked: &OneAgent,
     line: impl Fn(usize) -> Option<Polyline>,
-    [settled_s, within_m, tolerance_m]: [f64; 3],
+    [settled_s, within_m, tolerance_m, most_mps]: [f64; 4],
 ) -> Result<Tensor> {
     let (n_rows, _, n_timesteps, _) = states.dims4()?;
     let n_settled = (settled_s / context.dt_s).round().max(1.0) as usize;
@@ -67,7 +70,7 @@ pub(super) fn settled(
     let aside_m = (last(&frame.across_m)?.abs()? - within_m)?.relu()?;
     let counts = last(&asked.counts)?;
     let costs = (penalty(&aside_m, tolerance_m)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
-    costs * frame.has_line
+    (costs + unhurried(&frame.across_m, &asked.counts, most_mps, context.dt_s)?)? * frame.has_line
 }
 
 #[cfg(test)]
@@ -92,21 +95,21 @@ mod tests {
             assert_gradients_match(&objective(side), &traffic());
             let states = &after_ascent(&objective(side), &traffic(), 100)[0];
             let last = traffic().generated().end - 1;
-            assert!((states[0][last][1] - 3.5).abs() < 0.75, "{:?}", states[0][last]);
+            assert!((states[0][last][1] - 3.5).abs() < 1.5, "{:?}", states[0][last]);
         }
     }
 
     #[test]
     fn the_cost_is_that_of_the_offset_and_nothing_without_a_lane_there() {
-        // 3.2 m from the other center line, 0.7 m of which are free: 2.5 m are five tolerances.
+        // 3.2 m from the other center line, 1.2 m of which are free: 2 m are four tolerances.
         let found = traffic().potential(&objective(None))[0];
-        assert!((found + 12.5).abs() < 1e-5, "{found}");
+        assert!((found + 8.0).abs() < 1e-5, "{found}");
         assert_eq!(traffic().potential(&objective(Some(Side::Right))), [0.0]);
         assert_eq!(Traffic::straight(&[(0.0, 0.3, 0.0, 8.0)]).potential(&objective(None)), [0.0]);
         // The target decides if the configuration does not.
         let mut asked = traffic();
         asked.context.targets[0] = [(SIDE.to_owned(), [-1.5, -0.5])].into();
         assert_eq!(asked.potential(&objective(None)), [0.0]);
-        assert!(asked.potential(&objective(Some(Side::Left)))[0] < -12.0);
+        assert!(asked.potential(&objective(Some(Side::Left)))[0] < -7.5);
     }
 }

@@ -6,6 +6,8 @@ use candle_core::{D, Result, Tensor};
 const ROUNDING: f64 = 0.05;
 /// The cost δ that is added to that of every moment, so that the power of a cost of 0 is finite.
 const LEAST_COST: f64 = 0.01;
+/// The excess of a speed across that costs ½ a second, m/s.
+const HURRY_MPS: f64 = 0.1;
 /// Less than the inverse fourth power of any cost.
 const NO_MOMENT: f64 = 1e-30;
 
@@ -34,6 +36,15 @@ pub(super) fn norm(v: &Tensor) -> Result<Tensor> {
 /// -(x / tolerance)² / 2, the log density of a normal distribution up to a constant.
 pub(super) fn penalty(x: &Tensor, tolerance: f64) -> Result<Tensor> {
     x.sqr()? * (-0.5 / (tolerance * tolerance))
+}
+
+/// The log potential of moving across by `across_m` (B, T) with at most `most_mps`: -½ ∫ (max(|rate| - most, 0) / 0.1
+/// m/s)² dt over the timesteps that count.
+pub(super) fn unhurried(across_m: &Tensor, counts: &Tensor, most_mps: f64, dt_s: f64) -> Result<Tensor> {
+    let n = across_m.dim(1)?.saturating_sub(1);
+    let rate_mps = ((across_m.narrow(1, 1, n)? - across_m.narrow(1, 0, n)?)? * (1.0 / dt_s))?;
+    let excess_mps = (rate_mps.abs()? - most_mps)?.relu()?;
+    (penalty(&excess_mps, HURRY_MPS)? * counts.narrow(1, 1, n)?)?.sum(1)? * dt_s
 }
 
 /// The log potential of the best of the moments that count, smoothly: of `potentials`, each at most 0 and of the shape

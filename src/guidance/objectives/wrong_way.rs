@@ -33,7 +33,7 @@ impl SceneObjective for WrongWay {
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let asked = OneAgent::gather(states, context, agents)?;
         let line = |row: usize| asked.oncoming_line(context, row);
-        settled(states, context, &asked, line, [AGAINST_S, WITHIN_M, TOLERANCE_M])
+        settled(states, context, &asked, line, [AGAINST_S, WITHIN_M, TOLERANCE_M, f64::INFINITY])
     }
 }
 

@@ -1,7 +1,7 @@
 //! The careful driver in place of an agent of a scene, whose others move as they do there.
 
 use super::driver::CarefulDriver;
-use super::regulation::{BOUND_DECELERATION_MPS2, BOUND_DELAY_S, DELAY_S, VISIBLE_S};
+use super::regulation::{DELAY_S, VISIBLE_S, least_ttc_s};
 use super::watch::{IN_LANE_M, Seen};
 use super::way::{Place, Way, body};
 use crate::geometry::OrientedBox;
@@ -83,8 +83,7 @@ impl<'a> CarefulReplay<'a> {
             .intrusion
             .and_then(|(seen, _)| (seen.closing_mps > 0.0 && seen.gap_m >= 0.0).then(|| seen.gap_m / seen.closing_mps));
         let avoidance_required = intrusion_ttc_s.zip(drive.intrusion).map(|(ttc_s, (seen, moves_for_s))| {
-            let bound_s = seen.closing_mps / (2.0 * BOUND_DECELERATION_MPS2) + BOUND_DELAY_S;
-            moves_for_s >= VISIBLE_S - 1e-9 && ttc_s > bound_s
+            moves_for_s >= VISIBLE_S - 1e-9 && ttc_s > least_ttc_s(seen.closing_mps)
         });
         CarefulJudgment {
             preventable: drive.contact.is_none(),
@@ -112,7 +111,7 @@ impl<'a> CarefulReplay<'a> {
     }
 
     /// By how much later than the regulation's the careful driver could react; see [`CarefulJudgment::margin_s`].
-    fn margin_s(&self) -> f64 {
+    pub fn margin_s(&self) -> f64 {
         let drive = self.drive(0.0, None);
         let survives = |later_s: f64| self.drive(later_s, None).contact.is_none();
         let [mut low_s, mut high_s] = match drive.contact {

@@ -33,6 +33,12 @@ pub(super) const BOUND_DECELERATION_MPS2: f64 = 6.0;
 /// The delay in that bound, seconds.
 pub(super) const BOUND_DELAY_S: f64 = 0.35;
 
+/// Paragraph 5.2.5.2: the time to collision at the intrusion of a vehicle that is slower by this, m/s, beyond which a
+/// collision must be avoided, seconds.
+pub(crate) fn least_ttc_s(closing_mps: f64) -> f64 {
+    closing_mps / (2.0 * BOUND_DECELERATION_MPS2) + BOUND_DELAY_S
+}
+
 /// Paragraph 5.2.5.3 demands that a collision with a pedestrian in view who crosses at up to 5 km/h be avoided at up to
 /// 60 km/h, and has no model of a driver. Ours: whoever walks toward the path at least this fast, m/s, is a risk, which
 /// is perceived, and answered, as any other; may soon walk as fast as in that paragraph; and is a danger as soon as

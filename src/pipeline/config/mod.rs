@@ -15,11 +15,12 @@ mod urls;
 pub use load::{ConfigError, ConfigPlace, parse};
 pub use overrides::Override;
 
+use crate::cloud::ObjectUrl;
 use crate::engine::run_folder::RunAbout;
 use crate::engine::{ComputeChoice, DeviceChoice};
 use crate::engine::{Failure, Result};
 use crate::evaluate::EvaluateConfig;
-use crate::files::{name_elsewhere, regular};
+use crate::files::regular;
 use crate::generate::GenerateConfig;
 use crate::ingest::IngestConfig;
 use crate::nn::Precision;
@@ -108,8 +109,8 @@ pub struct RunConfig {
     pub device: DeviceChoice,
     /// Precision of the matrix products of networks: `f32`, or `tf32` or `bf16` for the tensor cores of a GPU.
     pub precision: Precision,
-    /// The folder that holds the folders of all pipelines; with the feature `cloud`, also one in an object store, such
-    /// as `s3://bucket/runs`.
+    /// The folder that holds the folders of all pipelines. With the feature `cloud`, also a URL such as
+    /// `s3://bucket/runs`, to which results are copied when the run ends.
     pub output: PathBuf,
 }
 
@@ -234,12 +235,22 @@ impl PipelineConfig {
         config
     }
 
+    /// The recordings and maps that a run reads, by name.
+    pub fn recordings(&self) -> impl Iterator<Item = (String, &Path)> {
+        fn lists(ingest: &IngestConfig) -> [(&'static str, &[PathBuf]); 2] {
+            [("inputs", &ingest.inputs), ("map_inputs", &ingest.map_inputs)]
+        }
+        self.ingest.iter().flat_map(lists).flat_map(|(what, paths)| {
+            paths.iter().enumerate().map(move |(idx, path)| (format!("{what}.{idx}"), path.as_path()))
+        })
+    }
+
     /// The portable configuration as TOML for the folder `root` of a run: it runs again from there, into the same
     /// folder.
     pub fn saved_in(&self, root: &Path) -> anyhow::Result<String> {
         let mut config = self.portable();
-        // There is no relative path between a bucket and a disk.
-        if name_elsewhere(root).is_some() {
+        // The copy in a store is read elsewhere.
+        if ObjectUrl::is_meant(&self.run.output) {
             return config.to_toml();
         }
         config.run.output = PathBuf::from("../..");

@@ -1,22 +1,26 @@
 //! Generated scenarios to metrics and the corpus: the files around [`Evaluation`].
 
-use super::generate::SampleManifest;
+use super::generate::{SampleManifest, read_requests};
 use super::mine::MineConfig;
 use crate::behavior::Behavior;
+use crate::coverage::CoverageTally;
 use crate::engine::shards::{Division, Gathering, Sharded, Shards};
 use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::evaluate::{
     EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
-    ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs,
+    ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs, of_requests,
 };
 use crate::generate::GenerateConfig;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{CORPUS, EXPOSURE, Layout, METRICS, METRICS_SUMMARY, OCCURRENCES, VERDICTS};
+use crate::pipeline::layout::{
+    CORPUS, COVERAGE, EXPOSURE, Layout, METRICS, METRICS_SUMMARY, OCCURRENCES, TAGS, VERDICTS,
+};
 use crate::progress::Progress;
+use crate::rates::RecordedTraffic;
 use crate::store::{
-    CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, write_binary_atomically,
-    write_json_atomically, write_metrics,
+    CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, read_tags, stream_events,
+    write_binary_atomically, write_coverage, write_json_atomically, write_metrics,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -44,7 +48,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        18
+        20
     }
 
     fn check(&self) -> Result<()> {
@@ -62,6 +66,7 @@ impl Stage for Evaluate<'_> {
     fn config(&self) -> anyhow::Result<Value> {
         let mut config = serde_json::to_value(self.config)?;
         config["behaviors"] = serde_json::to_value(&self.mine.behaviors)?;
+        config["rates"] = serde_json::to_value(&self.mine.rates)?;
         config["pipeline"] = json!(self.pipeline);
         Ok(config)
     }
@@ -78,7 +83,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn outputs(&self) -> &'static [&'static str] {
-        &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS]
+        &[CORPUS, METRICS, METRICS_SUMMARY, VERDICTS, COVERAGE]
     }
 
     fn work(&self) -> Work<'_> {
@@ -144,7 +149,8 @@ impl Sharded for Evaluate<'_> {
         let has_rates = self.has_events && exposure.exists() && occurrences.exists();
         let traffic = has_rates.then(|| read_recorded_traffic(&exposure, &occurrences)).transpose()?;
         let evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
-        let mut evaluation = evaluation.with_rates_of(traffic);
+        let coverage = self.recorded_coverage(&ready, traffic.as_ref())?;
+        let mut evaluation = evaluation.with_rates_of(traffic).with_coverage_of(coverage);
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");
@@ -158,8 +164,10 @@ impl Sharded for Evaluate<'_> {
         let found = evaluation.finish()?;
         write_metrics(&path(METRICS), found.all_rows()?)?;
         corpus.write_metrics(found.rows_of_corpus()?)?;
+        write_coverage(&path(COVERAGE), found.coverage.clone())?;
         let n_accepted_scenes = found.n_accepted_scenes;
-        let summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
+        let mut summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
+        summary.gates.extend(of_requests(&config.gates, &read_requests(&self.layout.samples)?));
         corpus.finish(&self.notes(&summary))?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
         Ok(json!({
@@ -209,6 +217,22 @@ impl Evaluate<'_> {
     fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
         let events = self.has_events.then_some(self.layout.events.as_path());
         Ok(Measurer::new(&ready.config, &ready.behaviors, &ready.store, events)?)
+    }
+
+    /// What was recorded of each behavior, by what surrounds the center; nothing without recorded events.
+    fn recorded_coverage(&self, ready: &EvaluationReady, traffic: Option<&RecordedTraffic>) -> Result<CoverageTally> {
+        let [tags, occurrences] = [TAGS, OCCURRENCES].map(|name| self.layout.events.with_file_name(name));
+        let recordings = traffic.filter(|_| tags.exists()).map_or(&[][..], RecordedTraffic::recordings);
+        let scenes = if recordings.is_empty() { Vec::new() } else { read_tags(&tags)? };
+        let behaviors: Vec<&str> = ready.behaviors.iter().map(|behavior| behavior.id()).collect();
+        let buckets = self.mine.rates.iter().map(|bucket| (bucket.behavior.clone(), bucket.within.clone()));
+        let mut tally = CoverageTally::new(&behaviors, &buckets.collect::<Vec<_>>(), recordings, scenes.into_iter());
+        if !recordings.is_empty() {
+            for event in stream_events(&occurrences)? {
+                tally.add_recorded(&event?);
+            }
+        }
+        Ok(tally)
     }
 
     /// Reads shard `idx` of the samples.

@@ -30,9 +30,10 @@ impl Stage for Ingest<'_> {
         self.config.validate()?;
         // Missing ones are noticed among the inputs.
         let real: Vec<_> = self.config.inputs.iter().map(|path| fs_err::canonicalize(path).ok()).collect();
-        match (1..real.len()).find(|i| real[*i].is_some() && real[..*i].contains(&real[*i])) {
-            Some(i) => {
-                let detail = format!("is {}, which is named in other words before", self.config.inputs[i].display());
+        let same = |i: usize| (0..i).find(|j| real[i].is_some() && real[*j] == real[i]).map(|j| (i, j));
+        match (1..real.len()).find_map(same) {
+            Some((i, j)) => {
+                let detail = format!("is {}, the same as inputs.{j}", self.config.inputs[i].display());
                 Err(crate::ingest::Error::Config { key: format!("inputs.{i}"), detail }.into())
             }
             None => Ok(()),

@@ -2,15 +2,16 @@
 //! order.
 
 use crate::behavior::{self, Behavior, BehaviorConfig, BehaviorEntry, BehaviorEvent};
+use crate::coverage::{TaggedScene, Tags};
 use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::evaluate::MiningTally;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{EVENTS, EXPOSURE, Layout, MINE_SUMMARY, OCCURRENCES, RATES};
+use crate::pipeline::layout::{EVENTS, EXPOSURE, Layout, MINE_SUMMARY, OCCURRENCES, RATES, TAGS};
 use crate::progress::Progress;
 use crate::rates::{ExposureRow, ExposureTally, Numbered, OccurrenceTally, SceneExposure, Within};
 use crate::settings::Issue;
 use crate::store::{
-    EventWriter, SceneStore, read_recorded_traffic, write_exposure, write_json_atomically, write_rates,
+    EventWriter, SceneStore, read_recorded_traffic, write_exposure, write_json_atomically, write_rates, write_tags,
 };
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -88,7 +89,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        11
+        12
     }
 
     fn check(&self) -> Result<()> {
@@ -118,16 +119,17 @@ impl Whole for Mine<'_> {
         let entries = behavior::ALL.iter().filter(|entry| ids.contains(&entry.id));
         let mut writer = EventWriter::new(&context.root.join(EVENTS), entries.clone());
         let mut counting = Counting::new(EventWriter::new(&context.root.join(OCCURRENCES), entries));
+        let mut tagged: Vec<TaggedScene> = Vec::new();
         context.progress.start("mine", scenes.len() as u64, "scenes");
         let [has_lanes, has_sizes] = [AtomicBool::new(false), AtomicBool::new(false)];
-        let detect = |chunk: &[usize]| -> Result<Vec<(SceneExposure, Vec<BehaviorEvent>)>> {
+        let detect = |chunk: &[usize]| -> Result<Vec<(SceneExposure, Tags, Vec<BehaviorEvent>)>> {
             let found = chunk.par_iter().map(|idx| {
                 let scene = store.scene(*idx)?;
                 has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
                 has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
                 let found = behaviors.iter().flat_map(|behavior| behavior.detect(&scene));
                 let found = found.filter(|event| !event.is_of_parked(&scene)).collect::<Vec<_>>();
-                Ok((SceneExposure::of(&scene), found))
+                Ok((SceneExposure::of(&scene), Tags::of(&scene), found))
             });
             found.collect()
         };
@@ -138,9 +140,17 @@ impl Whole for Mine<'_> {
             written?;
             let by_scene = next?;
             found.clear();
-            for (idx, (scene, events)) in chunk.iter().zip(by_scene) {
-                tally.add(store.index().get(*idx), &events);
-                counting.add(&scene, &events);
+            for (idx, (scene, tags, events)) in chunk.iter().zip(by_scene) {
+                let entry = store.index().get(*idx);
+                tally.add(entry, &events);
+                let observed_h = counting.add(&scene, &events);
+                tagged.extend(observed_h.map(|observed_h| TaggedScene {
+                    scene_id: entry.id.into(),
+                    place: entry.place.to_owned(),
+                    split: entry.split,
+                    tags,
+                    observed_h,
+                }));
                 found.extend(events);
             }
             counting.write()?;
@@ -151,6 +161,7 @@ impl Whole for Mine<'_> {
         context.progress.finish();
         warn_of_blind(&behaviors, [has_lanes, has_sizes].map(AtomicBool::into_inner), context.progress);
         writer.finish()?;
+        write_tags(&context.root.join(TAGS), tagged)?;
         let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| context.root.join(name));
         write_exposure(&exposure, counting.finish()?)?;
         let traffic = read_recorded_traffic(&exposure, &occurrences)?;
@@ -181,10 +192,11 @@ impl<'n> Counting<'n> {
         Self { exposure, occurrences, writer, pending: Vec::new() }
     }
 
-    fn add(&mut self, scene: &SceneExposure, events: &[BehaviorEvent]) {
-        if let Some(shown) = self.exposure.add(scene) {
-            self.pending.extend(self.occurrences.add(scene, shown, events, &self.exposure));
-        }
+    /// Counts a scene. Returns the time that no scene before it shows, hours; `None` if it was not recorded.
+    fn add(&mut self, scene: &SceneExposure, events: &[BehaviorEvent]) -> Option<f64> {
+        let shown = self.exposure.add(scene)?;
+        self.pending.extend(self.occurrences.add(scene, shown, events, &self.exposure));
+        Some(shown.new_h)
     }
 
     /// Writes the events that no later scene can show.

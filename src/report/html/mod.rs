@@ -1,6 +1,7 @@
 //! The page: its sections in their order, and the frame around them.
 
 mod comparison;
+mod coverage;
 mod data;
 mod drives;
 mod outcome;
@@ -54,6 +55,7 @@ pub fn render(model: &ReportModel) -> String {
         requests::section(model),
         verdict::section(model),
         distinguishability::section(&model.evaluation).as_ref().map(plain::section),
+        coverage::section(model),
         tradeoffs::section(model),
         quality::metrics(model),
         quality::distributions(model),

@@ -3,6 +3,7 @@
 use super::columns::{
     Columns, entries, lists, numbers, optional_flags, optional_numbers, optional_texts, small, structs, texts,
 };
+use crate::behavior::{Cause, Explanation};
 use crate::metrics::{CarefulJudgment, Check, Ending, PairCriticality, SceneCriticality, Violation};
 use crate::rates::{BucketRate, RateSource};
 use crate::scenario::Assessment;
@@ -19,7 +20,7 @@ pub(crate) fn fields() -> Vec<Field> {
         |name: &str, unit: &str, description: &str| column(name, DataType::Float64, description).unit(unit).optional();
     let flag = |name: &str, description: &str| column(name, DataType::Boolean, description).optional();
     vec![
-        flag("accepted", "Whether it is verified, valid and no near-duplicate."),
+        flag("accepted", "Whether it is verified, valid, with a cause if it needs one, and no near-duplicate."),
         flag("valid", "Whether it passes every validity check."),
         column("violations", list_of(DataType::Utf8), "The validity checks that it fails, such as collision or jerk.")
             .optional(),
@@ -120,6 +121,18 @@ pub(crate) fn fields() -> Vec<Field> {
             "The relative speed with which they touch although the careful driver takes over at the last state, and \
              brakes 0.75 s later, or at once if the subject brakes already; missing if they do not.",
         ),
+        column(
+            "cause",
+            DataType::Utf8,
+            "What explains a hard brake (comes_in, crosses, vulnerable, stands_ahead, brakes_ahead, slower_ahead, \
+             stop_line) or a near miss (looked_too_late, gap_misjudged); missing if nothing does, and for other events.",
+        )
+        .optional(),
+        number(
+            "mistake_s",
+            "s",
+            "How much too late one looked, or by how much the gap was too small; missing without a mistake.",
+        ),
         number(
             "nearest_recorded_event",
             "1",
@@ -215,6 +228,8 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         number(&|a| a.ending?.contact_s),
         number(&|a| Some(a.ending?.required_deceleration_mps2)),
         number(&|a| a.ending?.remaining_mps),
+        optional_texts(judged().map(|a| Some(a?.explanation?.cause.id()))),
+        number(&|a| a.explanation?.mistake_s),
         number(&|a| a.nearest_recorded_event),
         number(&|a| a.nearest_scenario_m),
         optional_texts(judged().map(|a| a?.near_duplicate_of.as_deref())),
@@ -286,6 +301,13 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         scene,
         careful,
         ending,
+        explanation: match columns.optional_text("cause", row)? {
+            Some(_) => Some(Explanation {
+                cause: columns.named("cause", row, Cause::from_id)?,
+                mistake_s: number("mistake_s")?,
+            }),
+            None => None,
+        },
         nearest_recorded_event: number("nearest_recorded_event")?,
         nearest_scenario_m: number("nearest_scenario_m")?,
         near_duplicate_of: columns.optional_text("near_duplicate_of", row)?.map(str::to_owned),

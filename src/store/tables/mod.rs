@@ -2,6 +2,7 @@
 
 pub(crate) mod assessment;
 pub(crate) mod columns;
+pub(crate) mod coverage;
 pub(crate) mod drive;
 pub(crate) mod driven;
 pub(crate) mod event;
@@ -23,6 +24,7 @@ mod scene_derived;
 mod scene_header;
 pub(crate) mod scene_tracks;
 mod state_rows;
+pub(crate) mod tag;
 pub(crate) mod track;
 pub(crate) mod verdict;
 

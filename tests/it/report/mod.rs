@@ -23,6 +23,7 @@ fn every_part_of_the_model_is_on_the_page() {
         "warnings",
         "outcome",
         "requests",
+        "coverage",
         "tradeoffs",
         "metrics",
         "distributions",

@@ -3,6 +3,7 @@
 mod outcome;
 mod scenes;
 
+use djinn::coverage::CoverageRow;
 use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
 use djinn::ingest::{IngestReport, RejectCount};
 use djinn::rates::{RateMethod, RateRow};
@@ -57,6 +58,7 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         ingest: Some(ingest(name)),
         mining: Some(mining(name)),
         rates: rates(name),
+        coverage: coverage(name),
         training: vec![training("Denoiser", 2.2), training("Classifier (cut_in)", 0.6)],
         classifier_quality: (0..12).map(quality).collect(),
         requests: vec![outcome::request(name)],
@@ -186,6 +188,29 @@ fn rates(name: &str) -> Vec<RateRow> {
         note: (n_events == 0).then(|| "not extrapolated: fewer than 30 events are beyond any threshold".to_owned()),
     };
     vec![of("", "", 40), of("", "ttc_s 0..0.5", 0), of(name, "", 40)]
+}
+
+/// Surroundings in which a behavior is covered, missing, and never recorded, and a pair of them that is missing.
+fn coverage(name: &str) -> Vec<CoverageRow> {
+    let of = |tags: [Option<&str>; 2], n_recorded: u64, n_accepted: u64| CoverageRow {
+        tags: tags.map(|tag| tag.and_then(|tag| tag.parse().ok())),
+        behavior: name.to_owned(),
+        within: String::new(),
+        observed_h: 2.0,
+        n_recorded,
+        rate_per_hour: Some(n_recorded as f64 / 2.0),
+        per_hour: Some(Interval { low: 0.4 * n_recorded as f64, high: 2.0 + n_recorded as f64 }),
+        n_generated: n_accepted,
+        n_accepted,
+    };
+    let [merge, slow, fast] = ["junction:merge", "speed:below_15_km_h", "speed:above_60_km_h"].map(Some);
+    vec![
+        of([None, None], 42, 7),
+        of([merge, None], 42, 7),
+        of([slow, None], 42, 0),
+        of([fast, None], 0, 0),
+        of([merge, slow], 42, 0),
+    ]
 }
 
 fn more(name: &str) -> PlainSection {

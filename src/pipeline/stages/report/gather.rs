@@ -9,10 +9,10 @@ use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{METRICS_SUMMARY, MINE_SUMMARY, RATES};
+use crate::pipeline::layout::{COVERAGE, METRICS_SUMMARY, MINE_SUMMARY, RATES};
 use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
 use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
-use crate::store::{CorpusManifest, SceneManifest, read_json, read_rates};
+use crate::store::{CorpusManifest, SceneManifest, read_coverage, read_json, read_rates};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
 use std::path::Path;
 
@@ -54,6 +54,8 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
     if stage.has(StageId::Evaluate) {
         let path = stage.layout.metrics.with_file_name(METRICS_SUMMARY);
         add_evaluation(&mut model, read_json(&path).blame_input()?);
+        let coverage = stage.layout.metrics.with_file_name(COVERAGE);
+        model.coverage = if coverage.exists() { read_coverage(&coverage)? } else { Vec::new() };
         let sources = CorpusManifest::read(&stage.layout.corpus)?.sources;
         model.facts.extend(sources.iter().map(|(dataset, terms)| Fact::new(format!("Terms of {dataset}"), terms)));
     }
