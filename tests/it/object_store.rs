@@ -210,10 +210,10 @@ fn results_in_a_store_are_those_on_disk_and_never_half_of_them() {
         names.map(str::to_owned).collect::<Vec<_>>()
     };
 
-    store.lock().unwrap().forbidden = Some("corpus/lanes.parquet");
+    store.lock().unwrap().forbidden = Some("main/metrics.parquet");
     let said = run(&workspace, &address, &[]).expect(1).stderr;
     for part in
-        ["cannot write s3://traffic/runs/small/main/corpus/lanes.parquet", "the results are whole in", "same command"]
+        ["cannot write s3://traffic/runs/small/main/metrics.parquet", "the results are whole in", "same command"]
     {
         assert!(said.contains(part), "{said}");
     }
@@ -222,18 +222,20 @@ fn results_in_a_store_are_those_on_disk_and_never_half_of_them() {
     store.lock().unwrap().forbidden = None;
     let said = run(&workspace, &address, &[]).expect(0).stderr;
     assert!(
-        said.contains("everything is up to date") && said.contains("files to s3://traffic/runs/small/main"),
+        said.contains("everything is up to date") && said.contains("copied to s3://traffic/runs/small/main"),
         "{said}"
     );
     assert_same(&results(&store), &expected);
     assert!(declared().contains(&"corpus/manifest.json".to_owned()) && declared().contains(&"run.json".to_owned()));
     let n_writes = store.lock().unwrap().n_writes;
-    assert!(run(&workspace, &address, &[]).expect(0).stderr.contains("copied 0 files"));
-    assert_eq!(store.lock().unwrap().n_writes, n_writes, "what is there is not written again");
+    run(&workspace, &address, &[]).expect(0);
+    // The log, the times, and the list before and after them; some twice, if an answer was lost.
+    let n_writes = store.lock().unwrap().n_writes - n_writes;
+    assert!(n_writes < 8, "what is there is not written again, but {n_writes} objects were");
 
     // Another corpus comes, and is cut off: what is left does not count, and goes when the next copy is through.
-    store.lock().unwrap().forbidden = Some("corpus/lanes.parquet");
-    store.lock().unwrap().objects.remove("runs/small/main/corpus/lanes.parquet");
+    store.lock().unwrap().forbidden = Some("main/metrics.parquet");
+    store.lock().unwrap().objects.remove("runs/small/main/metrics.parquet");
     run(&workspace, &address, &["--set", "evaluate.keep=verified"]).expect(1);
     let left = declared();
     assert!(!left.contains(&"corpus/manifest.json".to_owned()) && !left.contains(&"evaluate.done.json".to_owned()));

@@ -41,7 +41,9 @@ fn copy(place: &Output, printer: &Printer) -> Result<()> {
             place.path().display()
         ))
     })?;
-    copied.iter().for_each(|(url, n)| printer.message(format_args!("copied {n} files to {url}")));
+    if let Some((url, n)) = copied {
+        printer.message(format_args!("the results are copied to {url}; changed files: {n}"));
+    }
     Ok(())
 }
 

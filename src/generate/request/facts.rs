@@ -1,4 +1,4 @@
-//! Which facts of an event can a request name? Its parameters, the place, attributes of coverage, and the classes of its
+//! Which facts of an event can a request name? Its parameters, the place, attributes of coverage, and classes of its
 //! agents.
 
 use super::config::{Divisions, Requirement};

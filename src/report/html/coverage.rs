@@ -37,18 +37,12 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
 
 fn words([single, pairs]: [CoverageShare; 2]) -> String {
     let of = |CoverageShare { n_recorded, n_covered }: CoverageShare| {
-        format!(
-            "{} of {} ({})",
-            count(n_covered as u64),
-            count(n_recorded as u64),
-            share(n_covered as u64, n_recorded as u64)
-        )
+        (count(n_recorded as u64), count(n_covered as u64), share(n_covered as u64, n_recorded as u64))
     };
+    let ((n, covered, part), (n_pairs, covered_pairs, part_of_pairs)) = (of(single), of(pairs));
     format!(
-        "Of the surroundings in which a behavior was recorded, these have accepted scenarios of it: {}; of the pairs \
-         of two attributes, {}.",
-        of(single),
-        of(pairs)
+        "Of {n} recorded combinations of a behavior and what surrounds it, {covered} ({part}) have accepted \
+         scenarios; of {n_pairs} with two attributes, {covered_pairs} ({part_of_pairs})."
     )
 }
 
@@ -84,7 +78,7 @@ fn grid(rows: &[&CoverageRow], columns: &[(&str, &str)]) -> Markup {
             }
         }
         p class="note" {
-            "Accepted scenarios of recorded events. " span class="key full" { "covered" } " "
+            "Accepted scenarios / recorded events. " span class="key full" { "covered" } " "
             span class="key short" { "recorded, but without a scenario" } " "
             span class="key infeasible" { "never recorded there" } ". Point at a cell for its rate."
         }
@@ -98,17 +92,23 @@ fn cell(row: Option<&CoverageRow>) -> Markup {
         CellState::Missing => "short",
         CellState::NeverRecorded | CellState::NoSuchPlace => "infeasible",
     };
-    let hours = value(row.observed_h);
-    let title = match (row.rate_per_hour, row.per_hour) {
-        (Some(rate), Some(interval)) if row.n_recorded > 0 => {
-            let (low, high) = (value(interval.low), value(interval.high));
-            format!("{} an hour ({low} to {high}) in {hours} h", value(rate))
-        }
-        (_, Some(interval)) => format!("none in {hours} h: below {} an hour", value(interval.high)),
-        _ => "no such surroundings were recorded".to_owned(),
+    let title = match row.per_hour {
+        Some(_) => format!("{} an hour in {} h", rate(row), value(row.observed_h)),
+        None => "no such surroundings were recorded".to_owned(),
     };
     let text = format!("{}/{}", count(row.n_accepted), count(row.n_recorded));
     html! { td class=(format!("n {class}")) title=(title) { (text) } }
+}
+
+/// Recorded events an hour, with their interval.
+fn rate(row: &CoverageRow) -> String {
+    match (row.rate_per_hour, row.per_hour) {
+        (Some(rate), Some(interval)) if row.n_recorded > 0 => {
+            format!("{} ({} to {})", value(rate), value(interval.low), value(interval.high))
+        }
+        (_, Some(interval)) => format!("below {}", value(interval.high)),
+        _ => String::new(),
+    }
 }
 
 /// The most frequent of the pairs without scenarios.
@@ -120,9 +120,8 @@ fn missing(rows: &[&CoverageRow]) -> Markup {
     for row in rows.iter().take(N_LISTED) {
         let tags = row.tags.iter().flatten();
         let tags = tags.map(|tag| format!("{} {}", spaced(tag.attribute().name), spaced(tag.value())));
-        let rate = row.rate_per_hour.map_or_else(String::new, value);
         let tags = tags.collect::<Vec<_>>().join(", ");
-        plain.push(vec![spaced(&row.behavior), tags, count(row.n_recorded), rate]);
+        plain.push(vec![spaced(&row.behavior), tags, count(row.n_recorded), rate(row)]);
     }
     html! {
         @if !rows.is_empty() {
@@ -138,5 +137,5 @@ fn missing(rows: &[&CoverageRow]) -> Markup {
 }
 
 fn spaced(name: &str) -> String {
-    name.replace('_', " ")
+    name.replace("km_h", "km/h").replace('_', " ")
 }
