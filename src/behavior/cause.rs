@@ -104,9 +104,9 @@ impl Cause {
 pub struct Explanation {
     /// What explains it.
     pub cause: Cause,
-    /// How much too late one looked: the time from when comfortable braking (2 m/s²) no longer avoids the other until it
-    /// brakes. Or by how much the gap was too small: what the shorter of time to collision and post-encroachment time
-    /// lacks of 1.5 s.
+    /// How much too late one looked: the time from when comfortable braking (2 m/s²) no longer avoids the other until
+    /// it brakes. Or by how much the gap was too small: what the shorter of time to collision and post-encroachment
+    /// time lacks of 1.5 s.
     pub mistake_s: Option<f64>,
 }
 
@@ -121,8 +121,8 @@ pub fn needs_cause(behavior: &str) -> bool {
 ///   the agent would come closer than 1 m to somebody ahead of it, as everybody moves, or drive over the end of a lane
 ///   at which a rule of the map has it stop or yield, at which it stops now.
 /// - A *near miss* has one if it is an ordinary mistake. If the courses differ by 30 degrees or more, the gap was
-///   misjudged; nobody then accelerates with more than 3 m/s². Otherwise the one behind looked too late, by 2 s at most:
-///   it gains no speed in the 2 s before it brakes, and brakes with 3.4 m/s² or more.
+///   misjudged; nobody then accelerates with more than 3 m/s². Otherwise the one behind looked too late, by 2 s at
+///   most: it gains no speed in the 2 s before it brakes, and brakes with 3.4 m/s² or more.
 pub fn explanation(scene: &Scene, event: &BehaviorEvent) -> Option<Explanation> {
     let agents: Option<Vec<usize>> = event.roles.tracks().map(|track| scene.track_idx(track)).collect();
     match agents?[..] {
@@ -157,8 +157,8 @@ fn of_near_miss(scene: &Scene, pair: [usize; 2], event: &BehaviorEvent) -> Optio
     Some(Explanation { cause: Cause::LookedTooLate, mistake_s: Some(late_s) })
 }
 
-/// How much too late `own` brakes for `other`, seconds. `None` if it brakes in time, not as for a hazard, or so late, or
-/// after such a gain of speed, that it is no ordinary mistake.
+/// How much too late `own` brakes for `other`, seconds. `None` if it brakes in time, not as for a hazard, or so late,
+/// or after such a gain of speed, that it is no ordinary mistake.
 fn late_s(scene: &Scene, [own, other]: [usize; 2], event: &BehaviorEvent) -> Option<f64> {
     let n_late = (MOST_LATE_S / scene.dt_s).round() as usize;
     let accelerations = accelerations_mps2(scene, own);
@@ -275,8 +275,8 @@ impl<'a> Way<'a> {
         }
     }
 
-    /// Whether comfortable braking leads over the end of a lane at which a rule has the agent stop or yield, before which
-    /// it is still at the end.
+    /// Whether comfortable braking leads over the end of a lane at which a rule has the agent stop or yield, before
+    /// which it is still at the end.
     fn stops_at_line(&self, from: usize) -> bool {
         let scene = self.scene;
         let lanes = SceneLanes::new(&scene.lanes);
@@ -343,8 +343,8 @@ mod tests {
 
     #[test]
     fn near_misses_are_ordinary_mistakes_of_a_stated_size() {
-        // 28.5 m are free at first, and comfortable braking takes 26 m with the gap: it is late from 0.25 s on, and brakes
-        // at 2 s, which slopes over 0.4 s show up to 0.2 s before.
+        // 28.5 m are free at first, and comfortable braking takes 26 m with the gap: it is late from 0.25 s on, and
+        // brakes at 2 s, which slopes over 0.4 s show up to 0.2 s before.
         let late = explained(
             &NearMiss::default(),
             &[

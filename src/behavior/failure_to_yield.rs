@@ -41,9 +41,9 @@ const NEGATIVE_MORE_S: f64 = 1.5;
 ///   the time from when the entering vehicle has left the conflict zone until the other enters it; negative if that is
 ///   earlier. If the other does not get there while it is tracked, the time is predicted from its place and speed when
 ///   the first has left.
-/// - From that second on it does act, as for a hazard: it brakes with 3.4 m/s² or more (over half a second). Nine of ten
-///   drivers who have to stop for an unexpected object brake at least as hard (AASHTO's Green Book, on stopping sight
-///   distances, after NCHRP report 400).
+/// - From that second on it does act, as for a hazard: it brakes with 3.4 m/s² or more (over half a second). Nine of
+///   ten drivers who have to stop for an unexpected object brake at least as hard (AASHTO's Green Book, on stopping
+///   sight distances, after NCHRP report 400).
 ///
 /// The event *starts* when the entering vehicle enters the conflict zone and is *complete* when the other does, or, if
 /// that is not recorded, when the entering vehicle has left.

@@ -27,8 +27,8 @@ const HYSTERESIS_M: f64 = 0.3;
 /// after it, meters. Places this far apart are looked at.
 const BESIDE_M: f64 = 8.0;
 const SPACING_M: f64 = 2.0;
-/// Lanes beside each other overlap by at most the first, and leave at most the second between them, meters: the sides of
-/// neighbors may be drawn twice.
+/// Lanes beside each other overlap by at most the first, and leave at most the second between them, meters: the sides
+/// of neighbors may be drawn twice.
 const MOST_OVERLAP_M: f64 = 0.8;
 const MOST_GAP_M: f64 = 1.5;
 /// A lane that has turned by more than the second over the first distance, meters, and turns by less than the third
@@ -54,10 +54,10 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 ///   that, is one event: the last crossing.
 /// - *What does not count*: going on to a lane that follows, forks or merges (unless the map names it as a neighbor);
 ///   crossing between lanes that do not run beside each other, in one direction (within 20 degrees), from the start, or
-///   8 m before the crossing, to 8 m after it: that fork or merge there, that overlap by more than 0.8 m or lie more than
-///   1.5 m apart, or of which the new one only begins there; coming out of a turn (of 30 degrees in 15 m) in another
-///   lane; moving over to an oncoming lane; moving over by less than 1 m while it is seen; changes that the scene ends
-///   too early to confirm.
+///   8 m before the crossing, to 8 m after it: that fork or merge there, that overlap by more than 0.8 m or lie more
+///   than 1.5 m apart, or of which the new one only begins there; coming out of a turn (of 30 degrees in 15 m) in
+///   another lane; moving over to an oncoming lane; moving over by less than 1 m while it is seen; changes that the
+///   scene ends too early to confirm.
 ///
 /// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its center comes within
 /// 0.5 m of a lane beside its own.

@@ -222,8 +222,8 @@ behaviors! {
     FailureToYield in failure_to_yield {
         subject: Subject::Role("priority"), is_collision: false, needs_lanes: true
     }:
-        "one vehicle (entering) gets into the way of one that has the right of way, which brakes for it with at least 3.4 \
-         m/s²",
+        "one vehicle (entering) gets into the way of one that has the right of way, which brakes for it with at least \
+         3.4 m/s²",
     /// A vehicle drives against the direction of its lane.
     WrongWay in wrong_way { subject: Subject::WhoMeetsIt, is_collision: false, needs_lanes: true }:
         "a vehicle drives against the direction of its lane for at least 1.5 s",

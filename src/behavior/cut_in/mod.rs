@@ -79,9 +79,9 @@ const ALONG_RAD: f64 = FRAC_PI_6;
 /// other is never in its way; boxes that graze while both keep their lanes; crossing, turning and oncoming traffic;
 /// agents not tracked at present; an ego that is in no lane of the map, or a scene without a map: of two paths that
 /// meet, it is then unknown which one is kept; another that keeps a lane of its own (its center at most 0.3 m beyond a
-/// side) which runs beside that of the ego or overlaps it, as through junctions. Where the two lanes lead into each other
-/// within 50 m and both vehicles keep theirs, as on a ramp, offsets do not show which one cuts in: it is the one that
-/// moves more across the mean of its headings at both ends.
+/// side) which runs beside that of the ego or overlaps it, as through junctions. Where the two lanes lead into each
+/// other within 50 m and both vehicles keep theirs, as on a ramp, offsets do not show which one cuts in: it is the one
+/// that moves more across the mean of its headings at both ends.
 ///
 /// **Negative**: any other ordered pair whose boxes come closer than 5 m at any two timesteps of the scene. Start and
 /// end are the first and the last timestep of the scene.

@@ -1,4 +1,5 @@
-//! Braking hard along the lane for a reason: behind somebody ahead, who may brake first, or before a line at which to stop.
+//! Braking hard along the lane for a reason: behind somebody ahead, who may brake first, or before a line at which to
+//! stop.
 
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cause::{COMFORTABLE_MPS2, STANDSTILL_GAP_M};
@@ -32,8 +33,8 @@ enum Reason {
 }
 
 impl Reason {
-    /// Whether braking comfortably, after `driven_m` with this speed at timestep `begins`, is too little for it, and the
-    /// planned drive is enough.
+    /// Whether braking comfortably, after `driven_m` with this speed at timestep `begins`, is too little for it, and
+    /// the planned drive is enough.
     fn explains(&self, (begins, speed_mps): (usize, f64), driven_m: &[f64], dt_s: f64) -> bool {
         let comfortable_m = |time_s: f64| {
             let time_s = time_s.min(speed_mps / COMFORTABLE_MPS2);
@@ -97,7 +98,8 @@ impl HardBrake {
     }
 }
 
-/// What an agent could brake for that begins to at `from_s`: the line ahead, and whoever is ahead and goes on or brakes.
+/// What an agent could brake for that begins to at `from_s`: the line ahead, and whoever is ahead and goes on or
+/// brakes.
 fn reasons(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx: usize, from_s: f64) -> Vec<Reason> {
     let front_m = scene.tracks[agent_idx].extent_or_nominal().length_m / 2.0;
     let place = scene.state(agent_idx, scene.current_timestep()).and_then(|now| own.lane.project(now.position));

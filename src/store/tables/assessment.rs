@@ -125,7 +125,8 @@ pub(crate) fn fields() -> Vec<Field> {
             "cause",
             DataType::Utf8,
             "What explains a hard brake (comes_in, crosses, vulnerable, stands_ahead, brakes_ahead, slower_ahead, \
-             stop_line) or a near miss (looked_too_late, gap_misjudged); missing if nothing does, and for other events.",
+             stop_line) or a near miss (looked_too_late, gap_misjudged); missing if nothing does, and for other \
+             events.",
         )
         .optional(),
         number(
