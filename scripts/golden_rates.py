@@ -36,6 +36,15 @@ def interval(clusters):
     return [rate, low, stats.chi2.ppf(0.975, 2 * alike + 2) / 2 * scale, dispersion]
 
 
+def weighted(weights, exposure):
+    """Weights, exposure, and the rate with the interval of Fay and Feuer (1997), their mean weight as the largest one."""
+    y, v = sum(weights), sum(w * w for w in weights)
+    most = v / y
+    low = v / (2 * y) * stats.chi2.ppf(0.025, 2 * y**2 / v)
+    high = (v + most**2) / (2 * (y + most)) * stats.chi2.ppf(0.975, 2 * (y + most) ** 2 / (v + most**2))
+    return [weights, exposure, [y / exposure, low / exposure, high / exposure]]
+
+
 def log_likelihood(y, shape, scale):
     return stats.genpareto.logpdf(y, shape, scale=scale).sum() if scale > 0 else -np.inf
 
@@ -115,6 +124,11 @@ def main():
         "gamma": [[p, shape, stats.gamma.ppf(p, shape)] for shape in shapes for p in (0.025, 0.5, 0.975)],
         "clusters": [{"name": name, "clusters": clusters, "expected": interval(clusters)} for name, clusters in CLUSTERS.items()],
     }
+    golden["weighted"] = [
+        weighted([1.0] * 7, 2.5),
+        weighted([0.25, 0.25, 0.0625, 1.0, 0.25, 0.015625], 40.0),
+        weighted([0.001], 12.0),
+    ]
     rng = np.random.default_rng(11)
     golden["tails"] = [
         tail("light", -0.2, 60, [1.0, 3.0, 6.0, 9.0], rng),

@@ -4,6 +4,7 @@
     pip install eclipse-sumo==1.28.0 numpy
     python scripts/simulate_recordings.py --out sim.zip                        # 1,000 train and 60 val cases a place
     python scripts/simulate_recordings.py --out sim.zip --places 'SIM_Round*'  # roundabouts only
+    python scripts/simulate_recordings.py --out sim.zip --tracker-errors 0.3   # three of ten cases as trackers err
     python scripts/simulate_recordings.py --out held.zip --places held-out --cases 0 --val-cases 100
     python scripts/simulate_recordings.py --out big.zip --cases 50000 --jobs 8 --keep runs  # stop it at any time, and go on
     python scripts/simulate_recordings.py --list                               # the places
@@ -34,6 +35,8 @@ def arguments():
                         help="names or patterns, comma-separated; `trained` are all but the held-out ones, `held-out` those (default: trained)")  # fmt: skip
     parser.add_argument("--cases", type=int, default=1000, metavar="N", help="train cases a place (default: 1000)")
     parser.add_argument("--val-cases", type=int, default=60, metavar="N", help="val cases a place, of other runs (default: 60)")
+    parser.add_argument("--tracker-errors", type=float, default=0.0, metavar="SHARE",
+                        help="share of cases whose past has errors as trackers make them (default: 0)")  # fmt: skip
     parser.add_argument("--seed", type=int, default=1, help="what geometry and traffic are drawn from (default: 1)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="parallel processes (default: 1)")
     parser.add_argument("--keep", type=pathlib.Path, metavar="FOLDER",
@@ -100,7 +103,8 @@ def main():
         folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out.parent) as scratch:
         scratch = pathlib.Path(scratch)
-        shelves = archive.make(options.out, names, options.seed, n_cases, options.jobs, scratch, options.keep or scratch, Progress().tell)
+        shelves = archive.make(options.out, names, options.seed, n_cases, options.tracker_errors, options.jobs, scratch,
+                               options.keep or scratch, Progress().tell)  # fmt: skip
     print_counts(shelves)
 
 

@@ -14,7 +14,7 @@ import zlib
 import numpy as np
 
 from fixtures.traffic import DT_S
-from simulation import cases, lanelet_map, lanelets, network, places, runs
+from simulation import cases, lanelet_map, lanelets, network, places, runs, trackers
 
 SPLITS = ("train", "val")
 # What a run is expected to give before the first run of a place has told.
@@ -81,11 +81,12 @@ class Shelf:
         return not self.is_full() and sum(done) + each * (self.next_run - len(done)) < self.n_wanted
 
 
-def make(out, names, seed, n_cases, jobs, scratch, kept, tell):
+def make(out, names, seed, n_cases, errors, jobs, scratch, kept, tell):
     """Writes the archive and returns the shelves, without their rows.
 
-    `n_cases` has the number of cases by split. The rows of runs go to the folder `kept`; runs that are done there are not
-    simulated again. `tell` is called with the cases done, those wanted, and a place.
+    `n_cases` has the number of cases by split, `errors` the share of cases with errors of a tracker. The rows of runs go
+    to the folder `kept`; runs that are done there are not simulated again. `tell` is called with the cases done, those
+    wanted, and a place.
     """
     files = {}
     for name in names:
@@ -100,7 +101,7 @@ def make(out, names, seed, n_cases, jobs, scratch, kept, tell):
             with archive.open(entry(f"{out.stem}/{path}"), "w") as target:
                 target.write(files[path].encode())
         n_written = 0
-        for shelf in filled(shelves, seed, jobs, scratch, kept):
+        for shelf in filled(shelves, seed, errors, jobs, scratch, kept):
             while n_written < len(shelves) and shelves[n_written].is_full():
                 write_table(archive, out.stem, shelves[n_written])
                 if kept == scratch:
@@ -112,7 +113,7 @@ def make(out, names, seed, n_cases, jobs, scratch, kept, tell):
     return shelves
 
 
-def filled(shelves, seed, jobs, scratch, kept):
+def filled(shelves, seed, errors, jobs, scratch, kept):
     """Runs until all shelves are full; yields the shelf of each run that is done."""
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(jobs, mp_context=context) as pool:
@@ -120,7 +121,7 @@ def filled(shelves, seed, jobs, scratch, kept):
         while True:
             for shelf in shelves:
                 while len(under_way) < jobs + 1 and shelf.needs_more():
-                    task = pool.submit(run, shelf.name, shelf.split, shelf.next_run, seed, scratch, kept)
+                    task = pool.submit(run, shelf.name, shelf.split, shelf.next_run, seed, errors, scratch, kept)
                     under_way[task] = (shelf, shelf.next_run)
                     shelf.next_run += 1
             if not under_way:
@@ -132,9 +133,10 @@ def filled(shelves, seed, jobs, scratch, kept):
                 yield shelf
 
 
-def run(name, split, number, seed, scratch, kept):
+def run(name, split, number, seed, errors, scratch, kept):
     """Simulates one run in a process of its own and writes the rows of its cases."""
-    path = kept / f"{name}_{split}_{seed}_{number}.csv"
+    seen_by = f"_{errors}" if errors > 0.0 else ""
+    path = kept / f"{name}_{split}_{seed}_{number}{seen_by}.csv"
     outcome = Outcome.noted(path)
     if outcome is not None:
         return outcome
@@ -157,6 +159,9 @@ def run(name, split, number, seed, scratch, kept):
             if flaw:
                 outcome.flaws[flaw] += 1
             else:
+                drawn = np.random.default_rng([seed, zlib.crc32(name.encode()), SPLITS.index(split), number, i])
+                if seen_by and drawn.random() < errors:
+                    case = trackers.with_errors(case, drawn)
                 outcome.sizes.append(file.write(cases.rows(number * ID_STEP + i + 1, case).encode()))
     shutil.rmtree(folder)
     outcome.note()

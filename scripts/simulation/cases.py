@@ -10,7 +10,7 @@ from fixtures.traffic import DT_S
 N_FRAMES, MIN_FRAMES = interaction.N_FRAMES, 5
 # Cases begin so many frames apart, plus or minus a random part: at most half of what one shows is in the next.
 STRIDE_FRAMES, JITTER_FRAMES = 25, 5
-MIN_AGENTS, MAX_AGENTS = 4, 32
+MIN_AGENTS = 4
 # Boxes that overlap by less are a graze, meters.
 GRAZE_M = 0.05
 # Boxes of those whose size is not recorded, meters: who walks, and who rides.
@@ -38,7 +38,7 @@ def flaw(case, plan):
     n_cars = sum(track.kind == "car" and len(track.rows) == N_FRAMES for track in case)
     if n_cars < 2 or len(case) < MIN_AGENTS:
         return "few"
-    if len(case) > MAX_AGENTS:
+    if len(case) > plan.most_agents:
         return "many"
     if all(np.ptp(track.rows[:, :2], axis=0).max() < STANDS_M for track in case if track.kind == "car"):
         return "standstill"

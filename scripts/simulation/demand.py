@@ -15,7 +15,7 @@ def intervals(rng, duration_s, low_s=45.0, high_s=110.0):
 
 def draw(plan, rng, duration_s):
     """SUMO's route file for one run, and the size of every vehicle by id: (type in INTERACTION, length, width)."""
-    kinds = drivers.kinds(rng)
+    kinds = drivers.kinds(rng, plan)
     busy = rng.uniform(0.75, 1.15)
     starts = []
     for route, flow in enumerate(plan.flows):
@@ -69,8 +69,8 @@ def slow_downs(plan, net, rng, duration_s):
         lanes = net.lanes(net.edges[edge])
         normal = float(lanes[0].get("speed"))
         steps = []
-        for begin, _ in intervals(rng, duration_s, 20.0, 60.0):
-            factor = rng.uniform(0.15, 0.6) if rng.random() < 0.3 else 1.0
+        for begin, _ in intervals(rng, duration_s, *plan.slow_s):
+            factor = rng.uniform(*plan.slow_factor) if rng.random() < plan.slow_share else 1.0
             steps.append(f'<step time="{begin:.1f}" speed="{factor * normal:.2f}"/>')
         names = " ".join(lane.get("id") for lane in lanes)
         body += [f'<variableSpeedSign id="slow{i}" lanes="{names}">', *steps, "</variableSpeedSign>"]

@@ -17,27 +17,30 @@ class Kind:
     width: float
 
 
-def kinds(rng):
-    """The kinds of a run by class: `car`, `truck`, `cyclist`."""
+def kinds(rng, plan):
+    """The kinds of a run at a place by class: `car`, `truck`, `cyclist`."""
     return {
-        "car": [car(rng, f"car{i}") for i in range(N_CARS)],
-        "truck": [truck(rng, f"truck{i}") for i in range(N_TRUCKS)],
+        "car": [car(rng, f"car{i}", plan) for i in range(N_CARS)],
+        "truck": [truck(rng, f"truck{i}", plan) for i in range(N_TRUCKS)],
         "cyclist": [cyclist(rng, f"cyclist{i}") for i in range(N_CYCLISTS)],
     }
 
 
-def car(rng, id):
+def car(rng, id, plan):
     long = rng.random() < 0.15  # vans and pickups
     length = rng.uniform(5.0, 6.0) if long else rng.normal(4.5, 0.3)
     width = rng.uniform(1.9, 2.05) if long else rng.normal(1.82, 0.07)
-    return motorized(rng, id, "passenger", max(length, 3.6), max(width, 1.6), rng.uniform(1.7, 2.9), rng.normal(1.0, 0.13))
+    size = max(length, 3.6), max(width, 1.6)
+    return motorized(rng, id, "passenger", *size, rng.uniform(1.7, 2.9), rng.normal(1.0, 0.13), plan.keep_right)
 
 
-def truck(rng, id):
-    return motorized(rng, id, "truck", rng.uniform(6.5, 12.4), rng.uniform(2.2, 2.5), rng.uniform(0.9, 1.5), rng.normal(0.88, 0.08))
+def truck(rng, id, plan):
+    size = rng.uniform(*plan.truck_m), rng.uniform(2.2, 2.5)
+    limits = {} if plan.truck_kmh is None else {"maxSpeed": rng.uniform(*plan.truck_kmh) / 3.6}
+    return motorized(rng, id, "truck", *size, rng.uniform(0.9, 1.5), rng.normal(0.88, 0.08), plan.keep_right, **limits)
 
 
-def motorized(rng, id, vehicle_class, length, width, accel, speed_factor):
+def motorized(rng, id, vehicle_class, length, width, accel, speed_factor, keep_right, **limits):
     """A driver: three in four follow by the extended intelligent driver model, the others by Krauss's."""
     pushy = rng.random()
     if rng.random() < 0.75:
@@ -50,8 +53,8 @@ def motorized(rng, id, vehicle_class, length, width, accel, speed_factor):
         latAlignment="center", minGapLat=rng.uniform(0.5, 0.8) - 0.15 * pushy, maxSpeedLat=rng.uniform(0.8, 1.5),
         lcMaxSpeedLatStanding=0.0, lcMaxSpeedLatFactor=0.3, lcAccelLat=rng.uniform(0.7, 1.4), lcAssertive=1.0 + 1.6 * pushy, lcStrategic=rng.uniform(1.0, 2.0),
         lcPushy=0.5 * pushy, lcImpatience=0.8 * pushy, lcCooperative=rng.uniform(0.4, 1.0),
-        lcSpeedGain=rng.uniform(0.5, 1.5) + 2.5 * pushy, lcKeepRight=rng.uniform(0.0, 1.0), lcSigma=rng.uniform(0.0, 0.15),
-        **model,
+        lcSpeedGain=rng.uniform(0.5, 1.5) + 2.5 * pushy, lcKeepRight=keep_right * rng.uniform(0.0, 1.0), lcSigma=rng.uniform(0.0, 0.15),
+        **model, **limits,
     )  # fmt: skip
 
 

@@ -9,10 +9,10 @@ from simulation.plan import Plan
 AROUND_M, RAMP_M = 220.0, 210.0
 
 
-def reference(rng, straightness):
-    """The left border of the highway: a long bend through (0, 0), eastward there."""
+def reference(rng, straightness, around=AROUND_M):
+    """The left border of the highway: a long bend through (0, 0), eastward there, and how far along it that is."""
     before, after = rng.uniform(-1.0, 1.0, 2) / straightness
-    half = AROUND_M + 60.0
+    half = around + 60.0
     behind = bend([(half, -before)])
     behind = np.stack([-behind[:, 0], behind[:, 1]], axis=1)[::-1]
     return np.concatenate([behind, bend([(half, after)])[1:]]), half

@@ -4,7 +4,7 @@ import zlib
 
 import numpy as np
 
-from simulation import crossings, highways, roundabouts, streets
+from simulation import crossings, highways, motorways, roundabouts, streets
 
 HELD_OUT = "held-out"
 
@@ -20,6 +20,16 @@ def catalog():
     add("merge", "Merge", highways.merge, [((2,), {}), ((3,), {}), ((2,), {"straightness": 160.0}), ((1,), {})])
     add("weave", "Weave", highways.weave, [((2,), {}), ((3,), {}), ((2,), {})])
     add("lane drop", "LaneDrop", highways.lane_drop, [((3,), {}), ((4,), {}), ((2,), {})])
+    add("motorway", "Motorway", motorways.motorway, [
+        ((3, "european"), {"both": True, "half_view_m": 160.0}),
+        ((3, "european"), {"ramp": "on"}),
+        ((4, "european"), {"ramp": "off", "half_view_m": 220.0}),
+        ((5, "american"), {"ramp": "weave", "jams": 0.6}),
+        ((4, "american"), {"ramp": "on", "jams": 0.4, "half_view_m": 170.0}),
+        ((5, "american"), {"half_view_m": 210.0}),
+        ((3, "european"), {"ramp": "weave", "jams": 0.5, "half_view_m": 180.0}),
+        ((3, "american"), {"both": True, "jams": 0.3, "half_view_m": 150.0}),
+    ])  # fmt: skip
     add("roundabout, one lane", "RoundaboutOne", roundabouts.roundabout, [
         (([5, 95, 180, 275], 10.0), {}),
         (([0, 110, 230], 8.0), {}),
@@ -61,6 +71,7 @@ def catalog():
     ])  # fmt: skip
     add(HELD_OUT, "HeldOutRoundabout", roundabouts.roundabout, [(([10, 80, 150, 222, 295], 18.0), {"half_view_m": 62.0, "busy": 0.8})])
     add(HELD_OUT, "HeldOutMerge", highways.merge, [((3,), {"straightness": 200.0})])
+    add(HELD_OUT, "HeldOutMotorway", motorways.motorway, [((4, "american"), {"ramp": "weave", "jams": 0.3, "half_view_m": 190.0})])
     add(HELD_OUT, "HeldOutCrossing", crossings.signals, [
         (([0, 60, 185, 250], [(2, 1), (1, 2), (2, 1), (1, 2)], 8.5, 65), {"pockets": (2,), "per_hour": 260.0}),
     ])  # fmt: skip

@@ -44,10 +44,14 @@ class Plan:
         self.flows, self.walks, self.with_sidewalk = [], [], set()
         # By edge: the pieces that it is cut into, the node that it starts at, and the lengths of its first and last piece.
         self.pieces, self.starts, self.outer_m = {}, {}, {}
-        # Shares of cyclists and of trucks among those who drive.
-        self.cyclists, self.trucks = 0.0, 0.12
-        # Edges on which traffic slows down at times, so that queues grow back into view.
-        self.slow_edges = []
+        # Shares of cyclists and of trucks among those who drive, lengths of trucks, what limits their speed beside the
+        # road, and the weight of the habit of driving on the right.
+        self.cyclists, self.trucks, self.truck_m, self.truck_kmh, self.keep_right = 0.0, 0.12, (6.5, 12.4), None, 1.0
+        # Edges on which traffic slows down at times, so that queues grow back into view: how often, to what part of the
+        # limit, and for how long.
+        self.slow_edges, self.slow_share, self.slow_factor, self.slow_s = [], 0.3, (0.15, 0.6), (20.0, 60.0)
+        # Cases with more agents are left out.
+        self.most_agents = 32
 
     def placed(self, points):
         """Points of the place's own frame in the frame of the map."""

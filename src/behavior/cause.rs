@@ -226,6 +226,11 @@ impl<'a> Way<'a> {
         let (start_m, speed_mps) = (self.path.project(now.position)?.station_m, now.speed_mps());
         let extent = scene.tracks[self.agent_idx].extent_or_nominal();
         let stops_s = (speed_mps / COMFORTABLE_MPS2).min(LONGEST_S);
+        let ahead = Vec2::from_angle(now.heading_rad);
+        let is_behind =
+            |idx: usize| place(idx, from).is_some_and(|state| (state.position - now.position).dot(ahead) < 0.0);
+        let others: Vec<usize> =
+            (0..scene.tracks.len()).filter(|idx| *idx != self.agent_idx && !is_behind(*idx)).collect();
         (0..=(stops_s / scene.dt_s) as usize).find_map(|step| {
             let elapsed_s = step as f64 * scene.dt_s;
             let driven_m = speed_mps * elapsed_s - COMFORTABLE_MPS2 * elapsed_s * elapsed_s / 2.0;
@@ -233,7 +238,7 @@ impl<'a> Way<'a> {
             let forward = Vec2::from_angle(heading_rad);
             let size_m = [extent.length_m + STANDSTILL_GAP_M, extent.width_m];
             let body = Footprint::along(center + forward * (STANDSTILL_GAP_M / 2.0), forward, size_m);
-            (0..scene.tracks.len()).filter(|idx| *idx != self.agent_idx).find(|idx| {
+            others.iter().copied().find(|idx| {
                 place(*idx, from + step).is_some_and(|state| {
                     let is_ahead = (state.position - center).dot(forward) > 0.0;
                     is_ahead && body.overlaps(&Footprint::new(&scene.tracks[*idx].footprint(&state)))
@@ -343,7 +348,7 @@ mod tests {
         let late = explained(
             &NearMiss::default(),
             &[
-                car("a", 0.0, 10.0, "{ duration_s = 2.0 }, { duration_s = 1.7, acceleration_mps2 = -6.3 }"),
+                car("a", 0.0, 10.0, "{ duration_s = 2.0 }, { duration_s = 1.58, acceleration_mps2 = -6.3 }"),
                 car("b", 33.0, 0.0, ""),
             ],
             LANE,
@@ -352,7 +357,7 @@ mod tests {
         assert_eq!(late.cause, Cause::LookedTooLate);
         assert!(late.mistake_s.is_some_and(|late_s| (1.5..=1.75).contains(&late_s)), "{late:?}");
         // The same, but it gains speed.
-        let gaining = "{ duration_s = 2.0, acceleration_mps2 = 0.5 }, { duration_s = 1.7, acceleration_mps2 = -6.8 }";
+        let gaining = "{ duration_s = 2.0, acceleration_mps2 = 0.5 }, { duration_s = 1.54, acceleration_mps2 = -6.8 }";
         assert_eq!(
             explained(&NearMiss::default(), &[car("a", 0.0, 9.5, gaining), car("b", 33.0, 0.0, "")], LANE),
             None

@@ -112,6 +112,14 @@ Examples:
   djinn train baseline --config pipelines/scene_transformer.toml --output output/try
   djinn train baseline --set train.baseline.preset=tiny --output output/argoverse1";
 
+/// Help after the options of `rates`.
+pub(super) const RATES: &str = "\
+Writes modeled_rates.parquet, the rates that closed loops of the unguided model have, and modeled.json, which compares \
+them with recorded ones: no rate is given where they differ by more than a factor of 1.5.
+
+Example:
+  djinn rates --set rates.loops=1000 --output output/cut_in_request/main";
+
 /// Help after the options of `situations`.
 pub(super) const SITUATIONS: &str = "\
 Writes situations/, scenes like those of recordings, from which requests of [generate] begin when recorded ones do not \

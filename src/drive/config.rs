@@ -20,6 +20,8 @@ pub struct DriveConfig {
     pub save_at: Option<SaveAt>,
     /// Whether to find how much later the others of each event could be.
     pub bisects: bool,
+    /// Whether to find how often the driver would fail on the roads of the corpus.
+    pub rates: bool,
     /// Scenarios driven at the same time, each with a planner of its own.
     pub n_workers: usize,
     /// The version of the program: drives of another one are not reused.

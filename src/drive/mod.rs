@@ -17,6 +17,7 @@ mod page;
 mod pool;
 mod process;
 pub mod protocol;
+mod rates;
 mod report;
 mod run;
 #[cfg(test)]
@@ -30,6 +31,7 @@ pub use error::{Error, Result};
 pub use margin::{DelaySurvived, Margin, Margins};
 pub use output::{DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, PLANNER_LOG, STATES_DIR};
 pub use process::kill_planners;
+pub use rates::{BucketFailures, FailureRates};
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use run::drive_corpus;
 pub use score::score;

@@ -83,12 +83,47 @@ impl Cards {
         DrivesPage {
             title: format!("Drives of {}", report.ego),
             facts,
-            tables: vec![outcomes(report), behaviors(report), traffic(report)],
+            tables: rates(report).into_iter().chain([outcomes(report), behaviors(report), traffic(report)]).collect(),
             grids: by_behavior.into_iter().filter_map(|(behavior, rows)| grid(behavior, &rows)).collect(),
             n_matter: report.that_matter.len(),
             scenes: self.0.into_iter().map(|(_, card)| card).collect(),
         }
     }
+}
+
+/// Failures in 1,000 km, by bucket; `None` if they were not asked for.
+fn rates(report: &DriveReport) -> Option<PlainTable> {
+    let columns = [
+        "Place and bucket",
+        "Happens in 1,000 km",
+        "Rate",
+        "Failed",
+        "Failures in 1,000 km",
+        "Careful driver",
+        "Of all",
+        "Of the interval",
+    ];
+    let mut table = PlainTable::new("Failures in 1,000 km: rates of events times shares that fail", &columns);
+    for at in report.rates.as_ref()? {
+        let n: u64 = at.buckets.iter().map(|bucket| bucket.n_scenarios).sum();
+        let n_failed: u64 = at.buckets.iter().map(|bucket| bucket.n_failed).sum();
+        let (own, careful) = (at.per_1000_km.to_string(), at.careful_per_1000_km.to_string());
+        let none = String::new;
+        table.push(vec![at.place.clone(), none(), none(), format!("{n_failed} of {n}"), own, careful, none(), none()]);
+        for bucket in &at.buckets {
+            table.push(vec![
+                bucket.name().replace('_', " "),
+                bucket.rate.to_string(),
+                bucket.rate_source.to_owned(),
+                format!("{} of {}", bucket.n_failed, bucket.n_scenarios),
+                bucket.per_1000_km.to_string(),
+                bucket.careful_per_1000_km.to_string(),
+                format!("{:.0} %", 100.0 * bucket.of_rate),
+                format!("{:.0} %", 100.0 * bucket.of_interval),
+            ]);
+        }
+    }
+    Some(table)
 }
 
 fn outcomes(report: &DriveReport) -> PlainTable {

@@ -1,6 +1,6 @@
 //! The result of driving a corpus in figures: how many drives failed and how, and which failures matter.
 
-use super::{EgoDriver, Margins};
+use super::{EgoDriver, FailureRates, Margins};
 use crate::generate::NamedDriver;
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
@@ -49,6 +49,10 @@ pub struct DriveReport {
     /// How much later the others of the event could be; missing if that was not requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub margins: Option<Margins>,
+    /// Failures in 1,000 km at each place, by the rates of events and the shares that fail; missing if that was not
+    /// requested.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rates: Option<Vec<FailureRates>>,
     /// By driver: traffic over the stretches of `bands_s`.
     pub traffic: BTreeMap<String, Traffic>,
     /// The stretches of `traffic`, seconds after the present.
@@ -160,6 +164,7 @@ impl DriveReport {
             by_parameter: Vec::new(),
             that_matter: Vec::new(),
             margins: None,
+            rates: None,
             traffic: BTreeMap::new(),
             bands_s: BANDS_S,
         }

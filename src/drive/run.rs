@@ -52,7 +52,7 @@ pub fn drive_corpus(
         }
     }
     progress.finish();
-    let report = output.finish(starts.left_out()?)?;
+    let report = output.finish(starts.finish()?)?;
     folder.commit()?;
     if kept.n_found() > 0 {
         progress.warn(&format!(
@@ -73,8 +73,8 @@ fn parts(
     futures: &Futures<'_>,
 ) -> Result<[(&'static str, String); 5]> {
     let from = if let Origin::State(world) = from { Some(world) } else { None };
-    // The number of simultaneous drives changes nothing.
-    let own = DriveConfig { n_workers: 0, program: String::new(), ..config.clone() };
+    // The number of simultaneous drives changes nothing, and what is counted of them neither.
+    let own = DriveConfig { n_workers: 0, rates: false, program: String::new(), ..config.clone() };
     Ok([
         ("the files of the planner", config.ego.files_hash()?),
         ("the settings", format!("{own:?} {ego:?} {from:?} {}", futures.seed())),

@@ -24,6 +24,7 @@ fn recorded_arrivals_are_the_same_for_any_number_of_workers_and_from_saved_state
             time_limit_s: 1.0,
             save_at: Some(SaveAt::Timestep(24)),
             bisects: false,
+            rates: false,
             n_workers,
             program: String::new(),
             scenes,

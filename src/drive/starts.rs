@@ -1,5 +1,6 @@
 //! Chooses the scenarios to drive and makes ready their situations, some at a time.
 
+use super::rates::{Buckets, bucket};
 use super::{DriveConfig, Error, Origin, Result};
 use crate::scenario::EgoChoice;
 use crate::simulate::{self, MOST_HORIZON_S, Maps, Places, Situation};
@@ -21,6 +22,8 @@ pub(super) struct Starts<'a> {
     limit: usize,
     /// Scenarios that cannot be driven, by reason.
     left_out: BTreeMap<String, u64>,
+    /// The buckets of the others.
+    buckets: Buckets,
 }
 
 impl<'a> Starts<'a> {
@@ -37,8 +40,8 @@ impl<'a> Starts<'a> {
             Origin::State(world) => (vec![reader.position(&world.scenario_id)?], 1),
         };
         let maps = Maps::new(reader, scenes.map_or(reader, |scenes| scenes as &dyn Places));
-        let (positions, left_out) = (positions.into_iter(), BTreeMap::new());
-        Ok(Self { corpus, reader, from, ego, config, seed, maps, positions, n_chosen: 0, limit, left_out })
+        let (positions, left_out, buckets) = (positions.into_iter(), BTreeMap::new(), Buckets::new());
+        Ok(Self { corpus, reader, from, ego, config, seed, maps, positions, n_chosen: 0, limit, left_out, buckets })
     }
 
     /// The most scenarios that there are to drive.
@@ -67,6 +70,7 @@ impl<'a> Starts<'a> {
                     };
                     self.maps.expect_arrivals(&mut situation, self.seed, [n_steps, n_tracks, n_known])?;
                     chunk.push(situation);
+                    self.buckets.extend(bucket(&record).map(|bucket| (record.scenario.id.clone(), bucket)));
                 }
                 Err(simulate::Error::Unfit { why, .. }) => *self.left_out.entry(why).or_default() += 1,
                 Err(error) => return Err(error.into()),
@@ -75,11 +79,11 @@ impl<'a> Starts<'a> {
         Ok(chunk)
     }
 
-    /// The scenarios that could not be driven, by reason, once all that could are.
+    /// The scenarios that could not be driven, by reason, and the buckets of the others, once all are.
     ///
     /// # Errors
     /// When no scenario was chosen, or none of the chosen ones can be driven.
-    pub(super) fn left_out(self) -> Result<BTreeMap<String, u64>> {
+    pub(super) fn finish(self) -> Result<(BTreeMap<String, u64>, Buckets)> {
         let n_left_out: u64 = self.left_out.values().sum();
         match self.n_chosen {
             0 => {
@@ -95,7 +99,7 @@ impl<'a> Starts<'a> {
                     self.left_out.iter().map(|(why, n)| format!("{n} times, it {why}")).collect();
                 Err(Error::NothingDriven { n_chosen, why: reasons.join("; ") })
             }
-            _ => Ok(self.left_out),
+            _ => Ok((self.left_out, self.buckets)),
         }
     }
 }

@@ -16,7 +16,7 @@ use super::verdicts::Verdicts;
 use crate::coverage::{CoverageRow, CoverageTally};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, MetricRow};
-use crate::rates::RecordedTraffic;
+use crate::rates::{Calibration, ModeledRates, RecordedTraffic};
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Scene, SceneId};
 use crate::store::{self, VerdictWriter};
@@ -90,6 +90,7 @@ pub struct Evaluation<'a> {
     distinguished: Distinguished,
     rates: Option<BucketRates>,
     coverage: CoverageTally,
+    calibration: Option<Vec<Calibration>>,
     /// The recorded scenes that accepted scenarios continue.
     accepted_scenes: BTreeSet<SceneId>,
 }
@@ -113,15 +114,17 @@ impl<'a> Evaluation<'a> {
             sampling: SamplingTally::default(),
             rates: None,
             coverage: CoverageTally::default(),
+            calibration: None,
             accepted_scenes: BTreeSet::new(),
             config,
         })
     }
 
-    /// Says of each scenario how often events like its were recorded.
+    /// Says of each scenario how often events like its were recorded, or are modeled.
     #[must_use]
-    pub fn with_rates_of(self, traffic: Option<RecordedTraffic>) -> Self {
-        Self { rates: traffic.map(BucketRates::new), ..self }
+    pub fn with_rates_of(self, traffic: Option<RecordedTraffic>, modeled: Option<ModeledRates>) -> Self {
+        let calibration = modeled.as_ref().map(|modeled| modeled.calibrations().to_vec());
+        Self { rates: traffic.map(|traffic| BucketRates::new(traffic, modeled)), calibration, ..self }
     }
 
     /// Counts scenarios beside what was recorded.
@@ -209,6 +212,7 @@ impl<'a> Evaluation<'a> {
             distinguishability: self.distinguished.rows(),
             telling_features: self.distinguished.telling(),
             maps: Vec::new(),
+            calibration: self.calibration,
         };
         summary.gates = gates::check(&self.config.gates, &summary);
         let n_accepted_scenes = self.accepted_scenes.len() as u64;

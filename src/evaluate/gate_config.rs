@@ -28,6 +28,10 @@ pub struct GatesConfig {
     /// Smallest share of the scenarios that a request wants, of each request, 0 to 1: 1 means that all are filled.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_filled: Option<f64>,
+    /// Largest factor between modeled and recorded rates, at least 1, of any behavior with ten recorded events at its
+    /// place.
+    #[schemars(range(min = 1.0))]
+    pub max_rate_factor: Option<f64>,
     /// Whether in every sweep that requests a behavior at several strengths the strongest must find it more often than
     /// strength 0; at least one must.
     pub guidance_raises_rate: bool,

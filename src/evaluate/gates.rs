@@ -6,6 +6,7 @@ use super::measures::BEHAVIOR_RATE;
 use super::summary::{EvaluationSummary, GateResult};
 use crate::generate::RequestSummary;
 use crate::metrics::{MetricRow, SeriesKey};
+use crate::rates::Calibration;
 use crate::scene::LevelAxis;
 use std::fmt;
 
@@ -23,6 +24,9 @@ pub(super) fn check(gates: &GatesConfig, found: &EvaluationSummary) -> Vec<GateR
     }
     if let Some(bound) = gates.max_distinguishability {
         results.extend(measured.distinguishability(bound));
+    }
+    if let Some(bound) = gates.max_rate_factor {
+        results.extend(rate_factor(bound, found.calibration.as_deref()));
     }
     if gates.guidance_raises_rate {
         results.extend(measured.guidance_raises_rate());
@@ -130,6 +134,18 @@ impl<'a> Measured<'a> {
         let results = sweeps.iter().filter_map(of_sweep).collect();
         or_not_judged(name, "no sweep requests a behavior at several strengths", results)
     }
+}
+
+/// A result for each behavior at each place.
+fn rate_factor(bound: f64, calibration: Option<&[Calibration]>) -> Vec<GateResult> {
+    let name = "max_rate_factor";
+    let compared = calibration.into_iter().flatten().filter(|one| one.is_judged());
+    let results = compared.map(|one| {
+        let gate =
+            format!("{name} ({}, {})", one.behavior, if one.place.is_empty() { "all places" } else { &one.place });
+        judged(gate, one.most() <= bound, format!("at most {bound} allowed, {:.2} found", one.most()))
+    });
+    or_not_judged(name, "no rates were modeled where ten events of a behavior were recorded", results.collect())
 }
 
 fn judged(gate: String, met: bool, detail: String) -> GateResult {

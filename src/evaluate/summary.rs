@@ -8,6 +8,7 @@ use super::sampling::SamplingRow;
 use super::validity::ValidityRow;
 use super::verdicts::{AcceptanceRow, LeftOutRow};
 use crate::metrics::MetricRow;
+use crate::rates::Calibration;
 use serde::{Deserialize, Serialize};
 
 /// The main figures of an evaluation: the content of `metrics.json`.
@@ -47,6 +48,9 @@ pub struct EvaluationSummary {
     pub telling_features: Vec<TellingFeatureRow>,
     /// The places where the map is good enough to judge departures from the road.
     pub maps: Vec<MapFitRow>,
+    /// Modeled against recorded rates, if there are modeled ones.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<Vec<Calibration>>,
 }
 
 /// A gate and whether it was met.

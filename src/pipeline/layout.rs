@@ -19,6 +19,8 @@ pub struct Layout {
     pub classifier: PathBuf,
     /// The folder of the trained baseline.
     pub baseline: PathBuf,
+    /// What closed loops of the model show.
+    pub modeled: PathBuf,
     /// The scene store of situations that nobody recorded.
     pub situations: PathBuf,
     /// The folder of sample shards.
@@ -39,6 +41,7 @@ impl Layout {
             distilled: root.join(DISTILLED),
             classifier: root.join(CLASSIFIER),
             baseline: root.join(BASELINE),
+            modeled: root.join(MODELED),
             situations: root.join(SITUATIONS),
             samples: root.join(SAMPLES),
             corpus: root.join(CORPUS),
@@ -79,6 +82,12 @@ pub const DISTILLED: &str = "distilled";
 pub const CLASSIFIER: &str = "classifier";
 /// The trained baseline.
 pub const BASELINE: &str = "baseline";
+/// What closed loops of the unguided model show: exposure and weighted events.
+pub const MODELED: &str = "modeled.bin";
+/// How often behaviors happen in them, where that agrees with recordings.
+pub const MODELED_RATES: &str = "modeled_rates.parquet";
+/// Figures of the loops, and modeled against recorded rates.
+pub const MODELED_SUMMARY: &str = "modeled.json";
 /// The scene store of situations that nobody recorded.
 pub const SITUATIONS: &str = "situations";
 /// The generated scenarios, sharded.

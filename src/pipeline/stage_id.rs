@@ -3,7 +3,8 @@
 use super::config::PipelineConfig;
 use super::layout::{
     BASELINE, CLASSIFIER, CORPUS, COVERAGE, DENOISER, DISTILLED, EVENTS, EXPOSURE, FIGURES, Layout, METRICS,
-    METRICS_SUMMARY, MINE_SUMMARY, OCCURRENCES, RATES, REPORT, SAMPLES, SCENES, SITUATIONS, TAGS, VERDICTS,
+    METRICS_SUMMARY, MINE_SUMMARY, MODELED, MODELED_RATES, MODELED_SUMMARY, OCCURRENCES, RATES, REPORT, SAMPLES,
+    SCENES, SITUATIONS, TAGS, VERDICTS,
 };
 use super::stages::is_round_file;
 use crate::engine::{ShardNames, StageKind};
@@ -29,6 +30,8 @@ pub enum StageId {
     TrainClassifier,
     /// Scenes to a Scene Transformer, to compare the denoiser with.
     TrainBaseline,
+    /// Scenes and a model to rates of what was hardly recorded.
+    Rates,
     /// Scenes and a model to situations that nobody recorded.
     Situations,
     /// Scenes and models to generated scenarios.
@@ -41,13 +44,14 @@ pub enum StageId {
 
 impl StageId {
     /// Every stage, in the order in which they run.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Ingest,
         Self::Mine,
         Self::TrainDenoiser,
         Self::TrainDistill,
         Self::TrainClassifier,
         Self::TrainBaseline,
+        Self::Rates,
         Self::Situations,
         Self::Generate,
         Self::Evaluate,
@@ -71,7 +75,7 @@ impl StageId {
 
     /// Whether a configuration has its section.
     pub fn is_configured(self, config: &PipelineConfig) -> bool {
-        let PipelineConfig { ingest, mine, train, situations, generate, evaluate, report, .. } = config;
+        let PipelineConfig { ingest, mine, train, rates, situations, generate, evaluate, report, .. } = config;
         match self {
             Self::Ingest => ingest.is_some(),
             Self::Mine => mine.is_some(),
@@ -79,6 +83,7 @@ impl StageId {
             Self::TrainDistill => train.distill.is_some(),
             Self::TrainClassifier => train.classifier.is_some(),
             Self::TrainBaseline => train.baseline.is_some(),
+            Self::Rates => rates.is_some(),
             Self::Situations => situations.is_some(),
             Self::Generate => generate.is_some(),
             Self::Evaluate => evaluate.is_some(),
@@ -95,6 +100,7 @@ impl StageId {
             Self::TrainDistill => ("distilled", &layout.distilled),
             Self::TrainClassifier => ("classifier", &layout.classifier),
             Self::TrainBaseline => ("baseline", &layout.baseline),
+            Self::Rates => ("modeled", &layout.modeled),
             Self::Situations => ("situations", &layout.situations),
             Self::Generate => ("samples", &layout.samples),
             Self::Evaluate => ("metrics", &layout.metrics),
@@ -159,7 +165,7 @@ const fn training(
 }
 
 /// The kinds of all stages, in the order of [`StageId::ALL`].
-pub static KINDS: [StageKind; 10] = [
+pub static KINDS: [StageKind; 11] = [
     StageKind {
         places: &["inputs", "map_inputs"],
         is_checked_by_readers: true,
@@ -170,6 +176,7 @@ pub static KINDS: [StageKind; 10] = [
     training("train_distill", "train distill", "train.distill", &[DISTILLED]),
     training("train_classifier", "train classifier", "train.classifier", &[CLASSIFIER]),
     training("train_baseline", "train baseline", "train.baseline", &[BASELINE]),
+    StageKind { computes: true, ..plain("rates", "rates", &[MODELED, MODELED_RATES, MODELED_SUMMARY]) },
     StageKind { computes: true, is_checked_by_readers: true, ..plain("situations", "situations", &[SITUATIONS]) },
     StageKind {
         computes: true,

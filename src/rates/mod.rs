@@ -2,15 +2,20 @@
 //!
 //! [`SceneExposure`] is what a scene shows of whom, [`ExposureTally`] adds up scenes that overlap, in windows of one
 //! recording or in two recordings of the same minute. [`RecordedTraffic`] has what was counted, and gives rates.
+//! [`ModeledTraffic`] is what closed loops of the unguided model show; [`ModeledRates`] compares both before it gives any.
 
+mod calibration;
 mod exposure;
+mod modeled;
 mod occurrences;
 mod rate;
 mod recorded;
 mod spans;
 mod tail;
 
+pub use calibration::{Calibration, ModeledRates};
 pub use exposure::{ExposureTally, SceneExposure, ShownScene};
+pub use modeled::{ModeledEvent, ModeledLoop, ModeledTraffic};
 pub use occurrences::{Numbered, OccurrenceTally};
 pub use rate::{BucketRate, RateMethod, RateRow, RateSource, Within};
 pub use recorded::{Asked, RecordedTraffic};

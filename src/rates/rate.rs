@@ -75,11 +75,14 @@ pub enum RateMethod {
     /// Hardly anything was found, and the rate is that of the tail of a distribution that was fitted to less severe
     /// events.
     Extrapolated,
+    /// From closed loops of the unguided model, which agree with recordings.
+    Modeled,
 }
 
 impl RateMethod {
     /// Every method.
-    pub const ALL: [Self; 4] = [Self::OverRecordings, Self::OneRecording, Self::NoneFound, Self::Extrapolated];
+    pub const ALL: [Self; 5] =
+        [Self::OverRecordings, Self::OneRecording, Self::NoneFound, Self::Extrapolated, Self::Modeled];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
@@ -88,6 +91,7 @@ impl RateMethod {
             Self::OneRecording => "one_recording",
             Self::NoneFound => "none_found",
             Self::Extrapolated => "extrapolated",
+            Self::Modeled => "modeled",
         }
     }
 
@@ -97,7 +101,7 @@ impl RateMethod {
     }
 }
 
-/// How often a behavior was recorded at a place.
+/// How often a behavior was recorded, or modeled, at a place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateRow {
     /// The place; empty for all places together.
@@ -108,7 +112,7 @@ pub struct RateRow {
     pub behavior: String,
     /// The ranges of parameters, as text; empty for all events.
     pub within: String,
-    /// Events, each once.
+    /// Events, each once; of loops that were split, those of all ends, whose weights differ.
     pub n_events: u64,
     /// Recordings that share no moment.
     pub n_recordings: u64,
@@ -139,19 +143,22 @@ pub enum RateSource {
     Recorded,
     /// From the tail of less severe events.
     Extrapolated,
+    /// From closed loops of the unguided model.
+    Modeled,
     /// There is none: the upper end is what having found none allows.
     None,
 }
 
 impl RateSource {
     /// Every source.
-    pub const ALL: [Self; 3] = [Self::Recorded, Self::Extrapolated, Self::None];
+    pub const ALL: [Self; 4] = [Self::Recorded, Self::Extrapolated, Self::Modeled, Self::None];
 
     /// The name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Recorded => "recorded",
             Self::Extrapolated => "extrapolated",
+            Self::Modeled => "modeled",
             Self::None => "none",
         }
     }
@@ -186,6 +193,7 @@ impl From<&RateRow> for BucketRate {
         let source = match row.method {
             RateMethod::OverRecordings | RateMethod::OneRecording => RateSource::Recorded,
             RateMethod::Extrapolated => RateSource::Extrapolated,
+            RateMethod::Modeled => RateSource::Modeled,
             RateMethod::NoneFound => RateSource::None,
         };
         let known = |rate: Option<f64>| rate.filter(|_| source != RateSource::None);

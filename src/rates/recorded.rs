@@ -69,6 +69,21 @@ impl RecordedTraffic {
         &self.recordings
     }
 
+    /// The traffic of some recordings.
+    #[must_use]
+    pub fn among(&self, is_wanted: impl Fn(&ExposureRow) -> bool) -> Self {
+        let kept: Vec<usize> = (0..self.recordings.len()).filter(|idx| is_wanted(&self.recordings[*idx])).collect();
+        let mut traffic = Self::new(kept.iter().map(|idx| self.recordings[*idx].clone()).collect());
+        for (behavior, events) in &self.events {
+            let of_kept = events.iter().filter_map(|event| {
+                let recording = kept.binary_search(&event.recording).ok()?;
+                Some(Counted { recording, parameters: event.parameters.clone() })
+            });
+            traffic.events.insert(behavior.clone(), of_kept.collect());
+        }
+        traffic
+    }
+
     /// How often events were recorded; of a bucket of severe ones with hardly any, how often the tail of the others
     /// lets expect them. `None` if nothing was recorded there.
     pub fn rate(&self, asked: Asked<'_>) -> Option<RateRow> {

@@ -1,7 +1,7 @@
 //! How often is a severity passed that was hardly or never recorded?
 
 use super::Within;
-use crate::statistics::{Interval, Pareto};
+use crate::statistics::{Estimate, Interval, Pareto};
 
 /// The measures of severity, and whether the larger ones are the more severe.
 const SEVERITIES: [(&str, bool); 7] = [
@@ -22,7 +22,7 @@ const TIMES_RECORDED: f64 = 10.0;
 /// A bucket is left for more severe events by at most this share of those that enter it.
 const LARGEST_REST: f64 = 0.1;
 /// No rate is given whose interval spans a larger factor.
-const WIDEST: f64 = 100.0;
+pub(super) const WIDEST: f64 = 100.0;
 
 /// A bucket of the most severe events.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,12 +107,10 @@ impl Level {
         if n_beyond as f64 * share * TIMES_RECORDED < 1.0 {
             return Err("expected less than once in ten times what was recorded");
         }
-        let spread = |of_rate: f64, of_share: f64| (of_rate / rate).ln().hypot((of_share / share).ln());
-        let (down, up) = (spread(interval.low, of_share.low), spread(interval.high, of_share.high));
-        if down + up > WIDEST.ln() || !(down + up).is_finite() {
+        let found = Estimate::new(rate, interval).times(Estimate::new(share, of_share));
+        if found.span() > WIDEST {
             return Err("the interval would span more than a factor of 100");
         }
-        let rate = rate * share;
-        Ok((rate, Interval { low: rate * (-down).exp(), high: rate * up.exp() }))
+        Ok((found.value, found.interval))
     }
 }

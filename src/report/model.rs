@@ -9,7 +9,7 @@ use crate::coverage::CoverageRow;
 use crate::evaluate::{EvaluationSummary, MiningSummary};
 use crate::generate::RequestSummary;
 use crate::ingest::IngestReport;
-use crate::rates::RateRow;
+use crate::rates::{Calibration, RateRow};
 use crate::train::NoiseLevelReport;
 
 /// The content of a report. Parts that a run did not produce are empty, and their sections are left out.
@@ -29,6 +29,10 @@ pub struct ReportModel {
     pub rates: Vec<RateRow>,
     /// What of the operational design domain was recorded and generated.
     pub coverage: Vec<CoverageRow>,
+    /// Modeled against recorded rates.
+    pub calibration: Vec<Calibration>,
+    /// How often behaviors happen in closed loops of the model, where that is as recorded.
+    pub modeled: Vec<RateRow>,
     /// The mined behaviors.
     pub mining: Option<MiningSummary>,
     /// The training of each network.

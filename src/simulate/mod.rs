@@ -34,6 +34,7 @@ mod drivers;
 mod error;
 mod event;
 mod maps;
+mod modeled;
 mod motion;
 mod new_scenes;
 mod outcome;
@@ -52,6 +53,7 @@ mod world;
 
 pub use driver::{Driver, Failed, Peeker};
 pub use error::{Error, Result};
+pub use modeled::{LoopFigures, Modeling, RatesConfig, Severity};
 pub use new_scenes::{AddedConfig, LoopCounts, NewScenes, SituationsConfig, TakeScenes};
 pub use outcome::{Contact, Outcome, Side};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};

@@ -1,6 +1,6 @@
 //! Drives on from a world, replanning again and again, until the ego is through or has failed.
 
-use super::drivers::{expected, free_m};
+use super::drivers::{Model, expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
 use super::reaction::{brake, go_on, walk_on};
@@ -176,6 +176,20 @@ pub fn roll_out(
     })
 }
 
+/// Lets the model drive everybody for a plan. Returns the world, and whether the ego has come to an end.
+pub(super) fn drive_on(
+    situation: &Situation,
+    world: World,
+    futures: &Futures<'_>,
+    n_steps: usize,
+) -> Result<(World, bool)> {
+    let mut driver = Model;
+    let mut drive =
+        Drive { situation, world, driver: &mut driver, min_ttc_s: None, contact: None, gave_up_plan: false };
+    let end = drive.replan(&Others::Sampled(futures), n_steps)?;
+    Ok((drive.world, end.is_some()))
+}
+
 /// The end of a drive whose driver does not drive on.
 fn ended(failed: Failed) -> Result<End> {
     match failed {
@@ -270,7 +284,7 @@ impl Drive<'_> {
         }
         let expected = (!self.driver.is_model()).then_some(expected.as_slice());
         let (scene, mask) = situation.window(&self.world, expected, true, sizes);
-        let (center_idx, name) = (situation.ego_idx, situation.scenario_id.as_str());
+        let (center_idx, name) = (situation.ego_idx, &*self.world.stream(futures.seed()));
         let mut sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
         if let Ok(sampled) = &mut sampled {
             let is_sampled = |idx: &usize| {

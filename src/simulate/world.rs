@@ -5,7 +5,9 @@ use super::{Error, Result};
 use crate::files::regular;
 use crate::geometry::Vec2;
 use crate::scene::State;
+use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::path::Path;
 
 /// The version of the format of saved worlds.
@@ -57,6 +59,20 @@ impl World {
             plans: Vec::new(),
             states: states.collect(),
         }
+    }
+
+    /// The name of the stream of noise, where futures have this seed: that of the scenario, or the world's own once it
+    /// was made to draw anew.
+    pub(super) fn stream(&self, seed: u64) -> Cow<'_, str> {
+        match self.seed == seed {
+            true => Cow::Borrowed(&self.scenario_id),
+            false => Cow::Owned(format!("{} {:016x}", self.scenario_id, self.seed)),
+        }
+    }
+
+    /// Makes what comes next independent of what comes next for other copies of this world.
+    pub(super) fn draw_anew(&mut self, copy: usize) {
+        self.seed = Seed(self.seed).derive("copy", &[self.now() as u64, copy as u64]).0;
     }
 
     /// Number of tracks.

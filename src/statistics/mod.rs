@@ -1,12 +1,16 @@
 //! Statistics of counts and of rare values: how sure is a rate, and how far does what was recorded reach?
 
 mod clustered;
+mod estimate;
 mod gamma;
 mod pareto;
+mod splitting;
 mod wilson;
 
-pub use clustered::{ClusteredRate, clustered_rate};
+pub use clustered::{ClusteredRate, clustered_rate, weighted_rate};
+pub use estimate::Estimate;
 pub use pareto::Pareto;
+pub use splitting::{Levels, Process, split};
 pub use wilson::wilson_interval;
 
 use serde::{Deserialize, Serialize};

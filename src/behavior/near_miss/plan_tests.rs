@@ -69,7 +69,7 @@ fn comes_close(speeds_mps: [f64; 2], ahead_m: f64, are_sized: bool) -> bool {
 
 #[test]
 fn brakes_that_build_up_are_pressed_early_enough() {
-    assert_eq!([6.0, 7.0, 8.0, 9.0].map(|mps| comes_close([mps, 1.0], 26.0, true)), [true; 4]);
+    assert_eq!([6.0, 7.0, 8.0, 9.0].map(|mps| comes_close([mps, 1.0], 17.5, true)), [true; 4]);
 }
 
 #[test]

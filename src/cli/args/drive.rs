@@ -45,6 +45,10 @@ pub(in crate::cli) struct DriveArgs {
     /// each driver to survive?
     #[arg(long, conflicts_with = "from")]
     pub(in crate::cli) bisect: bool,
+    /// Say how often the planner would fail in 1,000 km at the places of the corpus, too: the rates of the events that
+    /// it is tested with, times the shares that it fails
+    #[arg(long, conflicts_with = "from")]
+    pub(in crate::cli) rates: bool,
     /// Drive on from this saved state instead
     #[arg(
         long,

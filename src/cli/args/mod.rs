@@ -12,7 +12,7 @@ pub(in crate::cli) use self::corpus::{CorpusCommand, CorpusFilterArgs};
 pub(in crate::cli) use self::drive::{DriveArgs, DriveGates, ScoreArgs};
 pub(in crate::cli) use self::export::ExportArgs;
 use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
-pub(in crate::cli) use self::stages::{IngestArgs, ReportArgs, StageArgs, TrainCommand};
+pub(in crate::cli) use self::stages::{IngestArgs, RatesArgs, ReportArgs, StageArgs, TrainCommand};
 pub(in crate::cli) use self::start::{CompletionsArgs, InitArgs, ListArgs, Listed, ManArgs};
 use super::help;
 use crate::cloud::ObjectUrl;
@@ -84,6 +84,9 @@ pub(in crate::cli) enum Command {
     /// Train a model on scenes
     #[command(subcommand)]
     Train(TrainCommand),
+    /// Let held-out scenes go on in closed loops, for rates of what was hardly recorded
+    #[command(after_help = help::RATES)]
+    Rates(RatesArgs),
     /// Let held-out scenes go on in closed loops, for situations that nobody recorded
     #[command(after_help = help::SITUATIONS)]
     Situations(GenerateArgs),

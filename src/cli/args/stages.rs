@@ -101,6 +101,16 @@ pub(in crate::cli) struct GenerateArgs {
 }
 
 #[derive(Debug, clap::Args)]
+pub(in crate::cli) struct RatesArgs {
+    /// The recorded events to compare with; exposure.parquet and occurrences.parquet are beside them [default:
+    /// events.parquet in the run folder]
+    #[arg(long, value_name = "FILE", value_parser = on_disk())]
+    pub(in crate::cli) events: Option<PathBuf>,
+    #[command(flatten)]
+    pub(in crate::cli) of: GenerateArgs,
+}
+
+#[derive(Debug, clap::Args)]
 pub(in crate::cli) struct EvaluateArgs {
     #[command(flatten)]
     pub(in crate::cli) scenes: ScenesArg,

@@ -30,6 +30,7 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
         time_limit_s: args.time_limit_s,
         save_at: args.save_at,
         bisects: args.bisect,
+        rates: args.rates,
         n_workers: rayon::current_num_threads(),
         program: version()?,
         scenes: args.scenes.clone(),
@@ -121,6 +122,29 @@ fn text(report: &DriveReport) -> String {
              median delay survived is {own:.1} s for it, {careful:.1} s for the careful driver",
             margins.n_scenarios, margins.n_sooner, margins.n_later
         );
+    }
+    for at in report.rates.iter().flatten() {
+        let _ = writeln!(
+            text,
+            "at {}, it fails {} times in 1,000 km, the careful driver {} times",
+            at.place, at.per_1000_km, at.careful_per_1000_km
+        );
+        if let Some((most, widest)) = at.buckets.first().zip(at.widest()) {
+            let _ = writeln!(
+                text,
+                "  {:.0} % of that is from {}; {} makes {:.0} % of the interval",
+                100.0 * most.of_rate,
+                most.name(),
+                widest.name(),
+                100.0 * widest.of_interval
+            );
+        }
+        if at.n_without_rate > 0 {
+            let _ = writeln!(text, "  {} scenarios have no rate, and are not in it", at.n_without_rate);
+        }
+    }
+    if report.rates.as_ref().is_some_and(Vec::is_empty) {
+        let _ = writeln!(text, "no scenario has a rate: evaluate the corpus again, with [mine]");
     }
     for matters in report.that_matter.iter().take(N_SHOWN) {
         let why = matters.why.as_deref().unwrap_or_default();

@@ -1,7 +1,7 @@
 //! The commands that run one stage alone, on explicit inputs and into an explicit folder.
 
 use super::{announce, print_dry_run, resumes_in, use_threads};
-use crate::cli::args::{Command, IngestArgs, OutputArgs, StageArgs, TrainCommand};
+use crate::cli::args::{Command, IngestArgs, OutputArgs, RatesArgs, StageArgs, TrainCommand};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::engine::plan;
@@ -94,6 +94,12 @@ impl<'a> Request<'a> {
                 .denoiser(&args.denoiser.denoiser),
             Command::Train(TrainCommand::Baseline(args)) => {
                 Self::new(StageId::TrainBaseline, &args.stage).scenes(&args.scenes.scenes)
+            }
+            Command::Rates(RatesArgs { events, of: args }) => {
+                let request = Self::new(StageId::Rates, &args.stage).scenes(&args.scenes.scenes);
+                let mut request = request.events(events);
+                args.models.replace_in(&mut request.layout);
+                request
             }
             Command::Situations(args) | Command::Generate(args) => {
                 let id = match command {

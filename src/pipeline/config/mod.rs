@@ -30,7 +30,7 @@ use crate::pipeline::stages::MineConfig;
 use crate::report::ReportConfig;
 use crate::scene::Split;
 use crate::settings::{self, Issue};
-use crate::simulate::SituationsConfig;
+use crate::simulate::{RatesConfig, SituationsConfig};
 use crate::train::{
     BaselineTrainingConfig, ClassifierTrainingConfig, DenoiserTrainingConfig, DistillTrainingConfig, OwnScenes,
 };
@@ -50,6 +50,9 @@ pub struct PipelineConfig {
     pub mine: Option<MineConfig>,
     /// The models.
     pub train: TrainConfig,
+    /// How often what recordings hardly show happens, by the model.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rates: Option<RatesConfig>,
     /// Situations that nobody recorded, for requests to begin from.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub situations: Option<SituationsConfig>,
@@ -211,6 +214,7 @@ impl PipelineConfig {
             StageId::TrainDistill => _ = self.train.distill.get_or_insert_default(),
             StageId::TrainClassifier => _ = self.train.classifier.get_or_insert_default(),
             StageId::TrainBaseline => _ = self.train.baseline.get_or_insert_default(),
+            StageId::Rates => _ = self.rates.get_or_insert_default(),
             StageId::Situations => _ = self.situations.get_or_insert_default(),
             StageId::Generate => _ = self.generate.get_or_insert_default(),
             StageId::Evaluate => _ = self.evaluate.get_or_insert_default(),

@@ -2,6 +2,7 @@
 
 use super::generate::{SampleManifest, read_requests};
 use super::mine::MineConfig;
+use super::rates::modeled_rates;
 use crate::behavior::Behavior;
 use crate::coverage::CoverageTally;
 use crate::engine::shards::{Division, Gathering, Sharded, Shards};
@@ -36,6 +37,8 @@ pub struct Evaluate<'a> {
     pub pipeline: &'a str,
     /// Whether there are recorded events to compare scenarios with.
     pub has_events: bool,
+    /// Whether there are rates of the model.
+    pub has_modeled: bool,
     /// The configuration that generates the scenarios, if the pipeline does that itself.
     pub generated: Option<&'a GenerateConfig>,
     /// Where the scenes, events and samples are.
@@ -78,6 +81,9 @@ impl Stage for Evaluate<'_> {
         ];
         if self.has_events {
             inputs.push(StageInput::made_by(StageId::Mine, "events", &self.layout.events));
+            if self.has_modeled {
+                inputs.push(StageInput::made_by(StageId::Rates, "modeled", &self.layout.modeled));
+            }
         }
         inputs
     }
@@ -148,9 +154,14 @@ impl Sharded for Evaluate<'_> {
         let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| self.layout.events.with_file_name(name));
         let has_rates = self.has_events && exposure.exists() && occurrences.exists();
         let traffic = has_rates.then(|| read_recorded_traffic(&exposure, &occurrences)).transpose()?;
+        let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
+        let modeled = match &traffic {
+            Some(recorded) if self.has_modeled => modeled_rates(&self.layout.modeled, recorded, &ids)?,
+            _ => None,
+        };
         let evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
         let coverage = self.recorded_coverage(&ready, traffic.as_ref())?;
-        let mut evaluation = evaluation.with_rates_of(traffic).with_coverage_of(coverage);
+        let mut evaluation = evaluation.with_rates_of(traffic, modeled).with_coverage_of(coverage);
         evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");

@@ -45,6 +45,11 @@ pub struct RateBucket {
 }
 
 impl MineConfig {
+    /// The buckets whose rates are counted.
+    pub(super) fn buckets(&self) -> Vec<(String, Within)> {
+        self.rates.iter().map(|bucket| (bucket.behavior.clone(), bucket.within.clone())).collect()
+    }
+
     /// The detectors.
     ///
     /// # Errors
@@ -165,8 +170,7 @@ impl Whole for Mine<'_> {
         let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| context.root.join(name));
         write_exposure(&exposure, counting.finish()?)?;
         let traffic = read_recorded_traffic(&exposure, &occurrences)?;
-        let buckets = self.config.rates.iter().map(|bucket| (bucket.behavior.clone(), bucket.within.clone()));
-        write_rates(&context.root.join(RATES), traffic.rates(&ids, &buckets.collect::<Vec<_>>()))?;
+        write_rates(&context.root.join(RATES), traffic.rates(&ids, &self.config.buckets()))?;
         let n_events = tally.n_events();
         let summary = tally.finish();
         write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;

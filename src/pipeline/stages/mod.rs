@@ -7,6 +7,7 @@ mod held_out;
 mod ingest;
 mod mine;
 mod models;
+mod rates;
 mod report;
 mod situations;
 mod train;
@@ -24,6 +25,7 @@ pub use ingest::Ingest;
 pub(crate) use ingest::on_disk;
 pub use mine::{Mine, MineConfig};
 pub(in crate::pipeline) use models::{LoadedModels, needed_models, roll_out};
+pub use rates::{ModeledSummary, Rates};
 pub use report::{About, Report};
 pub use situations::Situations;
 pub(in crate::pipeline) use train::checkpoint_file;
@@ -109,6 +111,7 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::TrainBaseline => {
             Box::new(Train { recipe: train.baseline.as_ref()?, own, seed: run.seed, precision, layout })
         }
+        StageId::Rates => Box::new(rates(config, layout)?),
         StageId::Situations => Box::new(situations(config, layout)?),
         StageId::Generate => Box::new(generation(config, layout)?),
         StageId::Evaluate => Box::new(evaluation(config, layout)?),
@@ -128,6 +131,28 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
     })
 }
 
+/// The stage of modeled rates, if the configuration has its section.
+fn rates<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Rates<'a>> {
+    let PipelineConfig { run, ingest, mine, train, rates, generate, .. } = config;
+    Some(Rates {
+        config: rates.as_ref()?,
+        mine: mine.clone().unwrap_or_default(),
+        seed: run.seed,
+        precision: run.precision,
+        splits: generate.as_ref().map_or(&[], |generate| &generate.splits),
+        places: generate.as_ref().map_or(&[], |generate| &generate.places),
+        ingest: ingest.as_ref(),
+        distilled: has_distilled(config, layout),
+        learns_from: train::scenes_learned_from(train),
+        layout,
+    })
+}
+
+/// Whether closed loops are those of a distilled model.
+fn has_distilled(PipelineConfig { train, .. }: &PipelineConfig, layout: &Layout) -> bool {
+    train.distill.is_some() || (train.denoiser.is_none() && layout.distilled.exists())
+}
+
 /// The stage of situations, if the configuration has its section.
 fn situations<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Situations<'a>> {
     let PipelineConfig { run, ingest, train, situations, generate, evaluate, .. } = config;
@@ -139,7 +164,7 @@ fn situations<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Situ
         places: generate.as_ref().map_or(&[], |generate| &generate.places),
         validity: evaluate.as_ref().map(|evaluate| evaluate.validity.clone()).unwrap_or_default(),
         ingest: ingest.as_ref(),
-        distilled: train.distill.is_some() || (train.denoiser.is_none() && layout.distilled.exists()),
+        distilled: has_distilled(config, layout),
         learns_from: train::scenes_learned_from(train),
         layout,
     })
@@ -172,6 +197,7 @@ pub fn evaluation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         mine: mine.clone().unwrap_or_default(),
         pipeline: &run.name,
         has_events: has_events(config, layout),
+        has_modeled: config.rates.is_some() || layout.modeled.exists(),
         // Samples that the command line names may come from another configuration.
         generated: generate.as_ref().filter(|_| layout.samples.parent() == layout.scenes.parent()),
         layout,

@@ -7,7 +7,7 @@ use crate::report::model::ReportModel;
 use crate::report::number::{count, value};
 use crate::report::plain::PlainTable;
 use crate::report::svg::{RateMark, rate_chart};
-use crate::statistics::Interval;
+use crate::statistics::{Estimate, Interval};
 use maud::{Markup, html};
 
 /// Dispersions from which on events are said to come in clusters.
@@ -29,6 +29,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         (picture(&first))
         (table("Rates with their 95 % intervals", &first))
         @if !others.is_empty() { details { summary { "By place" } (table("Rates at each place", &others)) } }
+        @if !model.calibration.is_empty() { (calibration(model)) }
         p class="note" {
             "Where several recordings were made, the interval allows for events that come in clusters. Where nothing \
             was found, the upper end is what that still allows. Extrapolated rates (hollow) are those of the tail of \
@@ -36,6 +37,42 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         }
     };
     Some(Section::new("rates", "How often it happens", body))
+}
+
+/// What closed loops of the unguided model say, and whether that is as recorded.
+fn calibration(model: &ReportModel) -> Markup {
+    let columns = ["Behavior", "Place", "Recorded events", "Recorded in 1,000 km", "Modeled", "Factor", "Used"];
+    let mut plain = PlainTable::new("Modeled against recorded rates of held-out recordings", &columns);
+    let range = |Estimate { value: found, interval }: Estimate| match found > 0.0 {
+        true => format!("{} ({} to {})", value(found), value(interval.low), value(interval.high)),
+        false => format!("below {}", value(interval.high)),
+    };
+    for one in &model.calibration {
+        let used = match () {
+            () if !one.is_judged() => "too few to tell",
+            () if one.is_met() => "yes",
+            () => "no",
+        };
+        plain.push(vec![
+            one.behavior.clone(),
+            if one.place.is_empty() { "all".to_owned() } else { one.place.clone() },
+            count(one.n_recorded),
+            range(one.recorded),
+            range(one.modeled),
+            one.factor.map_or_else(String::new, range),
+            used.to_owned(),
+        ]);
+    }
+    let given: Vec<&RateRow> = model.modeled.iter().collect();
+    html! {
+        p {
+            "Closed loops of the unguided model go on from held-out scenes. A rate of theirs is given where it agrees \
+            with the recorded one of the behavior within a factor of 1.5; its interval allows for the difference. \
+            Guided samples and templates never enter a rate."
+        }
+        details { summary { "Does the model do it as often?" } (plain_table(&plain)) }
+        @if !given.is_empty() { details { summary { "Modeled rates" } (table("Rates by the model", &given)) } }
+    }
 }
 
 /// The drawing: per 1,000 km, or per hour where nobody motorized was recorded.
@@ -88,6 +125,7 @@ fn known_from(row: &RateRow) -> String {
         RateMethod::OneRecording => "one recording, as if events were independent".to_owned(),
         RateMethod::NoneFound => "none found".to_owned(),
         RateMethod::Extrapolated => "extrapolated".to_owned(),
+        RateMethod::Modeled => format!("the model, in {} km of closed loops", value(row.motorized_km)),
     };
     row.note.as_ref().map_or(what.clone(), |note| format!("{what}, {note}"))
 }

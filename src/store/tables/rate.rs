@@ -22,9 +22,10 @@ pub(crate) fn schema() -> TableSchema {
             DataType::Utf8,
             "Ranges of parameters, the lower end included; empty for all events of the behavior.",
         ),
-        column("n_events", DataType::UInt64, "Recorded events, each once.").unit("1"),
+        column("n_events", DataType::UInt64, "Events, each once; of modeled rates, those of all ends of loops.")
+            .unit("1"),
         column("n_recordings", DataType::UInt64, "Recordings; those that share moments count as one.").unit("1"),
-        number("observed_h", "h", "Time that was recorded there."),
+        number("observed_h", "h", "Time that was recorded, or modeled, there."),
         number("motorized_km", "km", "Way of all motorized road users in it, and of those who may be."),
         number("rate_per_hour", per_h, "Events an hour at the place."),
         number("low_per_hour", per_h, "Lower end of its 95 % interval."),
@@ -45,15 +46,15 @@ pub(crate) fn schema() -> TableSchema {
             DataType::Utf8,
             "over_recordings: the interval allows for events that come in clusters; one_recording: it does not, for \
              one recording cannot tell; none_found: an upper end only; extrapolated: from the tail of less severe \
-             events.",
+             events; modeled: from closed loops of the unguided model.",
         ),
         column("note", DataType::Utf8, "From where the rate is extrapolated, or why it is not.").optional(),
     ];
     TableSchema {
         name: "rate",
         version: 1,
-        description: "One row a behavior, bucket, place and split: how often it was recorded. Generated scenarios \
-                      never count.",
+        description: "One row a behavior, bucket, place and split: how often it was recorded, or happens in closed \
+                      loops of the unguided model. Generated scenarios never count.",
         fields,
         open: Vec::new(),
     }

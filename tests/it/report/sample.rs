@@ -6,13 +6,13 @@ mod scenes;
 use djinn::coverage::CoverageRow;
 use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
 use djinn::ingest::{IngestReport, RejectCount};
-use djinn::rates::{RateMethod, RateRow};
+use djinn::rates::{Calibration, RateMethod, RateRow};
 use djinn::report::{
     Chart, Curve, Distribution, Drawn, Fact, HardnessSummary, PlainSection, PlainTable, ReportModel, TrainingSummary,
     Warning,
 };
 use djinn::seed::Seed;
-use djinn::statistics::Interval;
+use djinn::statistics::{Estimate, Interval};
 use djinn::train::NoiseLevelReport;
 use std::collections::BTreeMap;
 
@@ -59,6 +59,8 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
         mining: Some(mining(name)),
         rates: rates(name),
         coverage: coverage(name),
+        calibration: calibration(name),
+        modeled: rates(name).into_iter().map(|row| RateRow { method: RateMethod::Modeled, ..row }).collect(),
         training: vec![training("Denoiser", 2.2), training("Classifier (cut_in)", 0.6)],
         classifier_quality: (0..12).map(quality).collect(),
         requests: vec![outcome::request(name)],
@@ -211,6 +213,20 @@ fn coverage(name: &str) -> Vec<CoverageRow> {
         of([fast, None], 0, 0),
         of([merge, slow], 42, 0),
     ]
+}
+
+/// Modeled rates as often as recorded ones, too often, and where too few events were recorded.
+fn calibration(name: &str) -> Vec<Calibration> {
+    let of = |value: f64| Estimate::new(value, Interval { low: 0.8 * value, high: 1.25 * value });
+    let one = |(n_recorded, modeled): (u64, f64)| Calibration {
+        place: name.to_owned(),
+        behavior: name.to_owned(),
+        n_recorded,
+        recorded: of(10.0),
+        modeled: of(modeled),
+        factor: Some(of(modeled / 10.0)),
+    };
+    [(40, 11.0), (40, 30.0), (4, 10.0)].map(one).into()
 }
 
 fn more(name: &str) -> PlainSection {

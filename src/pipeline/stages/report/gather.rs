@@ -9,8 +9,8 @@ use crate::ingest::IngestReport;
 use crate::model::{DenoiserSpec, TrainedDenoiser, TrainedSceneTransformer};
 use crate::nn::Compute;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{COVERAGE, METRICS_SUMMARY, MINE_SUMMARY, RATES};
-use crate::pipeline::stages::{SampleManifest, checkpoint_file, read_requests};
+use crate::pipeline::layout::{COVERAGE, METRICS_SUMMARY, MINE_SUMMARY, MODELED_RATES, MODELED_SUMMARY, RATES};
+use crate::pipeline::stages::{ModeledSummary, SampleManifest, checkpoint_file, read_requests};
 use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
 use crate::store::{CorpusManifest, SceneManifest, read_coverage, read_json, read_rates};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
@@ -38,6 +38,11 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
         // Events alone may come from elsewhere.
         let rates = stage.layout.events.with_file_name(RATES);
         model.rates = if rates.exists() { read_rates(&rates)? } else { Vec::new() };
+    }
+    if stage.has(StageId::Rates) {
+        let path = |name: &str| stage.layout.modeled.with_file_name(name);
+        let summary: ModeledSummary = read_json(&path(MODELED_SUMMARY)).blame_input()?;
+        (model.calibration, model.modeled) = (summary.calibration, read_rates(&path(MODELED_RATES))?);
     }
     if stage.has(StageId::TrainDenoiser) {
         add_denoiser(&mut model, &stage.layout.denoiser)?;

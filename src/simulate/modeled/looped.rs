@@ -1,0 +1,148 @@
+//! A closed loop that is split, and what counts of its ends.
+
+use super::{RatesConfig, Severity};
+use crate::behavior::{Behavior, BehaviorEvent};
+use crate::generate::Futures;
+use crate::rates::{ExposureTally, ModeledEvent, ModeledLoop, OccurrenceTally, SceneExposure};
+use crate::scene::SceneId;
+use crate::simulate::rollout::drive_on;
+use crate::simulate::{Error, Result, Situation, World};
+use crate::statistics::{Levels, Process, split};
+
+/// Events that begin in the last seconds of a loop do not count, for they may not be complete.
+const TO_COMPLETE_S: f64 = 3.0;
+
+/// The start of a loop.
+pub(super) struct Start {
+    pub(super) situation: Situation,
+    /// The recording of its scene.
+    pub(super) recording: String,
+    /// Timesteps from one recorded scene to the next.
+    pub(super) n_every: usize,
+}
+
+/// What all loops have in common.
+pub(super) struct Common<'a> {
+    pub(super) config: &'a RatesConfig,
+    pub(super) futures: &'a Futures<'a>,
+    pub(super) behaviors: &'a [Box<dyn Behavior>],
+    /// The severities of its levels.
+    pub(super) severities: Vec<f64>,
+}
+
+/// A split loop: what counts, how many futures were sampled, and the weights of the ends that passed each level.
+pub(super) struct Looped {
+    pub(super) counted: ModeledLoop,
+    pub(super) n_futures: u64,
+    pub(super) passed: Vec<f64>,
+}
+
+/// A loop, or a copy of it.
+#[derive(Clone)]
+struct Loop<'a> {
+    situation: &'a Situation,
+    futures: &'a Futures<'a>,
+    severity: Severity,
+    /// Timesteps of a plan, and the last timestep.
+    n_plan: usize,
+    last: usize,
+    world: World,
+    most: f64,
+    is_over: bool,
+}
+
+impl Process for Loop<'_> {
+    type Error = Error;
+
+    fn step(&mut self) -> Result<Option<f64>> {
+        let now = self.world.now();
+        let n_steps = self.n_plan.min(self.last.saturating_sub(now));
+        if self.is_over || n_steps == 0 {
+            return Ok(None);
+        }
+        (self.world, self.is_over) = drive_on(self.situation, self.world.clone(), self.futures, n_steps)?;
+        let at = |timestep: usize| self.severity.at(self.situation, &self.world, timestep);
+        let severity = (now + 1..=self.world.now()).map(at).fold(f64::NEG_INFINITY, f64::max);
+        self.most = self.most.max(severity);
+        Ok(Some(severity))
+    }
+
+    fn draw_anew(&mut self, copy: usize) {
+        self.world.draw_anew(copy);
+    }
+}
+
+impl Common<'_> {
+    /// Follows a loop and its copies to their ends.
+    pub(super) fn follow(&self, start: &Start) -> Result<Looped> {
+        let Self { config, futures, .. } = self;
+        let scene = &start.situation.scene;
+        let [n_steps, n_plan] = config.rollout().n_steps(scene.dt_s);
+        let first = Loop {
+            situation: &start.situation,
+            futures,
+            severity: config.severity,
+            n_plan,
+            last: scene.current_timestep() + n_steps,
+            world: start.situation.start(futures.seed()).with_tracks(scene.tracks.len()),
+            most: f64::NEG_INFINITY,
+            is_over: false,
+        };
+        let (place, recording) = (scene.source.place.clone(), start.recording.clone());
+        let mut counted = ModeledLoop { place, recording, ..ModeledLoop::default() };
+        let mut passed = vec![0.0; self.severities.len()];
+        let levels = Levels { severities: &self.severities, n_copies: config.copies };
+        let n_futures = split(first, levels, &mut |end: Loop<'_>, weight| {
+            self.count(start, &end.world, weight, &mut counted);
+            let both = passed.iter_mut().zip(&self.severities);
+            both.filter(|(_, level)| end.most >= **level).for_each(|(passed, _)| *passed += weight);
+        })?;
+        Ok(Looped { counted, n_futures, passed })
+    }
+
+    /// Adds an end: its time, its way, and the events that begin after the present and long enough before the horizon.
+    fn count(&self, start: &Start, world: &World, weight: f64, counted: &mut ModeledLoop) {
+        let scene = &start.situation.scene;
+        let counted_s = self.config.horizon_s - TO_COMPLETE_S;
+        let n_counted = (counted_s / scene.dt_s).round() as usize;
+        let from = scene.n_history;
+        let until = (from + n_counted).min(world.n_timesteps());
+        counted.observed_h += weight * (until - from) as f64 * scene.dt_s / 3600.0;
+        for idx in (0..world.n_tracks()).filter(|idx| scene.tracks[*idx].class.is_motorized()) {
+            let driven_m: f64 =
+                (from..until).filter_map(|t| world.state(idx, t)).map(|state| state.speed_mps() * scene.dt_s).sum();
+            counted.motorized_km += weight * driven_m / 1000.0;
+        }
+        for (frame, event) in self.events(start, world) {
+            if (from..until).contains(&frame) {
+                let BehaviorEvent { behavior, parameters, .. } = event;
+                counted.events.push(ModeledEvent { behavior, parameters: parameters.into_iter().collect(), weight });
+            }
+        }
+    }
+
+    /// The events of a loop, each once, with their first timesteps: found in windows as of recordings, and counted by
+    /// the same code.
+    fn events(&self, start: &Start, world: &World) -> Vec<(usize, BehaviorEvent)> {
+        let scene = &start.situation.scene;
+        let n_timesteps = scene.n_timesteps.min(world.n_timesteps());
+        let last = world.n_timesteps() - n_timesteps;
+        let firsts = (0..last).step_by(start.n_every).chain([last]);
+        let (mut exposure, mut occurrences) = (ExposureTally::default(), OccurrenceTally::default());
+        let mut found = Vec::new();
+        for first in firsts {
+            let mut window = start.situation.piece(world, first, n_timesteps);
+            window.tracks.retain(|track| track.trajectory.valid().next().is_some());
+            window.id = SceneId(format!("loop@{first}"));
+            let events = self.behaviors.iter().flat_map(|behavior| behavior.detect(&window));
+            let events: Vec<BehaviorEvent> = events.filter(|event| !event.is_of_parked(&window)).collect();
+            let shown = SceneExposure::of(&window);
+            if let Some(at) = exposure.add(&shown) {
+                found.extend(occurrences.add(&shown, at, &events, &exposure));
+            }
+        }
+        found.extend(occurrences.finish());
+        let first_frame = |event: &BehaviorEvent| SceneId::window_of(&event.scene_id.0).map_or(0, |(_, first)| first);
+        found.into_iter().map(|(event, _)| (first_frame(&event) as usize + event.start_timestep, event)).collect()
+    }
+}
