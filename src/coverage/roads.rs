@@ -73,21 +73,26 @@ fn any_cross(lanes: &[&Lane], center: Vec2) -> bool {
     };
     let pieces = |lane: &Lane| -> Vec<[Vec2; 2]> {
         let pieces = lane.centerline.0.windows(2).map(|pair| [pair[0], pair[1]]);
-        pieces.filter(|[a, b]| a.distance(center).min(b.distance(center)) <= REACH_M).collect()
+        // Some that are farther away are among them, but none that is near is missing.
+        pieces.filter(|[a, b]| a.distance(center) <= REACH_M + a.distance(*b)).collect()
     };
     let pieces: Vec<Vec<[Vec2; 2]>> = lanes.iter().map(|lane| pieces(lane)).collect();
-    let cross = |i: usize, j: usize| pieces[i].iter().any(|a| pieces[j].iter().any(|b| do_cross(*a, *b)));
+    let is_near = |at: Vec2| at.distance(center) <= REACH_M;
+    let cross =
+        |i: usize, j: usize| pieces[i].iter().any(|a| pieces[j].iter().any(|b| crossing(*a, *b).is_some_and(is_near)));
     (0..lanes.len()).any(|i| (0..i).any(|j| !meet(lanes[i], lanes[j]) && cross(i, j)))
 }
 
-fn do_cross([a, b]: [Vec2; 2], [c, d]: [Vec2; 2]) -> bool {
+/// Where two segments cross, if they do at more than a small angle.
+fn crossing([a, b]: [Vec2; 2], [c, d]: [Vec2; 2]) -> Option<Vec2> {
     let (along, across) = (b - a, d - c);
-    let side = |from: Vec2, way: Vec2, point: Vec2| way.cross(point - from);
-    let is_between = |one: f64, other: f64| one * other < 0.0;
-    is_between(side(a, along, c), side(a, along, d)) && is_between(side(c, across, a), side(c, across, b)) && {
-        let between_rad = angle_difference(along.angle(), across.angle()).abs();
-        between_rad.min(PI - between_rad) >= LEAST_CROSSING_RAD
+    let between_rad = angle_difference(along.angle(), across.angle()).abs();
+    if between_rad.min(PI - between_rad) < LEAST_CROSSING_RAD {
+        return None;
     }
+    let is_on = |share: f64| 0.0 < share && share < 1.0;
+    let [on_first, on_second] = [across, along].map(|way| (c - a).cross(way) / along.cross(across));
+    (is_on(on_first) && is_on(on_second)).then(|| a.lerp(b, on_first))
 }
 
 /// Whether another lane goes over into this one, or it ends beside one that goes on.
