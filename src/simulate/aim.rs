@@ -224,7 +224,7 @@ mod tests {
     fn the_event_is_planned_anew_where_an_ego_that_is_elsewhere_would_undo_it() {
         let (mut n_lost, mut n_kept) = (0, 0);
         let all: Vec<Situation> = records().iter().map(situation).collect();
-        let shifts = all.iter().flat_map(|situation| (-6..=6).map(move |i| (situation, f64::from(i) * 3.0)));
+        let shifts = all.iter().flat_map(|situation| (-12..=24).map(move |i| (situation, f64::from(i) * 1.5)));
         for (situation, ahead_m) in shifts {
             let other = situation.planned[0];
             let mut moved = situation.clone();
