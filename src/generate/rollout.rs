@@ -6,12 +6,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The longest maneuver of a template, seconds: most lane changes take less.
-const MANEUVER_S: f64 = 6.0;
+const MANEUVER_S: f64 = 5.0;
 
 /// A closed loop: a sample is driven for `replan_s`; from then on the futures of everybody are sampled anew every
 /// `replan_s`, from the last second that was driven, as the sweep samples but without its guidance. Other traffic
 /// arrives and leaves, as in `djinn drive`. Until the requested event has happened, its other agents follow the sample,
-/// faster or slower where the ego would undo it. A template is solved for up to six seconds, so that it takes the time
+/// faster or slower where the ego would undo it. A template is solved for up to five seconds, so that it takes the time
 /// that people take, and its agents follow it beyond the end of the sample. Samples without the requested event stay as
 /// they are.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

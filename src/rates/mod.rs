@@ -2,7 +2,8 @@
 //!
 //! [`SceneExposure`] is what a scene shows of whom, [`ExposureTally`] adds up scenes that overlap, in windows of one
 //! recording or in two recordings of the same minute. [`RecordedTraffic`] has what was counted, and gives rates.
-//! [`ModeledTraffic`] is what closed loops of the unguided model show; [`ModeledRates`] compares both before it gives any.
+//! [`ModeledTraffic`] is what closed loops of the unguided model show; [`ModeledRates`] compares both before it gives
+//! any.
 
 mod calibration;
 mod exposure;

@@ -119,8 +119,8 @@ mod tests {
 
     #[test]
     fn a_walk_hits_as_often_as_a_gambler_whatever_the_levels_and_varies_less() {
-        // The gambler's ruin: from 0, `top` comes before -1 with probability (r - 1) / (r^(top + 1) - 1), r = (1 - p)/p;
-        // by Wald, steps up are p times all steps, of which there are (1 - hit (top + 1)) / (1 - 2 p).
+        // The gambler's ruin: from 0, `top` comes before -1 with probability (r - 1) / (r^(top + 1) - 1), r = (1 -
+        // p)/p; by Wald, steps up are p times all steps, of which there are (1 - hit (top + 1)) / (1 - 2 p).
         let (top, p) = (18, 0.4_f64);
         let r = (1.0 - p) / p;
         let hit = (r - 1.0) / (r.powi(top + 1) - 1.0);

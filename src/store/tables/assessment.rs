@@ -159,8 +159,9 @@ pub(crate) fn fields() -> Vec<Field> {
         column(
             "rate_source",
             DataType::Utf8,
-            "What the rate is from: recorded events, extrapolated from less severe ones, modeled by closed loops of the \
-             unguided model that agree with recordings, or none. Generated scenarios never count. Missing without a verified event, or if nothing was counted.",
+            "What the rate is from: recorded events, extrapolated from less severe ones, modeled by closed loops of \
+             the unguided model that agree with recordings, or none. Generated scenarios never count. Missing without \
+             a verified event, or if nothing was counted.",
         )
         .optional(),
     ]
