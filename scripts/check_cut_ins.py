@@ -25,6 +25,7 @@ import pyarrow.parquet as pq
 MAX_DELAY_S, MAX_HEADING_RAD, MIN_SHIFT_M, MIN_SPEED_MPS, SETTLING_S = 3.0, math.pi / 6, 0.5, 1.0, 1.0
 NOMINAL_HALF_WIDTH_M, LANE_HALF_WIDTH_M, HYSTERESIS_M, EXTENSION_M, AHEAD_M, BEHIND_M = 1.9, 1.75, 0.3, 100.0, 200.0, 100.0
 NOMINAL = {"vehicle": (4.6, 1.9), "unknown": (4.6, 1.9), "bus": (12.0, 2.6), "motorcyclist": (2.0, 0.8)}  # where a dataset gives no size
+MERGES_M, MERGED_M = 50.0, 1.0
 HEADING, VX = 2, 3
 
 
@@ -49,6 +50,10 @@ class Line:
         self.start, self.along = points[:-1], np.diff(points, axis=0)
         self.length = np.hypot(*self.along.T)
         self.station = np.concatenate([[0.0], np.cumsum(self.length)])
+
+    def at(self, station):
+        points = np.vstack([self.start, self.start[-1] + self.along[-1]])
+        return np.array([np.interp(station, self.station, points[:, axis]) for axis in (0, 1)])
 
     def project(self, points):
         points = np.atleast_2d(points)
@@ -177,6 +182,12 @@ def moved_across_headings(states):
     return float((last[:2] - first[:2]) @ across)
 
 
+def merges_ahead(others, lane, at):
+    """Whether one lane leads into another soon after this place."""
+    ahead = others.center.at(others.center.project(at)[0][0] + MERGES_M)
+    return abs(lane.center.project(ahead)[1][0]) < MERGED_M
+
+
 def cut_in(scene, ego, other):
     """(t_other, t_ego) where `other` cuts in ahead of `ego`, or else why not, in a word."""
     now, end, dt = scene.present, scene.end, scene.dt_s
@@ -236,11 +247,14 @@ def cut_in(scene, ego, other):
     ego_shift = max(side * (o_own[until] - o_own[now])[own_known[until]])
     if shift < MIN_SHIFT_M or shift <= ego_shift:
         return "moves_less"
-    keeps = lambda others: others.lanes and others.holds(theirs[now : crossing + 1][tracked[now : crossing + 1], :2]).all()
-    joins = lambda others: {lane.id for lane in others.lanes} & {lane.id for lane in lane.lanes}
-    if joins(scene.kept(other)) and keeps(scene.kept(other)):
-        if side * moved_across_headings(own[until]) >= -side * moved_across_headings(theirs[until]):
-            return "ego_comes_in"
+    others = scene.kept(other)
+    keeps = lambda end: bool(others.lanes) and others.holds(theirs[now : end + 1][tracked[now : end + 1], :2]).all()
+    joins = {lane.id for lane in others.lanes} & {lane.id for lane in lane.lanes}
+    is_mutual = joins and merges_ahead(others, lane, theirs[crossing, :2]) and keeps(crossing)
+    if not is_mutual and keeps(last):
+        return "keeps_a_lane_of_its_own"
+    if is_mutual and side * moved_across_headings(own[until]) >= -side * moved_across_headings(theirs[until]):
+        return "ego_comes_in"
     if min(np.hypot(*agent[found[0], VX:]) for agent in (own, theirs)) < MIN_SPEED_MPS:
         return "stands"
     # Where the ego drives at the place of the other, or else where it is last.
