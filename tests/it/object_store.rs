@@ -117,10 +117,10 @@ fn answer(bucket: &mut Bucket, request: &Request) -> (&'static str, String, Vec<
     let tag = |bytes: &[u8]| format!("\"{}\"", &blake3::hash(bytes).to_hex()[..32]);
     match method.as_str() {
         "GET" if query.contains_key("list-type") => {
-            // Three to a page.
+            // Twenty to a page: an attempt to list them all should meet few faults.
             let (prefix, after) = (&query["prefix"], query.get("continuation-token").cloned().unwrap_or_default());
             let mut rest = bucket.objects.iter().filter(|(key, _)| key.starts_with(prefix) && **key > after);
-            let page: Vec<_> = rest.by_ref().take(3).collect();
+            let page: Vec<_> = rest.by_ref().take(20).collect();
             let more = rest.next().map_or(String::new(), |_| {
                 format!("<NextContinuationToken>{}</NextContinuationToken>", page[page.len() - 1].0)
             });
