@@ -1,7 +1,7 @@
 //! `tags.parquet` and `coverage.parquet`: what surrounds the center of each recorded scene, and what of it is covered.
 
 use super::Result;
-use super::row_file::{self, RowFile};
+use super::row_file;
 use super::tables::{coverage, tag};
 use crate::coverage::{CoverageRow, TaggedScene};
 use crate::files::FileStamp;
@@ -9,16 +9,12 @@ use std::path::Path;
 
 /// Writes a table of tags.
 pub fn write_tags(path: &Path, rows: Vec<TaggedScene>) -> Result<FileStamp> {
-    let mut file = RowFile::create(path, &tag::schema(), tag::encode)?;
-    rows.into_iter().try_for_each(|row| file.push(row))?;
-    file.finish()
+    row_file::write(path, &tag::schema(), tag::encode, rows.into_iter().map(Ok))
 }
 
 /// Writes a table of coverage.
 pub fn write_coverage(path: &Path, rows: Vec<CoverageRow>) -> Result<FileStamp> {
-    let mut file = RowFile::create(path, &coverage::schema(), coverage::encode)?;
-    rows.into_iter().try_for_each(|row| file.push(row))?;
-    file.finish()
+    row_file::write(path, &coverage::schema(), coverage::encode, rows.into_iter().map(Ok))
 }
 
 /// Reads a table of tags.

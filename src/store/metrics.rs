@@ -1,7 +1,7 @@
 //! `metrics.parquet`: one metric value a row.
 
 use super::Result;
-use super::row_file::{self, ROWS_PER_BATCH, RowFile};
+use super::row_file::{self, ROWS_PER_BATCH};
 use super::tables::metric;
 use crate::files::FileStamp;
 use crate::metrics::MetricRow;
@@ -10,9 +10,7 @@ use std::path::Path;
 
 /// Writes a metric table, in the given order.
 pub fn write_metrics(path: &Path, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<FileStamp> {
-    let mut file = RowFile::create(path, &metric::schema(), metric::encode)?;
-    rows.into_iter().try_for_each(|row| file.push(row?))?;
-    file.finish()
+    row_file::write(path, &metric::schema(), metric::encode, rows)
 }
 
 /// The rows as batches, so that few are in memory at a time.

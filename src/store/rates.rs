@@ -2,7 +2,7 @@
 
 use super::Result;
 use super::events::stream_events;
-use super::row_file::{self, RowFile};
+use super::row_file;
 use super::tables::{exposure, rate};
 use crate::files::FileStamp;
 use crate::rates::{ExposureRow, RateRow, RecordedTraffic};
@@ -10,16 +10,12 @@ use std::path::Path;
 
 /// Writes a table of exposure.
 pub fn write_exposure(path: &Path, rows: Vec<ExposureRow>) -> Result<FileStamp> {
-    let mut file = RowFile::create(path, &exposure::schema(), exposure::encode)?;
-    rows.into_iter().try_for_each(|row| file.push(row))?;
-    file.finish()
+    row_file::write(path, &exposure::schema(), exposure::encode, rows.into_iter().map(Ok))
 }
 
 /// Writes a table of rates.
 pub fn write_rates(path: &Path, rows: Vec<RateRow>) -> Result<FileStamp> {
-    let mut file = RowFile::create(path, &rate::schema(), rate::encode)?;
-    rows.into_iter().try_for_each(|row| file.push(row))?;
-    file.finish()
+    row_file::write(path, &rate::schema(), rate::encode, rows.into_iter().map(Ok))
 }
 
 /// Reads a table of rates.

@@ -48,6 +48,18 @@ impl<T> RowFile<T> {
     }
 }
 
+/// Writes a table of these rows.
+pub(super) fn write<T>(
+    path: &Path,
+    table: &TableSchema,
+    encode: fn(&[T]) -> Result<RecordBatch>,
+    rows: impl IntoIterator<Item = Result<T>>,
+) -> Result<FileStamp> {
+    let mut file = RowFile::create(path, table, encode)?;
+    rows.into_iter().try_for_each(|row| file.push(row?))?;
+    file.finish()
+}
+
 /// Reads a table row by row, in the order in which it was written; the rows end after the first error.
 pub(super) fn read<T>(
     path: &Path,
