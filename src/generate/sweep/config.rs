@@ -201,7 +201,7 @@ pub enum Aim {
     /// easy outcomes come more often. Samples of a pair then differ in parameters such as gap and relative speed.
     Feasible,
     /// As `feasible`, but events that only just can be avoided come more often: those that close a gap in little more
-    /// time than UN Regulation No. 157 (paragraph 5.2.5.2) leaves to react. Needs an event with `gap_m` and
-    /// `relative_speed_mps`; without, as `feasible`.
+    /// time than UN Regulation No. 157 (paragraph 5.2.5.2) leaves to react. All others come alike: events without
+    /// `gap_m` and `relative_speed_mps`, and those that close no gap.
     Hard,
 }
