@@ -183,6 +183,14 @@ fn details_field() -> Field {
     .optional()
 }
 
+/// The columns of one assessment, each with one value.
+///
+/// # Errors
+/// [`Error::Invalid`](crate::store::Error::Invalid) when a timestep is too large.
+pub(crate) fn columns_of(assessment: &Assessment) -> Result<Vec<(Field, ArrayRef)>> {
+    Ok(fields().into_iter().zip(encode(&[("assessment", Some(assessment))])?).collect())
+}
+
 /// The arrays of these assessments, in the order of [`fields`]; the ids of scenarios are for messages.
 pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRef>> {
     let judged = || rows.iter().map(|(_, assessment)| *assessment);
