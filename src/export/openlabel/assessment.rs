@@ -37,7 +37,7 @@ pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Result<Vec<Value>> {
         tag(
             "violation",
             &json!({
-                "text": [value("check", violation.check.id()), value("track", &violation.track.0)],
+                "text": [value("check", violation.check.name()), value("track", &violation.track.0)],
                 "num": [
                     quantity("time_s", rounded(violation.timestep as f64 * scene.dt_s), "s"),
                     quantity("value", rounded(violation.value), unit),
@@ -56,7 +56,7 @@ pub(super) fn definitions() -> Map<String, Value> {
     let data: Map<String, Value> =
         own.map(|field| (field.name().clone(), Value::from(metadata(field, "description")))).collect();
     let checks: Map<String, Value> =
-        Check::ALL.into_iter().map(|check| (check.id().to_owned(), Value::from(check.description()))).collect();
+        Check::ALL.into_iter().map(|check| (check.name().to_owned(), Value::from(check.description()))).collect();
     let assessment = json!({
         "definition": "Judgments of the scenario, independent of what guided it; undefined ones are left out. The \
                        attribute unit of a number names its unit, 1 for shares and ratios.",
