@@ -156,6 +156,7 @@ fn latest(n_most: usize, mut survived: impl FnMut(usize) -> Result<bool>) -> Res
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::simulate::testing::{records, situation};
 
     #[test]
     fn the_first_failure_is_found() {
@@ -171,6 +172,25 @@ mod tests {
         assert_eq!(latest(15, |n| Ok(!(5..=9).contains(&n))).unwrap(), Some(4));
         assert_eq!(latest(1, |_| Ok(true)).unwrap(), Some(1));
         assert_eq!(latest(15, |_| Ok(false)).unwrap(), None);
+    }
+
+    #[test]
+    fn parameters_are_those_of_the_longest_delay_that_is_survived() {
+        let mut n_changed = 0;
+        for record in records() {
+            let situation = situation(&record);
+            let later = |driver: usize, _: &Situation| Ok([Outcome::Survived, Outcome::Hit][driver]);
+            let Some(margin) = Margin::find(&situation, [Outcome::Survived; 2], later).unwrap() else { continue };
+            let of = |situation: &Situation| {
+                situation.event_in(&situation.scene).map_or_else(BTreeMap::new, |event| event.parameters)
+            };
+            let n_steps = (margin.most_delay_s / situation.scene.dt_s).round() as usize;
+            assert_eq!((margin.own.delay_s, margin.careful.delay_s), (Some(margin.most_delay_s), Some(0.0)));
+            assert_eq!(margin.own.parameters, of(&situation.delayed(n_steps).unwrap()));
+            assert_eq!(margin.careful.parameters, of(&situation));
+            n_changed += usize::from(margin.own.parameters != margin.careful.parameters);
+        }
+        assert!(n_changed > 0);
     }
 
     #[test]

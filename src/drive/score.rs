@@ -9,7 +9,7 @@ use crate::generate::NamedDriver;
 use crate::metrics::CarefulReplay;
 use crate::progress::Progress;
 use crate::scenario::{DriveRow, EgoChoice, ScenarioRecord};
-use crate::scene::{Scene, State};
+use crate::scene::{Scene, State, Track, TrackId};
 use crate::simulate::{
     self, Careful, Driven, Driver, Failed, Log, Maps, Others, Outcome, RolloutConfig, Situation, World, moved, named,
     roll_out,
@@ -155,11 +155,7 @@ fn recorded(
     let scene = &record.scenario.scene;
     let Some(tracks) = reader.recorded_tracks(&scene.id, scene.n_timesteps)? else { return Ok(None) };
     let Some((ego_idx, _)) = ego.of(record) else { return Ok(None) };
-    let id = &scene.tracks[ego_idx].id;
-    let has_future = |track: &crate::scene::Track| track.trajectory.is_valid(scene.n_timesteps - 1);
-    let Some(recorded_idx) = tracks.iter().position(|track| track.id == *id && has_future(track)) else {
-        return Ok(None);
-    };
+    let Some(recorded_idx) = recorded_ego(&tracks, &scene.tracks[ego_idx].id) else { return Ok(None) };
     let mut record = record.clone();
     record.scenario.scene.tracks = tracks;
     record.scenario.scene.ego_idx = recorded_idx;
@@ -168,6 +164,12 @@ fn recorded(
         Err(simulate::Error::Unfit { .. }) => Ok(None),
         Err(error) => Err(error.into()),
     }
+}
+
+/// The recorded track of the ego, if it lasts to the end.
+fn recorded_ego(tracks: &[Track], id: &TrackId) -> Option<usize> {
+    let lasts = |track: &Track| track.trajectory.entries().last().is_some_and(Option::is_some);
+    tracks.iter().position(|track| track.id == *id && lasts(track))
 }
 
 /// The driver that follows planned states.
@@ -212,7 +214,18 @@ impl Driver for Plan<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::testing::without_states;
     use crate::simulate::testing::{records, situation};
+
+    #[test]
+    fn a_recording_that_ends_before_the_scenario_is_not_driven() {
+        let scene = records().remove(0).scenario.scene;
+        let id = scene.ego().id.clone();
+        assert_eq!(recorded_ego(&scene.tracks, &id), Some(scene.ego_idx));
+        let (ego_idx, last) = (scene.ego_idx, scene.n_timesteps - 1);
+        let ending = without_states(scene, ego_idx, |timestep| timestep == last);
+        assert_eq!(recorded_ego(&ending.tracks, &id), None);
+    }
 
     #[test]
     fn the_careful_driver_survives_what_the_corpus_calls_preventable() {

@@ -329,3 +329,40 @@ fn changed_keys(path: &str, earlier: &Value, now: &Value, changes: &mut Vec<Stri
         _ => changes.push(path.to_owned()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn whichever_input_was_written_anew_is_named() {
+        let record = |scenes: &str, events: &str| -> StageRecord {
+            let input = |producer: &str, content: &str| json!({ "stage": { "producer": producer, "fingerprint": "", "content": content } });
+            serde_json::from_value(
+                json!({ "stage": "evaluate", "version": 1, "config": null, "fingerprint": "", "settings": "",
+                "inputs": { "events": input("mine", events), "scenes": input("ingest", scenes) },
+                "outputs": {}, "files": [], "summary": null }),
+            )
+            .unwrap()
+        };
+        let earlier = record("1", "2");
+        assert_eq!(record("1", "2").rewritten_since(&earlier), None);
+        assert_eq!(record("3", "2").rewritten_since(&earlier), Some("ingest"));
+        assert_eq!(record("1", "3").rewritten_since(&earlier), Some("mine"));
+    }
+
+    #[test]
+    fn presets_and_the_precision_of_the_run_are_not_of_the_section() {
+        let record = |config: Value| -> StageRecord {
+            serde_json::from_value(
+                json!({ "stage": "train", "version": 1, "config": config, "fingerprint": "", "settings": "",
+                "inputs": {}, "outputs": {}, "files": [], "summary": null }),
+            )
+            .unwrap()
+        };
+        let earlier = record(json!({ "steps": 10, "precision": "f32", "resolved": { "width": 8 } }));
+        let same = record(json!({ "steps": 10, "precision": "bf16", "resolved": { "width": 16 } }));
+        assert!(!same.section_differs(&earlier) && record(json!({ "steps": 11 })).section_differs(&earlier));
+    }
+}

@@ -6,7 +6,9 @@ use super::{EgoMotion, Error, ExportFormat, ExportOutcome, ExportReport, Item, R
 use crate::files::NewFolder;
 use crate::progress::Progress;
 use crate::scenario::EgoChoice;
+use crate::scene::Dataset;
 use crate::store::{CorpusReader, write_atomically, write_json_atomically};
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
@@ -64,8 +66,7 @@ pub fn export_corpus(
         };
         match ego.of(&record) {
             Some((ego_idx, is_for_want)) => {
-                let dataset = record.scenario.scene.source.dataset;
-                let terms = reader.manifest().sources.get(dataset.name()).map_or(dataset.facts().terms, String::as_str);
+                let terms = terms(&reader.manifest().sources, record.scenario.scene.source.dataset);
                 let item = Item { record: &record, number: n_chosen, stem, ego_idx, terms };
                 writer.add(&item, is_for_want, &mut report)?;
             }
@@ -81,6 +82,11 @@ pub fn export_corpus(
     writer.finish(folder.path(), &report)?;
     folder.commit()?;
     Ok(report)
+}
+
+/// The terms of a source: of the corpus if it states some, otherwise of its dataset.
+fn terms(of_corpus: &BTreeMap<String, String>, dataset: Dataset) -> &str {
+    of_corpus.get(dataset.name()).map_or(dataset.facts().terms, String::as_str)
 }
 
 /// The id if it can name a file; else a similar name with a unique number.
@@ -131,5 +137,17 @@ impl Writer {
         write_atomically::<Error>(&out.join(NOTICE_FILE), |file| Ok(file.write_all(notice.as_bytes())?))?;
         write_json_atomically(&out.join(EXPORT_FILE), report)?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_terms_of_a_corpus_come_before_those_of_its_dataset() {
+        let of_corpus = BTreeMap::from([("womd".to_owned(), "by letter".to_owned())]);
+        assert_eq!(terms(&of_corpus, Dataset::Womd), "by letter");
+        assert!(terms(&of_corpus, Dataset::Interaction).starts_with("INTERACTION dataset"));
     }
 }

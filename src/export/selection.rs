@@ -101,10 +101,19 @@ mod tests {
             ScenarioRecord { assessment, ..record.clone() }
         };
         assert!(accepted.wants(&judged(true)) && !accepted.wants(&judged(false)) && !accepted.wants(&record));
-        // Of ordinary scenarios, valid ones are never accepted, but may be asked for.
+        // Valid ordinary scenarios are never accepted, but may be asked for.
         let ordinary = ScenarioRecord { requested_behavior: None, ..judged(false) };
         let also = Selection { also_ordinary: true, only_verified: false, ..accepted.clone() };
         assert!(also.wants(&ordinary) && !accepted.wants(&ordinary) && !also.wants(&judged(false)));
+        let mut invalid = ordinary.clone();
+        invalid.assessment.as_mut().unwrap().violations.push(crate::metrics::Violation {
+            check: crate::metrics::Check::Jerk,
+            track: "2".into(),
+            timestep: 7,
+            value: 31.0,
+            limit: 25.0,
+        });
+        assert!(!also.wants(&invalid));
         let behavior = |name: &str| Selection { behavior: Some(name.to_owned()), ..verified.clone() };
         assert!(behavior("cut_in").wants(&record) && !behavior("left_turn").wants(&record));
         let sweep = |name: &str| Selection { sweep: Some(name.to_owned()), ..behavior("cut_in") };

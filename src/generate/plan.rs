@@ -249,3 +249,40 @@ impl ListedScene<'_> {
         Cell { scene_idx: self.scene_idx, scene_id: SceneId::from(self.id), roles, targets: Vec::new() }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Dataset;
+
+    #[test]
+    fn samples_of_a_pair_aim_at_its_targets_in_turn() {
+        let targets: Vec<Target> = [1.0, 2.0].map(|gap_m| Target::from([("gap_m".to_owned(), [gap_m; 2])])).into();
+        let cell = ListedScene { scene_idx: 0, id: "a" }.cell(Roles::default());
+        assert_eq!(cell.target(1), Target::new());
+        let cell = Cell { targets, ..cell };
+        assert_eq!([0, 1, 2, 3].map(|sample| cell.target(sample)["gap_m"][0]), [1.0, 2.0, 1.0, 2.0]);
+    }
+
+    #[test]
+    fn recorded_scenes_of_every_chosen_place_come_first() {
+        let ids: Vec<String> = (0..24).map(|i| format!("table/val/X/{i}")).collect();
+        let entries = ids.iter().enumerate().map(|(i, id)| SceneIndexEntry {
+            id,
+            dataset: Dataset::Table,
+            split: Split::Val,
+            place: ["A", "B", "C"][i % 3],
+            n_agents: 2,
+            situation: SituationKind::ALL[i / 3 % 3],
+            n_timesteps: 40,
+        });
+        let index: SceneIndex = entries.collect();
+        let places = ["A", "B"].map(str::to_owned);
+        let order = held_out_in_order(&index, (&[], &places), &BTreeSet::from([0]), 7);
+        assert!(order.is_sorted_by_key(|(_, entry)| entry.situation));
+        // Two of three places, without the first scene, from which a model learned.
+        let mut found: Vec<usize> = order.iter().map(|(scene_idx, _)| *scene_idx).collect();
+        found.sort_unstable();
+        assert_eq!(found, (1..24).filter(|i| i % 3 < 2).collect::<Vec<_>>());
+    }
+}

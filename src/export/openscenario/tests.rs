@@ -41,6 +41,9 @@ fn the_ego_comes_first_and_is_where_it_is() {
     let (root, outcome) = written(&testing::scene(), EgoMotion::Replayed);
     assert_eq!((root.at("FileHeader").attr("revMajor"), root.at("FileHeader").attr("revMinor")), ("1", "2"));
     assert_eq!(root.at("FileHeader").at("License").text, "none");
+    let properties = root.at("FileHeader").at("Properties").all("Property");
+    let present = properties.iter().find(|property| property.attr("name") == "present_s").unwrap();
+    assert_eq!(present.attr_number("value"), 0.3, "the fourth timestep at 10 Hz");
     let objects = root.at("Entities").all("ScenarioObject");
     let names: Vec<&str> = objects.iter().map(|object| object.attr("name")).collect();
     assert_eq!(names, ["Ego", "track_2", "track_P3", "track_P3_part2"]);
