@@ -1,11 +1,11 @@
 //! A hand-made report: a cut-in on a three-lane road, with every section filled.
 
-mod outcome;
 mod scenes;
 
 use djinn::coverage::CoverageRow;
-use djinn::evaluate::{BehaviorCount, BehaviorDoc, MiningSummary};
-use djinn::ingest::{IngestReport, RejectCount};
+use djinn::evaluate::{EvaluationSummary, MiningSummary};
+use djinn::generate::RequestSummary;
+use djinn::ingest::IngestReport;
 use djinn::rates::{Calibration, RateMethod, RateRow};
 use djinn::report::{
     Chart, Curve, Distribution, Drawn, Fact, HardnessSummary, PlainSection, PlainTable, ReportModel, TrainingSummary,
@@ -14,7 +14,8 @@ use djinn::report::{
 use djinn::seed::Seed;
 use djinn::statistics::{Estimate, Interval};
 use djinn::train::NoiseLevelReport;
-use std::collections::BTreeMap;
+use serde::Deserialize;
+use serde_json::Value;
 
 pub(crate) use self::scenes::card;
 
@@ -25,6 +26,7 @@ pub(crate) fn model() -> ReportModel {
 
 /// [`model`] with `name` wherever a name comes from the recordings or the configuration.
 pub(crate) fn model_named(name: &str) -> ReportModel {
+    let Results { evaluation, requests, mining, ingest } = results(name);
     ReportModel {
         n_continued: 3,
         hardness: Some(HardnessSummary {
@@ -55,16 +57,16 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
                     .into(),
             },
         ],
-        ingest: Some(ingest(name)),
-        mining: Some(mining(name)),
+        ingest: Some(ingest),
+        mining: Some(mining),
         rates: rates(name),
         coverage: coverage(name),
         calibration: calibration(name),
         modeled: rates(name).into_iter().map(|row| RateRow { method: RateMethod::Modeled, ..row }).collect(),
         training: vec![training("Denoiser", 2.2), training("Classifier (cut_in)", 0.6)],
         classifier_quality: (0..12).map(quality).collect(),
-        requests: vec![outcome::request(name)],
-        evaluation: outcome::evaluation(name),
+        requests,
+        evaluation,
         distributions: distributions(),
         scenes: vec![card(0, name, 1.0, 0.0), card(1, name, 0.6, std::f64::consts::FRAC_PI_3), scenes::gallery(name)],
         drawn: vec![Drawn {
@@ -82,42 +84,31 @@ pub(crate) fn model_named(name: &str) -> ReportModel {
     }
 }
 
-fn ingest(name: &str) -> IngestReport {
-    IngestReport {
-        n_units: 151,
-        n_bytes: 5_183_806,
-        n_scenes: 150,
-        n_agents: 2_364,
-        scenes_by: BTreeMap::from([("train/FIX_Merging".into(), 120), (format!("val/{name}"), 30)]),
-        rejects: BTreeMap::from([(
-            "non_finite".into(),
-            RejectCount { count: 1, examples: vec![format!("{name}/bad_rows.csv:17: x is not finite in case 12")] },
-        )]),
-        dropped: BTreeMap::from([("agents_absent_at_present".into(), 412)]),
-        assumed: BTreeMap::from([("heading_of_standing_agents".into(), 3)]),
-        warnings: BTreeMap::new(),
-    }
+/// What a run writes about its results: two buckets, of which one stayed short, and a map that lacks road.
+#[derive(Deserialize)]
+struct Results {
+    evaluation: EvaluationSummary,
+    requests: Vec<RequestSummary>,
+    mining: MiningSummary,
+    ingest: IngestReport,
 }
 
-fn mining(name: &str) -> MiningSummary {
-    let count = |split: &str, n_scenes, n_scenes_with, n_positive, n_negative| BehaviorCount {
-        behavior: "cut_in".into(),
-        split: split.into(),
-        place: name.into(),
-        n_scenes,
-        n_scenes_with,
-        n_positive,
-        n_negative,
-    };
-    MiningSummary {
-        definitions: vec![BehaviorDoc {
-            behavior: "cut_in".into(),
-            definition:
-                "A future state of the other overlaps a future state that the ego reaches less than 3 s later, and the \
-                 other's present does not overlap any state of the ego."
-                    .into(),
-        }],
-        counts: vec![count("train", 120, 64, 105, 2_310), count("val", 30, 15, 20, 601)],
+fn results(name: &str) -> Results {
+    let mut results: Value = serde_json::from_str(include_str!("sample/results.json")).unwrap();
+    rename(&mut results, name);
+    serde_json::from_value(results).unwrap()
+}
+
+fn rename(value: &mut Value, name: &str) {
+    match value {
+        Value::String(text) => *text = text.replace("{name}", name),
+        Value::Array(items) => items.iter_mut().for_each(|item| rename(item, name)),
+        Value::Object(object) => {
+            object.values_mut().for_each(|item| rename(item, name));
+            *object =
+                std::mem::take(object).into_iter().map(|(key, item)| (key.replace("{name}", name), item)).collect();
+        }
+        _ => {}
     }
 }
 
