@@ -34,7 +34,7 @@ pub fn plan<'a>(
     check_overlaps(root, &stages)?;
     ownership::check_root(root, kinds)?;
     let mut planned: Vec<PlannedStage<'a>> = Vec::new();
-    // What earlier stages write may make later ones run that are up to date now.
+    // Stages that are up to date now may have to run once earlier ones have written.
     let mut may_run: Vec<&StageKind> = Vec::new();
     for stage in stages {
         let earlier = StageRecord::done(root, stage.kind())?;

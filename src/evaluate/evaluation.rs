@@ -30,7 +30,7 @@ pub struct Evaluated {
     pub summary: EvaluationSummary,
     /// The number of recorded scenes that accepted scenarios continue.
     pub n_accepted_scenes: u64,
-    /// What of the operational design domain was recorded and generated.
+    /// Recorded and generated parts of the operational design domain.
     pub coverage: Vec<CoverageRow>,
     rows: FinishedRows,
 }

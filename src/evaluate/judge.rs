@@ -24,8 +24,8 @@ const CUT_INS: [&str; 2] = ["cut_in", "cut_in_paper"];
 /// The behavior that comes from behind: braking is no answer to it.
 const FROM_BEHIND: &str = "tailgating";
 
-/// What the careful driver makes of a scenario in place of its subject. `None` if there is none, or the event is its
-/// own or comes from behind.
+/// The outcome for the careful driver in place of the subject. `None` without a subject, and if the event is its own or
+/// comes from behind.
 fn careful(record: &ScenarioRecord) -> Option<CarefulJudgment> {
     let (scene, event) = (&record.scenario.scene, record.main_event()?);
     let subject_idx = record.subject_idx().filter(|_| event.behavior != FROM_BEHIND)?;

@@ -39,7 +39,7 @@ pub struct NetworkConfig {
     pub geometry: Option<GeometryConfig>,
 }
 
-/// What the geometric network sees.
+/// The view of the geometric network.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct GeometryConfig {

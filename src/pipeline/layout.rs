@@ -19,7 +19,7 @@ pub struct Layout {
     pub classifier: PathBuf,
     /// The folder of the trained baseline.
     pub baseline: PathBuf,
-    /// What closed loops of the model show.
+    /// Exposure and events in closed loops of the model.
     pub modeled: PathBuf,
     /// The scene store of situations that nobody recorded.
     pub situations: PathBuf,
@@ -66,11 +66,11 @@ pub const SCENES: &str = "scenes";
 pub const EVENTS: &str = "events.parquet";
 /// The mined events that count, each once however many scenes show it.
 pub const OCCURRENCES: &str = "occurrences.parquet";
-/// What recordings show, every moment once.
+/// The exposure in recordings, every moment once.
 pub const EXPOSURE: &str = "exposure.parquet";
 /// How often behaviors were recorded.
 pub const RATES: &str = "rates.parquet";
-/// What surrounds the center of each recorded scene.
+/// The surroundings of the center of each recorded scene, as tags.
 pub const TAGS: &str = "tags.parquet";
 /// Counts of the mined events.
 pub const MINE_SUMMARY: &str = "mine.json";
@@ -82,7 +82,7 @@ pub const DISTILLED: &str = "distilled";
 pub const CLASSIFIER: &str = "classifier";
 /// The trained baseline.
 pub const BASELINE: &str = "baseline";
-/// What closed loops of the unguided model show: exposure and weighted events.
+/// Exposure and weighted events in closed loops of the unguided model.
 pub const MODELED: &str = "modeled.bin";
 /// How often behaviors happen in them, where that agrees with recordings.
 pub const MODELED_RATES: &str = "modeled_rates.parquet";
@@ -100,7 +100,7 @@ pub const METRICS: &str = "metrics.parquet";
 pub const METRICS_SUMMARY: &str = "metrics.json";
 /// The outcome of each scenario, beside the metric rows.
 pub const VERDICTS: &str = "verdicts.parquet";
-/// What was recorded and generated of which behavior, by what surrounds the center.
+/// Counts of recorded and generated events of each behavior, by tags.
 pub const COVERAGE: &str = "coverage.parquet";
 /// The report.
 pub const REPORT: &str = "report.html";

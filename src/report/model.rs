@@ -27,7 +27,7 @@ pub struct ReportModel {
     pub ingest: Option<IngestReport>,
     /// How often behaviors were recorded.
     pub rates: Vec<RateRow>,
-    /// What of the operational design domain was recorded and generated.
+    /// Recorded and generated parts of the operational design domain.
     pub coverage: Vec<CoverageRow>,
     /// Modeled against recorded rates.
     pub calibration: Vec<Calibration>,

@@ -149,7 +149,7 @@ fn recordings_that_were_moved_are_not_ingested_again_and_changed_ones_are() {
     }
     assert!(!ingest(&workspace.arg("there"), &[]).stderr.contains("runs again"));
     assert_eq!(files(&workspace.path("out/scenes")), written);
-    // What was made of them stays without them, wherever they were last.
+    // Their results stay without them, wherever they were last.
     fs_err::rename(workspace.path("there"), workspace.path("away")).unwrap();
     assert!(ingest(&workspace.arg("there"), &["--dry-run"]).stdout.contains("#   ingest            cached"));
     fs_err::rename(workspace.path("away"), workspace.path("there")).unwrap();

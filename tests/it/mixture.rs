@@ -60,7 +60,7 @@ fn a_denoiser_learns_from_the_scenes_of_two_datasets() {
     assert_same(&files(&model("a")), &files(&model("b")));
     let file = model("a").join("model.safetensors");
     let spec = TrainedDenoiser::read(&file, &djinn::nn::Compute::cpu()).unwrap().spec;
-    // Who records headings decides; those of Argoverse are left out.
+    // The data set with recorded headings decides; those of Argoverse are left out.
     assert_eq!((spec.normalizer.state_dim, spec.objectives[0]["kind"].as_str()), (3, Some("acceleration_limit")));
     let told = djinn(&["inspect", file.to_str().unwrap()]).expect(0).stdout;
     for part in ["acceleration_limit", "map_turned", "losses by place"] {

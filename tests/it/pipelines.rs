@@ -85,7 +85,7 @@ fn in_parts(workspace: &Workspace, stage: &str, draws: &mut Draws) {
     let folder = workspace.run_folder(output);
     assert!(!folder.join(format!("{stage}.parts")).exists());
     assert!(fs_err::read_to_string(folder.join("log.txt")).unwrap().contains("worker 00001: "));
-    // Who comes late finds nothing to do.
+    // A late worker finds nothing to do.
     workspace.run(output, &["--stage", stage, "--part", "work", "--worker", "1/2"]).expect(0);
 }
 

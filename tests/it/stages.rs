@@ -75,7 +75,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     }
     assert_same(&before, &files(&root));
 
-    // What a run writes can be inspected, as text and as JSON.
+    // The outputs of a run can be inspected, as text and as JSON.
     for (name, kind) in [
         ("", "run folder"),
         ("scenes", "scene store"),

@@ -27,7 +27,7 @@ fn the_quickstart_runs_in_a_folder_of_its_own() {
     assert_eq!(code, Some(0), "{printed}");
     assert!(printed.contains("inputs = [\"recordings/FIX-multi-v1_2.zip\"]"), "{printed}");
 
-    // What reads recordings or models would say if one of them were missing.
+    // A stage would complain about a missing recording or model.
     fs_err::remove_file(workspace.path("first/models/geometric.safetensors")).unwrap();
     let (code, printed) = dry_run(&workspace.path("first"), "quickstart.toml", &[]);
     assert!(code == Some(1) && printed.contains("models/geometric.safetensors"), "{printed}");

@@ -42,7 +42,7 @@ use crate::pipeline::layout::Layout;
 use std::fmt::Write;
 use std::path::Path;
 
-/// What to do when the system refuses another thread.
+/// Advice for when the system refuses another thread.
 pub(super) const NO_THREADS: &str =
     "allow the user or the container more processes (`ulimit -u` shows how many), or ask for fewer --threads";
 

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CrossAhead {
-    /// Who comes later: `ego` or a role.
+    /// The agent that comes later: `ego` or a role.
     #[serde(default = "second")]
     pub to: AgentSelector,
 }

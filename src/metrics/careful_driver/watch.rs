@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 pub(super) const IN_LANE_M: f64 = LANE_WIDTH_M / 2.0 - INTRUSION_M;
 /// The braking of others is judged over this time, seconds: over a shorter one it is noise.
 const BRAKES_OVER_S: f64 = 0.3;
-/// Who brakes by less, m/s², has stopped braking.
+/// Braking below this, m/s², has ended.
 const BRAKES_NO_MORE_MPS2: f64 = 1.0;
 /// An ego that is slower, m/s, stands.
 const STANDING_MPS: f64 = 0.3;

@@ -8,7 +8,7 @@ use crate::scene::State;
 /// Largest change of acceleration within two timesteps, m/s², beyond the largest one among the given states of the
 /// vehicle, which shows how smooth its recording is.
 const MAX_START_ACCELERATION_MPS2: f64 = 2.0;
-/// Who is slower than this at the present or around it, m/s, moves off or stops: it may do so at once.
+/// An agent slower than this around the present, m/s, moves off or stops, and may do so at once.
 const IN_MOTION_MPS: f64 = 0.5;
 /// Motion is extrapolated from the mean velocity over at most this many timesteps.
 const N_BEFORE: usize = 3;

@@ -230,7 +230,7 @@ impl Evaluate<'_> {
         Ok(Measurer::new(&ready.config, &ready.behaviors, &ready.store, events)?)
     }
 
-    /// What was recorded of each behavior, by what surrounds the center; nothing without recorded events.
+    /// Recorded events of each behavior by tags; empty without recorded events.
     fn recorded_coverage(&self, ready: &EvaluationReady, traffic: Option<&RecordedTraffic>) -> Result<CoverageTally> {
         let [tags, occurrences] = [TAGS, OCCURRENCES].map(|name| self.layout.events.with_file_name(name));
         let recordings = traffic.filter(|_| tags.exists()).map_or(&[][..], RecordedTraffic::recordings);

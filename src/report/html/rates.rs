@@ -39,7 +39,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     Some(Section::new("rates", "How often it happens", body))
 }
 
-/// What closed loops of the unguided model say, and whether that is as recorded.
+/// The rates in closed loops of the unguided model, and whether they are as recorded.
 fn calibration(model: &ReportModel) -> Markup {
     let columns = ["Behavior", "Place", "Recorded events", "Recorded in 1,000 km", "Modeled", "Factor", "Used"];
     let mut plain = PlainTable::new("Modeled against recorded rates of held-out recordings", &columns);

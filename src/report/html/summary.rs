@@ -99,7 +99,7 @@ fn got(model: &ReportModel) -> Markup {
     }
 }
 
-/// What each request wanted and what the corpus holds of it.
+/// Wanted and accepted scenarios of each request.
 fn requested(model: &ReportModel) -> Markup {
     html! {
         div class="scroll" { table {

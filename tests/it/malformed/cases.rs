@@ -18,7 +18,7 @@ pub(super) enum Edit {
     Whole(String),
     /// To so many percent of its length.
     Cut(usize),
-    /// Of the text that is named, the first, the last or all.
+    /// The first or last occurrence of a text, or all.
     Replace(Which, String, String),
     Made,
     Gone,

@@ -15,7 +15,7 @@ pub(super) type Files = BTreeMap<String, Vec<u8>>;
 pub(super) enum Input {
     /// A table in CSV, of which the mapping is in `p.toml`.
     Csv,
-    /// The same in Parquet.
+    /// The table in Parquet.
     Parquet,
     /// With classes and sizes in a table of tracks.
     Pair,
@@ -146,7 +146,7 @@ fn csv(header: &str) -> String {
     })
 }
 
-/// The same in Parquet, with these columns, of which some are text.
+/// The drive of [`csv`] in Parquet, with these columns, of which some are text.
 pub(super) fn parquet(columns: &[&str], texts: &[&str]) -> Vec<u8> {
     let numbers = |of: fn(f64) -> f64| (0..60).map(|i| of(f64::from(i))).collect::<Vec<f64>>();
     let column = |name: &&str| -> (String, ArrayRef) {

@@ -109,7 +109,7 @@ impl<'a> Walk<'a> {
         own + &one.map(|one| self.required(one, name)).unwrap_or_default()
     }
 
-    /// Those that it must have whatever its kind.
+    /// The keys that it must have, whatever its kind.
     fn needed(&self, schema: &Schema, name: &str) -> String {
         let needed = list(&schema["required"]).filter_map(Schema::as_str).filter(|other| *other != name);
         needed.map(|other| format!("{other} = {}, ", self.sample(&schema["properties"][other]))).collect()

@@ -44,7 +44,7 @@ fn about_a_tenth_of_recordings_is_held_out_whatever_others_there_are() {
     assert!((70..130).contains(&many.held_out.len()) && many.train.len() + many.held_out.len() == 1000);
     let among_fewer: Vec<usize> = many.held_out.iter().copied().filter(|idx| *idx < 600).collect();
     assert_eq!(among_fewer, fewer.held_out);
-    // Of any two there is one on each side.
+    // One of any two is on each side.
     for n in 2..12 {
         let few = of(n);
         assert!(!few.train.is_empty() && !few.held_out.is_empty(), "{n} recordings: {few:?}");
