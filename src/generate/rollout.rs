@@ -1,8 +1,7 @@
 //! How scenarios of a sweep go on in a closed loop.
 
 use crate::scene::Scene;
-use crate::settings::named;
-use crate::settings::{Issue, Result};
+use crate::settings::{Issue, Result, named};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

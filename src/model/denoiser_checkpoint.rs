@@ -4,8 +4,7 @@ use super::{ModelSpec, NetworkConfig, SceneDenoiser, SceneShape, TrainedModel};
 use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
-use crate::settings::named;
-use crate::settings::{self, Issue};
+use crate::settings::{self, Issue, named};
 use crate::tensor::{Collator, Normalizer, Sight};
 use serde::{Deserialize, Deserializer, Serialize, de};
 

@@ -1,7 +1,6 @@
 //! A rate with its interval, and what it is of.
 
-use crate::settings::named;
-use crate::settings::{Issue, Unreadable};
+use crate::settings::{Issue, Unreadable, named};
 use crate::statistics::Interval;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -2,6 +2,7 @@
 
 use crate::scene::{ObservationMask, Scene};
 use crate::seed::SeededRng;
+use crate::settings::named;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -114,20 +115,12 @@ impl MaskSampler {
     }
 }
 
-impl MaskTask {
-    /// The name in configs and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Predictive => "predictive",
-            Self::GoalConditioned => "goal_conditioned",
-            Self::AgentConditioned => "agent_conditioned",
-            Self::EgoConditioned => "ego_conditioned",
-            Self::Windowed => "windowed",
-            Self::Upsampling => "upsampling",
-            Self::Imputation => "imputation",
-        }
-    }
+named! { MaskTask {
+    Predictive = "predictive", GoalConditioned = "goal_conditioned", AgentConditioned = "agent_conditioned",
+    EgoConditioned = "ego_conditioned", Windowed = "windowed", Upsampling = "upsampling", Imputation = "imputation",
+} }
 
+impl MaskTask {
     /// Draws a mask of this task for `scene` with ego agent `ego_idx`.
     pub fn sample(self, scene: &Scene, ego_idx: usize, rng: &mut SeededRng) -> ObservationMask {
         let (n_agents, n_timesteps, n_history) = (scene.tracks.len(), scene.n_timesteps, scene.n_history);

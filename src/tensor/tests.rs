@@ -20,21 +20,11 @@ fn collate(collator: &Collator, scene: &Scene, ego_idx: usize, mask: &Observatio
     collator.collate(&[view], FutureValidity::Recorded, &Device::Cpu).unwrap()
 }
 
-const TASKS: [MaskTask; 7] = [
-    MaskTask::Predictive,
-    MaskTask::GoalConditioned,
-    MaskTask::AgentConditioned,
-    MaskTask::EgoConditioned,
-    MaskTask::Windowed,
-    MaskTask::Upsampling,
-    MaskTask::Imputation,
-];
-
 #[test]
 fn clean_states_decode_to_the_recording_under_every_task_and_parametrization() {
     let scene = three_cars();
     for parametrization in [StateParametrization::Scene, StateParametrization::Motion] {
-        for (i, task) in TASKS.into_iter().enumerate() {
+        for (i, task) in MaskTask::ALL.into_iter().enumerate() {
             let mask = task.sample(&scene, 1, &mut Seed(i as u64).rng());
             let batch = collate(&collator([&scene], parametrization), &scene, 1, &mask);
             let decoded = &batch.decode_scenes(&batch.x0, &[&scene]).unwrap()[0];
