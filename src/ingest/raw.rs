@@ -163,6 +163,9 @@ pub fn map_id(dataset: Dataset, key: &str) -> MapId {
     MapId(format!("{}/{key}", dataset.name()))
 }
 
+/// A recording is rejected if a larger share of its rows cannot be used; the rows of others are left out and named.
+pub(super) const MAX_BAD_SHARE: f64 = 0.1;
+
 /// A recording, or a scene of one, that was left out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reject {

@@ -6,7 +6,7 @@ use crate::ingest::error::Malformed;
 use crate::ingest::ids::whole_number;
 use crate::ingest::parquet_columns::{Stream, columns_of};
 use crate::ingest::quotes::{printable, split_quoted};
-use crate::ingest::raw::Finding;
+use crate::ingest::raw::{Finding, MAX_BAD_SHARE};
 use arrow::array::{Array, StringArray};
 use parquet::file::metadata::ParquetMetaData;
 use std::borrow::Cow;
@@ -15,8 +15,6 @@ use std::sync::Arc;
 
 /// The longest text of a cell, bytes: names are shorter.
 const MAX_TEXT_BYTES: usize = 1024;
-/// A table is rejected if a larger share of its rows cannot be used.
-pub(super) const MAX_BAD_SHARE: f64 = 0.1;
 /// Ids of nobody, as trackers and pandas write them.
 const NOBODY: [&str; 5] = ["", "-1", "nan", "NaN", "None"];
 
