@@ -249,11 +249,12 @@ impl Source<'_> {
             return Ok(numbers[*n_done - 1]);
         }
         let cell = self.cell(at);
-        let number = if cell.is_empty() {
-            Some(f64::NAN)
-        } else {
-            std::str::from_utf8(cell).ok().and_then(|text| text.parse().ok())
+        let parsed = |text: &str| {
+            // Where commas do not separate cells, one in a number is its decimal point.
+            let has_commas = matches!(self, Source::Text { separator, .. } if *separator != b',');
+            text.parse().ok().or_else(|| has_commas.then(|| text.replacen(',', ".", 1).parse().ok())?)
         };
+        let number = if cell.is_empty() { Some(f64::NAN) } else { std::str::from_utf8(cell).ok().and_then(parsed) };
         number.ok_or_else(|| {
             let point = if cell.contains(&b',') { " with a decimal point" } else { "" };
             format!("is \"{}\", expected a number{point}", printable(cell))
