@@ -8,8 +8,8 @@ use super::track::{TrackTable, read_tracks};
 use crate::ingest::csv_rows::without_end;
 use crate::ingest::raw::MAX_BAD_SHARE;
 use crate::ingest::windows::{Cut, Recording, frames};
-use crate::ingest::{Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject, UnitSplit};
-use crate::scene::{Dataset, Split};
+use crate::ingest::{Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject};
+use crate::scene::Dataset;
 
 /// The scene of a v1.2 case.
 ///
@@ -37,16 +37,13 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
     let first_frame = first_future - horizon.n_history as i64;
     let n_timesteps = if max_frame < first_future { horizon.n_history } else { horizon.n_timesteps() };
 
-    let split = match unit.split {
-        UnitSplit::All(split) => split,
-        UnitSplit::Divided => Split::Unsplit,
-    };
     let plain_id = plain_case_id(unit.case_id.as_bytes());
     let case = match TrackFile::of(&unit.container, &unit.file).and_then(|file| file.test_set) {
         Some(test_set) => format!("{test_set}:{plain_id}"),
         None => plain_id,
     };
     let dataset = Dataset::Interaction;
+    let split = unit.split.of_scene();
     let cut = Cut { dataset, unit, split, case, first_frame, n_timesteps, n_history: horizon.n_history };
     Ok(RawScene { findings, ..cut.scene(&tracks, 0..tracks.len()) })
 }
