@@ -5,7 +5,7 @@ use super::page::Cards;
 use super::pool::{Drives, of_driver};
 use super::rates::{Buckets, failure_rates};
 use super::report::DriveReport;
-use super::{DriveConfig, Error, Result};
+use super::{DriveConfig, Error, Result, SplitFailures};
 use crate::files::AtomicFile;
 use crate::generate::{Futures, NamedDriver};
 use crate::report::render_drives;
@@ -122,7 +122,11 @@ impl<'a> Output<'a> {
     }
 
     /// Writes what is not written yet. Returns the report, in which scenarios that could not be driven are `left_out`.
-    pub(super) fn finish(self, (left_out, buckets): (BTreeMap<String, u64>, Buckets)) -> Result<DriveReport> {
+    pub(super) fn finish(
+        self,
+        (left_out, buckets): (BTreeMap<String, u64>, Buckets),
+        split_rates: Option<Vec<SplitFailures>>,
+    ) -> Result<DriveReport> {
         let Self { out, config, again: _, states, rows, margins, log, cards, mut report } = self;
         states.finish()?;
         log.map(AtomicFile::commit).transpose()?;
@@ -130,6 +134,7 @@ impl<'a> Output<'a> {
         report.left_out = left_out;
         report.finish(&rows, config.ego.name_in_tables());
         report.rates = config.rates.then(|| failure_rates(&rows, config.ego.name_in_tables(), &buckets));
+        report.split_rates = split_rates;
         report.margins = config.bisects.then(|| Margins::of(margins));
         let page = render_drives(&cards.page(&report, &rows, config.ego.name_in_tables()));
         write_atomically::<Error>(&out.join(DRIVE_PAGE), |file| Ok(file.write_all(page.as_bytes())?))?;

@@ -107,7 +107,8 @@ fn rates(report: &DriveReport) -> Option<PlainTable> {
     for at in report.rates.as_ref()? {
         let n: u64 = at.buckets.iter().map(|bucket| bucket.n_scenarios).sum();
         let n_failed: u64 = at.buckets.iter().map(|bucket| bucket.n_failed).sum();
-        let (own, careful) = (at.per_1000_km.to_string(), at.careful_per_1000_km.to_string());
+        let [own, careful] =
+            [at.per_1000_km, at.careful_per_1000_km].map(|rate| rate.map_or_else(String::new, |rate| rate.to_string()));
         let none = String::new;
         table.push(vec![at.place.clone(), none(), none(), format!("{n_failed} of {n}"), own, careful, none(), none()]);
         for bucket in &at.buckets {
@@ -122,6 +123,12 @@ fn rates(report: &DriveReport) -> Option<PlainTable> {
                 format!("{:.0} %", 100.0 * bucket.of_interval),
             ]);
         }
+    }
+    for at in report.split_rates.iter().flatten() {
+        let (none, [own, careful]) =
+            (String::new, [at.per_1000_km, at.careful_per_1000_km].map(|rate| rate.to_string()));
+        let place = format!("{} by loops", at.place).trim_start().to_owned();
+        table.push(vec![place, none(), none(), none(), own, careful, none(), none()]);
     }
     Some(table)
 }
