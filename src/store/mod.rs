@@ -50,6 +50,7 @@ pub(crate) use corpus_layout::NO_BEHAVIOR;
 #[cfg(test)]
 pub(crate) use corpus_layout::SCENES_PER_FILE;
 pub use corpus_layout::{CorpusTable, Partition};
+pub(crate) use corpus_manifest::AIMS_AT_HARD_EVENTS;
 pub use corpus_manifest::{CorpusManifest, CorpusNotes, FileEntry, PartitionCount, TableEntry};
 pub use corpus_reader::CorpusReader;
 pub(crate) use corpus_scan::{CorpusChunk, CorpusScan, united, widened};

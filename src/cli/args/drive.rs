@@ -50,6 +50,15 @@ pub(in crate::cli) struct DriveArgs {
     /// it is tested with, times the shares that it fails
     #[arg(long, conflicts_with = "from")]
     pub(in crate::cli) rates: bool,
+    /// Say the same without buckets, too, by this many loops that begin with held-out ones of --scenes and are split
+    #[arg(long, value_name = "N", requires = "rates", requires = "scenes")]
+    pub(in crate::cli) loops: Option<usize>,
+    /// The required decelerations of the ego, m/s², at which its loops are split
+    #[arg(long, value_name = "MPS2,…", value_delimiter = ',', default_values_t = [3.0, 6.0], requires = "loops")]
+    pub(in crate::cli) levels: Vec<f64>,
+    /// The loops that go on from a level instead of one
+    #[arg(long, value_name = "N", default_value_t = 4, requires = "loops")]
+    pub(in crate::cli) copies: usize,
     /// Drive on from this saved state instead
     #[arg(
         long,
