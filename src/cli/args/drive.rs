@@ -1,5 +1,6 @@
 //! Arguments of `djinn drive` and `djinn score`.
 
+use super::export::WhichArgs;
 use super::{DeviceChoice, on_disk};
 use crate::drive::SaveAt;
 use crate::export::Selection;
@@ -97,18 +98,8 @@ pub(in crate::cli) struct ScoreArgs {
 /// The scenarios that are driven, of those that were accepted, and the vehicle in them.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ChosenArgs {
-    /// Only scenarios of this requested behavior, such as cut_in
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) behavior: Option<String>,
-    /// Only scenarios of this sweep; if nothing is requested in it, its valid ones
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) sweep: Option<String>,
-    /// Only the scenario with this id (may be repeated)
-    #[arg(long = "scenario", value_name = "ID")]
-    pub(in crate::cli) scenarios: Vec<String>,
-    /// Only the first N accepted scenarios of the corpus
-    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
-    pub(in crate::cli) limit: Option<usize>,
+    #[command(flatten)]
+    pub(in crate::cli) which: WhichArgs,
     /// The vehicle that is driven: `event`, the one to which the requested event happens; `scene`, the center of the
     /// recorded window; or the name of a track
     #[arg(long, value_name = "event|scene|TRACK", default_value = "event")]
@@ -133,14 +124,7 @@ pub(in crate::cli) struct DriveGates {
 impl ChosenArgs {
     /// The selection of accepted scenarios, and of ordinary ones that are named.
     pub(in crate::cli) fn selection(&self) -> Selection {
-        Selection {
-            only_accepted: true,
-            also_ordinary: self.sweep.is_some() || !self.scenarios.is_empty(),
-            behavior: self.behavior.clone(),
-            sweep: self.sweep.clone(),
-            scenario_ids: self.scenarios.clone(),
-            limit: self.limit,
-            ..Selection::default()
-        }
+        let also_ordinary = self.which.sweep.is_some() || !self.which.scenarios.is_empty();
+        Selection { only_accepted: true, also_ordinary, ..self.which.selection() }
     }
 }
