@@ -8,6 +8,7 @@ use super::speed_profile::smoothed_accelerations_mps2;
 use super::{hard_brake, near_miss};
 use crate::geometry::{Path, Vec2};
 use crate::scene::{LaneDuty, Scene, State, Track};
+use crate::settings::named;
 use std::f64::consts::FRAC_PI_6;
 
 /// Comfortable braking, half of the least hard one, m/s². Whoever can do with it has no cause to brake hard.
@@ -64,40 +65,11 @@ pub enum Cause {
     GapMisjudged,
 }
 
-impl Cause {
-    /// Every cause.
-    pub const ALL: [Self; 9] = [
-        Self::Vulnerable,
-        Self::ComesIn,
-        Self::Crosses,
-        Self::StandsAhead,
-        Self::BrakesAhead,
-        Self::SlowerAhead,
-        Self::StopLine,
-        Self::LookedTooLate,
-        Self::GapMisjudged,
-    ];
-
-    /// Its name in tables.
-    pub const fn id(self) -> &'static str {
-        match self {
-            Self::Vulnerable => "vulnerable",
-            Self::ComesIn => "comes_in",
-            Self::Crosses => "crosses",
-            Self::StandsAhead => "stands_ahead",
-            Self::BrakesAhead => "brakes_ahead",
-            Self::SlowerAhead => "slower_ahead",
-            Self::StopLine => "stop_line",
-            Self::LookedTooLate => "looked_too_late",
-            Self::GapMisjudged => "gap_misjudged",
-        }
-    }
-
-    /// The cause of this name.
-    pub fn from_id(id: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|cause| cause.id() == id)
-    }
-}
+named! { Cause {
+    Vulnerable = "vulnerable", ComesIn = "comes_in", Crosses = "crosses", StandsAhead = "stands_ahead",
+    BrakesAhead = "brakes_ahead", SlowerAhead = "slower_ahead", StopLine = "stop_line",
+    LookedTooLate = "looked_too_late", GapMisjudged = "gap_misjudged",
+} }
 
 /// The cause of an event, and the size of the mistake if it is one, seconds.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -2,6 +2,7 @@
 
 use crate::geometry::angle_difference;
 use crate::scene::{Roles, Scene, SceneId, TrackId};
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -19,15 +20,7 @@ pub enum EventLabel {
     Negative,
 }
 
-impl EventLabel {
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Positive => "positive",
-            Self::Negative => "negative",
-        }
-    }
-}
+named! { EventLabel { Positive = "positive", Negative = "negative" } }
 
 /// An event found in a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

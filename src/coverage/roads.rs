@@ -3,7 +3,8 @@
 use super::tags::REACH_M;
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::f64::consts::PI;
 
 /// The longest way around a roundabout, meters: a diameter of 110 m.
@@ -13,44 +14,50 @@ const LEAST_ROUNDNESS: f64 = 0.85;
 /// Lanes that cross at a lesser angle become one, or part, rad.
 const LEAST_CROSSING_RAD: f64 = 0.35;
 
-/// The values of the attributes `junction` and `lanes` around a point: their indices among
+/// The values of the attributes `junction` and `lanes` around a point, by their names among
 /// [`ATTRIBUTES`](super::ATTRIBUTES).
-pub(super) fn of(graph: &LaneGraph, center: Vec2) -> (usize, usize) {
+pub(super) fn of(graph: &LaneGraph, center: Vec2) -> [&'static str; 2] {
     let is_near = |lane: &&Lane| lane.centerline.project(center).is_some_and(|at| at.point.distance(center) <= REACH_M);
     let near: Vec<&Lane> = graph.lanes().iter().filter(is_near).collect();
     if near.is_empty() {
-        return (4, 3);
+        return ["unknown", "unknown"];
     }
     let junction = if near.iter().any(|lane| leads_around(graph, lane)) {
-        0
+        "roundabout"
     } else if near.iter().any(|lane| lane.attributes.is_intersection) || any_cross(&near, center) {
-        1
+        "intersection"
     } else if near.iter().any(|lane| takes_in(graph, lane)) {
-        2
+        "merge"
     } else {
-        3
+        "none"
     };
     let most = near.iter().map(|lane| n_abreast(graph, lane)).max().unwrap_or(1);
-    (junction, most.min(3) - 1)
+    [junction, ["1", "2", "3_or_more"][most.min(3) - 1]]
 }
 
-/// Whether lanes that follow on from this one lead back to it in a circle.
+/// Whether a shortest way from the end of this lane back to it leads around in a circle.
 fn leads_around(graph: &LaneGraph, first: &Lane) -> bool {
-    let Some(start) = first.centerline.0.first() else { return false };
-    let mut open: Vec<(Vec<LaneId>, f64)> = vec![(vec![first.id], first.centerline.length_m())];
-    while let Some((way, length_m)) = open.pop() {
-        let Some(last) = way.last().and_then(|id| graph.get(*id)) else { continue };
-        if last.successors.contains(&first.id) && is_circle(graph, &way, length_m) {
-            return true;
+    // Dijkstra (1959): the shortest length to the end of each lane, micrometers, and the lane before it.
+    let um = |lane: &Lane| (lane.centerline.length_m() * 1e6) as u64;
+    let mut open = BinaryHeap::from([Reverse((um(first), first.id, None))]);
+    let mut before: BTreeMap<LaneId, Option<LaneId>> = BTreeMap::new();
+    while let Some(Reverse((length_um, id, from))) = open.pop() {
+        let length_m = length_um as f64 * 1e-6;
+        if length_m > MOST_AROUND_M || before.contains_key(&id) {
+            continue;
         }
-        for next in last.successors.iter().filter(|id| !way.contains(id)).filter_map(|id| graph.get(*id)) {
-            let length_m = length_m + next.centerline.length_m();
-            let back_m = next.centerline.0.last().map_or(f64::INFINITY, |end| end.distance(*start));
-            // A chord is at most as long as the rest of the way.
-            if length_m + back_m <= MOST_AROUND_M {
-                open.push((way.iter().copied().chain([next.id]).collect(), length_m));
+        before.insert(id, from);
+        let Some(last) = graph.get(id) else { continue };
+        if last.successors.contains(&first.id) {
+            let back = std::iter::successors(Some(id), |id| before.get(id).copied().flatten());
+            let mut way: Vec<LaneId> = back.collect();
+            way.reverse();
+            if is_circle(graph, &way, length_m) {
+                return true;
             }
         }
+        let next = last.successors.iter().filter_map(|id| graph.get(*id));
+        open.extend(next.map(|next| Reverse((length_um + um(next), next.id, Some(id)))));
     }
     false
 }
@@ -147,16 +154,16 @@ mod tests {
 
     #[test]
     fn junctions_are_told_by_how_lanes_lie() {
-        let junction = |graph: &LaneGraph, x: f64| of(graph, Vec2::new(x, 0.0)).0;
+        let junction = |graph: &LaneGraph, x: f64| of(graph, Vec2::new(x, 0.0))[0];
         let circle = |radius_m: f64| {
             around(move |quarters| {
                 let (sin, cos) = (quarters * PI / 2.0).sin_cos();
                 [radius_m * cos, radius_m * sin]
             })
         };
-        assert_eq!([junction(&circle(15.0), 30.0), junction(&circle(50.0), 0.0)], [0, 0]);
-        assert_eq!(junction(&circle(15.0), 100.0), 4, "nothing is within 50 m");
-        assert_eq!(junction(&circle(60.0), 60.0), 3, "its circumference is 377 m");
+        assert_eq!([junction(&circle(15.0), 30.0), junction(&circle(50.0), 0.0)], ["roundabout"; 2]);
+        assert_eq!(junction(&circle(15.0), 100.0), "unknown", "nothing is within 50 m");
+        assert_eq!(junction(&circle(60.0), 60.0), "none", "its circumference is 377 m");
         // Around a block of houses: by the sides of a square.
         let block = around(|quarters| {
             let (side, along) = ((quarters % 4.0).floor(), quarters.fract() * 80.0);
@@ -164,19 +171,38 @@ mod tests {
             let (sin, cos) = (side * PI / 2.0).sin_cos();
             [x * cos - y * sin, x * sin + y * cos]
         });
-        assert_ne!(junction(&block, 30.0), 0);
+        assert_ne!(junction(&block, 30.0), "roundabout");
 
         let straight = [[-60.0, 0.0], [60.0, 0.0]];
         let crossing = [[0.0, -60.0], [0.0, 60.0]];
-        assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &crossing, &[])]), -40.0), 1);
-        assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &crossing, &[])]), -58.0), 3, "it is 58 m away");
+        assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &crossing, &[])]), -40.0), "intersection");
+        assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &crossing, &[])]), -58.0), "none", "it is 58 m away");
         let beside = [[-60.0, 3.5], [60.0, -1.0]];
-        assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &beside, &[])]), 0.0), 3, "their angle is 2 degrees");
+        assert_eq!(
+            junction(&graph(&[(1, &straight, &[]), (2, &beside, &[])]), 0.0),
+            "none",
+            "their angle is 2 degrees"
+        );
         let (before, ramp, after) =
             ([[-60.0, 0.0], [0.0, 0.0]], [[-60.0, -20.0], [0.0, 0.0]], [[0.0, 0.0], [60.0, 0.0]]);
-        assert_eq!(junction(&graph(&[(1, &before, &[3]), (2, &ramp, &[3]), (3, &after, &[])]), 0.0), 2);
-        assert_eq!(junction(&graph(&[(1, &before, &[3]), (3, &after, &[])]), 0.0), 3);
-        assert_eq!(of(&LaneGraph::default(), Vec2::default()), (4, 3));
+        assert_eq!(junction(&graph(&[(1, &before, &[3]), (2, &ramp, &[3]), (3, &after, &[])]), 0.0), "merge");
+        assert_eq!(junction(&graph(&[(1, &before, &[3]), (3, &after, &[])]), 0.0), "none");
+        assert_eq!(of(&LaneGraph::default(), Vec2::default()), ["unknown"; 2]);
+        // Of streets every 10 m there are more ways of 350 m than could be followed.
+        let n = 12;
+        let at = |x: i64, y: i64| x * n + y;
+        let street =
+            |x: i64, y: i64| [[10.0 * x as f64, 10.0 * y as f64], [10.0 * x as f64 + 7.0, 10.0 * y as f64 + 7.0]];
+        let corners: Vec<(i64, i64)> = (0..n).flat_map(|x| (0..n).map(move |y| (x, y))).collect();
+        let lines: Vec<[[f64; 2]; 2]> = corners.iter().map(|(x, y)| street(*x, *y)).collect();
+        let beside = |x: i64, y: i64| {
+            let all = [(x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)].into_iter();
+            all.filter(|(x, y)| (0..n).contains(x) && (0..n).contains(y)).map(|(x, y)| at(x, y)).collect::<Vec<i64>>()
+        };
+        let next: Vec<Vec<i64>> = corners.iter().map(|(x, y)| beside(*x, *y)).collect();
+        let lanes =
+            corners.iter().zip(&lines).zip(&next).map(|(((x, y), line), next)| (at(*x, *y), &line[..], &next[..]));
+        assert_eq!(junction(&graph(&lanes.collect::<Vec<_>>()), 50.0), "merge");
     }
 
     #[test]
@@ -197,8 +223,8 @@ mod tests {
             LaneGraph::new(lanes)
         };
         let at = |graph: &LaneGraph| of(graph, Vec2::new(-20.0, 0.0));
-        assert_eq!(at(&side_by_side(1, &[0])), (3, 0));
-        assert_eq!(at(&side_by_side(2, &[0])), (2, 1), "the left one ends");
-        assert_eq!(at(&side_by_side(4, &[])), (3, 2), "the map ends");
+        assert_eq!(at(&side_by_side(1, &[0])), ["none", "1"]);
+        assert_eq!(at(&side_by_side(2, &[0])), ["merge", "2"], "the left one ends");
+        assert_eq!(at(&side_by_side(4, &[])), ["none", "3_or_more"], "the map ends");
     }
 }

@@ -1,6 +1,7 @@
 //! A cell of the operational design domain, and how many cells are covered.
 
 use super::Tag;
+use crate::settings::named;
 use crate::statistics::Interval;
 
 /// What was recorded and made of a behavior in surroundings with one tag, two, or any.
@@ -39,17 +40,9 @@ pub enum CellState {
     NoSuchPlace,
 }
 
-impl CellState {
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Covered => "covered",
-            Self::Missing => "missing",
-            Self::NeverRecorded => "never_recorded",
-            Self::NoSuchPlace => "no_such_place",
-        }
-    }
-}
+named! { CellState {
+    Covered = "covered", Missing = "missing", NeverRecorded = "never_recorded", NoSuchPlace = "no_such_place",
+} }
 
 impl CoverageRow {
     /// What it is to one who asks for coverage.

@@ -133,10 +133,11 @@ impl Tags {
         let [pedestrian, cyclist, either] =
             [AgentClass::Pedestrian, AgentClass::Cyclist, AgentClass::PedestrianOrCyclist]
                 .map(|class| near.iter().any(|track| track.class == class));
-        let (junction, lanes) = roads::of(&scene.lanes, center.position);
+        let roads = roads::of(&scene.lanes, center.position);
+        let [junction, lanes] = [0, 1].map(|i| ATTRIBUTES[i].values.iter().position(|value| *value == roads[i]));
         Self([
-            junction,
-            lanes,
+            junction.unwrap_or_default(),
+            lanes.unwrap_or_default(),
             if speeds_mps.is_empty() { 4 } else { at_least(mean_km_h, &[15.0, 30.0, 60.0]) },
             at_least(speeds_mps.len() as f64, &[5.0, 10.0]),
             if either { 4 } else { usize::from(pedestrian) + 2 * usize::from(cyclist) },

@@ -3,7 +3,7 @@
 use super::{EgoDriver, Error, Result};
 use crate::export::Selection;
 use crate::generate::{Futures, NamedDriver};
-use crate::simulate::{RolloutConfig, World};
+use crate::simulate::{RatesConfig, RolloutConfig, World};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -22,6 +22,8 @@ pub struct DriveConfig {
     pub bisects: bool,
     /// Whether to find how often the driver would fail on the roads of the corpus.
     pub rates: bool,
+    /// Loops from recorded scenes, split, to find the same without buckets.
+    pub split: Option<RatesConfig>,
     /// Scenarios driven at the same time, each with a planner of its own.
     pub n_workers: usize,
     /// The version of the program: drives of another one are not reused.
@@ -34,6 +36,10 @@ impl DriveConfig {
     /// Rejects settings with which this model cannot drive.
     pub(super) fn check(&self, futures: &Futures<'_>) -> Result<()> {
         self.rollout.check(futures)?;
+        if self.split.is_some() && self.scenes.is_none() {
+            let why = "loops begin with recorded scenes: name their folder with --scenes";
+            return Err(Error::Config(why.to_owned()));
+        }
         if self.ego.name().trim().is_empty() {
             let names = NamedDriver::ALL.map(NamedDriver::name).join(", ");
             return Err(Error::Config(format!("--ego is empty, expected {names} or the command of a planner")));

@@ -31,7 +31,7 @@ pub use error::{Error, Result};
 pub use margin::{DelaySurvived, Margin, Margins};
 pub use output::{DRIVE_FILE, DRIVE_PAGE, DRIVEN_FILE, DRIVES_FILE, PLANNER_LOG, STATES_DIR};
 pub use process::kill_planners;
-pub use rates::{BucketFailures, FailureRates};
+pub use rates::{BucketFailures, FailureRates, SplitFailures};
 pub use report::{DriveReport, Failures, Matters, Part};
 pub use run::drive_corpus;
 pub use score::score;

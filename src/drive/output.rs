@@ -5,7 +5,8 @@ use super::page::Cards;
 use super::pool::{Drives, of_driver};
 use super::rates::{Buckets, failure_rates};
 use super::report::DriveReport;
-use super::{DriveConfig, Error, Result};
+use super::{DriveConfig, Error, Result, SplitFailures};
+use crate::coverage::Tags;
 use crate::files::AtomicFile;
 use crate::generate::{Futures, NamedDriver};
 use crate::report::render_drives;
@@ -37,6 +38,8 @@ pub(super) struct Output<'a> {
     again: String,
     states: DrivenWriter,
     rows: Vec<DriveRow>,
+    /// The tags of scenarios.
+    tags: BTreeMap<String, Tags>,
     margins: Vec<Margin>,
     log: Option<AtomicFile>,
     cards: Cards,
@@ -65,6 +68,7 @@ impl<'a> Output<'a> {
             again,
             states: DrivenWriter::create(&out.join(DRIVEN_FILE))?,
             rows: Vec::new(),
+            tags: BTreeMap::new(),
             margins: Vec::new(),
             log: None,
             cards: Cards::default(),
@@ -74,6 +78,7 @@ impl<'a> Output<'a> {
 
     /// Adds the drives of a situation.
     pub(super) fn add(&mut self, situation: &Situation, (drives, margin): Drives) -> Result<()> {
+        self.tags.insert(situation.scenario_id.clone(), Tags::of(&situation.scene));
         let careful = of_driver(&drives, NamedDriver::Careful);
         let judged = careful.map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
         let careful_survives = judged.map(|outcome| outcome == Outcome::Survived);
@@ -122,16 +127,21 @@ impl<'a> Output<'a> {
     }
 
     /// Writes what is not written yet. Returns the report, in which scenarios that could not be driven are `left_out`.
-    pub(super) fn finish(self, (left_out, buckets): (BTreeMap<String, u64>, Buckets)) -> Result<DriveReport> {
-        let Self { out, config, again: _, states, rows, margins, log, cards, mut report } = self;
+    pub(super) fn finish(
+        self,
+        (left_out, buckets): (BTreeMap<String, u64>, Buckets),
+        split_rates: Option<Vec<SplitFailures>>,
+    ) -> Result<DriveReport> {
+        let Self { out, config, again: _, states, rows, tags, margins, log, cards, mut report } = self;
         states.finish()?;
         log.map(AtomicFile::commit).transpose()?;
         write_drives(&out.join(DRIVES_FILE), &rows)?;
         report.left_out = left_out;
         report.finish(&rows, config.ego.name_in_tables());
         report.rates = config.rates.then(|| failure_rates(&rows, config.ego.name_in_tables(), &buckets));
+        report.split_rates = split_rates;
         report.margins = config.bisects.then(|| Margins::of(margins));
-        let page = render_drives(&cards.page(&report, &rows, config.ego.name_in_tables()));
+        let page = render_drives(&cards.page(&report, &rows, config.ego.name_in_tables(), &tags));
         write_atomically::<Error>(&out.join(DRIVE_PAGE), |file| Ok(file.write_all(page.as_bytes())?))?;
         write_json_atomically(&out.join(DRIVE_FILE), &report)?;
         Ok(report)

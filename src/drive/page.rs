@@ -1,6 +1,7 @@
 //! The page of a drive, for people: the failures that matter, and both drives to play side by side.
 
 use super::report::DriveReport;
+use crate::coverage::{Tag, Tags};
 use crate::quantile::quantile;
 use crate::report::{DriveCell, DriveGrid, DrivesPage, Fact, PlainTable, SceneCard};
 use crate::scenario::DriveRow;
@@ -55,8 +56,14 @@ impl Cards {
         self.0.truncate(MOST_DRAWN);
     }
 
-    /// The page of these cards, the report and the rows of `asked`.
-    pub(super) fn page(self, report: &DriveReport, rows: &[DriveRow], asked: &str) -> DrivesPage {
+    /// The page of these cards, the report, the rows of `asked` and the tags of scenarios.
+    pub(super) fn page(
+        self,
+        report: &DriveReport,
+        rows: &[DriveRow],
+        asked: &str,
+        tags: &BTreeMap<String, Tags>,
+    ) -> DrivesPage {
         let steady = report.n_survived_at_constant_velocity.map(|n| Fact::new("Survived at constant velocity, too", n));
         let median = report.margins.as_ref().map(|margins| {
             let [own, careful] = margins.median_delay_s;
@@ -84,7 +91,9 @@ impl Cards {
             title: format!("Drives of {}", report.ego),
             facts,
             tables: rates(report).into_iter().chain([outcomes(report), behaviors(report), traffic(report)]).collect(),
-            grids: by_behavior.into_iter().filter_map(|(behavior, rows)| grid(behavior, &rows)).collect(),
+            grids: (surroundings(&by_behavior, tags).into_iter())
+                .chain(by_behavior.iter().filter_map(|(behavior, rows)| grid(behavior, rows)))
+                .collect(),
             n_matter: report.that_matter.len(),
             scenes: self.0.into_iter().map(|(_, card)| card).collect(),
         }
@@ -107,7 +116,8 @@ fn rates(report: &DriveReport) -> Option<PlainTable> {
     for at in report.rates.as_ref()? {
         let n: u64 = at.buckets.iter().map(|bucket| bucket.n_scenarios).sum();
         let n_failed: u64 = at.buckets.iter().map(|bucket| bucket.n_failed).sum();
-        let (own, careful) = (at.per_1000_km.to_string(), at.careful_per_1000_km.to_string());
+        let [own, careful] =
+            [at.per_1000_km, at.careful_per_1000_km].map(|rate| rate.map_or_else(String::new, |rate| rate.to_string()));
         let none = String::new;
         table.push(vec![at.place.clone(), none(), none(), format!("{n_failed} of {n}"), own, careful, none(), none()]);
         for bucket in &at.buckets {
@@ -122,6 +132,12 @@ fn rates(report: &DriveReport) -> Option<PlainTable> {
                 format!("{:.0} %", 100.0 * bucket.of_interval),
             ]);
         }
+    }
+    for at in report.split_rates.iter().flatten() {
+        let (none, [own, careful]) =
+            (String::new, [at.per_1000_km, at.careful_per_1000_km].map(|rate| rate.to_string()));
+        let place = format!("{} by loops", at.place).trim_start().to_owned();
+        table.push(vec![place, none(), none(), none(), own, careful, none(), none()]);
     }
     Some(table)
 }
@@ -215,20 +231,44 @@ fn grid(behavior: &str, rows: &[&DriveRow]) -> Option<DriveGrid> {
     for row in rows {
         let at = place(row, &ranges[0], across).zip(place(row, &ranges[1], down));
         let Some(cell) = at.and_then(|(x, y)| cells.get_mut(y)?.get_mut(x)) else { continue };
-        let has_failed = Outcome::ALL.iter().any(|outcome| outcome.is_failure() && outcome.name() == row.outcome);
-        cell.n += 1;
-        cell.n_failed += u64::from(has_failed);
-        cell.n_avoidable += u64::from(has_failed && row.careful_survives == Some(true));
-        cell.n_careful_failed += u64::from(row.careful_survives == Some(false));
+        count(cell, row);
     }
-    let parameters = [across, down].map(str::to_owned);
-    (rows.len() >= LEAST_SCENARIOS).then(|| DriveGrid { behavior: behavior.to_owned(), parameters, ranges, cells })
+    let (axes, names) =
+        ([across, down].map(str::to_owned), ranges.map(|r| r.into_iter().map(DriveGrid::range).collect()));
+    (rows.len() >= LEAST_SCENARIOS).then(|| DriveGrid { title: behavior.to_owned(), axes, names, cells })
+}
+
+/// The failures by behavior and tag; `None` without any tag.
+fn surroundings(by_behavior: &BTreeMap<&str, Vec<&DriveRow>>, tags: &BTreeMap<String, Tags>) -> Option<DriveGrid> {
+    let mut cells: BTreeMap<Tag, Vec<DriveCell>> = BTreeMap::new();
+    for (column, row) in by_behavior.values().enumerate().flat_map(|(i, rows)| rows.iter().map(move |row| (i, row))) {
+        for tag in tags.get(&row.scenario_id).into_iter().flat_map(|tags| tags.each()) {
+            let of_tag = cells.entry(tag).or_insert_with(|| vec![DriveCell::default(); by_behavior.len()]);
+            of_tag.get_mut(column).into_iter().for_each(|cell| count(cell, row));
+        }
+    }
+    let behaviors = by_behavior.keys().map(|behavior| behavior.replace('_', " ")).collect();
+    let rows = cells.keys().map(|tag| format!("{}: {}", tag.attribute().name, tag.value()).replace('_', " ")).collect();
+    let (axes, names) = (["behavior", "surroundings"].map(str::to_owned), [behaviors, rows]);
+    let title = "By surroundings".to_owned();
+    (!cells.is_empty()).then(|| DriveGrid { title, axes, names, cells: cells.into_values().collect() })
+}
+
+fn count(cell: &mut DriveCell, row: &DriveRow) {
+    let has_failed = Outcome::ALL.iter().any(|outcome| outcome.is_failure() && outcome.name() == row.outcome);
+    cell.n += 1;
+    cell.n_failed += u64::from(has_failed);
+    cell.n_avoidable += u64::from(has_failed && row.careful_survives == Some(true));
+    cell.n_careful_failed += u64::from(row.careful_survives == Some(false));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::report::render_drives;
+    use crate::scene::Scene;
+    use crate::scene::testing::{Drive, scene};
+    use std::sync::Arc;
 
     #[test]
     fn a_heat_map_counts_failures_and_shows_where_the_careful_driver_fails_too() {
@@ -247,7 +287,7 @@ mod tests {
             })
             .collect();
         let grid = grid("cut_in", &rows.iter().collect::<Vec<_>>()).unwrap();
-        assert_eq!(grid.parameters, ["gap_m", "relative_speed_mps"].map(str::to_owned));
+        assert_eq!(grid.axes, ["gap_m", "relative_speed_mps"].map(str::to_owned));
         let sums = (0..N_PARTS).map(|x| {
             grid.cells.iter().map(|row| row[x]).fold([0; 4], |sum, cell| {
                 let cell = [cell.n, cell.n_failed, cell.n_avoidable, cell.n_careful_failed];
@@ -256,7 +296,13 @@ mod tests {
         });
         assert_eq!(sums.collect::<Vec<_>>(), [[8, 8, 2, 6], [8, 4, 4, 0], [8, 0, 0, 0], [8, 0, 0, 0]]);
         let report = DriveReport::new(&crate::drive::EgoDriver::from_name("idm"), None, 1, "m");
-        let page = render_drives(&Cards::default().page(&report, &rows, "planner"));
+        let none = Scene { lanes: Arc::default(), ..scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]) };
+        let tags = BTreeMap::from([(rows[0].scenario_id.clone(), Tags::of(&none))]);
+        let page = Cards::default().page(&report, &rows, "planner", &tags);
+        let (names, cells) = (&page.grids[0].names, &page.grids[0].cells);
+        assert!(names[0] == ["cut in"] && names[1][0] == "junction: unknown" && names[1].len() == 5, "{names:?}");
+        assert!(cells.iter().all(|row| row[0].n == 32 && row[0].n_failed == 12), "{cells:?}");
+        let page = render_drives(&page);
         assert!(page.contains("short beyond") && page.contains("cut in") && !page.contains("<article"));
         assert!(page.contains("survives 0 scenarios that this driver does not.") && !page.contains("come first"));
     }

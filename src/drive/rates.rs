@@ -2,10 +2,11 @@
 //! shares of them that it fails.
 
 use crate::generate::NamedDriver;
-use crate::rates::BucketRate;
+use crate::rates::{Asked, BucketRate, ModeledTraffic, Within};
 use crate::scenario::{DriveRow, ScenarioRecord};
-use crate::simulate::Outcome;
+use crate::simulate::{FAILURE, Outcome};
 use crate::statistics::{Estimate, wilson_interval};
+use crate::store::CorpusManifest;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -15,13 +16,47 @@ pub(super) type Bucket = [String; 3];
 /// The buckets of driven scenarios, by scenario, with the rates that the corpus gives.
 pub(super) type Buckets = BTreeMap<String, (Bucket, BucketRate)>;
 
-/// The bucket of a scenario: of its request or, without one, its behavior. `None` if the corpus gives no rate.
-pub(super) fn bucket(record: &ScenarioRecord) -> Option<(Bucket, BucketRate)> {
-    let rate = record.assessment.as_ref()?.rate?;
+/// The bucket of a scenario: of its request or, without one, its behavior. `None` without an event. Without a rate, the
+/// scenario tells nothing of failures in it: the corpus gives none, or its sweep aims at hard events.
+pub(super) fn bucket(record: &ScenarioRecord, corpus: &CorpusManifest) -> Option<(Bucket, BucketRate)> {
+    let rate = record.assessment.as_ref().and_then(|assessment| assessment.rate);
+    let rate = rate.filter(|_| !corpus.aims_at_hard_events(&record.sweep)).unwrap_or(BucketRate::UNKNOWN);
     let ranges = record.request.as_ref().and_then(|request| request.bucket.as_ref()).map(|bucket| &bucket.ranges);
     let behavior = record.main_event()?.behavior.clone();
     let place = record.scenario.scene.source.place.clone();
     Some(([place, behavior, ranges.cloned().unwrap_or_default()], rate))
+}
+
+/// Failures in 1,000 km at a place by loops that begin with recorded scenes and are split, without buckets.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SplitFailures {
+    /// The place; empty for all together.
+    pub place: String,
+    /// Failures of the driver under test in 1,000 km.
+    pub per_1000_km: Estimate,
+    /// Failures of the careful driver.
+    pub careful_per_1000_km: Estimate,
+    /// Ends of loops in which either fails.
+    pub n_failed: [u64; 2],
+}
+
+impl SplitFailures {
+    /// Those at each place, from the loops of the driver under test and of the careful one.
+    pub(super) fn of(traffic: &[ModeledTraffic; 2]) -> Vec<Self> {
+        let places = traffic[0].places();
+        let everywhere = (places.len() > 1).then_some(None);
+        let at = |place: Option<&str>| {
+            let all = Within::default();
+            let rates = traffic.each_ref().map(|traffic| {
+                let row = traffic.rate(Asked { place, split: None, behavior: FAILURE, within: &all })?;
+                Some((Estimate::new(row.rate_per_1000_km?, row.per_1000_km?), row.n_events))
+            });
+            let [Some((per_1000_km, n)), Some((careful_per_1000_km, n_careful))] = rates else { return None };
+            let place = place.unwrap_or_default().to_owned();
+            Some(Self { place, per_1000_km, careful_per_1000_km, n_failed: [n, n_careful] })
+        };
+        everywhere.into_iter().chain(places.iter().map(|place| Some(*place))).filter_map(at).collect()
+    }
 }
 
 /// Failures in 1,000 km at a place: of the driver under test, and of the careful one.
@@ -29,13 +64,13 @@ pub(super) fn bucket(record: &ScenarioRecord) -> Option<(Bucket, BucketRate)> {
 pub struct FailureRates {
     /// The place.
     pub place: String,
-    /// Failures of the driver under test in 1,000 km.
-    pub per_1000_km: Estimate,
+    /// Failures of the driver under test in 1,000 km; `None` without buckets that have a rate.
+    pub per_1000_km: Option<Estimate>,
     /// Failures of the careful driver.
-    pub careful_per_1000_km: Estimate,
+    pub careful_per_1000_km: Option<Estimate>,
     /// The sum's parts, the largest first.
     pub buckets: Vec<BucketFailures>,
-    /// Scenarios whose bucket has no rate, and which are not in the sum.
+    /// Scenarios whose bucket has no rate or which aim at hard events, and which are not in the sum.
     pub n_without_rate: u64,
 }
 
@@ -129,6 +164,8 @@ pub(super) fn failure_rates(rows: &[DriveRow], asked: &str, buckets: &Buckets) -
         }
         buckets
             .sort_by(|a, b| b.per_1000_km.value.total_cmp(&a.per_1000_km.value).then_with(|| a.name().cmp(&b.name())));
+        let known = |sum: Estimate| (!buckets.is_empty()).then_some(sum);
+        let [per_1000_km, careful_per_1000_km] = [per_1000_km, careful_per_1000_km].map(known);
         FailureRates { place: place.to_owned(), per_1000_km, careful_per_1000_km, buckets, n_without_rate }
     };
     places.into_iter().map(of_place).collect()
@@ -176,8 +213,9 @@ mod tests {
         let found = failure_rates(&rows, "planner", &known);
         let [at] = found.as_slice() else { panic!("one place") };
         assert_eq!((at.place.as_str(), at.n_without_rate, at.buckets.len()), ("A", 10, 3));
-        assert!((at.per_1000_km.value - 3.0).abs() < 1e-9 && at.careful_per_1000_km.value == 0.0);
-        let Interval { low, high } = at.per_1000_km.interval;
+        let [own, careful] = [at.per_1000_km, at.careful_per_1000_km].map(Option::unwrap);
+        assert!((own.value - 3.0).abs() < 1e-9 && careful.value == 0.0);
+        let Interval { low, high } = own.interval;
         assert!(low > 0.0 && low < 2.0 && high > 11.0 && high < 13.0, "{low} to {high}");
         let names: Vec<String> = at.buckets.iter().map(BucketFailures::name).collect();
         assert_eq!(names, ["cut_in gap_m 5..10", "cut_in gap_m 0..5", "cut_in gap_m -5..0"]);

@@ -1,6 +1,6 @@
 //! The result of driving a corpus in figures: how many drives failed and how, and which failures matter.
 
-use super::{EgoDriver, FailureRates, Margins};
+use super::{EgoDriver, FailureRates, Margins, SplitFailures};
 use crate::generate::NamedDriver;
 use crate::quantile::quantile;
 use crate::scenario::DriveRow;
@@ -53,6 +53,9 @@ pub struct DriveReport {
     /// requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rates: Option<Vec<FailureRates>>,
+    /// The same by splitting, without buckets; missing if that was not requested.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub split_rates: Option<Vec<SplitFailures>>,
     /// By driver: traffic over the stretches of `bands_s`.
     pub traffic: BTreeMap<String, Traffic>,
     /// The stretches of `traffic`, seconds after the present.
@@ -148,7 +151,7 @@ impl DriveReport {
 
     pub(super) fn new(ego: &EgoDriver, rollout: Option<RolloutConfig>, seed: u64, model: &str) -> Self {
         Self {
-            schema: "drive_report.v5",
+            schema: "drive_report.v6",
             ego: ego.name().to_owned(),
             seed,
             model: model.to_owned(),
@@ -165,6 +168,7 @@ impl DriveReport {
             that_matter: Vec::new(),
             margins: None,
             rates: None,
+            split_rates: None,
             traffic: BTreeMap::new(),
             bands_s: BANDS_S,
         }

@@ -11,6 +11,7 @@ use crate::generate::Futures;
 use crate::progress::Progress;
 use crate::scenario::EgoChoice;
 use crate::store::{CorpusReader, SceneStore};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Drives scenarios of the corpus in `corpus`, in its order, and writes tables and report into the folder `out`, which
@@ -52,7 +53,11 @@ pub fn drive_corpus(
         }
     }
     progress.finish();
-    let report = output.finish(starts.finish()?)?;
+    let split = match config.split.as_ref().zip(scenes.as_ref()) {
+        Some((split, scenes)) => Some(pool.split(split, scenes, &places(&reader), progress)?),
+        None => None,
+    };
+    let report = output.finish(starts.finish()?, split)?;
     folder.commit()?;
     if kept.n_found() > 0 {
         progress.warn(&format!(
@@ -62,6 +67,12 @@ pub fn drive_corpus(
     }
     kept.remove()?;
     Ok(report)
+}
+
+/// The places of a corpus.
+fn places(reader: &CorpusReader) -> Vec<String> {
+    let places = reader.manifest().scenarios_by_partition.iter().map(|part| part.place.clone());
+    places.collect::<BTreeSet<String>>().into_iter().collect()
 }
 
 /// Everything that drives depend on, except what a planner does beside the files that its command names.
@@ -74,7 +85,7 @@ fn parts(
 ) -> Result<[(&'static str, String); 5]> {
     let from = if let Origin::State(world) = from { Some(world) } else { None };
     // The number of simultaneous drives changes nothing, and what is counted of them neither.
-    let own = DriveConfig { n_workers: 0, rates: false, program: String::new(), ..config.clone() };
+    let own = DriveConfig { n_workers: 0, rates: false, split: None, program: String::new(), ..config.clone() };
     Ok([
         ("the files of the planner", config.ego.files_hash()?),
         ("the settings", format!("{own:?} {ego:?} {from:?} {}", futures.seed())),

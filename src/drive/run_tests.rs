@@ -25,6 +25,7 @@ fn recorded_arrivals_are_the_same_for_any_number_of_workers_and_from_saved_state
             save_at: Some(SaveAt::Timestep(24)),
             bisects: false,
             rates: false,
+            split: None,
             n_workers,
             program: String::new(),
             scenes,

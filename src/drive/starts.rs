@@ -70,7 +70,8 @@ impl<'a> Starts<'a> {
                     };
                     self.maps.expect_arrivals(&mut situation, self.seed, [n_steps, n_tracks, n_known])?;
                     chunk.push(situation);
-                    self.buckets.extend(bucket(&record).map(|bucket| (record.scenario.id.clone(), bucket)));
+                    let bucket = bucket(&record, self.reader.manifest());
+                    self.buckets.extend(bucket.map(|bucket| (record.scenario.id.clone(), bucket)));
                 }
                 Err(simulate::Error::Unfit { why, .. }) => *self.left_out.entry(why).or_default() += 1,
                 Err(error) => return Err(error.into()),

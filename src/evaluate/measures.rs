@@ -117,7 +117,7 @@ impl<'a> Measures<'a> {
 
     /// The metrics that are also taken over modes.
     fn of_modes(&self) -> impl Iterator<Item = (&dyn Metric, ModesOf)> + '_ {
-        self.metrics.iter().filter_map(|metric| Some((metric.as_ref(), metric.modes()?)))
+        self.metrics.iter().filter_map(|metric| Some((metric.as_ref(), metric.spec().modes?)))
     }
 
     fn docs_of_modes(&self) -> Vec<MetricDoc> {

@@ -97,10 +97,10 @@ impl ValidityTable {
         row.n += 1;
         row.n_valid += u64::from(violations.is_empty());
         for violation in violations {
-            *row.violations.entry(violation.check.id().to_owned()).or_default() += 1;
+            *row.violations.entry(violation.check.name().to_owned()).or_default() += 1;
         }
         for check in not_checked {
-            *row.not_checked.entry(check.id().to_owned()).or_default() += 1;
+            *row.not_checked.entry(check.name().to_owned()).or_default() += 1;
         }
         if let Some(plausibility) = plausibility {
             self.plausibilities[at].0 += plausibility;

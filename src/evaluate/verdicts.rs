@@ -129,7 +129,7 @@ impl<'a> Verdicts<'a> {
             reasons: reasons.into_iter().map(str::to_owned).collect(),
             preventable: assessment.careful.map(|careful| careful.preventable),
             careful_margin_s: assessment.careful.and_then(|careful| careful.margin_s),
-            not_checked: not_checked.iter().map(|check| check.id().to_owned()).collect(),
+            not_checked: not_checked.iter().map(|check| check.name().to_owned()).collect(),
             scenario_id,
             sweep: record.sweep.clone(),
             level,
@@ -198,7 +198,7 @@ fn reasons_against(record: &ScenarioRecord, assessment: &Assessment, require_cau
     // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason
     // already.
     reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
-    reasons.extend(assessment.violations.iter().map(|violation| violation.check.id()));
+    reasons.extend(assessment.violations.iter().map(|violation| violation.check.name()));
     let needs_cause = require_cause && record.main_event().is_some_and(|event| needs_cause(&event.behavior));
     reasons.extend((needs_cause && assessment.explanation.is_none()).then_some(NO_CAUSE));
     reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE).filter(|why| !reasons.contains(why)));

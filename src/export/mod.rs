@@ -32,6 +32,7 @@ pub use selection::Selection;
 
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Scene, State, Track};
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -51,22 +52,12 @@ pub enum ExportFormat {
     OpenLabel,
 }
 
+named! { ExportFormat {
+    Interaction = "interaction", Argoverse2 = "argoverse2", CommonRoad = "commonroad", OpenScenario = "openscenario",
+    OpenLabel = "openlabel",
+} }
+
 impl ExportFormat {
-    /// Every format.
-    pub const ALL: [Self; 5] =
-        [Self::Interaction, Self::Argoverse2, Self::CommonRoad, Self::OpenScenario, Self::OpenLabel];
-
-    /// The name on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Interaction => "interaction",
-            Self::Argoverse2 => "argoverse2",
-            Self::CommonRoad => "commonroad",
-            Self::OpenScenario => "openscenario",
-            Self::OpenLabel => "openlabel",
-        }
-    }
-
     /// Its description in a line.
     pub const fn description(self) -> &'static str {
         match self {

@@ -1,6 +1,7 @@
 //! How scenarios of a sweep go on in a closed loop.
 
 use crate::scene::Scene;
+use crate::settings::named;
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -100,21 +101,9 @@ pub enum NamedDriver {
     Careful,
 }
 
-impl NamedDriver {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Model, Self::Log, Self::ConstantVelocity, Self::Idm, Self::Careful];
-
-    /// The name in configurations, on the command line and in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Model => "model",
-            Self::Log => "log",
-            Self::ConstantVelocity => "constant_velocity",
-            Self::Idm => "idm",
-            Self::Careful => "careful",
-        }
-    }
-}
+named! { NamedDriver {
+    Model = "model", Log = "log", ConstantVelocity = "constant_velocity", Idm = "idm", Careful = "careful",
+} }
 
 #[cfg(test)]
 mod tests {

@@ -74,14 +74,17 @@ pub enum Error {
     },
     /// Maps are required and none was found.
     #[error(
-        "no {dataset} map found among {searched}{}; add the map files to `ingest.map_inputs`, or set \
-         `ingest.maps = \"none\"`", passed_over_in_words(.passed_over)
+        "no {dataset} map found among {searched}{}{}; add the map files to `ingest.map_inputs`, or set \
+         `ingest.maps = \"none\"`", .needed.as_ref().map_or(String::new(), |needed| format!(", as {needed} needs")),
+        passed_over_in_words(.passed_over)
     )]
     NoMaps {
         /// The dataset.
         dataset: &'static str,
         /// The inputs that were searched.
         searched: String,
+        /// A recording that needs one, if its name tells.
+        needed: Option<String>,
         /// Archives among them that are not supported.
         passed_over: Vec<String>,
     },

@@ -88,7 +88,9 @@ impl MapCatalog {
             }
             let searched: Vec<String> = inputs.iter().map(|input| input.display().to_string()).collect();
             let passed_over = catalog.passed_over.into_iter().collect();
-            return Err(Error::NoMaps { dataset: config.dataset.name(), searched: searched.join(", "), passed_over });
+            let (dataset, searched) = (config.dataset.name(), searched.join(", "));
+            let needed = needed.into_inner().into_values().next();
+            return Err(Error::NoMaps { dataset, searched, needed, passed_over });
         }
         catalog.require(needed.into_inner().into_iter().filter(|(id, _)| !catalog.maps.contains_key(id)))?;
         let broken = catalog.broken.iter().map(|(id, map)| {
@@ -264,6 +266,9 @@ mod tests {
             missing[0],
             "interaction/FIX_Elsewhere (of recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv)"
         );
-        assert!(missing[0].contains("FIX_Elsewhere") && found[0].contains("FIX_Intersection"), "{missing:?} {found:?}");
+        assert!(found[0].contains("FIX_Intersection"), "{found:?}");
+        fs_err::remove_dir_all(folder.path().join("maps")).unwrap();
+        let none = read().unwrap_err().to_string();
+        assert!(none.contains("as recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv needs"), "{none}");
     }
 }

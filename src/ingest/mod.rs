@@ -39,6 +39,7 @@ mod parquet_columns;
 mod places;
 mod plausible_lanes;
 mod plausible_tracks;
+mod projection;
 mod quotes;
 mod raw;
 mod recorded_track;
@@ -58,6 +59,7 @@ pub use config::{IngestConfig, MapsConfig};
 pub use driver::{IngestBatch, ingest};
 pub use error::{BoxError, Error};
 pub use explanation::Explanation;
+pub use projection::GeoPoint;
 pub use raw::{Companion, Finding, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
@@ -77,12 +79,17 @@ pub fn usual_horizon(config: &IngestConfig) -> Result<Horizon, Error> {
 
 /// The formats of the configured dataset.
 fn source_of(config: &IngestConfig) -> Result<Box<dyn RecordingSource + '_>, Error> {
-    Ok(match config.dataset {
+    let source: Box<dyn RecordingSource + '_> = match config.dataset {
         Dataset::Argoverse1 => Box::new(argoverse1::Argoverse1::new(config)?),
         Dataset::Argoverse2 => Box::new(argoverse2::Argoverse2::new(config)?),
         Dataset::Interaction => Box::new(interaction::Interaction::new(config)),
-        Dataset::CommonRoad => Box::new(commonroad::CommonRoad::new(config)?),
+        Dataset::CommonRoad => Box::new(commonroad::CommonRoad::new(config)),
         Dataset::Womd => Box::new(womd::Womd::new(config)?),
         Dataset::Table => Box::new(table::Tables::new(config)?),
-    })
+    };
+    if source.has_own_maps() && !config.map_inputs.is_empty() {
+        let detail = format!("cannot be used with {}: every scenario has its own map", config.dataset.name());
+        return Err(Error::Config { key: "map_inputs".to_owned(), detail });
+    }
+    Ok(source)
 }

@@ -1,7 +1,7 @@
-//! Removes quotes around cells, with the `csv` crate. Few tables have any.
+//! Removes quotes around cells. Few tables have any.
 
 use super::csv_rows::lines_of;
-use memchr::{memchr, memchr_iter};
+use memchr::memchr;
 use std::borrow::Cow;
 
 /// Replaces a comma or a line end within a cell (ASCII unit separator), so that lines can be split at their commas. It
@@ -24,18 +24,12 @@ pub(super) fn without_quotes(table: &[u8]) -> Cow<'_, [u8]> {
 /// Appends a line without the quotes around its cells. A line with an unclosed quote does not change and is later
 /// rejected as malformed: it must not swallow the rows after it.
 pub(super) fn append_plain(line: &[u8], plain: &mut Vec<u8>) {
-    let n_quotes = memchr_iter(b'"', line).count();
-    let mut record = csv::ByteRecord::new();
-    let is_read = n_quotes > 0 && n_quotes.is_multiple_of(2) && {
-        let mut reader =
-            csv::ReaderBuilder::new().has_headers(false).buffer_capacity(line.len()).flexible(true).from_reader(line);
-        reader.read_byte_record(&mut record).unwrap_or(false)
-    };
-    if !is_read {
+    let mut cells = csv::ByteRecord::new();
+    if memchr(b'"', line).is_none() || split_quoted(line, b',', &mut cells).is_err() {
         plain.extend_from_slice(line);
         return;
     }
-    for (index, cell) in record.iter().enumerate() {
+    for (index, cell) in cells.iter().enumerate() {
         if index > 0 {
             plain.push(b',');
         }

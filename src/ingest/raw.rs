@@ -1,7 +1,7 @@
 //! The steps between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
 
 use super::table::Change;
-use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, Split, Track};
+use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, SituationKind, Split, Track};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::{Range, RangeInclusive};
@@ -89,6 +89,13 @@ pub enum UnitSplit {
     Divided,
 }
 
+impl UnitSplit {
+    /// The split of a unit that is one scene.
+    pub fn of_scene(self) -> Split {
+        if let Self::All(split) = self { split } else { Split::Unsplit }
+    }
+}
+
 impl Default for UnitSplit {
     fn default() -> Self {
         Self::All(Split::Unsplit)
@@ -99,6 +106,20 @@ impl RawUnit {
     /// Bytes held in memory.
     pub fn n_bytes(&self) -> u64 {
         (self.bytes.len() + self.companion.as_ref().map_or(0, |companion| companion.bytes.len())) as u64
+    }
+
+    /// The source of a scene that is recorded in it.
+    pub fn source(
+        &self,
+        dataset: Dataset,
+        split: Split,
+        place: String,
+        case_id: String,
+        first_frame: String,
+    ) -> SceneSource {
+        let (version, file) = (self.version.to_owned(), self.file.clone());
+        let situation = SituationKind::Recorded;
+        SceneSource { dataset, version, split, place, file, case_id, first_frame, situation, continues: None }
     }
 
     /// A reject of something in this unit at `line` of its file.
@@ -162,6 +183,9 @@ pub struct HeadingGap {
 pub fn map_id(dataset: Dataset, key: &str) -> MapId {
     MapId(format!("{}/{key}", dataset.name()))
 }
+
+/// A recording is rejected if a larger share of its rows cannot be used; the rows of others are left out and named.
+pub(super) const MAX_BAD_SHARE: f64 = 0.1;
 
 /// A recording, or a scene of one, that was left out.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -34,8 +34,6 @@ pub(super) struct RecordedTrack {
     pub(super) extent: Option<Extent>,
     /// When it is parked, seconds after frame 0.
     pub(super) parked_s: Vec<RangeInclusive<f64>>,
-    /// Repeated rows that were left out.
-    pub(super) n_repeated: u64,
     /// By ascending frame.
     pub(super) states: Vec<(i64, State, HeadingSource)>,
 }
@@ -90,7 +88,7 @@ impl RecordedTrack {
         let mut standing = Standing::default();
         observations.iter().for_each(|seen| standing.see(seen.frame as f64 * DT_S, seen.position));
         let parked_s = standing.parked_s(0.0);
-        Self { id, class, role, extent, parked_s, n_repeated: 0, states: states(observations, class) }
+        Self { id, class, role, extent, parked_s, states: states(observations, class) }
     }
 
     /// First and last frame.

@@ -4,7 +4,7 @@ use super::config::IngestConfig;
 use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::recorded_track::{DT_S, RecordedTrack};
 use super::source::{Horizon, PendingScene};
-use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split, Track};
+use crate::scene::{Dataset, SceneId, Split, Track};
 use std::sync::Arc;
 
 /// The longest recording, 28 hours: frames further apart are an error.
@@ -152,17 +152,7 @@ impl Cut<'_> {
         };
         RawScene {
             id: SceneId(format!("{}/{}/{}/{case}", dataset.name(), split.name(), unit.place)),
-            source: SceneSource {
-                dataset,
-                version: unit.version.to_owned(),
-                split,
-                place: unit.place.clone(),
-                file: unit.file.clone(),
-                case_id: unit.case_id.clone(),
-                first_frame: first_frame.to_string(),
-                situation: SituationKind::Recorded,
-                continues: None,
-            },
+            source: unit.source(dataset, split, unit.place.clone(), unit.case_id.clone(), first_frame.to_string()),
             dt_s: DT_S,
             n_timesteps,
             n_history,

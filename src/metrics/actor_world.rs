@@ -49,7 +49,7 @@ impl Metric for ActorWorld {
                 "Argoverse 2's actorCR: share of scored agents that come within 1 m of another in the best world",
             ),
         };
-        MetricSpec { id, unit, direction: Direction::LowerIsBetter, description }
+        MetricSpec::new(id, unit, Direction::LowerIsBetter, description).over_modes(ModesOf::Scene)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -82,10 +82,6 @@ impl Metric for ActorWorld {
                 Some(as_figure(others.any(|other| meet(world, agent, *other))))
             }),
         }
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Scene)
     }
 }
 

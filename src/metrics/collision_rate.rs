@@ -22,12 +22,12 @@ pub struct AgentCollisionRate;
 
 impl Metric for CollisionRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "collision_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "share of samples in which any two agents collide",
-        }
+        MetricSpec::new(
+            "collision_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "share of samples in which any two agents collide",
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -38,12 +38,12 @@ impl Metric for CollisionRate {
 
 impl Metric for AgentCollisionRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "agent_collision_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "share of agents, over all samples, that collide with another",
-        }
+        MetricSpec::new(
+            "agent_collision_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "share of agents, over all samples, that collide with another",
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

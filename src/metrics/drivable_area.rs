@@ -20,12 +20,13 @@ pub struct DrivableAreaCompliance {
 
 impl Metric for DrivableAreaCompliance {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "drivable_area_compliance",
-            unit: "1",
-            direction: Direction::HigherIsBetter,
-            description: "Argoverse's DAC, from lanes: share of samples in which the ego never leaves the road",
-        }
+        MetricSpec::new(
+            "drivable_area_compliance",
+            "1",
+            Direction::HigherIsBetter,
+            "Argoverse's DAC, from lanes: share of samples in which the ego never leaves the road",
+        )
+        .over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -40,9 +41,5 @@ impl Metric for DrivableAreaCompliance {
             states.all(|state| state.position.is_finite() && road.holds(state.position))
         };
         group.share_over_samples(|sample| vec![stays(sample)])
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }

@@ -45,7 +45,7 @@ impl Metric for JointConsistency {
                 "INTERACTION's EgoCollisionRate: share of scenes in which every sample collides with the recorded ego",
             ),
         };
-        MetricSpec { id, unit: "1", direction: Direction::LowerIsBetter, description }
+        MetricSpec::new(id, "1", Direction::LowerIsBetter, description).over_modes(ModesOf::Scene)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -68,10 +68,6 @@ impl Metric for JointConsistency {
                 Some(f64::from(u8::from(hits_ego)))
             }),
         }
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Scene)
     }
 }
 

@@ -25,12 +25,12 @@ pub struct JerkViolationRate;
 
 impl Metric for AccelerationViolationRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "acceleration_violation_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "share of vehicles, over all samples, that accelerate by more than 8 m/s² in any direction",
-        }
+        MetricSpec::new(
+            "acceleration_violation_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "share of vehicles, over all samples, that accelerate by more than 8 m/s² in any direction",
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -40,12 +40,12 @@ impl Metric for AccelerationViolationRate {
 
 impl Metric for JerkViolationRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "jerk_violation_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "share of vehicles, over all samples, with a jerk of more than 8.37 m/s³ in any direction",
-        }
+        MetricSpec::new(
+            "jerk_violation_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "share of vehicles, over all samples, with a jerk of more than 8.37 m/s³ in any direction",
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

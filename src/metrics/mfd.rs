@@ -13,13 +13,13 @@ pub struct Mfd;
 
 impl Metric for Mfd {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "mfd_m",
-            unit: "m",
-            direction: Direction::Neither,
-            description: "largest distance between the last positions of an agent in two samples, mean over sampled \
+        MetricSpec::new(
+            "mfd_m",
+            "m",
+            Direction::Neither,
+            "largest distance between the last positions of an agent in two samples, mean over sampled \
                           agents",
-        }
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

@@ -11,20 +11,17 @@ pub struct MinAde;
 
 impl Metric for MinAde {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "min_ade_m",
-            unit: "m",
-            direction: Direction::LowerIsBetter,
-            description: "ego: mean distance to the recording over the future, in the best sample",
-        }
+        MetricSpec::new(
+            "min_ade_m",
+            "m",
+            Direction::LowerIsBetter,
+            "ego: mean distance to the recording over the future, in the best sample",
+        )
+        .over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         group.min_over_samples(|sample| ego_ade_m(group.recorded, sample))
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }
 
@@ -35,21 +32,18 @@ pub struct MinAdeOfMinFde;
 
 impl Metric for MinAdeOfMinFde {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "min_ade_of_min_fde_m",
-            unit: "m",
-            direction: Direction::LowerIsBetter,
-            description: "ego: mean distance to the recording over the future, in the sample that ends closest",
-        }
+        MetricSpec::new(
+            "min_ade_of_min_fde_m",
+            "m",
+            Direction::LowerIsBetter,
+            "ego: mean distance to the recording over the future, in the sample that ends closest",
+        )
+        .over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let (best, _) = group.best_sample(|sample| ego_fde_m(group.recorded, sample))?;
         ego_ade_m(group.recorded, &group.samples[best])
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }
 

@@ -10,19 +10,16 @@ pub struct MinFde;
 
 impl Metric for MinFde {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "min_fde_m",
-            unit: "m",
-            direction: Direction::LowerIsBetter,
-            description: "ego: distance to the recording at the last timestep, in the best sample",
-        }
+        MetricSpec::new(
+            "min_fde_m",
+            "m",
+            Direction::LowerIsBetter,
+            "ego: distance to the recording at the last timestep, in the best sample",
+        )
+        .over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         group.min_over_samples(|sample| ego_fde_m(group.recorded, sample))
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }

@@ -24,7 +24,7 @@ impl Metric for MinSceneAde {
                 "INTERACTION's minJointADE: the same over vehicles other than the ego that are recorded throughout",
             ),
         };
-        MetricSpec { id, unit: "m", direction: Direction::LowerIsBetter, description }
+        MetricSpec::new(id, "m", Direction::LowerIsBetter, description).over_modes(ModesOf::Scene)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -34,9 +34,5 @@ impl Metric for MinSceneAde {
                 agents.map(|agent_idx| displacements_m(group.recorded, sample, agent_idx)).collect();
             mean(&distances?.concat())
         })
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Scene)
     }
 }

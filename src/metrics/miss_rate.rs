@@ -22,12 +22,13 @@ pub struct MissRate;
 
 impl Metric for MissRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "miss_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "ego: share of scenes in which every sample misses the recorded last state",
-        }
+        MetricSpec::new(
+            "miss_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "ego: share of scenes in which every sample misses the recorded last state",
+        )
+        .over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -38,10 +39,6 @@ impl Metric for MissRate {
             let sampled = sample.state(recorded.ego_idx, last)?;
             Some(if is_miss(recorded.source.dataset.facts().miss_rule, truth, sampled) { 1.0 } else { 0.0 })
         })
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }
 

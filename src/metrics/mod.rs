@@ -110,11 +110,6 @@ pub trait Metric: Send + Sync {
     fn spec(&self) -> MetricSpec;
     /// Its value; `None` if undefined, such as a distance to a recording without a future.
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64>;
-    /// The agents whose modes may replace the samples, for figures that a benchmark takes over a few guesses. `None`
-    /// for metrics of the samples themselves, such as their variety, or how often they collide.
-    fn modes(&self) -> Option<ModesOf> {
-        None
-    }
 }
 
 impl<M: Metric + ?Sized> Metric for &M {
@@ -124,10 +119,6 @@ impl<M: Metric + ?Sized> Metric for &M {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         (**self).evaluate(group)
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        (**self).modes()
     }
 }
 

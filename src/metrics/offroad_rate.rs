@@ -20,12 +20,12 @@ pub struct OffroadRate {
 
 impl Metric for OffroadRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "offroad_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "share of vehicles on the road at present, over all samples, that leave it",
-        }
+        MetricSpec::new(
+            "offroad_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "share of vehicles on the road at present, over all samples, that leave it",
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

@@ -53,7 +53,7 @@ impl Metric for PenalizedMinimum {
                 ("brier_min_fde_m", "Argoverse's brier-minFDE: min_fde_m plus (1 - p)² of that sample")
             }
         };
-        MetricSpec { id, unit: "m", direction: Direction::LowerIsBetter, description }
+        MetricSpec::new(id, "m", Direction::LowerIsBetter, description).over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -68,9 +68,5 @@ impl Metric for PenalizedMinimum {
             Penalty::Brier => (1.0 - probability) * (1.0 - probability),
         };
         Some(distance_m + penalty)
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }

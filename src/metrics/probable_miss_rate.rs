@@ -12,13 +12,14 @@ pub struct ProbableMissRate;
 
 impl Metric for ProbableMissRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "p_miss_rate",
-            unit: "1",
-            direction: Direction::LowerIsBetter,
-            description: "Argoverse's p-MR: 1 where every sample of the ego misses the recorded last state, else 1 - p \
+        MetricSpec::new(
+            "p_miss_rate",
+            "1",
+            Direction::LowerIsBetter,
+            "Argoverse's p-MR: 1 where every sample of the ego misses the recorded last state, else 1 - p \
                           of the sample that ends closest to it",
-        }
+        )
+        .over_modes(ModesOf::Ego)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
@@ -31,9 +32,5 @@ impl Metric for ProbableMissRate {
             Some(if is_miss(recorded.source.dataset.facts().miss_rule, truth, sampled) { 1.0 } else { 0.0 })
         })?;
         if all_miss > 0.0 { Some(1.0) } else { Some(1.0 - group.probability(best)?) }
-    }
-
-    fn modes(&self) -> Option<ModesOf> {
-        Some(ModesOf::Ego)
     }
 }

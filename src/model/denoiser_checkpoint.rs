@@ -4,6 +4,7 @@ use super::{ModelSpec, NetworkConfig, SceneDenoiser, SceneShape, TrainedModel};
 use crate::diffusion::Edm;
 use crate::nn::Params;
 use crate::seed::Seed;
+use crate::settings::named;
 use crate::settings::{self, Issue};
 use crate::tensor::{Collator, Normalizer, Sight};
 use serde::{Deserialize, Deserializer, Serialize, de};
@@ -112,23 +113,10 @@ pub enum SceneChange {
     EgoAlone,
 }
 
-impl SceneChange {
-    /// Its name in figures and descriptions.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::AsRecorded => "as_recorded",
-            Self::MapTurned => "map_turned",
-            Self::MapShifted => "map_shifted",
-            Self::NoMap => "no_map",
-            Self::EgoOnly => "ego_only",
-            Self::EgoAlone => "ego_alone",
-        }
-    }
-
-    /// Every change.
-    pub const ALL: [Self; 6] =
-        [Self::AsRecorded, Self::MapTurned, Self::MapShifted, Self::NoMap, Self::EgoOnly, Self::EgoAlone];
-}
+named! { SceneChange {
+    AsRecorded = "as_recorded", MapTurned = "map_turned", MapShifted = "map_shifted", NoMap = "no_map",
+    EgoOnly = "ego_only", EgoAlone = "ego_alone",
+} }
 
 /// The target of a distillation, which decides how the denoiser is sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

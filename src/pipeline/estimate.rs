@@ -7,24 +7,16 @@ use super::stages::{checkpoint_file, generation};
 use crate::diffusion::Denoiser;
 use crate::engine::{Failure, Result};
 use crate::generate::{GenerateConfig, Pool, ResolvedGeneration, ResolvedRequest};
-use crate::geometry::{Polyline, Transform2, Vec2};
 use crate::model::TrainedDenoiser;
 use crate::nn::Compute;
-use crate::scene::{
-    AgentClass, Dataset, Extent, Lane, LaneGraph, ObservationMask, Scene, SceneId, SceneSource, SituationKind, Split,
-    State, Track, TrackId, TrackRole, Trajectory,
-};
+use crate::scene::{ObservationMask, Scene};
 use crate::store::SceneStore;
 use crate::tensor::{FutureValidity, SceneView};
 use candle_core::{DType, Tensor};
-use std::sync::Arc;
 use std::time::Instant;
 
 /// Number of timed evaluations, after one that is not timed.
 const N_TIMED: usize = 3;
-/// Agents and lanes of the made-up scene that is used before recordings are ingested.
-const N_AGENTS: usize = 16;
-const N_LANES: usize = 64;
 
 /// The plan of generation as lines for people, with its maximal cost; empty if nothing is generated.
 ///
@@ -51,12 +43,12 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
         n_evaluations += describe(request, &resolved, pools.as_ref().map(|pools| &pools[idx]), &mut lines);
     }
     let time = match evaluations_per_second(config, generate, layout, &compute)? {
-        None => "time unknown: no denoiser to measure yet".to_owned(),
-        Some((rate, what)) => {
+        None => "time unknown until there are scenes and a denoiser to measure".to_owned(),
+        Some(rate) => {
             let seconds = n_evaluations as f64 / rate;
             let (threads, memory) = (rayon::current_num_threads(), peak_memory().unwrap_or_default());
             format!(
-                "{} at {rate:.0} evaluations per second (measured now on a batch of {what} with {threads} \
+                "{} at {rate:.0} evaluations per second (measured now on a batch of a recorded scene with {threads} \
                  threads{memory}; excludes guidance)",
                 duration(seconds),
             )
@@ -113,14 +105,14 @@ fn describe(
     most_evaluations
 }
 
-/// The speed of the denoiser in evaluations of single samples per second, and the scene it was measured on. `None`
-/// without a denoiser.
+/// The speed of the denoiser on a recorded scene, in evaluations of single samples per second. `None` without a denoiser
+/// or a scene.
 fn evaluations_per_second(
     config: &PipelineConfig,
     generate: &GenerateConfig,
     layout: &Layout,
     compute: &Compute,
-) -> Result<Option<(f64, &'static str)>> {
+) -> Result<Option<f64>> {
     let trained = checkpoint_file(&layout.denoiser);
     let taken_over = config.train.denoiser.as_ref().and_then(|denoiser| denoiser.checkpoint.as_deref());
     let path = match (trained.is_file(), taken_over) {
@@ -134,8 +126,7 @@ fn evaluations_per_second(
     };
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
     let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);
-    let what = if recorded.is_some() { "a recorded scene" } else { "a made-up scene of 16 agents" };
-    let scene = recorded.unwrap_or_else(|| made_up_scene(spec.n_history, spec.n_timesteps, spec.dt_s));
+    let Some(scene) = recorded else { return Ok(None) };
     let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
     let view = SceneView { scene: &scene, ego_idx: scene.ego_idx, mask: &mask };
     let time = || -> candle_core::Result<f64> {
@@ -151,56 +142,7 @@ fn evaluations_per_second(
         }
         Ok((N_TIMED * n_rows) as f64 / began.elapsed().as_secs_f64().max(1e-6))
     };
-    Ok(Some((time().map_err(Failure::fault)?, what)))
-}
-
-/// Cars side by side on straight lanes: as much work for the network as a busy recording.
-fn made_up_scene(n_history: usize, n_timesteps: usize, dt_s: f64) -> Scene {
-    let track = |i: usize| {
-        let velocity = Vec2::new(8.0, 0.0);
-        let state = |timestep: usize| State {
-            position: Vec2::new(8.0 * (i / 4) as f64, 4.0 * (i % 4) as f64) + velocity * (timestep as f64 * dt_s),
-            heading_rad: 0.0,
-            velocity,
-        };
-        Track {
-            id: TrackId(i.to_string()),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: Some(Extent { length_m: 4.5, width_m: 1.8 }),
-            trajectory: Trajectory::new((0..n_timesteps).map(|timestep| Some(state(timestep))).collect()),
-        }
-    };
-    let lane = |i: usize| {
-        let line = |offset_m: f64| {
-            let (x, y) = (20.0 * (i / 4) as f64 - 100.0, 4.0 * (i % 4) as f64 + offset_m);
-            Polyline((0..11).map(|point| Vec2::new(x + 2.0 * f64::from(point), y)).collect())
-        };
-        Lane::unconnected(i as i64, line(0.0), [2.0, -2.0].map(line))
-    };
-    Scene {
-        id: SceneId("made-up".to_owned()),
-        source: SceneSource {
-            // Any dataset: none of its facts are used.
-            dataset: Dataset::ALL[0],
-            version: String::new(),
-            split: Split::Unsplit,
-            place: String::new(),
-            file: String::new(),
-            case_id: String::new(),
-            first_frame: String::new(),
-            situation: SituationKind::Recorded,
-            continues: None,
-        },
-        dt_s,
-        n_timesteps,
-        n_history,
-        world_from_scene: Transform2::IDENTITY,
-        ego_idx: 0,
-        tracks: (0..N_AGENTS).map(track).collect(),
-        map_id: None,
-        lanes: Arc::new(LaneGraph::new((0..N_LANES).map(lane).collect())),
-    }
+    Ok(Some(time().map_err(Failure::fault)?))
 }
 
 /// The most memory that the process has had so far, such as `, 0.4 GB of memory`. `None` if the system does not tell.

@@ -1,5 +1,6 @@
 //! A rate with its interval, and what it is of.
 
+use crate::settings::named;
 use crate::settings::{Issue, Unreadable};
 use crate::statistics::Interval;
 use schemars::JsonSchema;
@@ -79,27 +80,10 @@ pub enum RateMethod {
     Modeled,
 }
 
-impl RateMethod {
-    /// Every method.
-    pub const ALL: [Self; 5] =
-        [Self::OverRecordings, Self::OneRecording, Self::NoneFound, Self::Extrapolated, Self::Modeled];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::OverRecordings => "over_recordings",
-            Self::OneRecording => "one_recording",
-            Self::NoneFound => "none_found",
-            Self::Extrapolated => "extrapolated",
-            Self::Modeled => "modeled",
-        }
-    }
-
-    /// The method of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|method| method.name() == name)
-    }
-}
+named! { RateMethod {
+    OverRecordings = "over_recordings", OneRecording = "one_recording", NoneFound = "none_found",
+    Extrapolated = "extrapolated", Modeled = "modeled",
+} }
 
 /// How often a behavior was recorded, or modeled, at a place.
 #[derive(Debug, Clone, PartialEq)]
@@ -149,25 +133,7 @@ pub enum RateSource {
     None,
 }
 
-impl RateSource {
-    /// Every source.
-    pub const ALL: [Self; 4] = [Self::Recorded, Self::Extrapolated, Self::Modeled, Self::None];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Recorded => "recorded",
-            Self::Extrapolated => "extrapolated",
-            Self::Modeled => "modeled",
-            Self::None => "none",
-        }
-    }
-
-    /// The source of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|source| source.name() == name)
-    }
-}
+named! { RateSource { Recorded = "recorded", Extrapolated = "extrapolated", Modeled = "modeled", None = "none" } }
 
 /// How often events like that of a scenario were recorded at its place.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -2,6 +2,7 @@
 
 use super::card::SceneCard;
 use super::model::Fact;
+use super::number::value;
 use super::plain::PlainTable;
 
 /// The page as plain data.
@@ -13,7 +14,7 @@ pub struct DrivesPage {
     pub facts: Vec<Fact>,
     /// Tables of outcomes and traffic.
     pub tables: Vec<PlainTable>,
-    /// Failures by two parameters of each behavior.
+    /// Failures by behavior and surroundings, and by two parameters of each behavior.
     pub grids: Vec<DriveGrid>,
     /// The drawn scenarios that the careful driver survives and the planner does not, hardest first.
     pub scenes: Vec<SceneCard>,
@@ -21,17 +22,24 @@ pub struct DrivesPage {
     pub n_matter: usize,
 }
 
-/// Failures by two parameters.
+/// Failures in cells of a grid, such as by two parameters of a behavior.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveGrid {
-    /// The behavior.
-    pub behavior: String,
-    /// The parameter of columns, and of rows.
-    pub parameters: [String; 2],
-    /// The ranges of columns, and of rows.
-    pub ranges: [Vec<[f64; 2]>; 2],
+    /// Its title.
+    pub title: String,
+    /// What columns are of, and rows.
+    pub axes: [String; 2],
+    /// The names of columns, and of rows.
+    pub names: [Vec<String>; 2],
     /// By row and column.
     pub cells: Vec<Vec<DriveCell>>,
+}
+
+impl DriveGrid {
+    /// The name of a range of a parameter.
+    pub fn range([low, high]: [f64; 2]) -> String {
+        format!("{} to {}", value(low), value(high))
+    }
 }
 
 /// The scenarios of a cell.

@@ -1,5 +1,7 @@
 //! The outcome of a scenario for the request that it was generated for.
 
+use crate::settings::named;
+
 /// The request behind a scenario, and the scenario's outcome there.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RequestTag {
@@ -41,33 +43,7 @@ pub enum RequestOutcome {
     NotFound,
 }
 
-impl RequestOutcome {
-    /// Every outcome.
-    pub const ALL: [Self; 7] = [
-        Self::Accepted,
-        Self::Surplus,
-        Self::Repeated,
-        Self::NearDuplicate,
-        Self::Outside,
-        Self::BeyondLimits,
-        Self::NotFound,
-    ];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Accepted => "accepted",
-            Self::Surplus => "surplus",
-            Self::Repeated => "repeated",
-            Self::NearDuplicate => "near_duplicate",
-            Self::Outside => "outside",
-            Self::BeyondLimits => "beyond_limits",
-            Self::NotFound => "not_found",
-        }
-    }
-
-    /// The outcome of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|outcome| outcome.name() == name)
-    }
-}
+named! { RequestOutcome {
+    Accepted = "accepted", Surplus = "surplus", Repeated = "repeated", NearDuplicate = "near_duplicate",
+    Outside = "outside", BeyondLimits = "beyond_limits", NotFound = "not_found",
+} }

@@ -1,5 +1,6 @@
 //! Classes of road users, and their sizes.
 
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 
 /// The classes of road users that the source datasets distinguish.
@@ -25,38 +26,12 @@ pub enum AgentClass {
     Unknown,
 }
 
+named! { AgentClass {
+    Vehicle = "vehicle", Bus = "bus", Motorcyclist = "motorcyclist", Cyclist = "cyclist", Pedestrian = "pedestrian",
+    PedestrianOrCyclist = "pedestrian_or_cyclist", Static = "static", Unknown = "unknown",
+} }
+
 impl AgentClass {
-    /// Every class, in the order of their codes.
-    pub const ALL: [Self; 8] = [
-        Self::Vehicle,
-        Self::Bus,
-        Self::Motorcyclist,
-        Self::Cyclist,
-        Self::Pedestrian,
-        Self::PedestrianOrCyclist,
-        Self::Static,
-        Self::Unknown,
-    ];
-
-    /// The name in tables and configs.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Vehicle => "vehicle",
-            Self::Bus => "bus",
-            Self::Motorcyclist => "motorcyclist",
-            Self::Cyclist => "cyclist",
-            Self::Pedestrian => "pedestrian",
-            Self::PedestrianOrCyclist => "pedestrian_or_cyclist",
-            Self::Static => "static",
-            Self::Unknown => "unknown",
-        }
-    }
-
-    /// The class of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|class| class.name() == name)
-    }
-
     /// Whether the agent drives on lanes, as far as known. Unknown agents count: in Argoverse 1 nearly all are
     /// vehicles.
     pub const fn is_motorized(self) -> bool {

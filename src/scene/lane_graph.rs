@@ -2,6 +2,7 @@
 
 use super::LaneId;
 use crate::geometry::{Polyline, Transform2};
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -18,6 +19,8 @@ pub enum TurnDirection {
     /// To the right.
     Right,
 }
+
+named! { TurnDirection { None = "none", Left = "left", Right = "right" } }
 
 /// Attributes of a lane in its map.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]

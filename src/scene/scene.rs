@@ -2,6 +2,7 @@
 
 use super::{Dataset, LaneGraph, MapId, SceneId, State, Track, TrackId, Trajectory};
 use crate::geometry::Transform2;
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -19,25 +20,7 @@ pub enum Split {
     Unsplit,
 }
 
-impl Split {
-    /// Every split.
-    pub const ALL: [Self; 4] = [Self::Train, Self::Val, Self::Test, Self::Unsplit];
-
-    /// The name in tables, ids and configs.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Val => "val",
-            Self::Test => "test",
-            Self::Unsplit => "unsplit",
-        }
-    }
-
-    /// The split of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|split| split.name() == name)
-    }
-}
+named! { Split { Train = "train", Val = "val", Test = "test", Unsplit = "unsplit" } }
 
 /// How the past of a scene came about.
 #[derive(
@@ -54,24 +37,7 @@ pub enum SituationKind {
     Populated,
 }
 
-impl SituationKind {
-    /// Every kind, in the order in which requests use them.
-    pub const ALL: [Self; 3] = [Self::Recorded, Self::Continued, Self::Populated];
-
-    /// The name in tables and configs.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Recorded => "recorded",
-            Self::Continued => "continued",
-            Self::Populated => "populated",
-        }
-    }
-
-    /// The kind of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name)
-    }
-}
+named! { SituationKind { Recorded = "recorded", Continued = "continued", Populated = "populated" } }
 
 /// Why a scene cannot be used, in words that follow its name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -2,6 +2,7 @@
 
 use super::{AgentClass, Extent, State, TrackId, Trajectory};
 use crate::geometry::OrientedBox;
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 
 /// The role of a track in its dataset.
@@ -20,26 +21,9 @@ pub enum TrackRole {
     Context,
 }
 
-impl TrackRole {
-    /// Every role, in the order of their codes.
-    pub const ALL: [Self; 5] = [Self::Focal, Self::Scored, Self::Recorder, Self::Parked, Self::Context];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Focal => "focal",
-            Self::Scored => "scored",
-            Self::Recorder => "recorder",
-            Self::Parked => "parked",
-            Self::Context => "context",
-        }
-    }
-
-    /// The role of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|role| role.name() == name)
-    }
-}
+named! { TrackRole {
+    Focal = "focal", Scored = "scored", Recorder = "recorder", Parked = "parked", Context = "context",
+} }
 
 /// One road user of a scene.
 #[derive(Debug, Clone, PartialEq)]

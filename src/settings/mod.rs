@@ -4,10 +4,12 @@
 //! and checked by [`check_ranges`]. Rules that involve several settings are in their sections, which use the helpers
 //! here.
 
+mod named;
 mod ranges;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use named::named;
 pub use ranges::check_ranges;
 
 use std::fmt::Display;

@@ -53,7 +53,7 @@ mod world;
 
 pub use driver::{Driver, Failed, Peeker};
 pub use error::{Error, Result};
-pub use modeled::{LoopFigures, Modeling, RatesConfig, Severity};
+pub use modeled::{FAILURE, LoopFigures, Modeling, RatesConfig, Severity};
 pub use new_scenes::{AddedConfig, LoopCounts, NewScenes, SituationsConfig, TakeScenes};
 pub use outcome::{Contact, Outcome, Side};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};
@@ -65,6 +65,7 @@ pub use world::World;
 pub(crate) use drivers::{Careful, Log, named};
 pub(crate) use event::is_decided_by_ego;
 pub(crate) use maps::{Maps, Places};
+pub(crate) use modeled::LoopWorker;
 pub(crate) use motion::{most_curvature_1pm, moved, plain};
 pub(crate) use peek::{MOST_FUTURES, MOST_PEEKS};
 pub(crate) use rollout::MOST_HORIZON_S;

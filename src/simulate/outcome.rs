@@ -5,6 +5,7 @@ use super::world::World;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::scene::{State, TrackId};
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 
 /// The end of a drive.
@@ -27,31 +28,12 @@ pub enum Outcome {
     NotSampled,
 }
 
+named! { Outcome {
+    Survived = "survived", Hit = "hit", LeftRoad = "left_road", StoppedDead = "stopped_dead", TimedOut = "timed_out",
+    PlannerFailed = "planner_failed", NotSampled = "not_sampled",
+} }
+
 impl Outcome {
-    /// Every outcome, in the order of tables.
-    pub const ALL: [Self; 7] = [
-        Self::Survived,
-        Self::Hit,
-        Self::LeftRoad,
-        Self::StoppedDead,
-        Self::TimedOut,
-        Self::PlannerFailed,
-        Self::NotSampled,
-    ];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Survived => "survived",
-            Self::Hit => "hit",
-            Self::LeftRoad => "left_road",
-            Self::StoppedDead => "stopped_dead",
-            Self::TimedOut => "timed_out",
-            Self::PlannerFailed => "planner_failed",
-            Self::NotSampled => "not_sampled",
-        }
-    }
-
     /// Whether the driver of the ego is to blame.
     pub const fn is_failure(self) -> bool {
         !matches!(self, Self::Survived | Self::NotSampled)
@@ -70,16 +52,7 @@ pub enum Side {
     Rear,
 }
 
-impl Side {
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Front => "front",
-            Self::Flank => "flank",
-            Self::Rear => "rear",
-        }
-    }
-}
+named! { Side { Front = "front", Flank = "flank", Rear = "rear" } }
 
 /// The first contact of the ego with another agent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

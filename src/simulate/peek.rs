@@ -19,7 +19,7 @@ pub(super) fn peek(
     numbers: Range<usize>,
 ) -> Result<Vec<Scene>, Failed> {
     let (scene, mask) = situation.window(world, None, false, [futures.n_history(), futures.n_timesteps()]);
-    let name = format!("{} peek", situation.scenario_id);
+    let name = format!("{} peek", world.stream(futures.seed()));
     let (center_idx, step) = (situation.ego_idx, world.now() * MOST_FUTURES * MOST_PEEKS + numbers.start);
     let asked = Continued { scene: &scene, mask: &mask, center_idx, name: &name, step };
     let drawn = futures.several(&asked, numbers.len()).map_err(Error::from)?;

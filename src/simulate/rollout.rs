@@ -1,6 +1,6 @@
 //! Drives on from a world, replanning again and again, until the ego is through or has failed.
 
-use super::drivers::{Model, expected, free_m};
+use super::drivers::{expected, free_m};
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
 use super::reaction::{brake, go_on, walk_on};
@@ -104,7 +104,7 @@ pub struct Driven {
 }
 
 /// The end of a drive, and more about it.
-type End = (Outcome, Option<String>);
+pub(super) type End = (Outcome, Option<String>);
 
 /// Drives on from `world` with this driver of the ego. The world is saved at timestep `save_at`.
 ///
@@ -148,7 +148,7 @@ pub fn roll_out(
         }
         end = drive.replan(others, n_plan.min(last - drive.world.now()))?;
     }
-    let (outcome, why) = end.unwrap_or_else(|| drive.came_through());
+    let (outcome, why) = end.unwrap_or_else(|| came_through(situation, &drive.world));
     let said = drive.driver.end(outcome, why.as_deref());
     let Drive { world, min_ttc_s, contact, gave_up_plan, .. } = drive;
     let ego = |timestep: usize| world.state(situation.ego_idx, timestep);
@@ -176,27 +176,77 @@ pub fn roll_out(
     })
 }
 
-/// Lets the model drive everybody for a plan. Returns the world, and whether the ego has come to an end.
+/// Drives on for a plan. Returns the world, and the end of the drive if it is reached.
 pub(super) fn drive_on(
     situation: &Situation,
     world: World,
+    driver: &mut dyn Driver,
     futures: &Futures<'_>,
     n_steps: usize,
-) -> Result<(World, bool)> {
-    let mut driver = Model;
-    let mut drive =
-        Drive { situation, world, driver: &mut driver, min_ttc_s: None, contact: None, gave_up_plan: false };
+) -> Result<(World, Option<End>)> {
+    let mut drive = Drive { situation, world, driver, min_ttc_s: None, contact: None, gave_up_plan: false };
     let end = drive.replan(&Others::Sampled(futures), n_steps)?;
-    Ok((drive.world, end.is_some()))
+    Ok((drive.world, end))
+}
+
+/// Begins a drive in the midst of it: a driver that may remember is asked again at every plan since the present, and
+/// its answers are not driven.
+pub(super) fn begin_at(
+    situation: &Situation,
+    world: &World,
+    driver: &mut dyn Driver,
+    futures: &Futures<'_>,
+    n_plan: usize,
+) -> Result<(), Failed> {
+    let present = situation.scene.current_timestep();
+    driver.begin(situation, &world.until(present))?;
+    let past = if driver.is_model() { present..present } else { present..world.now() };
+    for now in past.step_by(n_plan) {
+        let then = world.until(now);
+        driver.plan(situation, &then, n_plan, &peeker(situation, &then, Some(futures)))?;
+        (now..now + n_plan).try_for_each(|timestep| driver.next(situation, &world.until(timestep), None).map(drop))?;
+    }
+    Ok(())
+}
+
+/// Futures that the driver may peek into; others come each time.
+fn peeker<'a>(
+    situation: &'a Situation,
+    world: &'a World,
+    futures: Option<&'a Futures<'a>>,
+) -> impl Fn(usize) -> Result<Vec<Scene>, Failed> + use<'a> {
+    let n_peeked = Cell::new(0);
+    move |n| match futures {
+        Some(futures) => peek(situation, world, futures, n_peeked.replace(n_peeked.get() + n)..n_peeked.get()),
+        None => Err(Failed::because("others that do not answer have no futures")),
+    }
 }
 
 /// The end of a drive whose driver does not drive on.
-fn ended(failed: Failed) -> Result<End> {
+pub(super) fn ended(failed: Failed) -> Result<End> {
     match failed {
         Failed::TimedOut(why) => Ok((Outcome::TimedOut, Some(why))),
         Failed::Driver(why) => Ok((Outcome::PlannerFailed, Some(why))),
         Failed::NotSampled(why) => Ok((Outcome::NotSampled, Some(why))),
         Failed::Error(error) => Err(error),
+    }
+}
+
+/// The end of a drive that was not ended early.
+pub(super) fn came_through(situation: &Situation, world: &World) -> End {
+    let scene = &situation.scene;
+    if world.present(situation.ego_idx).is_none() {
+        return (Outcome::Survived, Some("came to the end of the map".to_owned()));
+    }
+    let n_stopped = (STOPPED_S / scene.dt_s).round() as usize;
+    let first = world.now().saturating_sub(n_stopped).max(scene.current_timestep());
+    let speed = |timestep: usize| world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());
+    let stands = world.now() - first >= n_stopped
+        && (first..=world.now()).all(|timestep| speed(timestep) < STANDING_MPS)
+        && situation.way.target_speed_mps > 1.0;
+    match stands && free_m(situation, world) > FREE_M {
+        true => (Outcome::StoppedDead, Some("stands with free road ahead".to_owned())),
+        false => (Outcome::Survived, None),
     }
 }
 
@@ -227,13 +277,8 @@ impl Drive<'_> {
             },
             None => None,
         };
-        let world = &self.world;
-        let n_peeked = Cell::new(0);
-        let peek = |n: usize| match futures {
-            Some(futures) => peek(situation, world, futures, n_peeked.replace(n_peeked.get() + n)..n_peeked.get()),
-            None => Err(Failed::because("others that do not answer have no futures")),
-        };
-        if let Err(why) = self.driver.plan(situation, world, n_steps, &peek) {
+        let (world, futures) = (&self.world, futures.map(|futures| &**futures));
+        if let Err(why) = self.driver.plan(situation, world, n_steps, &peeker(situation, world, futures)) {
             return ended(why).map(Some);
         }
         for step in 0..n_steps {
@@ -326,24 +371,6 @@ impl Drive<'_> {
             return Some((Outcome::LeftRoad, Some(format!("is {off_m:.1} m off the road"))));
         }
         (has_left && !goes_on).then(|| (Outcome::Survived, Some("came to the end of the map".to_owned())))
-    }
-
-    /// The end of a drive that was not ended early.
-    fn came_through(&self) -> End {
-        let (situation, scene) = (self.situation, &self.situation.scene);
-        if self.world.present(situation.ego_idx).is_none() {
-            return (Outcome::Survived, Some("came to the end of the map".to_owned()));
-        }
-        let n_stopped = (STOPPED_S / scene.dt_s).round() as usize;
-        let first = self.world.now().saturating_sub(n_stopped).max(scene.current_timestep());
-        let speed = |timestep: usize| self.world.state(situation.ego_idx, timestep).map_or(0.0, |s| s.speed_mps());
-        let stands = self.world.now() - first >= n_stopped
-            && (first..=self.world.now()).all(|timestep| speed(timestep) < STANDING_MPS)
-            && situation.way.target_speed_mps > 1.0;
-        match stands && free_m(situation, &self.world) > FREE_M {
-            true => (Outcome::StoppedDead, Some("stands with free road ahead".to_owned())),
-            false => (Outcome::Survived, None),
-        }
     }
 
     /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it and

@@ -75,6 +75,13 @@ impl World {
         self.seed = Seed(self.seed).derive("copy", &[self.now() as u64, copy as u64]).0;
     }
 
+    /// The world as it was at a timestep that was reached.
+    pub(super) fn until(&self, timestep: usize) -> Self {
+        let mut world = self.clone();
+        world.states.iter_mut().for_each(|states| states.truncate(timestep + 1));
+        world
+    }
+
     /// Number of tracks.
     pub const fn n_tracks(&self) -> usize {
         self.states.len()

@@ -8,6 +8,7 @@
 
 use super::schema::TableSchema;
 use super::tables::{lane, metric, recording, scenario, track};
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
@@ -39,26 +40,11 @@ pub enum CorpusTable {
     Metrics,
 }
 
+named! { CorpusTable {
+    Scenarios = "scenarios", Tracks = "tracks", Recordings = "recordings", Lanes = "lanes", Metrics = "metrics",
+} }
+
 impl CorpusTable {
-    /// Every table.
-    pub const ALL: [Self; 5] = [Self::Scenarios, Self::Tracks, Self::Recordings, Self::Lanes, Self::Metrics];
-
-    /// The name of its folder, or of its file without the ending.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Scenarios => "scenarios",
-            Self::Tracks => "tracks",
-            Self::Recordings => "recordings",
-            Self::Lanes => "lanes",
-            Self::Metrics => "metrics",
-        }
-    }
-
-    /// The table with this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|table| table.name() == name)
-    }
-
     /// Its columns.
     pub fn schema(self) -> TableSchema {
         match self {

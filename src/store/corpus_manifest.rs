@@ -101,7 +101,15 @@ pub struct CorpusManifest {
     pub left_out: BTreeMap<String, BTreeMap<String, u64>>,
 }
 
+/// The note that names the sweeps whose samples aim at hard events.
+pub(crate) const AIMS_AT_HARD_EVENTS: &str = "aims_at_hard_events";
+
 impl CorpusManifest {
+    /// Whether the samples of a sweep aim at hard events, so that they are no sample of the events that happen.
+    pub(crate) fn aims_at_hard_events(&self, sweep: &str) -> bool {
+        self.notes.get(AIMS_AT_HARD_EVENTS).is_some_and(|sweeps| sweeps.split(", ").any(|name| name == sweep))
+    }
+
     /// A manifest without content.
     pub(crate) fn empty() -> Self {
         Self {

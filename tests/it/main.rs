@@ -21,6 +21,7 @@ mod object_store;
 mod parts;
 mod pipelines;
 mod pytorch;
+mod rates;
 mod report;
 mod requests;
 mod safety;

@@ -1,5 +1,6 @@
 //! Arguments of `djinn drive` and `djinn score`.
 
+use super::export::WhichArgs;
 use super::{DeviceChoice, on_disk};
 use crate::drive::SaveAt;
 use crate::export::Selection;
@@ -49,6 +50,15 @@ pub(in crate::cli) struct DriveArgs {
     /// it is tested with, times the shares that it fails
     #[arg(long, conflicts_with = "from")]
     pub(in crate::cli) rates: bool,
+    /// Say the same without buckets, too, by this many loops that begin with held-out ones of --scenes and are split
+    #[arg(long, value_name = "N", requires = "rates", requires = "scenes")]
+    pub(in crate::cli) loops: Option<usize>,
+    /// The required decelerations of the ego, m/s², at which its loops are split
+    #[arg(long, value_name = "MPS2,…", value_delimiter = ',', default_values_t = [3.0, 6.0], requires = "loops")]
+    pub(in crate::cli) levels: Vec<f64>,
+    /// The loops that go on from a level instead of one
+    #[arg(long, value_name = "N", default_value_t = 4, requires = "loops")]
+    pub(in crate::cli) copies: usize,
     /// Drive on from this saved state instead
     #[arg(
         long,
@@ -88,18 +98,8 @@ pub(in crate::cli) struct ScoreArgs {
 /// The scenarios that are driven, of those that were accepted, and the vehicle in them.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ChosenArgs {
-    /// Only scenarios of this requested behavior, such as cut_in
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) behavior: Option<String>,
-    /// Only scenarios of this sweep; if nothing is requested in it, its valid ones
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) sweep: Option<String>,
-    /// Only the scenario with this id (may be repeated)
-    #[arg(long = "scenario", value_name = "ID")]
-    pub(in crate::cli) scenarios: Vec<String>,
-    /// Only the first N accepted scenarios of the corpus
-    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
-    pub(in crate::cli) limit: Option<usize>,
+    #[command(flatten)]
+    pub(in crate::cli) which: WhichArgs,
     /// The vehicle that is driven: `event`, the one to which the requested event happens; `scene`, the center of the
     /// recorded window; or the name of a track
     #[arg(long, value_name = "event|scene|TRACK", default_value = "event")]
@@ -124,14 +124,7 @@ pub(in crate::cli) struct DriveGates {
 impl ChosenArgs {
     /// The selection of accepted scenarios, and of ordinary ones that are named.
     pub(in crate::cli) fn selection(&self) -> Selection {
-        Selection {
-            only_accepted: true,
-            also_ordinary: self.sweep.is_some() || !self.scenarios.is_empty(),
-            behavior: self.behavior.clone(),
-            sweep: self.sweep.clone(),
-            scenario_ids: self.scenarios.clone(),
-            limit: self.limit,
-            ..Selection::default()
-        }
+        let also_ordinary = self.which.sweep.is_some() || !self.which.scenarios.is_empty();
+        Selection { only_accepted: true, also_ordinary, ..self.which.selection() }
     }
 }

@@ -1,7 +1,7 @@
 //! Arguments of `djinn export`.
 
 use super::on_disk;
-use crate::export::ExportFormat;
+use crate::export::{ExportFormat, Selection};
 use std::path::PathBuf;
 
 #[derive(Debug, clap::Args)]
@@ -21,18 +21,8 @@ pub(in crate::cli) struct ExportArgs {
     /// Only accepted scenarios: verified, valid and not a near-duplicate
     #[arg(long)]
     pub(in crate::cli) only_accepted: bool,
-    /// Only scenarios of this requested behavior, such as cut_in
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) behavior: Option<String>,
-    /// Only scenarios of this sweep
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) sweep: Option<String>,
-    /// Only the scenario with this id (may be repeated)
-    #[arg(long = "scenario", value_name = "ID")]
-    pub(in crate::cli) scenarios: Vec<String>,
-    /// Only the first N scenarios of the corpus
-    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
-    pub(in crate::cli) limit: Option<usize>,
+    #[command(flatten)]
+    pub(in crate::cli) which: WhichArgs,
     /// The ego: `event`, the vehicle to which the requested event happens, such as the one that is cut off; `scene`,
     /// the center of the recorded window; or the name of a track
     #[arg(long, value_name = "event|scene|TRACK", default_value = "event")]
@@ -43,6 +33,31 @@ pub(in crate::cli) struct ExportArgs {
     /// Write the ego like every other road user; in commonroad, as an obstacle beside the planning problem
     #[arg(long, conflicts_with = "free_ego")]
     pub(in crate::cli) replay_ego: bool,
+}
+
+/// Which scenarios of a corpus.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct WhichArgs {
+    /// Only scenarios of this requested behavior, such as cut_in
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) behavior: Option<String>,
+    /// Only scenarios of this sweep; `drive` and `score` take its valid ones if nothing is requested in it
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) sweep: Option<String>,
+    /// Only the scenario with this id (may be repeated)
+    #[arg(long = "scenario", value_name = "ID")]
+    pub(in crate::cli) scenarios: Vec<String>,
+    /// Only the first N of the scenarios
+    #[arg(long, value_name = "N", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    pub(in crate::cli) limit: Option<usize>,
+}
+
+impl WhichArgs {
+    pub(in crate::cli) fn selection(&self) -> Selection {
+        let Self { behavior, sweep, scenarios, limit } = self;
+        let (behavior, sweep, scenario_ids) = (behavior.clone(), sweep.clone(), scenarios.clone());
+        Selection { behavior, sweep, scenario_ids, limit: *limit, ..Selection::default() }
+    }
 }
 
 /// Reads the name of a format; help and errors list them all.

@@ -6,12 +6,12 @@ use crate::cli::args::{DriveArgs, DriveGates, OutputArgs, ScoreArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::cli::signals;
-use crate::drive::{DriveConfig, DriveReport, EgoDriver, Origin, drive_corpus, score as score_planned};
+use crate::drive::{DriveConfig, DriveReport, EgoDriver, Origin, SplitFailures, drive_corpus, score as score_planned};
 use crate::engine::{ComputeChoice, Failure, Result, version};
 use crate::generate::Futures;
 use crate::pipeline::driven_by::open_model;
 use crate::scenario::EgoChoice;
-use crate::simulate::{RolloutConfig, World};
+use crate::simulate::{RatesConfig, RolloutConfig, World};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -31,6 +31,14 @@ pub(in crate::cli) fn drive(args: &DriveArgs, output: &OutputArgs, printer: &Pri
         save_at: args.save_at,
         bisects: args.bisect,
         rates: args.rates,
+        split: args.loops.map(|loops| RatesConfig {
+            loops,
+            horizon_s: args.horizon_s,
+            replan_s: args.replan_s,
+            levels: args.levels.clone(),
+            copies: args.copies,
+            ..RatesConfig::default()
+        }),
         n_workers: rayon::current_num_threads(),
         program: version()?,
         scenes: args.scenes.clone(),
@@ -124,11 +132,10 @@ fn text(report: &DriveReport) -> String {
         );
     }
     for at in report.rates.iter().flatten() {
-        let _ = writeln!(
-            text,
-            "at {}, it fails {} times in 1,000 km, the careful driver {} times",
-            at.place, at.per_1000_km, at.careful_per_1000_km
-        );
+        if let Some((own, careful)) = at.per_1000_km.zip(at.careful_per_1000_km) {
+            let _ =
+                writeln!(text, "at {}, it fails {own} times in 1,000 km, the careful driver {careful} times", at.place);
+        }
         if let Some((most, widest)) = at.buckets.first().zip(at.widest()) {
             let _ = writeln!(
                 text,
@@ -140,11 +147,25 @@ fn text(report: &DriveReport) -> String {
             );
         }
         if at.n_without_rate > 0 {
-            let _ = writeln!(text, "  {} scenarios have no rate, and are not in it", at.n_without_rate);
+            let _ = writeln!(
+                text,
+                "  {} scenarios have no rate or aim at hard events, and are not in it",
+                at.n_without_rate
+            );
         }
     }
-    if report.rates.as_ref().is_some_and(Vec::is_empty) {
-        let _ = writeln!(text, "no scenario has a rate: evaluate the corpus again, with [mine]");
+    for SplitFailures { place, per_1000_km, careful_per_1000_km, .. } in report.split_rates.iter().flatten() {
+        let place = if place.is_empty() { "all places" } else { place };
+        let _ = writeln!(
+            text,
+            "by loops at {place}, it fails {per_1000_km} times in 1,000 km, the careful driver {careful_per_1000_km} times"
+        );
+    }
+    if report.rates.iter().flatten().all(|at| at.buckets.is_empty()) && report.rates.is_some() {
+        let _ = writeln!(
+            text,
+            "no scenario has a rate and is a sample of its bucket: evaluate the corpus again, with [mine]"
+        );
     }
     for matters in report.that_matter.iter().take(N_SHOWN) {
         let why = matters.why.as_deref().unwrap_or_default();

@@ -9,15 +9,8 @@ use crate::scenario::EgoChoice;
 use std::path::Path;
 
 pub(in crate::cli) fn export(args: &ExportArgs, output: &OutputArgs, printer: &Printer) -> Result<()> {
-    let selection = Selection {
-        only_verified: args.only_verified,
-        only_accepted: args.only_accepted,
-        also_ordinary: false,
-        behavior: args.behavior.clone(),
-        sweep: args.sweep.clone(),
-        scenario_ids: args.scenarios.clone(),
-        limit: args.limit,
-    };
+    let (only_verified, only_accepted) = (args.only_verified, args.only_accepted);
+    let selection = Selection { only_verified, only_accepted, ..args.which.selection() };
     let ego = EgoChoice::from_name(&args.ego);
     let motion = match (args.free_ego, args.replay_ego) {
         (true, _) => Some(EgoMotion::Free),

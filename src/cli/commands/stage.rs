@@ -123,19 +123,7 @@ impl<'a> Request<'a> {
                 }
                 request
             }
-            Command::Run(_)
-            | Command::Submit(_)
-            | Command::Status(_)
-            | Command::Corpus(_)
-            | Command::Drive(_)
-            | Command::Score(_)
-            | Command::Export(_)
-            | Command::Regenerate(_)
-            | Command::Inspect(_)
-            | Command::Init(_)
-            | Command::List(_)
-            | Command::Completions(_)
-            | Command::Man(_) => return None,
+            _ => return None,
         };
         Some(request)
     }

@@ -38,7 +38,7 @@ impl Exporter for OpenLabel {
     fn add(&mut self, item: &Item<'_>) -> Result<ExportOutcome> {
         let scene = item.scene();
         let file = format!("{}.json", item.stem);
-        write_json_atomically(&self.dir.join(&file), &document(item))?;
+        write_json_atomically(&self.dir.join(&file), &document(item)?)?;
         let tracks = scene.tracks.iter().map(|track| Ok(track.id.0.clone())).collect();
         Ok(ExportOutcome::Written(Written {
             file,
@@ -55,18 +55,20 @@ impl Exporter for OpenLabel {
     }
 }
 
-fn document(item: &Item<'_>) -> Value {
+fn document(item: &Item<'_>) -> Result<Value> {
     let record = item.record;
     let positive = record.events.iter().filter(|event| event.label == EventLabel::Positive);
     let mut tags = vec![scenario_tag(item), provenance_tag(item)];
-    tags.extend(record.assessment.iter().flat_map(|judged| assessment::tags(item.scene(), judged)));
+    if let Some(judged) = &record.assessment {
+        tags.extend(assessment::tags(item.scene(), judged)?);
+    }
     for event in positive {
         tags.push(event_tag(item.scene(), event));
         tags.extend(asam_type(&event.behavior).map(|kind| json!({ "type": kind, "ontology_uid": ASAMS })));
     }
     let tags: serde_json::Map<String, Value> =
         tags.into_iter().enumerate().map(|(uid, tag)| (uid.to_string(), tag)).collect();
-    json!({ "openlabel": {
+    Ok(json!({ "openlabel": {
         "metadata": {
             "schema_version": "1.0.0",
             "name": record.scenario.id,
@@ -78,7 +80,7 @@ fn document(item: &Item<'_>) -> Value {
             ASAMS: { "uri": ASAM_ONTOLOGY },
         },
         "tags": tags,
-    } })
+    } }))
 }
 
 fn scenario_tag(item: &Item<'_>) -> Value {

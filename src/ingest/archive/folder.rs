@@ -5,7 +5,8 @@ use crate::ingest::Error;
 use std::ffi::OsString;
 use std::io;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
 
 /// Visits the files of `root` and of the folders below it; archives among them are entered.
 pub(super) fn visit(
@@ -16,22 +17,23 @@ pub(super) fn visit(
     visit_folder(root, &mut Vec::new(), &mut Vec::new(), wanted, visit)
 }
 
-/// `below` are the names from the root to this folder, `ancestors` the folders on the way as the file system knows
-/// them.
+/// `below` are the names from the root to this folder, `ancestors` the folders on the way as the file system numbers
+/// them, by device and inode.
 fn visit_folder(
     root: &Path,
     below: &mut Vec<OsString>,
-    ancestors: &mut Vec<PathBuf>,
+    ancestors: &mut Vec<(u64, u64)>,
     wanted: &dyn Fn(&str) -> bool,
     visit: &mut Visitor<'_>,
 ) -> Result<ControlFlow<()>, Error> {
     let folder = below.iter().fold(root.to_owned(), |path, name| path.join(name));
-    let canonical = fs_err::canonicalize(&folder)?;
-    if ancestors.contains(&canonical) {
+    let metadata = fs_err::metadata(&folder)?;
+    let number = (metadata.dev(), metadata.ino());
+    if ancestors.contains(&number) {
         let detail = "a symbolic link leads back to a folder above it; remove the link".to_owned();
         return Err(Error::Container { container: folder, file: String::new(), detail });
     }
-    ancestors.push(canonical);
+    ancestors.push(number);
     for name in sorted_names(&folder)? {
         let path = folder.join(&name);
         // A dangling link counts as a file; opening it fails when the file is needed.

@@ -9,11 +9,9 @@ use crate::ingest::csv_rows::lines_of;
 use crate::ingest::decimal;
 use crate::ingest::ids;
 use crate::ingest::quotes::{printable, without_quotes};
-use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use crate::ingest::raw::{HeadingGap, RawScene, RawUnit, Reject, map_id};
 use crate::ingest::source::Horizon;
-use crate::scene::{
-    AgentClass, Dataset, Derivation, SceneId, SceneSource, SituationKind, Split, Track, TrackId, TrackRole, Trajectory,
-};
+use crate::scene::{AgentClass, Dataset, Derivation, SceneId, Split, Track, TrackId, TrackRole, Trajectory};
 use std::collections::HashMap;
 
 const COLUMNS: [&str; 6] = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"];
@@ -25,10 +23,7 @@ const MAX_TRACKS: usize = 10_000;
 /// Unsmoothed tracks have one row a timestep, whatever its time.
 pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<RawScene, Reject> {
     let table = TrackTable::read(unit)?;
-    let split = match unit.split {
-        UnitSplit::All(split) => split,
-        UnitSplit::Divided => Split::Unsplit,
-    };
+    let split = unit.split.of_scene();
     let timestamps_s = timestamps(unit, &table.rows, split)?;
     let first = RECORDED.n_history - horizon.n_history;
     let last = timestamps_s.len().min(RECORDED.n_history + horizon.n_future);
@@ -56,17 +51,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
     Ok(RawScene {
         id: SceneId(format!("{}/{}/{place}/{}", Dataset::Argoverse1.name(), split.name(), unit.case_id)),
         map_id: map_id(Dataset::Argoverse1, &place),
-        source: SceneSource {
-            dataset: Dataset::Argoverse1,
-            version: String::new(),
-            split,
-            place,
-            file: unit.file.clone(),
-            case_id: unit.case_id.clone(),
-            first_frame: timestamps_s[first].to_string(),
-            situation: SituationKind::Recorded,
-            continues: None,
-        },
+        source: unit.source(Dataset::Argoverse1, split, place, unit.case_id.clone(), timestamps_s[first].to_string()),
         dt_s: DT_S,
         n_timesteps: last - first,
         n_history: horizon.n_history,

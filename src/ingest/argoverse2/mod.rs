@@ -28,10 +28,6 @@ pub(super) struct Argoverse2<'a> {
 
 impl<'a> Argoverse2<'a> {
     pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
-        if !config.map_inputs.is_empty() {
-            let detail = "cannot be used with argoverse2: every scenario has its own map beside it".to_owned();
-            return Err(Error::Config { key: "map_inputs".to_owned(), detail });
-        }
         Ok(Self { config, horizon: Horizon::within(config, RECORDED)? })
     }
 }

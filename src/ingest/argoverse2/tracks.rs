@@ -5,11 +5,9 @@ use crate::geometry::Vec2;
 use crate::ingest::ids;
 use crate::ingest::parquet_columns::{Columns, Limits};
 use crate::ingest::plausible_tracks::recorded_heading;
-use crate::ingest::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use crate::ingest::raw::{Finding, RawScene, RawUnit, Reject, map_id};
 use crate::ingest::source::Horizon;
-use crate::scene::{
-    AgentClass, Dataset, SceneId, SceneSource, SituationKind, Split, State, Track, TrackId, TrackRole, Trajectory,
-};
+use crate::scene::{AgentClass, Dataset, SceneId, Split, State, Track, TrackId, TrackRole, Trajectory};
 use std::collections::HashMap;
 
 const COLUMNS: [&str; 12] = [
@@ -47,10 +45,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
         return Err(unit.reject("no_rows", "the table is empty"));
     }
     let malformed = |detail| unit.reject("malformed_row", detail);
-    let split = match unit.split {
-        UnitSplit::All(split) => split,
-        UnitSplit::Divided => Split::Unsplit,
-    };
+    let split = unit.split.of_scene();
     let timesteps = timesteps(unit, &table, split)?;
     let first = RECORDED.n_history - horizon.n_history;
     let last = timesteps.n_recorded.min(RECORDED.n_history + horizon.n_future);
@@ -75,17 +70,7 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject
     Ok(RawScene {
         id: SceneId(format!("{}/{}/{place}/{case_id}", Dataset::Argoverse2.name(), split.name())),
         map_id: map_id(Dataset::Argoverse2, &case_id),
-        source: SceneSource {
-            dataset: Dataset::Argoverse2,
-            version: String::new(),
-            split,
-            place,
-            file: unit.file.clone(),
-            case_id,
-            first_frame: first_frame(&table, first),
-            situation: SituationKind::Recorded,
-            continues: None,
-        },
+        source: unit.source(Dataset::Argoverse2, split, place, case_id, first_frame(&table, first)),
         dt_s: DT_S,
         n_timesteps: last - first,
         n_history: horizon.n_history,

@@ -10,14 +10,13 @@ mod tests;
 mod tracks;
 
 use super::config::IngestConfig;
-use super::error::Error;
 use super::files::split_of_path;
 use super::map_text::read_text;
 use super::pairing::{PairNames, PairReader};
-use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use super::raw::{Finding, RawScene, RawUnit, Reject, map_id};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use super::xml_tree::Element;
-use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource, SituationKind, Split};
+use crate::scene::{Dataset, LaneGraph, SceneId, SceneSource};
 use std::sync::Arc;
 use tracks::{Obstacle, Obstacles};
 
@@ -36,12 +35,8 @@ pub(super) struct CommonRoad<'a> {
 }
 
 impl<'a> CommonRoad<'a> {
-    pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
-        if !config.map_inputs.is_empty() {
-            let detail = "cannot be used with commonroad: every scenario has its own map".to_owned();
-            return Err(Error::Config { key: "map_inputs".to_owned(), detail });
-        }
-        Ok(Self { config, horizon: Horizon::of(config, USUAL) })
+    pub(super) fn new(config: &'a IngestConfig) -> Self {
+        Self { config, horizon: Horizon::of(config, USUAL) }
     }
 }
 
@@ -159,23 +154,13 @@ impl Scenario {
 
     fn scene(&self, first: i64, horizon: Horizon) -> RawScene {
         let (dataset, n_timesteps) = (Dataset::CommonRoad, horizon.n_timesteps());
-        let split = match self.unit.split {
-            UnitSplit::All(split) => split,
-            UnitSplit::Divided => Split::Unsplit,
-        };
+        let split = self.unit.split.of_scene();
         let case_id = &self.unit.case_id;
         RawScene {
             id: SceneId(format!("{}/{}/{}/{case_id}@{first}", dataset.name(), split.name(), self.place)),
             source: SceneSource {
-                dataset,
                 version: self.version.clone(),
-                split,
-                place: self.place.clone(),
-                file: self.unit.file.clone(),
-                case_id: case_id.clone(),
-                first_frame: first.to_string(),
-                situation: SituationKind::Recorded,
-                continues: None,
+                ..self.unit.source(dataset, split, self.place.clone(), case_id.clone(), first.to_string())
             },
             dt_s: DT_S,
             n_timesteps,

@@ -5,7 +5,8 @@
 //! cases of 40 frames, of which 10 are observed; the cases of test sets hold these 10 alone, and mark agents. Maps are
 //! Lanelet2 files, each named exactly for its place: v1.1's `DR_CHN_Merging_ZS` is neither v1.2's `ZS0` nor its `ZS2`.
 //!
-//! An error rejects only its own case or recording. Reasons of rejects:
+//! An error rejects only its own case. A recording loses its bad rows, and is rejected if they are more than a tenth.
+//! Reasons of rejects:
 //!
 //! - `malformed_row`: too few or too many columns, a cell that is no number, no whole number, or no id; a motorized
 //!   agent without `psi_rad`;

@@ -6,10 +6,10 @@ use super::columns::TrackColumns;
 use super::path::TrackFile;
 use super::track::{TrackTable, read_tracks};
 use crate::ingest::csv_rows::without_end;
-use crate::ingest::recorded_track::RecordedTrack;
+use crate::ingest::raw::MAX_BAD_SHARE;
 use crate::ingest::windows::{Cut, Recording, frames};
-use crate::ingest::{Finding, Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject, UnitSplit};
-use crate::scene::{Dataset, Split};
+use crate::ingest::{Horizon, IngestConfig, PendingScene, RawScene, RawUnit, Reject};
+use crate::scene::Dataset;
 
 /// The scene of a v1.2 case.
 ///
@@ -18,7 +18,8 @@ use crate::scene::{Dataset, Split};
 pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject> {
     let columns = TrackColumns::of(&unit.header, false).map_err(|detail| unit.reject("bad_header", detail))?;
     let table = TrackTable { file: &unit.file, columns, rows: &unit.bytes, first_line: unit.first_line };
-    let tracks = read_tracks(&[table])?;
+    // A case is 4 s long: whatever is wrong in it costs it.
+    let (tracks, findings) = read_tracks(&[table], 0.0)?;
     let Some((min_frame, max_frame)) = frames(&tracks) else {
         return Err(unit.reject_at("no_rows", unit.first_line, format!("case {} has no rows", unit.case_id)));
     };
@@ -36,36 +37,25 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
     let first_frame = first_future - horizon.n_history as i64;
     let n_timesteps = if max_frame < first_future { horizon.n_history } else { horizon.n_timesteps() };
 
-    let split = match unit.split {
-        UnitSplit::All(split) => split,
-        UnitSplit::Divided => Split::Unsplit,
-    };
     let plain_id = plain_case_id(unit.case_id.as_bytes());
     let case = match TrackFile::of(&unit.container, &unit.file).and_then(|file| file.test_set) {
         Some(test_set) => format!("{test_set}:{plain_id}"),
         None => plain_id,
     };
     let dataset = Dataset::Interaction;
+    let split = unit.split.of_scene();
     let cut = Cut { dataset, unit, split, case, first_frame, n_timesteps, n_history: horizon.n_history };
-    Ok(RawScene { findings: repeated(unit, &tracks), ..cut.scene(&tracks, 0..tracks.len()) })
+    Ok(RawScene { findings, ..cut.scene(&tracks, 0..tracks.len()) })
 }
 
 /// The windows of a v1.1 recording. The text is dropped before the first window is made.
 pub(super) fn windows(mut unit: RawUnit, horizon: Horizon, config: &IngestConfig) -> Vec<PendingScene<'static>> {
-    let tracks = match recording_tables(&unit).and_then(|tables| read_tracks(&tables)) {
-        Ok(tracks) => tracks,
+    let (tracks, findings) = match recording_tables(&unit).and_then(|tables| read_tracks(&tables, MAX_BAD_SHARE)) {
+        Ok(read) => read,
         Err(reject) => return vec![Box::new(|| Err(reject))],
     };
     (unit.bytes, unit.companion) = (Vec::new(), None);
-    let findings = repeated(&unit, &tracks);
     Recording { dataset: Dataset::Interaction, unit, tracks, findings }.windows(horizon, config)
-}
-
-/// The repeated rows.
-fn repeated(unit: &RawUnit, tracks: &[RecordedTrack]) -> Vec<Finding> {
-    let n = tracks.iter().map(|track| track.n_repeated).sum();
-    let detail = || format!("{}: rows that repeat others are left out", unit.file);
-    (n > 0).then(|| Finding { what: "rows_repeated", n, detail: detail() }).into_iter().collect()
 }
 
 /// The vehicles' and the pedestrians' tables of a recording.

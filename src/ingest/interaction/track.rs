@@ -3,11 +3,11 @@
 use super::CASE_HORIZON;
 use super::columns::TrackColumns;
 use super::row::{Flaw, TrackRow};
-use crate::ingest::Reject;
 use crate::ingest::csv_rows::lines_of;
 use crate::ingest::ids;
 use crate::ingest::quotes::printable;
 use crate::ingest::recorded_track::{Observation, RecordedTrack};
+use crate::ingest::{Finding, Reject};
 use crate::scene::{AgentClass, Extent, TrackId, TrackRole};
 use std::collections::BTreeMap;
 
@@ -21,42 +21,62 @@ pub(super) struct TrackTable<'a> {
     pub(super) first_line: u64,
 }
 
-/// Reads the tracks of all tables in order of their first rows.
+/// The tracks of all tables in order of their first rows, and the rows that are left out. It is a reject if they are more
+/// than this share of all.
 ///
 /// A track has one type. Its size is that of its first row with a size, because sizes are not measured in every frame.
-pub(super) fn read_tracks(tables: &[TrackTable<'_>]) -> Result<Vec<RecordedTrack>, Reject> {
-    let mut builders: Vec<Builder<'_>> = Vec::new();
-    let mut by_id: BTreeMap<&[u8], usize> = BTreeMap::new();
-    let mut cells = Vec::new();
+pub(super) fn read_tracks(
+    tables: &[TrackTable<'_>],
+    max_bad_share: f64,
+) -> Result<(Vec<RecordedTrack>, Vec<Finding>), Reject> {
+    let mut tracks = Tracks::default();
+    let (mut n_rows, mut n_bad, mut first_bad) = (0_u64, 0_u64, None);
     for table in tables {
-        let mut current: Option<usize> = None;
+        tracks.current = None;
         for (line, row_idx) in lines_of(table.rows).zip(0_u64..) {
-            let number = table.first_line + row_idx;
             if line.is_empty() {
                 continue;
             }
-            let reject = |flaw: Flaw| reject_at(table.file, number, flaw);
-            let row = TrackRow::parse(line, &table.columns, &mut cells).map_err(reject)?;
-            // Rows of a track are usually adjacent.
-            let index = match current.filter(|index| builders[*index].id == row.track_id) {
-                Some(index) => index,
-                None => *by_id.entry(row.track_id).or_insert(builders.len()),
-            };
-            if index == builders.len() {
-                if index == MAX_TRACKS {
-                    return Err(reject(("too_many_tracks", format!("more than {MAX_TRACKS} tracks"))));
-                }
-                builders.push(Builder::new(&row).map_err(reject)?);
+            n_rows += 1;
+            if let Err(flaw) = tracks.add(line, table, table.first_line + row_idx) {
+                n_bad += 1;
+                first_bad.get_or_insert_with(|| reject_at(table.file, table.first_line + row_idx, flaw));
             }
-            builders[index].add(&row, table.file, number).map_err(reject)?;
-            current = Some(index);
         }
     }
+    let mut builders = tracks.builders;
+    builders.retain(|builder| !builder.observations.is_empty());
+    let file = tables.first().map_or("", |table| table.file);
     if let Some(pair) = ids::ambiguous(builders.iter().map(|builder| builder.id)).next() {
-        let file = tables.first().map_or("", |table| table.file);
         return Err(Reject { reason: ids::AMBIGUOUS, detail: format!("{file}: {}", ids::in_words("track", pair)) });
     }
-    builders.into_iter().map(Builder::finish).collect()
+    let (mut read, mut n_repeated) = (Vec::with_capacity(builders.len()), 0);
+    for builder in builders {
+        let n_of_track = builder.observations.len() as u64;
+        match builder.finish() {
+            Ok((track, n_again)) => {
+                n_repeated += n_again;
+                read.push(track);
+            }
+            Err(reject) => {
+                n_bad += n_of_track;
+                first_bad.get_or_insert(reject);
+            }
+        }
+    }
+    let mut findings = Vec::new();
+    if let Some(Reject { reason, mut detail }) = first_bad {
+        if n_bad as f64 > max_bad_share * n_rows as f64 {
+            detail += &if n_bad > 1 { format!("; {n_bad} of {n_rows} rows cannot be used") } else { String::new() };
+            return Err(Reject { reason, detail });
+        }
+        findings.push(Finding { what: "rows_left_out", n: n_bad, detail });
+    }
+    if n_repeated > 0 {
+        let detail = format!("{file}: rows that repeat others are left out");
+        findings.push(Finding { what: "rows_repeated", n: n_repeated, detail });
+    }
+    Ok((read, findings))
 }
 
 fn reject_at(file: &str, line: u64, (reason, detail): Flaw) -> Reject {
@@ -79,6 +99,36 @@ fn class_of(agent_type: &[u8]) -> Option<AgentClass> {
 /// Maximum number of tracks of a recording; each takes some kilobytes while it is read, and real recordings have
 /// thousands.
 const MAX_TRACKS: usize = 100_000;
+
+/// The tracks that are being read.
+#[derive(Default)]
+struct Tracks<'a> {
+    builders: Vec<Builder<'a>>,
+    by_id: BTreeMap<&'a [u8], usize>,
+    /// That of the last row: rows of a track are usually adjacent.
+    current: Option<usize>,
+    cells: Vec<&'a [u8]>,
+}
+
+impl<'a> Tracks<'a> {
+    fn add(&mut self, line: &'a [u8], table: &TrackTable<'a>, number: u64) -> Result<(), Flaw> {
+        let row = TrackRow::parse(line, &table.columns, &mut self.cells)?;
+        let n = self.builders.len();
+        let index = match self.current.filter(|index| self.builders[*index].id == row.track_id) {
+            Some(index) => index,
+            None => self.by_id.get(row.track_id).copied().unwrap_or(n),
+        };
+        if index == n {
+            if n == MAX_TRACKS {
+                return Err(("too_many_tracks", format!("more than {MAX_TRACKS} tracks")));
+            }
+            self.builders.push(Builder::new(&row)?);
+            self.by_id.insert(row.track_id, n);
+        }
+        self.current = Some(index);
+        self.builders[index].add(&row, table.file, number)
+    }
+}
 
 /// A track that is being read.
 struct Builder<'a> {
@@ -121,9 +171,8 @@ impl<'a> Builder<'a> {
             return Err(("malformed_row", detail));
         }
         if row.agent_type != self.agent_type {
-            let [was, is] = [self.agent_type, row.agent_type].map(String::from_utf8_lossy);
-            let detail = format!("track {} is \"{was}\" and then \"{is}\"", String::from_utf8_lossy(self.id));
-            return Err(("inconsistent_agent_type", detail.escape_debug().to_string()));
+            let [id, was, is] = [self.id, self.agent_type, row.agent_type].map(printable);
+            return Err(("inconsistent_agent_type", format!("track {id} is \"{was}\" and then \"{is}\"")));
         }
         self.extent = self.extent.or(row.extent);
         self.is_interesting |= row.is_interesting;
@@ -134,7 +183,8 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<RecordedTrack, Reject> {
+    /// The track, and the number of its rows that repeat others.
+    fn finish(mut self) -> Result<(RecordedTrack, u64), Reject> {
         let id = String::from_utf8_lossy(self.id).into_owned();
         if !self.observations.is_sorted_by_key(|(observation, _)| observation.frame) {
             self.observations.sort_by_key(|(observation, _)| observation.frame);
@@ -154,9 +204,7 @@ impl<'a> Builder<'a> {
         };
         let observations: Vec<Observation> =
             self.observations.into_iter().map(|(observation, _)| observation).collect();
-        let mut track = RecordedTrack::new(TrackId(id), self.class, role, self.extent, &observations);
-        track.n_repeated = n_repeated;
-        Ok(track)
+        Ok((RecordedTrack::new(TrackId(id), self.class, role, self.extent, &observations), n_repeated))
     }
 }
 
@@ -168,9 +216,14 @@ mod tests {
 
     const HEADER: &str = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width";
 
-    fn read(rows: &str) -> Result<Vec<RecordedTrack>, Reject> {
+    /// The tracks, and the number and the first of each kind of rows that are left out.
+    fn read_within(rows: &str, max_bad_share: f64) -> Result<(Vec<RecordedTrack>, Vec<Finding>), Reject> {
         let columns = TrackColumns::of(HEADER.as_bytes(), false).unwrap();
-        read_tracks(&[TrackTable { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2 }])
+        read_tracks(&[TrackTable { file: "t.csv", columns, rows: rows.as_bytes(), first_line: 2 }], max_bad_share)
+    }
+
+    fn read(rows: &str) -> Result<Vec<RecordedTrack>, Reject> {
+        read_within(rows, 0.0).map(|(tracks, _)| tracks)
     }
 
     /// The headings of a track in degrees.
@@ -190,8 +243,9 @@ mod tests {
 
         let nan = read("P1,1,100,pedestrian/bicycle,0,0,0,0,nan,nan,NaN\n1,1,100,car,0,0,0,0,0,nan,nan\n").unwrap();
         assert_eq!(nan.iter().map(|track| track.extent).collect::<Vec<_>>(), [None, None]);
-        let again = read("1,1,100,car,0,0,0,0,0,4,2\n1,1,100,car,0,0,0,0,0,4,2\n1,2,200,car,0,0,0,0,0,4,2\n").unwrap();
-        assert_eq!((again[0].states.len(), again[0].n_repeated), (2, 1));
+        let again = "1,1,100,car,0,0,0,0,0,4,2\n1,1,100,car,0,0,0,0,0,4,2\n1,2,200,car,0,0,0,0,0,4,2\n";
+        let (again, findings) = read_within(again, 0.0).unwrap();
+        assert_eq!((again[0].states.len(), findings[0].what, findings[0].n), (2, "rows_repeated", 1));
         let spelled_twice = read("9,3,300,car,3,0,1,0,0.1,4,2\n9.0,4,400,car,4,0,1,0,0.1,4,2\n").unwrap();
         assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
 
@@ -245,6 +299,28 @@ mod tests {
     }
 
     #[test]
+    fn a_few_bad_rows_are_left_out_and_named() {
+        let good = |id: u32| -> String { (1..=20).map(|i| format!("{id},{i},{i}00,car,{i},0,10,0,0,4,2\n")).collect() };
+        for (bad, n, why) in [
+            ("1,21,2100,car,,0,10,0,0,4,2\n", 1, "t.csv:42: column x is \"\""),
+            ("1,21,2100,van,21,0,10,0,0,4,2\n", 1, "t.csv:42: track 1 is \"car\" and then \"van\""),
+            ("3,1,100,tank,0,0,0,0,0,4,2\n3,2,200,tank,0,0,0,0,0,4,2\n", 2, "t.csv:42: column agent_type is \"tank\""),
+            ("3,1,100,car,0,0,0,0,0,4,2\n3,1,100,car,9,0,0,0,0,4,2\n", 2, "t.csv:43: track 3 is at frame 1 already"),
+            ("1,21,2100,car,21,0", 1, "t.csv:42: 6 columns, expected 11"),
+        ] {
+            let rows = good(1) + &good(2) + bad;
+            let (tracks, findings) = read_within(&rows, 0.1).unwrap();
+            assert_eq!(tracks.iter().map(|track| track.states.len()).collect::<Vec<_>>(), [20, 20], "{bad}");
+            assert_eq!((findings.len(), findings[0].what, findings[0].n), (1, "rows_left_out", n));
+            assert!(findings[0].detail.starts_with(why), "{}", findings[0].detail);
+            assert!(read_within(&rows, 0.0).unwrap_err().detail.starts_with(why));
+        }
+        let too_many = good(1) + &good(2) + &"1,21,2100,car,,0,10,0,0,4,2\n".repeat(5);
+        let reject = read_within(&too_many, 0.1).unwrap_err();
+        assert!(reject.detail.ends_with("; 5 of 45 rows cannot be used"), "{}", reject.detail);
+    }
+
+    #[test]
     fn flaws_are_rejects_with_file_and_line() {
         let good = "1,1,100,car,0,0,0,0,0,4,2\n";
         for (rows, reason, place) in [
@@ -255,11 +331,11 @@ mod tests {
             (format!("{good}1,2,200,pedestrian,0,0,0,0,0,4,2"), "inconsistent_agent_type", "t.csv:3:"),
             (format!("{good}1,2,200,car,0,0,0,0,NaN,4,2"), "malformed_row", "t.csv:3: column psi_rad is blank"),
             (format!("{good}01,2,200,car,0,0,0,0,0,4,2"), "ambiguous_id", "t.csv: track 1 is also written 01; write"),
-            ("1,1,100,tank,0,0,0,0,0,4,2".to_owned(), "unknown_agent_type", "t.csv:2: column agent_type is \\\"tank"),
+            ("1,1,100,tank,0,0,0,0,0,4,2".to_owned(), "unknown_agent_type", "t.csv:2: column agent_type is \"tank"),
         ] {
             let reject = read(&rows).unwrap_err();
             assert_eq!(reject.reason, reason);
-            assert!(reject.detail.replace('"', "\\\"").starts_with(place), "{}", reject.detail);
+            assert!(reject.detail.starts_with(place), "{}", reject.detail);
         }
     }
 }

@@ -9,7 +9,6 @@
 mod bound;
 mod lanelet;
 mod osm;
-mod projection;
 mod topology;
 
 pub use super::map_report::MapReport;
@@ -18,10 +17,10 @@ use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::map_text::read_text;
 use crate::ingest::plausible_lanes::plausible;
+use crate::ingest::projection::{GeoPoint, LocalUtm};
 use crate::scene::{Lane, LaneGraph};
 use lanelet::Lanelet;
 use osm::{NodePosition, Osm, Relation};
-use projection::{GeoPoint, LocalUtm};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufRead;
 

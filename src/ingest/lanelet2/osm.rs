@@ -3,11 +3,11 @@
 //! Only elements that Lanelet2 uses are read. Documents with a document type are refused, so there are no entities to
 //! expand, and size, depth and attributes are bounded, so that no document can exhaust memory or time.
 
-use super::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
 use crate::geometry::Vec2;
 use crate::ingest::error::{Error, Malformed};
 use crate::ingest::map_report::MapReport;
 use crate::ingest::map_text::line_at;
+use crate::ingest::projection::{GeoPoint, MAX_LATITUDE_DEG, MAX_LONGITUDE_DEG};
 use quick_xml::XmlVersion;
 use quick_xml::events::{BytesStart, Event};
 use std::collections::BTreeMap;

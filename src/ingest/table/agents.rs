@@ -15,6 +15,8 @@ use crate::ingest::recorded_track::RecordedTrack;
 const SAME_S: f64 = 1e-9;
 /// Two rows of a track at one time are the same if their positions are this close, meters.
 const SAME_M: f64 = 1e-6;
+/// Positions in degrees are this close to their origin, meters: farther away, its plane is not true to scale.
+const MAX_FROM_ORIGIN_M: f64 = 1e5;
 
 impl Rows<'_> {
     /// The agents that have the id in these rows.
@@ -167,6 +169,15 @@ impl Rows<'_> {
         }
         let TableColumns { x, y, .. } = &self.mapping.columns;
         let at = self.position(row);
+        if self.mapping.origin.is_some() && !(at.norm() <= MAX_FROM_ORIGIN_M) {
+            let detail = format!(
+                "is {:.0} km from ingest.table.origin, expected at most {}; is {x} the longitude and {y} the latitude, in \
+                 degrees?",
+                at.norm() / 1e3,
+                MAX_FROM_ORIGIN_M / 1e3
+            );
+            return Err(self.reject("out_of_range", row, &detail));
+        }
         for (name, at_m) in [(x, at.x), (y, at.y)] {
             if at_m.abs() > MAX_COORDINATE_M {
                 let detail = format!(

@@ -177,6 +177,7 @@ mod tests {
             "id,y,x\na,9,1.5\nb,9,\na,9,nan\n",
             "\u{feff}id;y;x\r\na;9;1.5\r\nb;9;\r\na;9;NaN",
             "id\ty\tx\n\"a\"\t9\t 1.5\nb\t9\t\na\t9\tnan",
+            "id;y;x\na;9,0;1,5\nb;9;\na;9;nan",
         ] {
             let table = read(text).unwrap();
             assert_eq!((table.n_rows, table.place_of(1)), (3, "line 3".to_owned()), "{text}");

@@ -1,6 +1,6 @@
 //! What is left out of a recording or noteworthy in it, by reason, each with the first place.
 
-use super::table_rows::MAX_BAD_SHARE;
+use crate::ingest::raw::MAX_BAD_SHARE;
 use crate::ingest::{Finding, Reject};
 use std::collections::BTreeMap;
 

@@ -1,11 +1,14 @@
 //! The `[ingest.table]` section: what the columns of recordings mean that are in no format of their own.
 
+use crate::geometry::Vec2;
 use crate::ingest::Error;
 use crate::ingest::ids::whole_number;
+use crate::ingest::projection::{GeoPoint, LocalUtm};
 use crate::scene::AgentClass;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_PI_2;
 
 /// The meaning of tables that have a row for each agent and time, as CSV (cells separated by commas, semicolons or
 /// tabs; also `.gz`) or Parquet.
@@ -34,6 +37,10 @@ pub struct TableMapping {
     #[serde(default = "one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub length_unit_m: f64,
+    /// Where positions are in degrees (x is the longitude, y the latitude, WGS84): the point from which meters east and
+    /// north are counted, in its UTM zone. Where a Lanelet2 map's origin is assumed, a warning names it.
+    #[serde(default)]
+    pub origin: Option<GeoPoint>,
     /// Whether y points down, as in images: positions and headings are mirrored.
     #[serde(default)]
     pub y_points_down: bool,
@@ -123,7 +130,41 @@ pub enum HeadingUnit {
     CompassDegrees,
 }
 
+/// The plane in which positions are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Plane {
+    unit_m: f64,
+    projection: Option<LocalUtm>,
+    /// The direction of north, radians from x.
+    pub(super) north_rad: f64,
+}
+
+impl Plane {
+    /// The position that two numbers of a table are, meters.
+    pub(super) fn at(&self, [x, y]: [f64; 2]) -> Vec2 {
+        match self.projection {
+            Some(projection) => projection.project(GeoPoint { latitude_deg: y, longitude_deg: x }),
+            None => Vec2::new(x, y) * self.unit_m,
+        }
+    }
+}
+
+impl TableColumns {
+    /// Whether a column must be in the table itself; others may be in the table of tracks.
+    pub(super) fn is_of_rows(&self, name: &str) -> bool {
+        let Self { track, x, y, time, frame, heading, recording, place, .. } = self;
+        let optional = [time, frame, heading, recording, place].into_iter().flatten();
+        [track, x, y].into_iter().chain(optional).any(|of_rows| of_rows == name)
+    }
+}
+
 impl TableMapping {
+    pub(super) fn plane(&self) -> Plane {
+        let projection = self.origin.map(LocalUtm::around);
+        let north_rad = projection.zip(self.origin).map_or(FRAC_PI_2, |(projection, at)| projection.north_rad(at));
+        Plane { unit_m: self.length_unit_m, projection, north_rad }
+    }
+
     /// The seconds that a number in the column of the time, or of the frame, stands for.
     pub(super) fn seconds_of(&self, value: f64) -> f64 {
         match self.frame_rate_hz {
@@ -161,6 +202,9 @@ impl TableMapping {
         }
         if length.is_some() != width.is_some() {
             return refuse("columns", "has only one of length and width: name both or neither");
+        }
+        if self.origin.is_some() && (self.y_points_down || self.position == PositionOf::Corner) {
+            return refuse("origin", "is of positions in degrees, which neither point down nor are corners");
         }
         if self.position == PositionOf::Corner && length.is_none() {
             return refuse("position", "is corner, which needs columns.length and columns.width");

@@ -1,7 +1,7 @@
 //! The rows of a table, by recording and track.
 
 use super::columns::{Kind, Table, Texts};
-use super::mapping::{TableColumns, TableMapping};
+use super::mapping::{Plane, TableColumns, TableMapping};
 use crate::ingest::raw::{Finding, Part, RawUnit, Reject};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,6 +9,7 @@ use std::sync::Arc;
 /// The rows of a file with those of its table of tracks.
 pub(super) struct Rows<'a> {
     pub(super) mapping: &'a TableMapping,
+    pub(super) plane: Plane,
     pub(super) file: String,
     /// The part of the file that they are.
     pub(super) part: Option<Arc<Part>>,
@@ -69,20 +70,8 @@ impl<'a> Rows<'a> {
             Kind::Track | Kind::Text => table.text(Some(name)).is_some(),
             Kind::Types => true,
         };
-        let TableColumns { track, x, y, time, frame, heading, recording, place, .. } = &mapping.columns;
-        let of_rows = [
-            Some(track),
-            Some(x),
-            Some(y),
-            time.as_ref(),
-            frame.as_ref(),
-            heading.as_ref(),
-            recording.as_ref(),
-            place.as_ref(),
-        ];
-        let is_of_rows = |name: &str| of_rows.iter().flatten().any(|of_rows| *of_rows == name);
         let is_missing = |(name, kind): &&(&str, Kind)| {
-            let elsewhere = of_tracks.as_ref().filter(|_| !is_of_rows(name));
+            let elsewhere = of_tracks.as_ref().filter(|_| !mapping.columns.is_of_rows(name));
             !has(name, *kind, &table) && !elsewhere.is_some_and(|of_tracks| has(name, *kind, &of_tracks.table))
         };
         let missing: Vec<&str> = wanted.iter().filter(is_missing).map(|(name, _)| *name).collect();
@@ -97,7 +86,8 @@ impl<'a> Rows<'a> {
         if table.n_rows == 0 {
             return Err(unit.reject("no_rows", "the table has no rows"));
         }
-        Ok(Self { mapping, file: unit.file.clone(), part: unit.part.clone(), table, of_tracks })
+        let plane = mapping.plane();
+        Ok(Self { mapping, plane, file: unit.file.clone(), part: unit.part.clone(), table, of_tracks })
     }
 
     /// Doubts about the whole table.

@@ -6,7 +6,7 @@ use crate::ingest::error::Malformed;
 use crate::ingest::ids::whole_number;
 use crate::ingest::parquet_columns::{Stream, columns_of};
 use crate::ingest::quotes::{printable, split_quoted};
-use crate::ingest::raw::Finding;
+use crate::ingest::raw::{Finding, MAX_BAD_SHARE};
 use arrow::array::{Array, StringArray};
 use parquet::file::metadata::ParquetMetaData;
 use std::borrow::Cow;
@@ -15,8 +15,6 @@ use std::sync::Arc;
 
 /// The longest text of a cell, bytes: names are shorter.
 const MAX_TEXT_BYTES: usize = 1024;
-/// A table is rejected if a larger share of its rows cannot be used.
-pub(super) const MAX_BAD_SHARE: f64 = 0.1;
 /// Ids of nobody, as trackers and pandas write them.
 const NOBODY: [&str; 5] = ["", "-1", "nan", "NaN", "None"];
 
@@ -251,11 +249,12 @@ impl Source<'_> {
             return Ok(numbers[*n_done - 1]);
         }
         let cell = self.cell(at);
-        let number = if cell.is_empty() {
-            Some(f64::NAN)
-        } else {
-            std::str::from_utf8(cell).ok().and_then(|text| text.parse().ok())
+        let parsed = |text: &str| {
+            // Where commas do not separate cells, one in a number is its decimal point.
+            let has_commas = matches!(self, Source::Text { separator, .. } if *separator != b',');
+            text.parse().ok().or_else(|| has_commas.then(|| text.replacen(',', ".", 1).parse().ok())?)
         };
+        let number = if cell.is_empty() { Some(f64::NAN) } else { std::str::from_utf8(cell).ok().and_then(parsed) };
         number.ok_or_else(|| {
             let point = if cell.contains(&b',') { " with a decimal point" } else { "" };
             format!("is \"{}\", expected a number{point}", printable(cell))

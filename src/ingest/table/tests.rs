@@ -215,6 +215,35 @@ fn a_file_may_have_several_recordings_and_places() {
 }
 
 #[test]
+fn positions_in_degrees_are_meters_from_an_origin() {
+    const MAPPING: &str = "
+        heading = 'compass_degrees'
+        origin = { latitude_deg = 49.0, longitude_deg = 8.4 }
+        columns = { track = 'id', x = 'lon', y = 'lat', time = 't', heading = 'course' }";
+    let text = |lat: f64, lon: f64| {
+        drive("id,t,lon,lat,course", 60, |i, t, _| format!("7,{t},{lon},{:.8},0", lat + 9e-6 * i as f64))
+    };
+    let folder = file("a.csv", &text(49.003_456, 8.424_276));
+    let (scenes, _) = read(&config(folder.path(), MAPPING)).unwrap();
+    let scene = &scenes[0];
+    // The length of a degree of the meridian there, by its series, in the scale of the zone: 111,209.8 m * 0.9996217.
+    for (_, state) in scene.tracks[0].trajectory.valid().skip(1) {
+        assert!((state.velocity.norm() - 9e-5 * 111_167.7).abs() < 2e-3, "{state:?}");
+        assert!(angle_difference(state.heading_rad, state.velocity.angle()).abs() < 2e-4, "{state:?}");
+    }
+    let first = scene.world_from_scene.point(scene.tracks[0].trajectory.get(0).unwrap().position);
+    assert!((first.y - 0.003_456 * 111_167.7).abs() < 20.0 && (first.x - 1775.0).abs() < 5.0, "{first:?}");
+    for (lat, lon) in [(8.4, 49.0), (49.0, 11.4)] {
+        let folder = file("a.csv", &text(lat, lon));
+        let found = rejects(folder.path(), MAPPING);
+        assert!(
+            found.contains("out_of_range") && found.contains("is lon the longitude and lat the latitude"),
+            "{found}"
+        );
+    }
+}
+
+#[test]
 fn mappings_that_cannot_work_are_refused_with_their_key() {
     let folder = file("a.csv", &plain(60));
     let columns = |more: &str| format!("columns = {{ track = 'id', x = 'x', y = 'y'{more} }}");

@@ -1,11 +1,10 @@
 //! The rows of a table with their times, and those of its parts.
 
 use super::columns::Kind;
-use super::mapping::{TableColumns, TableMapping};
+use super::mapping::{Plane, TableColumns, TableMapping};
 use super::owners::Seen;
 use super::rows::wanted;
 use super::table_rows::TableRows;
-use crate::geometry::Vec2;
 use crate::ingest::error::Malformed;
 use crate::ingest::raw::{Part, RawUnit, Reject};
 use parquet::file::metadata::ParquetMetaData;
@@ -46,6 +45,7 @@ impl Gathered<'_> {
 pub(super) struct TimedRows<'r> {
     pub(super) rows: TableRows<'r>,
     mapping: &'r TableMapping,
+    plane: Plane,
     time: usize,
     position: [usize; 2],
     size: Option<[usize; 2]>,
@@ -72,11 +72,8 @@ impl<'r> TimedRows<'r> {
         };
         let rows = rows.map_err(|error| ("bad_table", error.to_string()))?;
         let TableColumns { time, frame, track, x, y, length, width, class, recording, place, .. } = &mapping.columns;
-        let of_rows =
-            [time.as_ref(), frame.as_ref(), Some(track), Some(x), Some(y), recording.as_ref(), place.as_ref()];
         let is_missing = |(name, kind): &&(&str, Kind)| {
-            // Others may be in the table of tracks.
-            let may_miss = mapping.track_files.is_some() && !of_rows.iter().flatten().any(|of_rows| *of_rows == name);
+            let may_miss = mapping.track_files.is_some() && !mapping.columns.is_of_rows(name);
             *kind != Kind::Types && !may_miss && rows.index_of(name).is_none()
         };
         let missing: Vec<&str> = all.iter().filter(is_missing).map(|(name, _)| *name).collect();
@@ -90,7 +87,7 @@ impl<'r> TimedRows<'r> {
         let size = place_of(length.as_ref()).zip(place_of(width.as_ref())).map(<[usize; 2]>::from);
         let key = [recording, place].into_iter().filter_map(|name| place_of(name.as_ref())).collect();
         let class = place_of(class.as_ref());
-        Ok(Self { rows, mapping, time, position, size, class, track, key })
+        Ok(Self { rows, mapping, plane: mapping.plane(), time, position, size, class, track, key })
     }
 
     /// The time of the next row, seconds; `None` at the end.
@@ -100,10 +97,10 @@ impl<'r> TimedRows<'r> {
 
     /// The agent of the last row.
     pub(super) fn seen(&self, time_s: f64) -> Seen {
-        let [x, y] = self.position.map(|at| self.rows.number(at));
+        let position = self.plane.at(self.position.map(|at| self.rows.number(at)));
         let size = self.size.map(|size| size.map(|at| self.rows.number(at) * self.mapping.length_unit_m));
         let class = self.class.and_then(|at| self.mapping.class_of(&self.rows.text(at)));
-        Seen::new(time_s, Vec2::new(x, y) * self.mapping.length_unit_m, size, class)
+        Seen::new(time_s, position, size, class)
     }
 
     /// The track of the last row.

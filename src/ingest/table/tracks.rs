@@ -11,7 +11,6 @@ use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
 use crate::ingest::windows::Recording;
 use crate::ingest::{RawUnit, Reject};
 use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole, velocity_at};
-use std::f64::consts::FRAC_PI_2;
 
 /// Frames are numbered by the times of the recording unless these are further than this from 0, as times of day are,
 /// seconds.
@@ -71,7 +70,7 @@ impl Rows<'_> {
         let is_at_rest = self.part.is_none() && !tracks.is_empty() && away_m < MAX_AT_REST_M;
         let at_rest = format!(
             "{}: nobody is ever more than {away_m:.4} m from where it begins; are positions in meters, by \
-             ingest.table.length_unit_m, and not in degrees?",
+             ingest.table.length_unit_m, and not in degrees, which need ingest.table.origin?",
             self.file
         );
         left_out.note("recordings_at_rest", usize::from(is_at_rest), &at_rest);
@@ -161,8 +160,8 @@ impl Rows<'_> {
     /// The position in a row, as recorded, meters.
     pub(super) fn position(&self, row: u32) -> Vec2 {
         let TableColumns { x, y, .. } = &self.mapping.columns;
-        let [x, y] = [x, y].map(|name| self.table.number(Some(name)).map_or(f64::NAN, |numbers| numbers[row as usize]));
-        Vec2::new(x, y) * self.mapping.length_unit_m
+        let number = |name: &String| self.table.number(Some(name)).map_or(f64::NAN, |numbers| numbers[row as usize]);
+        self.plane.at([x, y].map(number))
     }
 
     /// Center (or front) and heading at a row.
@@ -175,7 +174,7 @@ impl Rows<'_> {
         let mut heading_rad = heading.filter(|heading| heading.is_finite()).map(|heading| match self.mapping.heading {
             HeadingUnit::Radians => heading,
             HeadingUnit::Degrees => heading.to_radians(),
-            HeadingUnit::CompassDegrees => FRAC_PI_2 - heading.to_radians(),
+            HeadingUnit::CompassDegrees => self.plane.north_rad - heading.to_radians(),
         });
         if self.mapping.y_points_down {
             position.y = -position.y;

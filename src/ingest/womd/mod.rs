@@ -17,7 +17,7 @@ use super::error::Error;
 use super::files::{file_name, split_of_entry};
 use super::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::source::{EmitUnit, Horizon, PendingScene, RecordingSource, UnitReader};
-use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split};
+use crate::scene::{Dataset, SceneId, Split};
 use prost::Message;
 use std::io::BufRead;
 use std::ops::{ControlFlow, Range};
@@ -37,10 +37,6 @@ pub(super) struct Womd<'a> {
 
 impl<'a> Womd<'a> {
     pub(super) fn new(config: &'a IngestConfig) -> Result<Self, Error> {
-        if !config.map_inputs.is_empty() {
-            let detail = "cannot be used with womd: every scenario has its own map".to_owned();
-            return Err(Error::Config { key: "map_inputs".to_owned(), detail });
-        }
         Ok(Self { config, horizon: Horizon::within(config, RECORDED)? })
     }
 
@@ -51,7 +47,7 @@ impl<'a> Womd<'a> {
             Some(0x0a) => reject("not_a_scenario", "is a tf.Example; the files of `scenario` are read".to_owned()),
             _ => reject("not_a_scenario", error.to_string()),
         })?;
-        let UnitSplit::All(split) = unit.split else { return Err(reject("not_a_scenario", String::new())) };
+        let split = unit.split.of_scene();
         if scenario.scenario_id.trim().is_empty() || scenario.tracks.is_empty() {
             let detail = "has no scenario_id or no tracks; files of lidar and camera features alone have none";
             return Err(reject("not_a_scenario", detail.to_owned()));
@@ -69,17 +65,7 @@ impl<'a> Womd<'a> {
         Ok(RawScene {
             id: SceneId(format!("{}/{}//{id}{of_set}", dataset.name(), split.name())),
             map_id: map_id(dataset, &format!("{id}{of_set}")),
-            source: SceneSource {
-                dataset,
-                version: unit.version.to_owned(),
-                split,
-                place: String::new(),
-                file: unit.file.clone(),
-                case_id: id,
-                first_frame: steps.start.to_string(),
-                situation: SituationKind::Recorded,
-                continues: None,
-            },
+            source: unit.source(dataset, split, String::new(), id, steps.start.to_string()),
             dt_s: DT_S,
             n_timesteps: steps.len(),
             n_history: self.horizon.n_history,

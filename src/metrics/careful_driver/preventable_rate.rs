@@ -10,13 +10,13 @@ pub struct PreventableRate;
 
 impl Metric for PreventableRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "preventable_rate",
-            unit: "1",
-            direction: Direction::Neither,
-            description: "of samples in which the other comes into the ego's lane, the share in which UN R157's \
+        MetricSpec::new(
+            "preventable_rate",
+            "1",
+            Direction::Neither,
+            "of samples in which the other comes into the ego's lane, the share in which UN R157's \
                           careful driver avoids a collision",
-        }
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

@@ -50,7 +50,7 @@ impl Metric for PairMetric {
             }
             Self::MinDistance => ("pair_min_distance_m", "m", "smallest distance between the requested agents"),
         };
-        MetricSpec { id, unit, direction: Direction::Neither, description }
+        MetricSpec::new(id, unit, Direction::Neither, description)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

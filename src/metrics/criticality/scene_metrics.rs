@@ -24,7 +24,7 @@ impl Metric for SceneMetric {
                 "largest deceleration rate to avoid a crash of any two agents; critical above 3.35",
             ),
         };
-        MetricSpec { id, unit, direction: Direction::Neither, description }
+        MetricSpec::new(id, unit, Direction::Neither, description)
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

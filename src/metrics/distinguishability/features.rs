@@ -17,6 +17,7 @@
 use super::motion::{CenterLines, Motion};
 use crate::geometry::{OrientedBox, Vec2};
 use crate::scene::{AgentClass, Scene, State, Track};
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 
 /// Largest distance at which other agents are seen, meters.
@@ -46,21 +47,11 @@ pub enum FeatureSet {
     LanesAndGaps,
 }
 
+named! { FeatureSet {
+    All = "all", Smoothed = "smoothed", HalfSeconds = "half_seconds", Seam = "seam", LanesAndGaps = "lanes_and_gaps",
+} }
+
 impl FeatureSet {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::All, Self::Smoothed, Self::HalfSeconds, Self::Seam, Self::LanesAndGaps];
-
-    /// The name in tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::All => "all",
-            Self::Smoothed => "smoothed",
-            Self::HalfSeconds => "half_seconds",
-            Self::Seam => "seam",
-            Self::LanesAndGaps => "lanes_and_gaps",
-        }
-    }
-
     /// Whether the feature of this name belongs to it.
     fn has(self, name: &str) -> bool {
         let starts = |prefixes: &[&str]| prefixes.iter().any(|prefix| name.starts_with(prefix));

@@ -186,7 +186,7 @@ impl Likelihoods {
     pub fn specs() -> impl Iterator<Item = MetricSpec> {
         let means = MEANS.iter().map(|(id, _, description)| (*id, *description));
         let all = means.chain(FEATURES.iter().map(|feature| (feature.id, feature.description)));
-        all.map(|(id, description)| MetricSpec { id, unit: "1", direction: Direction::HigherIsBetter, description })
+        all.map(|(id, description)| MetricSpec::new(id, "1", Direction::HigherIsBetter, description))
     }
 
     /// The likelihood of the recorded future by the samples of each of `groups`, which are repeated as often as needed

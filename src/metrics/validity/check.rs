@@ -1,6 +1,7 @@
 //! The validity checks, and violations of them.
 
 use crate::scene::{Scene, TrackId};
+use crate::settings::named;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -40,52 +41,14 @@ pub enum Check {
     ContactAfterEnd,
 }
 
+named! { Check {
+    Acceleration = "acceleration", Deceleration = "deceleration", LateralAcceleration = "lateral_acceleration",
+    Jerk = "jerk", YawRate = "yaw_rate", Curvature = "curvature", Heading = "heading", Reverse = "reverse",
+    StartPosition = "start_position", StartHeading = "start_heading", StartAcceleration = "start_acceleration",
+    Collision = "collision", Offroad = "offroad", Deserted = "deserted", ContactAfterEnd = "contact_after_end",
+} }
+
 impl Check {
-    /// Every check, in the order of tables.
-    pub const ALL: [Self; 15] = [
-        Self::Acceleration,
-        Self::Deceleration,
-        Self::LateralAcceleration,
-        Self::Jerk,
-        Self::YawRate,
-        Self::Curvature,
-        Self::Heading,
-        Self::Reverse,
-        Self::StartPosition,
-        Self::StartHeading,
-        Self::StartAcceleration,
-        Self::Collision,
-        Self::Offroad,
-        Self::Deserted,
-        Self::ContactAfterEnd,
-    ];
-
-    /// Its name in configs and tables.
-    pub const fn id(self) -> &'static str {
-        match self {
-            Self::Acceleration => "acceleration",
-            Self::Deceleration => "deceleration",
-            Self::LateralAcceleration => "lateral_acceleration",
-            Self::Jerk => "jerk",
-            Self::YawRate => "yaw_rate",
-            Self::Curvature => "curvature",
-            Self::Heading => "heading",
-            Self::Reverse => "reverse",
-            Self::StartPosition => "start_position",
-            Self::StartHeading => "start_heading",
-            Self::StartAcceleration => "start_acceleration",
-            Self::Collision => "collision",
-            Self::Offroad => "offroad",
-            Self::Deserted => "deserted",
-            Self::ContactAfterEnd => "contact_after_end",
-        }
-    }
-
-    /// The check of this name.
-    pub fn from_id(id: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|check| check.id() == id)
-    }
-
     /// The unit of its values and limits.
     pub const fn unit(self) -> &'static str {
         match self {

@@ -33,7 +33,7 @@ fn found(scene: &Scene, config: &ValidityConfig) -> Vec<Violation> {
 }
 
 fn checks(scene: &Scene, config: &ValidityConfig) -> Vec<&'static str> {
-    found(scene, config).iter().map(|violation| violation.check.id()).collect()
+    found(scene, config).iter().map(|violation| violation.check.name()).collect()
 }
 
 /// The only violation.
@@ -51,10 +51,10 @@ fn defaults() -> ValidityConfig {
 #[test]
 fn names_are_those_of_configurations() {
     for check in Check::ALL {
-        assert_eq!(serde_json::to_value(check).expect("a name"), check.id());
-        assert_eq!(Check::from_id(check.id()), Some(check));
+        assert_eq!(serde_json::to_value(check).expect("a name"), check.name());
+        assert_eq!(Check::from_name(check.name()), Some(check));
     }
-    assert!(Check::ALL.is_sorted() && Check::from_id("none").is_none());
+    assert!(Check::ALL.is_sorted() && Check::from_name("none").is_none());
 }
 
 #[test]

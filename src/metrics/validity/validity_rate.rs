@@ -16,12 +16,12 @@ static DEFAULTS: LazyLock<ValidityConfig> = LazyLock::new(ValidityConfig::defaul
 
 impl Metric for ValidityRate {
     fn spec(&self) -> MetricSpec {
-        MetricSpec {
-            id: "validity_rate",
-            unit: "1",
-            direction: Direction::HigherIsBetter,
-            description: "share of samples that pass every validity check",
-        }
+        MetricSpec::new(
+            "validity_rate",
+            "1",
+            Direction::HigherIsBetter,
+            "share of samples that pass every validity check",
+        )
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {

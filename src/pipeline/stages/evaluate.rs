@@ -1,6 +1,6 @@
 //! Generated scenarios to metrics and the corpus: the files around [`Evaluation`].
 
-use super::generate::{SampleManifest, read_requests};
+use super::generate::{SampleManifest, SampleSettings, read_requests};
 use super::mine::MineConfig;
 use super::rates::modeled_rates;
 use crate::behavior::Behavior;
@@ -11,7 +11,7 @@ use crate::evaluate::{
     EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
     ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs, of_requests,
 };
-use crate::generate::GenerateConfig;
+use crate::generate::{Aim, GenerateConfig};
 use crate::nn::Compute;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::{
@@ -20,8 +20,8 @@ use crate::pipeline::layout::{
 use crate::progress::Progress;
 use crate::rates::RecordedTraffic;
 use crate::store::{
-    CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, read_tags, stream_events,
-    write_binary_atomically, write_coverage, write_json_atomically, write_metrics,
+    AIMS_AT_HARD_EVENTS, CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, read_tags,
+    stream_events, write_binary_atomically, write_coverage, write_json_atomically, write_metrics,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -51,7 +51,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        20
+        21
     }
 
     fn check(&self) -> Result<()> {
@@ -179,7 +179,7 @@ impl Sharded for Evaluate<'_> {
         let n_accepted_scenes = found.n_accepted_scenes;
         let mut summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
         summary.gates.extend(of_requests(&config.gates, &read_requests(&self.layout.samples)?));
-        corpus.finish(&self.notes(&summary))?;
+        corpus.finish(&self.notes(&summary)?)?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
         Ok(json!({
             "n_scenarios": summary.n_scenarios,
@@ -254,7 +254,7 @@ impl Evaluate<'_> {
     }
 
     /// The corpus's notes.
-    fn notes(&self, summary: &EvaluationSummary) -> CorpusNotes {
+    fn notes(&self, summary: &EvaluationSummary) -> Result<CorpusNotes> {
         let mut notes = BTreeMap::from([
             ("pipeline".to_owned(), self.pipeline.to_owned()),
             ("made_by".to_owned(), format!("djinn {}", env!("CARGO_PKG_VERSION"))),
@@ -263,7 +263,13 @@ impl Evaluate<'_> {
         if !cautions.is_empty() {
             notes.insert("maps".to_owned(), cautions.join(" "));
         }
+        let SampleSettings { mine, generate, .. } = SampleSettings::read(&self.layout.samples)?;
+        let sweeps = generate.resolve(&mine.build()?)?.sweeps;
+        let hard: Vec<&str> = sweeps.iter().filter(|s| s.aim == Aim::Hard).map(|s| s.name.as_str()).collect();
+        if !hard.is_empty() {
+            notes.insert(AIMS_AT_HARD_EVENTS.to_owned(), hard.join(", "));
+        }
         let sources = self.config.terms.iter().map(|(dataset, terms)| (dataset.name().to_owned(), terms.clone()));
-        CorpusNotes { sources: sources.collect(), notes, left_out: left_out_by_sweep(&summary.left_out) }
+        Ok(CorpusNotes { sources: sources.collect(), notes, left_out: left_out_by_sweep(&summary.left_out) })
     }
 }

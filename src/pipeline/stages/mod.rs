@@ -1,5 +1,6 @@
 //! The stages: how are the sections of a pipeline file connected to the code that does the work?
 
+mod closed_loops;
 mod error_causes;
 mod evaluate;
 mod generate;
@@ -17,6 +18,7 @@ mod train_denoiser;
 mod train_distill;
 mod training_scenes;
 
+pub use closed_loops::ClosedLoops;
 pub(in crate::pipeline) use error_causes::of_named_path;
 pub use evaluate::Evaluate;
 pub(in crate::pipeline) use generate::{FoundShard, find_shard, is_round_file, shard_name};
@@ -111,8 +113,16 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
         StageId::TrainBaseline => {
             Box::new(Train { recipe: train.baseline.as_ref()?, own, seed: run.seed, precision, layout })
         }
-        StageId::Rates => Box::new(rates(config, layout)?),
-        StageId::Situations => Box::new(situations(config, layout)?),
+        StageId::Rates => Box::new(Rates {
+            config: config.rates.as_ref()?,
+            mine: mine.clone().unwrap_or_default(),
+            loops: ClosedLoops::new(config, layout),
+        }),
+        StageId::Situations => Box::new(Situations {
+            config: config.situations.as_ref()?,
+            validity: config.evaluate.as_ref().map(|evaluate| evaluate.validity.clone()).unwrap_or_default(),
+            loops: ClosedLoops::new(config, layout),
+        }),
         StageId::Generate => Box::new(generation(config, layout)?),
         StageId::Evaluate => Box::new(evaluation(config, layout)?),
         StageId::Report => Box::new(Report {
@@ -128,45 +138,6 @@ fn build<'a>(id: StageId, config: &'a PipelineConfig, layout: &'a Layout) -> Opt
             },
             layout,
         }),
-    })
-}
-
-/// The stage of modeled rates, if the configuration has its section.
-fn rates<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Rates<'a>> {
-    let PipelineConfig { run, ingest, mine, train, rates, generate, .. } = config;
-    Some(Rates {
-        config: rates.as_ref()?,
-        mine: mine.clone().unwrap_or_default(),
-        seed: run.seed,
-        precision: run.precision,
-        splits: generate.as_ref().map_or(&[], |generate| &generate.splits),
-        places: generate.as_ref().map_or(&[], |generate| &generate.places),
-        ingest: ingest.as_ref(),
-        distilled: has_distilled(config, layout),
-        learns_from: train::scenes_learned_from(train),
-        layout,
-    })
-}
-
-/// Whether closed loops are those of a distilled model.
-fn has_distilled(PipelineConfig { train, .. }: &PipelineConfig, layout: &Layout) -> bool {
-    train.distill.is_some() || (train.denoiser.is_none() && layout.distilled.exists())
-}
-
-/// The stage of situations, if the configuration has its section.
-fn situations<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<Situations<'a>> {
-    let PipelineConfig { run, ingest, train, situations, generate, evaluate, .. } = config;
-    Some(Situations {
-        config: situations.as_ref()?,
-        seed: run.seed,
-        precision: run.precision,
-        splits: generate.as_ref().map_or(&[], |generate| &generate.splits),
-        places: generate.as_ref().map_or(&[], |generate| &generate.places),
-        validity: evaluate.as_ref().map(|evaluate| evaluate.validity.clone()).unwrap_or_default(),
-        ingest: ingest.as_ref(),
-        distilled: has_distilled(config, layout),
-        learns_from: train::scenes_learned_from(train),
-        layout,
     })
 }
 

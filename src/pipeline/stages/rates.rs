@@ -1,24 +1,16 @@
 //! Held-out scenes and a model to rates of what recordings hardly show.
 
-use super::held_out::learned;
+use super::closed_loops::ClosedLoops;
 use super::mine::MineConfig;
-use super::train::checkpoint_file;
-use super::with_precision;
-use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
-use crate::generate::{Futures, held_out_in_order};
-use crate::ingest::{IngestConfig, usual_horizon};
-use crate::model::TrainedDenoiser;
-use crate::nn::Precision;
+use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
+use crate::generate::Futures;
 use crate::pipeline::StageId;
-use crate::pipeline::layout::{EXPOSURE, Layout, MODELED, MODELED_RATES, MODELED_SUMMARY, OCCURRENCES};
+use crate::pipeline::layout::{EXPOSURE, MODELED, MODELED_RATES, MODELED_SUMMARY, OCCURRENCES};
 use crate::rates::{Calibration, ModeledRates, ModeledTraffic, RecordedTraffic};
-use crate::scene::{INGESTED_DT_S, Split};
-use crate::settings::Issue;
 use crate::simulate::{LoopFigures, Modeling, RatesConfig};
 use crate::store::{
     SceneStore, read_binary, read_recorded_traffic, write_binary_atomically, write_json_atomically, write_rates,
 };
-use crate::train::SceneChoice;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -32,22 +24,8 @@ pub struct Rates<'a> {
     pub config: &'a RatesConfig,
     /// The behaviors and buckets.
     pub mine: MineConfig,
-    /// The seed of the run.
-    pub seed: u64,
-    /// The precision of matrix products.
-    pub precision: Precision,
-    /// The splits and places of the generation; none: what is held out, everywhere.
-    pub splits: &'a [Split],
-    /// See `splits`.
-    pub places: &'a [String],
-    /// How scenes were cut.
-    pub ingest: Option<&'a IngestConfig>,
-    /// Whether the pipeline has a distilled model, which samples in fewer evaluations.
-    pub distilled: bool,
-    /// The scenes that models of the pipeline learn from: no loop begins with one of them.
-    pub learns_from: Vec<SceneChoice<'a>>,
-    /// Where the scenes, events and models are.
-    pub layout: &'a Layout,
+    /// Where its loops begin, and what drives them.
+    pub loops: ClosedLoops<'a>,
 }
 
 /// The file `modeled.json`.
@@ -58,12 +36,6 @@ pub struct ModeledSummary {
     pub figures: LoopFigures,
     /// Modeled against recorded rates.
     pub calibration: Vec<Calibration>,
-}
-
-impl Rates<'_> {
-    fn model(&self) -> StageId {
-        if self.distilled { StageId::TrainDistill } else { StageId::TrainDenoiser }
-    }
 }
 
 /// The rates of the model in the file `modeled`, compared with recorded ones; `None` if there are none.
@@ -89,30 +61,19 @@ impl Stage for Rates<'_> {
     }
 
     fn check(&self) -> Result<()> {
-        let told = |issue: Issue| Failure::input(issue.within("rates"));
-        self.config.validate().map_err(told)?;
-        let Some(horizon) = self.ingest.and_then(|ingest| usual_horizon(ingest).ok()) else { return Ok(()) };
-        self.config.check(INGESTED_DT_S, horizon.n_future as f64 * INGESTED_DT_S).map_err(told)
+        let config = self.config;
+        self.loops.check("rates", config.validate(), |dt_s, future_s| config.check(dt_s, future_s))
     }
 
     fn config(&self) -> anyhow::Result<Value> {
-        let mut config = serde_json::to_value(self.config)?;
-        config["seed"] = json!(self.seed);
-        config["splits"] = json!(self.splits);
-        config["places"] = json!(self.places);
+        let mut config = self.loops.config(self.config)?;
         config["mine"] = serde_json::to_value(&self.mine)?;
-        config["learns_from"] = serde_json::to_value(&self.learns_from)?;
-        Ok(with_precision(config, Some(self.precision)))
+        Ok(config)
     }
 
     fn inputs(&self) -> Vec<StageInput> {
-        let model = self.model().output(self.layout);
-        let model = model.map(|(name, path)| StageInput::made_by(self.model(), name, path));
-        let inputs = [
-            StageInput::made_by(StageId::Ingest, "scenes", &self.layout.scenes),
-            StageInput::made_by(StageId::Mine, "events", &self.layout.events),
-        ];
-        inputs.into_iter().chain(model).collect()
+        let events = StageInput::made_by(StageId::Mine, "events", &self.loops.layout.events);
+        self.loops.inputs().into_iter().chain([events]).collect()
     }
 
     fn work(&self) -> Work<'_> {
@@ -123,19 +84,12 @@ impl Stage for Rates<'_> {
 impl Whole for Rates<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let behaviors = self.mine.build()?;
-        let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| self.layout.events.with_file_name(name));
+        let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| self.loops.layout.events.with_file_name(name));
         let recorded = read_recorded_traffic(&exposure, &occurrences)?;
-        let store = SceneStore::open(&self.layout.scenes)?;
-        let learned = learned(&self.learns_from, &store)?;
-        let order = held_out_in_order(store.index(), (self.splits, self.places), &learned, self.seed);
-        let positions: Vec<usize> = order.into_iter().map(|(position, _)| position).collect();
-        if positions.is_empty() {
-            return Err(Failure::input_message("no scene is held out for a closed loop to begin with")
-                .with_hint("add recordings, or name splits and places in [generate]"));
-        }
-        let folder = if self.distilled { &self.layout.distilled } else { &self.layout.denoiser };
-        let model = TrainedDenoiser::read(&checkpoint_file(folder), context.compute)?;
-        let futures = Futures::new(&model, self.seed, &context.compute.device)?;
+        let store = SceneStore::open(&self.loops.layout.scenes)?;
+        let positions = self.loops.starts(&store)?;
+        let model = self.loops.model(context)?;
+        let futures = Futures::new(&model, self.loops.seed, &context.compute.device)?;
         let modeling = Modeling { config: self.config, futures: &futures, store: &store, behaviors: &behaviors };
         let (traffic, figures) = modeling.run(&positions, context.progress)?;
         write_binary_atomically(&context.root.join(MODELED), FORMAT, &traffic)?;

@@ -14,6 +14,7 @@ use super::accepted::HARDNESS;
 use super::model::Fact;
 use crate::metrics::closeness_over_time;
 use crate::scene::{GuidanceLevel, ObservationMask, Roles, Scene};
+use crate::settings::named;
 
 /// Drawings of one scene side by side, at one scale: the recording and its generated continuations.
 #[derive(Debug, Clone, PartialEq)]
@@ -142,20 +143,9 @@ pub enum Verdict {
     NotAsked,
 }
 
+named! { Verdict { New = "new", Recorded = "recorded", NotVerified = "not_verified", NotAsked = "not_asked" } }
+
 impl Verdict {
-    /// Every verdict.
-    pub const ALL: [Self; 4] = [Self::New, Self::Recorded, Self::NotVerified, Self::NotAsked];
-
-    /// The name in addresses of the page.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::New => "new",
-            Self::Recorded => "recorded",
-            Self::NotVerified => "not_verified",
-            Self::NotAsked => "not_asked",
-        }
-    }
-
     /// The verdict in words.
     pub const fn words(self) -> &'static str {
         match self {

@@ -4,7 +4,7 @@ use super::plain::plain_table;
 use super::scenes::{keys_help, player};
 use super::{COURSES, PLAYER, Section, facts, page};
 use crate::report::drives::{DriveCell, DriveGrid, DrivesPage};
-use crate::report::number::{count, value};
+use crate::report::number::count;
 use maud::{Markup, PreEscaped, html};
 
 /// The page as one self-contained HTML file: equal content gives equal bytes.
@@ -33,7 +33,8 @@ pub fn render_drives(content: &DrivesPage) -> String {
     if !content.grids.is_empty() {
         let grids = html! {
             p class="note" {
-                "By two parameters of the event, each in parts with equally many scenarios; 2/7: fails 2 of 7. "
+                "By what is within 50 m of the center, and by two parameters of the event, each in parts with equally many \
+                 scenarios; 2/7: fails 2 of 7. "
                 span class="key full" { "none that the careful driver survives" } " "
                 span class="key short" { "some that it survives" } " "
                 span class="key beyond" { "the careful driver fails some, too" } ": the boundary of what it survives. "
@@ -50,20 +51,19 @@ pub fn render_drives(content: &DrivesPage) -> String {
 }
 
 fn heat_map(grid: &DriveGrid) -> Markup {
-    let [across, down] = &grid.parameters;
-    let range = |[low, high]: &[f64; 2]| format!("{} to {}", value(*low), value(*high));
+    let [across, down] = &grid.axes;
     html! {
-        h3 { (grid.behavior.replace('_', " ")) }
+        h3 { (grid.title.replace('_', " ")) }
         table class="bucket-grid" {
             thead {
                 tr {
                     th scope="col" { (down) " ↓, " (across) " →" }
-                    @for columns in &grid.ranges[0] { th scope="col" class="n" { (range(columns)) } }
+                    @for column in &grid.names[0] { th scope="col" class="n" { (column) } }
                 }
             }
             tbody {
-                @for (rows, cells) in grid.ranges[1].iter().zip(&grid.cells) {
-                    tr { th scope="row" { (range(rows)) } @for cell in cells { (drive_cell(cell)) } }
+                @for (row, cells) in grid.names[1].iter().zip(&grid.cells) {
+                    tr { th scope="row" { (row) } @for cell in cells { (drive_cell(cell)) } }
                 }
             }
         }

@@ -127,7 +127,7 @@ fn maps(rows: &[MapFitRow]) -> Markup {
 }
 
 fn n_not_checked(row: &ValidityRow, check: Check) -> u64 {
-    row.not_checked.get(check.id()).copied().unwrap_or(0)
+    row.not_checked.get(check.name()).copied().unwrap_or(0)
 }
 
 /// The checks that were not made, with the numbers of scenes.
@@ -141,7 +141,7 @@ fn not_checked(rows: &[&ValidityRow]) -> Markup {
             p class="note" {
                 "Not checked: "
                 @for (i, (check, n)) in left_out.iter().enumerate() {
-                    @if i > 0 { ", " } (check.id().replace('_', " ")) " in " (count(*n)) " of " (count(n_scenes))
+                    @if i > 0 { ", " } (check.name().replace('_', " ")) " in " (count(*n)) " of " (count(n_scenes))
                     " scenes"
                 }
                 ". Motion is not checked where a dataset's positions are too noisy, departures from the road where \
@@ -154,13 +154,13 @@ fn not_checked(rows: &[&ValidityRow]) -> Markup {
 
 fn validity(rows: &[ValidityRow]) -> Markup {
     let rows: Vec<&ValidityRow> = rows.iter().filter(|row| row.place.is_empty()).collect();
-    let is_failed = |check: &Check| rows.iter().any(|row| row.violations.contains_key(check.id()));
+    let is_failed = |check: &Check| rows.iter().any(|row| row.violations.contains_key(check.name()));
     let checks: Vec<Check> = Check::ALL.into_iter().filter(is_failed).collect();
     let head = html! {
         tr {
             th scope="col" { "Group" } th scope="col" class="n" { "Strength α" } th scope="col" class="n" { "n" }
             th scope="col" class="n" { "Valid" } th scope="col" class="n" { "Plausibility" }
-            @for check in &checks { th scope="col" class="n" { (check.id().replace('_', " ")) } }
+            @for check in &checks { th scope="col" class="n" { (check.name().replace('_', " ")) } }
         }
     };
     let body = html! {
@@ -175,7 +175,7 @@ fn validity(rows: &[ValidityRow]) -> Markup {
                         @if n_not_checked(row, *check) == row.n { "not checked" }
                         @else {
                             (share(
-                                row.violations.get(check.id()).copied().unwrap_or(0),
+                                row.violations.get(check.name()).copied().unwrap_or(0),
                                 row.n - n_not_checked(row, *check)
                             ))
                         }
@@ -196,7 +196,7 @@ fn validity(rows: &[ValidityRow]) -> Markup {
             summary { "What is checked" }
             dl class="definitions" {
                 @for check in Check::ALL {
-                    dt { (check.id()) small { " (" (check.unit()) ")" } } dd { (check.description()) "." }
+                    dt { (check.name()) small { " (" (check.unit()) ")" } } dd { (check.description()) "." }
                 }
             }
         }

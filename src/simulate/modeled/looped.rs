@@ -5,12 +5,16 @@ use crate::behavior::{Behavior, BehaviorEvent};
 use crate::generate::Futures;
 use crate::rates::{ExposureTally, ModeledEvent, ModeledLoop, OccurrenceTally, SceneExposure};
 use crate::scene::SceneId;
-use crate::simulate::rollout::drive_on;
-use crate::simulate::{Error, Result, Situation, World};
+use crate::simulate::rollout::{End, begin_at, came_through, drive_on, ended};
+use crate::simulate::{Driver, Error, Outcome, Result, Situation, World};
 use crate::statistics::{Levels, Process, split};
+use std::cell::RefCell;
 
 /// Events that begin in the last seconds of a loop do not count, for they may not be complete.
 const TO_COMPLETE_S: f64 = 3.0;
+
+/// What a failure of a driver is counted as.
+pub const FAILURE: &str = "failure";
 
 /// The start of a loop.
 pub(super) struct Start {
@@ -42,13 +46,16 @@ pub(super) struct Looped {
 struct Loop<'a> {
     situation: &'a Situation,
     futures: &'a Futures<'a>,
+    driver: &'a RefCell<&'a mut Box<dyn Driver>>,
     severity: Severity,
     /// Timesteps of a plan, and the last timestep.
     n_plan: usize,
     last: usize,
     world: World,
     most: f64,
-    is_over: bool,
+    end: Option<End>,
+    /// Whether the driver does not know this past yet, or has driven another copy since.
+    is_strange: bool,
 }
 
 impl Process for Loop<'_> {
@@ -57,11 +64,20 @@ impl Process for Loop<'_> {
     fn step(&mut self) -> Result<Option<f64>> {
         let now = self.world.now();
         let n_steps = self.n_plan.min(self.last.saturating_sub(now));
-        if self.is_over || n_steps == 0 {
+        if self.end.is_some() || n_steps == 0 {
             return Ok(None);
         }
-        (self.world, self.is_over) = drive_on(self.situation, self.world.clone(), self.futures, n_steps)?;
-        let at = |timestep: usize| self.severity.at(self.situation, &self.world, timestep);
+        let Self { situation, futures, n_plan, .. } = *self;
+        let driver = &mut ***self.driver.borrow_mut();
+        if std::mem::take(&mut self.is_strange)
+            && let Err(why) = begin_at(situation, &self.world, driver, futures, n_plan)
+        {
+            self.end = Some(ended(why)?);
+            return Ok(None);
+        }
+        (self.world, self.end) = drive_on(situation, self.world.clone(), driver, futures, n_steps)?;
+        let of = (!driver.is_model()).then_some(situation.ego_idx);
+        let at = |timestep: usize| self.severity.at(situation, &self.world, of, timestep);
         let severity = (now + 1..=self.world.now()).map(at).fold(f64::NEG_INFINITY, f64::max);
         self.most = self.most.max(severity);
         Ok(Some(severity))
@@ -69,49 +85,67 @@ impl Process for Loop<'_> {
 
     fn draw_anew(&mut self, copy: usize) {
         self.world.draw_anew(copy);
+        self.is_strange = copy > 0;
     }
 }
 
 impl Common<'_> {
     /// Follows a loop and its copies to their ends.
-    pub(super) fn follow(&self, start: &Start) -> Result<Looped> {
+    pub(super) fn follow(&self, start: &Start, driver: &mut Box<dyn Driver>) -> Result<Looped> {
         let Self { config, futures, .. } = self;
+        let driver = RefCell::new(driver);
         let scene = &start.situation.scene;
         let [n_steps, n_plan] = config.rollout().n_steps(scene.dt_s);
         let first = Loop {
             situation: &start.situation,
             futures,
+            driver: &driver,
             severity: config.severity,
             n_plan,
             last: scene.current_timestep() + n_steps,
             world: start.situation.start(futures.seed()).with_tracks(scene.tracks.len()),
             most: f64::NEG_INFINITY,
-            is_over: false,
+            end: None,
+            is_strange: true,
         };
         let (place, recording) = (scene.source.place.clone(), start.recording.clone());
         let mut counted = ModeledLoop { place, recording, ..ModeledLoop::default() };
         let mut passed = vec![0.0; self.severities.len()];
         let levels = Levels { severities: &self.severities, n_copies: config.copies };
         let n_futures = split(first, levels, &mut |end: Loop<'_>, weight| {
-            self.count(start, &end.world, weight, &mut counted);
+            let (outcome, why) = end.end.unwrap_or_else(|| came_through(&start.situation, &end.world));
+            let mut driver = driver.borrow_mut();
+            driver.end(outcome, why.as_deref());
+            let of_driver = (!driver.is_model()).then_some(outcome);
+            self.count(start, &end.world, of_driver, weight, &mut counted);
             let both = passed.iter_mut().zip(&self.severities);
             both.filter(|(_, level)| end.most >= **level).for_each(|(passed, _)| *passed += weight);
         })?;
         Ok(Looped { counted, n_futures, passed })
     }
 
-    /// Adds an end: its time, its way, and the events that begin after the present and long enough before the horizon.
-    fn count(&self, start: &Start, world: &World, weight: f64, counted: &mut ModeledLoop) {
-        let scene = &start.situation.scene;
-        let counted_s = self.config.horizon_s - TO_COMPLETE_S;
-        let n_counted = (counted_s / scene.dt_s).round() as usize;
+    /// Adds an end: its time, its way, and the events that begin after the present and long enough before the horizon;
+    /// of a driver that is not the model, its own way and whether it failed.
+    fn count(&self, start: &Start, world: &World, of_driver: Option<Outcome>, weight: f64, counted: &mut ModeledLoop) {
+        let (scene, ego_idx) = (&start.situation.scene, start.situation.ego_idx);
+        let to_complete_s = if of_driver.is_none() { TO_COMPLETE_S } else { 0.0 };
+        let n_counted = ((self.config.horizon_s - to_complete_s) / scene.dt_s).round() as usize;
         let from = scene.n_history;
         let until = (from + n_counted).min(world.n_timesteps());
         counted.observed_h += weight * (until - from) as f64 * scene.dt_s / 3600.0;
-        for idx in (0..world.n_tracks()).filter(|idx| scene.tracks[*idx].class.is_motorized()) {
+        let is_counted = |idx: &usize| match of_driver {
+            Some(_) => *idx == ego_idx,
+            None => scene.tracks[*idx].class.is_motorized(),
+        };
+        for idx in (0..world.n_tracks()).filter(is_counted) {
             let driven_m: f64 =
                 (from..until).filter_map(|t| world.state(idx, t)).map(|state| state.speed_mps() * scene.dt_s).sum();
             counted.motorized_km += weight * driven_m / 1000.0;
+        }
+        if let Some(outcome) = of_driver {
+            let failure = ModeledEvent { behavior: FAILURE.to_owned(), parameters: Vec::new(), weight };
+            counted.events.extend(outcome.is_failure().then_some(failure));
+            return;
         }
         for (frame, event) in self.events(start, world) {
             if (from..until).contains(&frame) {

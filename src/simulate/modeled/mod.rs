@@ -5,19 +5,21 @@
 mod looped;
 mod severity;
 
+pub use looped::FAILURE;
 pub use severity::Severity;
 
 use super::maps::Maps;
 use super::workers::{in_parallel, pool_of_worker};
-use super::{Error, Result, RolloutConfig, Situation};
+use super::{Driver, Error, Result, RolloutConfig, Situation, named};
 use crate::behavior::Behavior;
-use crate::generate::{self, Futures, check_times};
+use crate::generate::{self, Futures, NamedDriver, check_times};
 use crate::progress::Progress;
 use crate::rates::ModeledTraffic;
 use crate::scene::SceneId;
 use crate::settings::{Issue, Result as Checked};
 use crate::store::SceneStore;
 use looped::{Common, Start};
+use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -121,20 +123,39 @@ pub struct LoopFigures {
 /// Loops that are driven together, whatever the number of threads.
 const LOOPS_PER_BATCH: usize = 64;
 
+/// The threads of a worker, and the driver of the ego in its loops.
+pub(crate) type LoopWorker<'a> = (&'a ThreadPool, &'a mut Box<dyn Driver>);
+
 impl Modeling<'_> {
-    /// Drives loops from the scenes at `positions` in turn.
+    /// Lets the model drive loops from the scenes at `positions` in turn.
     ///
     /// # Errors
     /// When the model does not fit, the device fails or the store is damaged; [`generate::Error::Stopped`] when the
     /// process must stop.
     pub fn run(&self, positions: &[usize], progress: &dyn Progress) -> Result<(ModeledTraffic, LoopFigures)> {
+        let worker = |_| Ok((pool_of_worker()?, named(NamedDriver::Model)));
+        let mut workers = (0..rayon::current_num_threads()).map(worker).collect::<Result<Vec<_>>>()?;
+        let mut workers: Vec<LoopWorker<'_>> = workers.iter_mut().map(|(pool, driver)| (&*pool, driver)).collect();
+        self.drive(positions, &mut workers, progress)
+    }
+
+    /// Lets these drivers, which are alike, drive the ego of loops, and the model everybody else. Of drivers other than
+    /// the model, their own ways and time are counted, and each failure as an event [`FAILURE`].
+    ///
+    /// # Errors
+    /// Those of [`run`](Self::run); failures of the driver are counted.
+    pub(crate) fn drive(
+        &self,
+        positions: &[usize],
+        workers: &mut [LoopWorker<'_>],
+        progress: &dyn Progress,
+    ) -> Result<(ModeledTraffic, LoopFigures)> {
         let Self { config, futures, behaviors, .. } = *self;
         let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
         let checked = config.validate().and_then(|()| config.check(futures.dt_s(), future_s));
         checked.map_err(|issue| Error::Config(issue.within("rates").to_string()))?;
         let severities = config.levels.iter().map(|level| config.severity.signed(*level)).collect();
         let common = Common { config, futures, behaviors, severities };
-        let mut workers = (0..rayon::current_num_threads()).map(|_| pool_of_worker()).collect::<Result<Vec<_>>>()?;
         let mut maps = Maps::new(self.store, self.store);
         let n_positions = positions.len().max(1);
         let of_loop = |i: usize| positions.get(i % n_positions).map(|position| (*position, i / n_positions));
@@ -152,7 +173,8 @@ impl Modeling<'_> {
             for loop_of in chunk {
                 starts.extend(self.start(*loop_of, &mut maps)?);
             }
-            let found = in_parallel(&starts, &mut workers, |pool, start| pool.install(|| common.follow(start)))?;
+            let found =
+                in_parallel(&starts, workers, |(pool, driver), start| pool.install(|| common.follow(start, driver)))?;
             figures.n_loops += starts.len() as u64;
             figures.n_unfit += (chunk.len() - starts.len()) as u64;
             for looped in found {

@@ -30,8 +30,8 @@ impl Severity {
         if self == Self::RequiredDecelerationMps2 { value } else { -value }
     }
 
-    /// The largest severity at a timestep. Who touches already is past it.
-    pub(super) fn at(self, situation: &Situation, world: &World, timestep: usize) -> f64 {
+    /// The largest severity at a timestep, of a road user or of any. Who touches already is past it.
+    pub(super) fn at(self, situation: &Situation, world: &World, of: Option<usize>, timestep: usize) -> f64 {
         let there: Vec<(usize, State, Footprint)> = (0..world.n_tracks())
             .filter_map(|idx| {
                 let state = world.state(idx, timestep)?;
@@ -43,7 +43,8 @@ impl Severity {
         for (i, (one, state, body)) in there.iter().enumerate() {
             for (other, other_state, other_body) in &there[i + 1..] {
                 let is_far = state.position.distance(other_state.position) > WITHIN_M;
-                if is_far || !(is_motorized(*one) || is_motorized(*other)) {
+                let is_asked = of.is_none_or(|of| [*one, *other].contains(&of));
+                if is_far || !is_asked || !(is_motorized(*one) || is_motorized(*other)) {
                     continue;
                 }
                 let ttc_s = time_to_collision_s(body, state.velocity, other_body, other_state.velocity);

@@ -183,6 +183,14 @@ fn details_field() -> Field {
     .optional()
 }
 
+/// The columns of one assessment, each with one value.
+///
+/// # Errors
+/// [`Error::Invalid`](crate::store::Error::Invalid) when a timestep is too large.
+pub(crate) fn columns_of(assessment: &Assessment) -> Result<Vec<(Field, ArrayRef)>> {
+    Ok(fields().into_iter().zip(encode(&[("assessment", Some(assessment))])?).collect())
+}
+
 /// The arrays of these assessments, in the order of [`fields`]; the ids of scenarios are for messages.
 pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRef>> {
     let judged = || rows.iter().map(|(_, assessment)| *assessment);
@@ -194,7 +202,7 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         .map(|(id, violation)| small(id, "timestep", violation.timestep))
         .collect();
     let details = vec![
-        texts(all().map(|violation| violation.check.id())),
+        texts(all().map(|violation| violation.check.name())),
         texts(all().map(|violation| violation.track.0.as_str())),
         numbers::<UInt32Type>(timesteps?),
         numbers::<Float64Type>(all().map(|violation| violation.value)),
@@ -207,7 +215,7 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
     Ok(vec![
         flag(&|a| Some(a.accepted)),
         flag(&|a| Some(a.is_valid())),
-        lists(judged().map(violations), texts(all().map(|violation| violation.check.id()))),
+        lists(judged().map(violations), texts(all().map(|violation| violation.check.name()))),
         lists(judged().map(violations), structs("scenario", details_field().data_type(), details)?),
         number(&|a| a.plausibility),
         number(&|a| a.recorded_likeness),
@@ -230,7 +238,7 @@ pub(crate) fn encode(rows: &[(&str, Option<&Assessment>)]) -> Result<Vec<ArrayRe
         number(&|a| a.ending?.contact_s),
         number(&|a| Some(a.ending?.required_deceleration_mps2)),
         number(&|a| a.ending?.remaining_mps),
-        optional_texts(judged().map(|a| Some(a?.explanation?.cause.id()))),
+        optional_texts(judged().map(|a| Some(a?.explanation?.cause.name()))),
         number(&|a| a.explanation?.mistake_s),
         number(&|a| a.nearest_recorded_event),
         number(&|a| a.nearest_scenario_m),
@@ -250,7 +258,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
     let (list, details) = columns.of_list("violation_details")?;
     let violation = |i: usize| {
         Ok(Violation {
-            check: details.named("check", i, Check::from_id)?,
+            check: details.named("check", i, Check::from_name)?,
             track: TrackId::from(details.text("track_id", i)?),
             timestep: details.number::<UInt32Type>("timestep", i)? as usize,
             value: details.number::<Float64Type>("value", i)?,
@@ -305,7 +313,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Option<Assessm
         ending,
         explanation: match columns.optional_text("cause", row)? {
             Some(_) => Some(Explanation {
-                cause: columns.named("cause", row, Cause::from_id)?,
+                cause: columns.named("cause", row, Cause::from_name)?,
                 mistake_s: number("mistake_s")?,
             }),
             None => None,

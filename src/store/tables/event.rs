@@ -100,7 +100,7 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<BehaviorEve
         Ok(BehaviorEvent {
             behavior: columns.text("behavior", row)?.to_owned(),
             scene_id: SceneId::from(columns.text("scene_id", row)?),
-            label: columns.named("label", row, label_from_name)?,
+            label: columns.named("label", row, EventLabel::from_name)?,
             roles: roles::decode(&columns, "roles", row)?,
             start_timestep: columns.number::<UInt32Type>("start_timestep", row)? as usize,
             end_timestep: columns.number::<UInt32Type>("end_timestep", row)? as usize,
@@ -108,11 +108,6 @@ pub(crate) fn decode(batch: &RecordBatch, path: &Path) -> Result<Vec<BehaviorEve
         })
     };
     (0..batch.num_rows()).map(event).collect()
-}
-
-/// The label with this name.
-pub(crate) fn label_from_name(name: &str) -> Option<EventLabel> {
-    [EventLabel::Positive, EventLabel::Negative].into_iter().find(|label| label.name() == name)
 }
 
 fn timesteps(events: &[BehaviorEvent], of: fn(&BehaviorEvent) -> usize) -> Result<ArrayRef> {

@@ -2,8 +2,8 @@
 
 use super::columns::{Columns, entries, lists, numbers, small, structs, texts};
 use super::parameters::Parameters;
-use super::{event, roles};
-use crate::behavior::BehaviorEvent;
+use super::roles;
+use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::scene::SceneId;
 use crate::store::Result;
 use crate::store::schema::{ColumnExt, column, list_of_structs};
@@ -72,7 +72,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize, scene_id: &SceneId) -> R
         Ok(BehaviorEvent {
             behavior: events.text("behavior", i)?.to_owned(),
             scene_id: scene_id.clone(),
-            label: events.named("label", i, event::label_from_name)?,
+            label: events.named("label", i, EventLabel::from_name)?,
             roles: roles::decode(&events, "roles", i)?,
             start_timestep: events.number::<UInt32Type>("start_timestep", i)? as usize,
             end_timestep: events.number::<UInt32Type>("end_timestep", i)? as usize,

@@ -82,7 +82,7 @@ pub(crate) fn encode(maps: &[(&MapId, &LaneGraph)]) -> Result<RecordBatch> {
         neighbor(|lane| lane.left_neighbor),
         neighbor(|lane| lane.right_neighbor),
         texts(lanes.iter().map(|lane| lane.attributes.kind.as_str())),
-        texts(lanes.iter().map(|lane| turn_name(lane.attributes.turn))),
+        texts(lanes.iter().map(|lane| lane.attributes.turn.name())),
         flag(|attributes| attributes.is_intersection),
         flag(|attributes| attributes.has_traffic_control),
         flag(|attributes| attributes.one_way),
@@ -114,7 +114,7 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Lane> {
         right_neighbor: neighbor("right_neighbor")?,
         attributes: Arc::new(LaneAttributes {
             kind: columns.text("kind", row)?.to_owned(),
-            turn: columns.named("turn", row, turn_from_name)?,
+            turn: columns.named("turn", row, TurnDirection::from_name)?,
             is_intersection: columns.flag("is_intersection", row)?,
             has_traffic_control: columns.flag("has_traffic_control", row)?,
             one_way: columns.flag("one_way", row)?,
@@ -126,15 +126,4 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<Lane> {
 fn decode_tags(columns: &Columns<'_>, row: usize) -> Result<BTreeMap<String, String>> {
     let (list, tags) = columns.of_list("tags")?;
     entries(list, row).map(|i| Ok((tags.text("key", i)?.to_owned(), tags.text("value", i)?.to_owned()))).collect()
-}
-
-const TURNS: [(TurnDirection, &str); 3] =
-    [(TurnDirection::None, "none"), (TurnDirection::Left, "left"), (TurnDirection::Right, "right")];
-
-fn turn_name(turn: TurnDirection) -> &'static str {
-    TURNS.iter().find(|(known, _)| *known == turn).map_or("none", |(_, name)| name)
-}
-
-fn turn_from_name(name: &str) -> Option<TurnDirection> {
-    TURNS.iter().find(|(_, known)| *known == name).map(|(turn, _)| *turn)
 }

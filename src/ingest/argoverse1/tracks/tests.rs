@@ -1,6 +1,7 @@
 //! Argoverse 1 tracks: what is read, and what is rejected for which reason?
 
 use super::*;
+use crate::ingest::UnitSplit;
 use crate::ingest::source::Horizon;
 use crate::scene::RecordedPosition;
 use std::fmt::Write;

@@ -1,6 +1,7 @@
 //! Argoverse 2 tracks: what is read, and what is rejected for which reason?
 
 use super::*;
+use crate::ingest::UnitSplit;
 use arrow::array::{ArrayRef, Float64Array, Int64Array, RecordBatch, StringArray};
 use arrow::compute::cast;
 use arrow::datatypes::DataType;

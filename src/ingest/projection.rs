@@ -6,6 +6,8 @@
 //! nanometers.
 
 use crate::geometry::Vec2;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// WGS84 equatorial radius, meters.
 const EQUATORIAL_RADIUS_M: f64 = 6_378_137.0;
@@ -26,12 +28,15 @@ pub(super) const MAX_LATITUDE_DEG: f64 = 90.0;
 pub(super) const MAX_LONGITUDE_DEG: f64 = 180.0;
 
 /// A point on the WGS84 ellipsoid.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct GeoPoint {
-    /// Latitude, degrees in [-90, 90].
-    pub(super) latitude_deg: f64,
-    /// Longitude, degrees in [-180, 180].
-    pub(super) longitude_deg: f64,
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GeoPoint {
+    /// Latitude, degrees.
+    #[schemars(range(min = -90.0, max = 90.0))]
+    pub latitude_deg: f64,
+    /// Longitude, degrees.
+    #[schemars(range(min = -180.0, max = 180.0))]
+    pub longitude_deg: f64,
 }
 
 impl GeoPoint {
@@ -70,6 +75,13 @@ impl LocalUtm {
         let is_real =
             corner.latitude_deg.abs() >= DISGUISE_LIMIT_DEG || corner.longitude_deg.abs() >= DISGUISE_LIMIT_DEG;
         (Self::around(if is_real { corner } else { GeoPoint::NOWHERE }), is_real)
+    }
+
+    /// The direction of north at a point, radians from x: eastings run along the equator only on the central meridian.
+    pub(super) fn north_rad(&self, point: GeoPoint) -> f64 {
+        const BESIDE_DEG: f64 = 1e-4;
+        let beside = GeoPoint { latitude_deg: point.latitude_deg - BESIDE_DEG, ..point };
+        (self.project(point) - self.project(beside)).angle()
     }
 
     /// Meters east and north of the origin.
@@ -161,5 +173,8 @@ mod tests {
         let north = projection.project(geo(corner.latitude_deg + 1.0 / 3600.0, corner.longitude_deg));
         let east = projection.project(geo(corner.latitude_deg, corner.longitude_deg + 1.0 / 3600.0));
         assert!((north.norm() - 30.88).abs() < 0.05 && (east.norm() - 20.33).abs() < 0.05);
+        // West of the central meridian, north is right of the grid's, by its distance times the sine of the latitude.
+        let expected_deg = (corner.longitude_deg - 9.0) * corner.latitude_deg.to_radians().sin();
+        assert!((projection.north_rad(corner).to_degrees() - 90.0 - expected_deg).abs() < 1e-3);
     }
 }
