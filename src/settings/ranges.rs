@@ -78,7 +78,10 @@ impl Walk<'_> {
         }
         match value {
             DeValue::Integer(number) => check_number(schema, float(number.as_str()), number.as_str(), key),
-            DeValue::Float(number) => check_number(schema, float(number.as_str()), number.as_str(), key),
+            DeValue::Float(number) => {
+                let number = float(number.as_str());
+                check_number(schema, number, &number.to_string(), key)
+            }
             DeValue::Array(items) => {
                 check_unique(schema, items, key)?;
                 items
