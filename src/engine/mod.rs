@@ -37,6 +37,7 @@ mod testing;
 mod timings;
 mod work_folder;
 
+pub use clock::Stopwatch;
 pub use device::{ComputeChoice, DeviceChoice};
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path, fingerprint_value};

@@ -78,6 +78,10 @@ pub fn status(root: &Path) -> Result<Status> {
 
 /// The total steps of a training with this section, which a preset may decide.
 pub(super) fn steps_in_all(section: &Value) -> Option<u64> {
+    // A training that is given time chooses them.
+    if section.get("for").is_some_and(Value::is_string) {
+        return None;
+    }
     ["/resolved/fit/steps", "/steps"].iter().find_map(|key| section.pointer(key)?.as_u64())
 }
 

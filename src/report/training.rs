@@ -4,7 +4,7 @@ use super::model::{Chart, Curve, Fact, TrainingSummary};
 use super::number::{count, value};
 use super::plain::PlainTable;
 use crate::model::{ChangedLoss, PlaceLoss, SceneChange};
-use crate::train::FitStatistics;
+use crate::train::{FitStatistics, SCENE_ERROR};
 use std::collections::BTreeMap;
 
 /// The prefix of held-out losses, before the noise level and any change of the scenes.
@@ -47,7 +47,8 @@ impl TrainingSummary {
         // A network from an existing checkpoint has no losses.
         let training = (!loss.is_empty()).then(|| chart("loss", vec![Curve::new("training scenes", loss)]));
         let charts = training.into_iter().chain(charts.into_iter().map(|(title, curves)| chart(&title, curves)));
-        Self { name: name.into(), facts, charts: charts.collect(), tables: Vec::new() }
+        let tables = by_minute(statistics);
+        Self { name: name.into(), facts, charts: charts.collect(), tables: tables.into_iter().collect() }
     }
 
     /// Adds the held-out losses stored in a denoiser's checkpoint.
@@ -74,6 +75,25 @@ impl TrainingSummary {
         self.tables.extend([table, places].into_iter().filter(|table| !table.rows.is_empty()));
         self
     }
+}
+
+/// What was won by each minute of a training that was given time; `None` for others.
+fn by_minute(statistics: &[FitStatistics]) -> Option<PlainTable> {
+    let evaluated: Vec<[f64; 3]> = (statistics.iter())
+        .filter_map(|line| Some([line.minutes?, line.step as f64, *line.evaluation.get(SCENE_ERROR)?]))
+        .collect();
+    let mut table = PlainTable::new(
+        "What each minute of training won on held-out scenes",
+        &["Minutes", "Steps", "minSceneADE (m)", "Less by each minute (m)"],
+    );
+    for (i, [minutes, step, error_m]) in evaluated.iter().enumerate() {
+        let won = i.checked_sub(1).and_then(|before| evaluated.get(before)).map_or_else(
+            || "–".to_owned(),
+            |[earlier, _, before_m]| format!("{:.4}", (before_m - error_m) / (minutes - earlier)),
+        );
+        table.push(vec![format!("{minutes:.1}"), count(*step as u64), value(*error_m), won]);
+    }
+    (!evaluated.is_empty()).then_some(table)
 }
 
 fn changed_title(sigma: &str) -> String {
@@ -103,6 +123,7 @@ mod tests {
             loss,
             gradient_norm: None,
             evaluation: evaluation.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
+            minutes: None,
         };
         let figures = [
             ("held_out_loss_at_sigma_0.2", 0.1),

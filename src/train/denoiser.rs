@@ -2,15 +2,18 @@
 
 use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
 use super::objective_loss::described;
+use super::scene_error::scene_error_m;
+use super::timed::choose;
 use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
 use super::{DenoiserTraining, DenoisingTask, Error, FitConfig, Scales, TrainJob, TrainOutcome, Trainable, fit};
-use crate::model::{DenoiserKind, DenoiserSpec};
-use crate::nn::Checkpoint;
+use crate::model::{DenoiserKind, DenoiserSpec, ModelSpec};
+use crate::nn::{Checkpoint, Params};
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
 /// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`) unless `scales`
-/// says otherwise, and ends with the weights that were best on held-out scenes.
+/// says otherwise, and ends with the weights whose samples of held-out scenes had the least error. A training that is
+/// given time chooses its steps and learning rate, and ends with `start` as it is if that is no worse.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -34,14 +37,44 @@ pub fn train_denoiser(
     let mut model = Trainable::new(&spec, start, job)?;
     let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
     let draws = scenes.draws(!training.objectives.is_empty(), job);
-    let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws };
+    let keeps_best = start.is_some() || training.within.is_some();
+    let sampling = keeps_best.then(|| spec.sampling_collator());
+    let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws, sampling };
+    let schedule = match &training.within {
+        Some(within) => {
+            let chosen = choose(within, training, (&task, data), &mut model.params, job)?;
+            chosen.schedule(&training.common.fit)
+        }
+        None => training.common.fit.clone(),
+    };
     // Training a model further must not end with a worse one.
-    let schedule = FitConfig { keeps_best: start.is_some(), ..training.common.fit.clone() };
-    let outcome = fit(&schedule, &mut model.params, &task, job)?;
+    let outcome = fit(&FitConfig { keeps_best, ..schedule }, &mut model.params, &task, job)?;
+    spec.steps = outcome.n_steps;
+    if let Some(start) = start.filter(|_| training.within.is_some()) {
+        let began_m = error_of(start, &task, job)?;
+        if let Some((began_m, best_m)) = began_m.zip(outcome.best).filter(|(began_m, best_m)| began_m <= best_m) {
+            let figures = format!("{best_m:.3} m, {began_m:.3} m before");
+            job.progress.warn(&format!("the denoiser stays as it was: no sampled scene error is less ({figures})"));
+            model.params.load(&start.tensors)?;
+            return model.finish(start.metadata.clone(), outcome, job);
+        }
+    }
     spec.changed_losses = changed_losses(&task)?;
     spec.losses_by_place = losses_by_place(&task)?;
     map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));
     model.finish(spec, outcome, job)
+}
+
+/// The scene error of a checkpoint as it is, with its own scales.
+fn error_of(
+    start: &Checkpoint<DenoiserSpec>,
+    task: &DenoisingTask<'_>,
+    job: TrainJob<'_>,
+) -> Result<Option<f64>, Error> {
+    let mut params = Params::new(job.compute).frozen();
+    let network = start.metadata.build(&mut params, job.seed)?;
+    params.load(&start.tensors)?;
+    scene_error_m(&network, &start.metadata.sampling_collator(), &task.draws)
 }
 
 /// Fails if the weights of `start` would have another meaning in `wanted`.

@@ -16,7 +16,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-fn training(steps: u64) -> DenoiserTraining {
+pub(super) fn training(steps: u64) -> DenoiserTraining {
     let network = NetworkConfig {
         layers: "TA".to_owned(),
         width: 16,
@@ -124,7 +124,7 @@ fn the_loss_is_the_weighted_error_at_the_noise_levels_that_were_drawn() {
         (collator(&dataset, training.parametrization), MaskSampler::new(&training.common.tasks).unwrap());
     let train = [WeightedGroups::single((0..12).collect())];
     let draws = draws_of_four(&dataset, &train, &collator, &masks);
-    let task = DenoisingTask { denoiser: &denoiser, frozen: &denoiser, training: &training, draws };
+    let task = DenoisingTask { denoiser: &denoiser, frozen: &denoiser, training: &training, draws, sampling: None };
 
     let DrawnBatch { batch, seeds, mut rngs, .. } = task.draws.training_batch(7).unwrap();
     let (x0, noise) = (values(&batch.x0), values(&NoiseSource::new(seeds).draw_like(&batch.x0).unwrap()));

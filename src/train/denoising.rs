@@ -3,11 +3,12 @@
 use super::changed_losses::losses_of;
 use super::latent_error::squared_error;
 use super::objective_loss::{objective_costs, objective_loss};
+use super::scene_error::scene_error_m;
 use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
 use crate::model::{SceneChange, SceneDenoiser};
 use crate::seed::{Seed, SeededRng};
-use crate::tensor::SceneBatch;
+use crate::tensor::{Collator, SceneBatch};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
 
@@ -16,6 +17,9 @@ const EVALUATION_SIGMAS: [f64; 4] = [0.05, 0.2, 0.8, 3.0];
 
 /// The noise level at which losses on changed scenes are also taken; all of them would cost too much.
 const CHANGED_SIGMA: f64 = 0.8;
+
+/// The figure by which trainings that start from a checkpoint are judged, meters.
+pub const SCENE_ERROR: &str = "held_out_min_scene_ade_m";
 
 /// Training of a `SceneDenoiser` on the scenes of a dataset.
 pub struct DenoisingTask<'a> {
@@ -27,6 +31,8 @@ pub struct DenoisingTask<'a> {
     pub training: &'a DenoiserTraining,
     /// Draws batches.
     pub draws: SceneDraws<'a>,
+    /// How scenes become batches to sample, if evaluations sample futures and are judged by their error.
+    pub sampling: Option<Collator>,
 }
 
 impl DenoisingTask<'_> {
@@ -46,6 +52,12 @@ impl DenoisingTask<'_> {
         let weighted = squared.broadcast_mul(&rows_like(weight, &batch.x0)?)?;
         let n_scored = (batch.scored.sum_all()? * self.draws.collator.normalizer.state_dim as f64)?;
         Ok(weighted.sum_all()?.div(&n_scored.maximum(1.0)?)?)
+    }
+
+    /// The error of sampled futures of held-out scenes, if they are sampled, meters.
+    pub(super) fn scene_error_m(&self) -> Result<Option<f64>, Error> {
+        let error_m = self.sampling.as_ref().map(|collator| scene_error_m(self.frozen, collator, &self.draws));
+        Ok(error_m.transpose()?.flatten())
     }
 
     /// The noise levels of the rows, drawn from their generators.
@@ -107,10 +119,15 @@ impl TrainTask for DenoisingTask<'_> {
             let name = format!("held_out_loss_at_sigma_{CHANGED_SIGMA}_{}", change.name());
             found.extend(losses.into_iter().map(|loss| (name.clone(), loss)));
         }
+        found.extend(self.scene_error_m()?.map(|error_m| (SCENE_ERROR.to_owned(), error_m)));
         Ok(found)
     }
 
     fn badness(&self, figures: &BTreeMap<String, f64>) -> Option<f64> {
+        // The loss may fall while sampled scenes get worse.
+        if self.sampling.is_some() {
+            return figures.get(SCENE_ERROR).copied();
+        }
         // A mean of logarithms: losses differ by orders of magnitude between levels.
         let loss = |sigma: f64| figures.get(&format!("held_out_loss_at_sigma_{sigma}")).map(|loss| loss.ln());
         EVALUATION_SIGMAS.into_iter().map(loss).sum()

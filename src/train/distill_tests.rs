@@ -35,7 +35,7 @@ fn teacher(steps: u64, dir: &Path) -> Checkpoint<DenoiserSpec> {
             geometry: None,
         }),
         state_parametrization: Some(StateParametrization::Motion),
-        tasks: ONLY_PREDICTIVE,
+        tasks: Some(ONLY_PREDICTIVE),
         steps: Some(steps),
         learning_rate: Some(5e-3),
         batch_size: Some(8),

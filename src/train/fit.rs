@@ -1,7 +1,7 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation.
 
 use super::fit_config::CLIP_NORM;
-use super::run_state::Run;
+use super::run_state::{Position, Run};
 use super::{Error, FitConfig, TrainJob, TrainTask};
 use crate::nn::{Params, copies, in_pool, keep_freed_memory};
 use candle_core::backprop::GradStore;
@@ -20,20 +20,27 @@ pub struct FitStatistics {
     pub gradient_norm: Option<f64>,
     /// Held-out figures, on lines of an evaluation.
     pub evaluation: BTreeMap<String, f64>,
+    /// The time by then, minutes, on lines of an evaluation of a training that is given time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub minutes: Option<f64>,
 }
 
 /// The result of a training run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitOutcome {
+    /// Steps that were taken in all.
+    pub n_steps: u64,
     /// Steps that this call took, beyond those of the state from which it resumed.
     pub steps_taken: u64,
+    /// The badness of the best evaluation, if training ended with its weights or could have.
+    pub best: Option<f64>,
     /// All lines of statistics, in order.
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Trains `params` on `task` for `config.steps` steps, from the state in the job's folder if there is one. At the end
-/// `params` are the averaged weights if `config.ema_decay` is positive, otherwise the last ones; with
-/// `config.keeps_best`, those of the best evaluation, including the one before the first step.
+/// Trains `params` on `task` for `config.steps` steps, or until the time of the job is up, from the state in its folder
+/// if there is one. At the end `params` are the averaged weights if `config.ema_decay` is positive, otherwise the last
+/// ones; with `config.keeps_best`, those of the best evaluation, including the one before the first step.
 ///
 /// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A run that was
 /// killed and resumed ends with the same weights as an uninterrupted one.
@@ -45,25 +52,31 @@ pub fn fit(
     config: &FitConfig,
     params: &mut Params,
     task: &dyn TrainTask,
-    TrainJob { dir, progress, .. }: TrainJob<'_>,
+    TrainJob { dir, progress, time, .. }: TrainJob<'_>,
 ) -> Result<FitOutcome, Error> {
     keep_freed_memory();
     let mut run = Run::open(config, params, dir)?;
     let first_step = run.position.step;
+    let before_s = run.position.elapsed_s;
+    let elapsed_s = || time.map_or(0.0, |time| before_s + time.elapsed_s());
+    let is_up = || time.is_some_and(|time| elapsed_s() > time.until_s);
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
     // The effect of training shows only beside the figures of the initial weights.
     if run.position.statistics.is_empty() && first_step == 0 && config.steps > 0 {
+        run.position.elapsed_s = elapsed_s();
         run.evaluate(config, params, task)?;
     }
-    while run.position.step < config.steps {
+    while run.position.step < config.steps && !run.position.is_cut {
         if progress.must_stop() {
             run.save(params)?;
             return Err(Error::Stopped { step: run.position.step });
         }
         run.step(config, params, task)?;
         let step = run.position.step;
-        let is_last = step == config.steps;
+        run.position.elapsed_s = elapsed_s();
+        run.position.is_cut = step < config.steps && is_up();
+        let is_last = step == config.steps || run.position.is_cut;
         if step.is_multiple_of(config.log_every) || is_last {
             progress.note(&run.log(config)?);
         }
@@ -76,14 +89,44 @@ pub fn fit(
         progress.advance(1);
     }
     progress.finish();
+    let n_steps = run.position.step;
+    if n_steps < config.steps {
+        progress.warn(&format!(
+            "the time was up after {n_steps} of {} steps: they took longer than at first",
+            config.steps
+        ));
+    }
     if let Some(ema) = &mut run.ema {
         ema.swap(params)?;
     }
-    if let Some((step, _)) = run.position.best.filter(|(step, _)| *step < config.steps) {
+    if let Some((step, _)) = run.position.best.filter(|(step, _)| *step < n_steps) {
         progress.note(&format!("the weights of step {step} are kept: later ones are worse on held-out scenes"));
         params.load(&run.best)?;
     }
-    Ok(FitOutcome { steps_taken: run.position.step - first_step, statistics: run.position.statistics })
+    let Position { best, statistics, .. } = run.position;
+    Ok(FitOutcome { n_steps, steps_taken: n_steps - first_step, best: best.map(|(_, badness)| badness), statistics })
+}
+
+/// Takes the steps of `config` in a folder without a state, and saves nothing. At the end `params` are the averaged
+/// weights, as after [`fit`].
+///
+/// # Errors
+/// Those of [`fit`].
+pub(super) fn take_steps(
+    config: &FitConfig,
+    params: &mut Params,
+    task: &dyn TrainTask,
+    TrainJob { dir, progress, .. }: TrainJob<'_>,
+) -> Result<(), Error> {
+    keep_freed_memory();
+    let mut run = Run::open(config, params, dir)?;
+    while run.position.step < config.steps {
+        if progress.must_stop() {
+            return Err(Error::Stopped { step: 0 });
+        }
+        run.step(config, params, task)?;
+    }
+    Ok(run.ema.as_mut().map_or(Ok(()), |ema| ema.swap(params))?)
 }
 
 impl Run {
@@ -138,6 +181,7 @@ impl Run {
             loss: Some(loss),
             gradient_norm: Some(norm),
             evaluation: BTreeMap::new(),
+            minutes: None,
         });
         self.write_statistics()?;
         Ok(format!("loss {loss:.4}"))
@@ -161,6 +205,7 @@ impl Run {
             loss: None,
             gradient_norm: None,
             evaluation: evaluation?,
+            minutes: Some(self.position.elapsed_s / 60.0).filter(|minutes| *minutes > 0.0),
         });
         self.write_statistics()
     }
@@ -168,7 +213,6 @@ impl Run {
 
 #[cfg(test)]
 mod tests {
-    use super::super::run_state::Position;
     use super::*;
     use crate::nn::{Compute, Init, read_checkpoint};
     use crate::progress::{Progress, Silent};
@@ -201,7 +245,7 @@ mod tests {
 
     fn job<'a>(dir: &'a Path, progress: &'a dyn Progress) -> TrainJob<'a> {
         static CPU: Compute = Compute::cpu();
-        TrainJob { seed: Seed(1), dir, compute: &CPU, progress }
+        TrainJob { seed: Seed(1), dir, compute: &CPU, progress, time: None }
     }
 
     fn config() -> FitConfig {

@@ -36,11 +36,15 @@ mod run_state;
 mod scene_draws;
 #[cfg(test)]
 mod scene_draws_tests;
+mod scene_error;
 mod section;
 mod step_distillation;
 mod task;
 #[cfg(test)]
 mod testing;
+mod timed;
+#[cfg(test)]
+mod timed_tests;
 mod trainable;
 mod training_data;
 
@@ -54,7 +58,7 @@ pub use classifier::{
 };
 pub use classifier_report::NoiseLevelReport;
 pub use denoiser::train_denoiser;
-pub use denoising::DenoisingTask;
+pub use denoising::{DenoisingTask, SCENE_ERROR};
 pub use distill::distill_denoiser;
 pub use distill_config::{DistillTraining, DistillTrainingConfig};
 pub use error::Error;
@@ -68,6 +72,7 @@ pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, Weighted
 pub use section::{MoreScenes, OwnScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
 pub use task::TrainTask;
+pub use timed::{CHOSEN_FILE, Chosen, Within};
 use trainable::Trainable;
-pub use trainable::{MODEL_FILE, TrainJob, TrainOutcome};
+pub use trainable::{JobTime, MODEL_FILE, TrainJob, TrainOutcome};
 pub use training_data::{TrainingData, TrainingSource};

@@ -2,13 +2,32 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{SceneTraining, scene_training_section};
-use super::{Error, FitConfig, LearningRateDecay};
+use super::{Error, FitConfig, LearningRateDecay, OwnScenes, SceneChoice, Within};
 use crate::diffusion::{Edm, NoiseDistribution};
 use crate::guidance::ObjectiveConfig;
 use crate::model::{GeometryConfig, NetworkConfig};
+use crate::settings::Issue;
 use crate::tensor::{StateParametrization, TaskWeights};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// The least and the most time that a training may be given, seconds.
+const LEAST_S: f64 = 10.0;
+const MOST_S: f64 = 60.0 * 86_400.0;
+/// The higher of the learning rates that a training tries that starts from a checkpoint and is given time.
+const FURTHER_RATE: f64 = 6e-4;
+/// How often such a training draws own scenes for one of other runs.
+const OWN_FOR_OTHERS: f64 = 3.0;
+/// Its tasks: those of the bundled denoisers.
+const MOSTLY_PREDICTION: TaskWeights = TaskWeights {
+    predictive: 80.0,
+    goal_conditioned: 10.0,
+    agent_conditioned: 2.0,
+    ego_conditioned: 2.0,
+    windowed: 2.0,
+    upsampling: 2.0,
+    imputation: 2.0,
+};
 
 /// A size of network with settings that suit it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Default)]
@@ -55,6 +74,13 @@ scene_training_section! {
     pub struct DenoiserTrainingConfig in "train.denoiser", each Option {
         /// Size of the network: `tiny`, `small`, `large`, `paper_small` or `paper`.
         pub preset: Preset,
+        /// The time that training takes in all, such as `"30 min"` or `"2 h"`, instead of `steps`. It chooses steps,
+        /// learning rate, the scenes of evaluations and their number, draws mostly prediction and, of `data`, a quarter
+        /// of all scenes, unless other settings say so. It ends with the weights whose samples of held-out scenes have
+        /// the least error. With `start_from`, closed loops of them are compared with loops of that, too, and where
+        /// either gets worse, it stays as it is.
+        #[serde(rename = "for", skip_serializing_if = "Option::is_none")]
+        pub time: Option<String>,
         /// The network, to override the preset's.
         pub network: Option<NetworkConfig>,
         /// What is diffused: `scene` (the paper's) or `motion`.
@@ -94,7 +120,8 @@ scene_training_section! {
         #[schemars(range(min = 2, max = 3))]
         pub state_dim: Option<usize>,
         /// A checkpoint of the same network to start from: to train it further, or on other scenes. Training then ends
-        /// with the weights that were best on held-out scenes, those that it started from among them.
+        /// with the weights, those that it started from among them, whose samples of held-out scenes have the least
+        /// error.
         pub start_from: Option<std::path::PathBuf>,
         /// Where a training that starts from a checkpoint takes the scales of motion from: `recordings` (default), or
         /// `checkpoint` if that knows recordings of this kind.
@@ -129,16 +156,52 @@ pub struct DenoiserTraining {
     pub max_agents: usize,
     /// Maximum number of lane polylines per scene.
     pub max_lanes: usize,
+    /// The time for it, and what it may choose from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub within: Option<Within>,
     /// Tasks, batches, evaluations and the schedule.
     #[serde(flatten)]
     pub common: SceneTraining,
 }
 
 impl DenoiserTrainingConfig {
+    /// The scenes it trains on: if it chooses the mixture, a quarter from other runs.
+    pub fn mixture<'a>(&'a self, own: OwnScenes<'a>) -> SceneChoice<'a> {
+        let choice = self.scene_choice(own);
+        let others: f64 = self.data.iter().map(|more| more.weight).sum();
+        match self.time.is_some() && self.own_weight.is_none() && others > 0.0 {
+            true => SceneChoice { own_weight: OWN_FOR_OTHERS * others, ..choice },
+            false => choice,
+        }
+    }
+
+    /// The time for it, and what it may choose from.
+    fn within(&self, base: &FitConfig) -> Result<Option<Within>, Error> {
+        let Some(text) = &self.time else { return Ok(None) };
+        let refuse = |why: String| Self::refusal(Issue::new("for", why));
+        let given = humantime::parse_duration(text)
+            .map_err(|error| refuse(format!("is {text:?}, expected a time such as \"30 min\" or \"2 h\": {error}")))?;
+        if !(LEAST_S..=MOST_S).contains(&given.as_secs_f64()) {
+            return Err(refuse(format!("is {text:?}, expected 10 s to 60 days")));
+        }
+        if let Some(key) = self.steps.map(|_| "steps").or_else(|| self.evaluate_every.map(|_| "evaluate_every")) {
+            return Err(refuse(format!("goes without `{key}`, which it chooses: remove one of them")));
+        }
+        let further = self.start_from.as_ref().map(|_| FURTHER_RATE);
+        let high = further.unwrap_or(base.learning_rate);
+        let learning_rates = self.learning_rate.map_or_else(|| vec![high, high / 3.0], |rate| vec![rate]);
+        Ok(Some(Within { seconds: given.as_secs_f64(), learning_rates }))
+    }
+
     /// The preset with the section's settings over it.
     pub fn resolve(&self) -> Result<DenoiserTraining, Error> {
-        let base = self.preset.settings();
+        let mut base = self.preset.settings();
         self.check_ranges()?;
+        let within = self.within(&base.common.fit)?;
+        if let Some(within) = &within {
+            base.common.tasks = MOSTLY_PREDICTION;
+            base.common.n_eval_scenes = within.n_eval_scenes();
+        }
         let mut common = self.scene_training(&base.common)?;
         common.n_eval_scenes = self.n_eval_scenes.unwrap_or(common.n_eval_scenes);
         common.fit.save_every = self.save_every.unwrap_or(common.fit.save_every);
@@ -174,6 +237,7 @@ impl DenoiserTrainingConfig {
             scales: self.scales.unwrap_or(base.scales),
             max_agents: self.max_agents.unwrap_or(base.max_agents),
             max_lanes: self.max_lanes.unwrap_or(base.max_lanes),
+            within,
             common,
         })
     }
@@ -268,6 +332,7 @@ impl Preset {
             scales: Scales::default(),
             max_agents,
             max_lanes,
+            within: None,
             common,
         };
         match self {

@@ -27,9 +27,19 @@ pub(super) struct Position {
     /// The step of the best evaluation, and how bad that was; its weights are in the state.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) best: Option<(u64, f64)>,
+    /// The time spent on it, seconds; 0 for a training that is not given time.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub(super) elapsed_s: f64,
+    /// Whether its time was up before it had taken all steps.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub(super) is_cut: bool,
     /// Hash of the rest of the state, including its tensors; `None` before they are saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
+}
+
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Position {
@@ -136,7 +146,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let config = FitConfig { ema_decay: 0.9, ..FitConfig::default() };
         let mut run = Run::open(&config, &mut params(), dir.path()).unwrap();
-        let line = FitStatistics { step: 5, loss: Some(0.1), gradient_norm: Some(1e9), evaluation: BTreeMap::new() };
+        let line = FitStatistics {
+            step: 5,
+            loss: Some(0.1),
+            gradient_norm: Some(1e9),
+            evaluation: BTreeMap::new(),
+            minutes: None,
+        };
         run.position = Position {
             step: 7,
             ema_updates: 7,
@@ -144,6 +160,8 @@ mod tests {
             norm_sum: 1e-300,
             statistics: vec![line],
             best: Some((5, 0.25)),
+            elapsed_s: 1.5,
+            is_cut: true,
             checksum: None,
         };
         run.save(&params()).unwrap();

@@ -161,7 +161,7 @@ macro_rules! scene_training_section {
                 $($own)*
                 /// How often each observation task is drawn; `{ predictive = 1.0, goal_conditioned = 0.0, … }` trains
                 /// for prediction alone.
-                pub tasks: TaskWeights,
+                pub tasks: $value<TaskWeights>,
                 /// Ingested scenes of other runs to train on as well, each with a weight.
                 #[serde(skip_serializing_if = "Vec::is_empty")]
                 pub data: Vec<crate::train::MoreScenes>,
@@ -190,11 +190,12 @@ macro_rules! scene_training_section {
             /// The settings of `base` with the section's settings over them.
             fn scene_training(&self, base: &SceneTraining) -> Result<SceneTraining, Error> {
                 use crate::train::section::{check_calibrates, check_tasks, check_weights, or};
-                check_tasks(Self::SECTION, &self.tasks)?;
+                let tasks = or(self.tasks, base.tasks);
+                check_tasks(Self::SECTION, &tasks)?;
                 check_weights(self.own_weight, &self.data).map_err(Self::refusal)?;
                 check_calibrates(self.calibrate, self.checkpoint.as_deref()).map_err(Self::refusal)?;
                 Ok(SceneTraining {
-                    tasks: self.tasks,
+                    tasks,
                     batch_size: or(self.batch_size, base.batch_size),
                     n_eval_scenes: base.n_eval_scenes,
                     fit: self.schedule(&base.fit),

@@ -77,7 +77,7 @@ pub(super) fn one_source(dataset: &dyn Counted) -> TrainingData<'_> {
 
 /// A training in `dir` on the processor.
 pub(super) fn job(seed: u64, dir: &Path) -> TrainJob<'_> {
-    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent }
+    TrainJob { seed: Seed(seed), dir, compute: &CPU, progress: &Silent, time: None }
 }
 
 /// Always the history, and nothing else, is observed.

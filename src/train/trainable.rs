@@ -24,6 +24,24 @@ pub struct TrainJob<'a> {
     pub compute: &'a Compute,
     /// Receives the progress.
     pub progress: &'a dyn Progress,
+    /// The time that it is given; `None`: as much as it takes.
+    pub time: Option<JobTime<'a>>,
+}
+
+/// The time that a training is given, by a clock of its caller.
+#[derive(Clone, Copy)]
+pub struct JobTime<'a> {
+    /// Seconds since the process began with this training.
+    pub clock_s: &'a dyn Fn() -> f64,
+    /// The seconds after which training ends.
+    pub until_s: f64,
+}
+
+impl JobTime<'_> {
+    /// Seconds since the process began with this training.
+    pub(super) fn elapsed_s(&self) -> f64 {
+        (self.clock_s)()
+    }
 }
 
 /// The result of training a model.

@@ -2,6 +2,7 @@
 
 use crate::support::{Workspace, assert_same, djinn, files};
 use djinn::model::TrainedDenoiser;
+use serde_json::Value;
 
 /// Argoverse 1, cut to the timesteps of INTERACTION or not.
 fn argoverse(n_history: usize) -> String {
@@ -117,4 +118,30 @@ fn a_bundled_model_is_trained_further_on_argoverse_alone_as_it_was_trained() {
     workspace.run("out", &[]).expect(0);
     let model = workspace.run_folder("out").join("denoiser/model.safetensors");
     assert_eq!(TrainedDenoiser::read(&model, &djinn::nn::Compute::cpu()).unwrap().spec.normalizer.state_dim, 3);
+}
+
+#[test]
+fn a_training_for_a_time_says_what_it_chose_and_what_that_won() {
+    let workspace = Workspace::new();
+    workspace.put("mixed.toml", MIXED);
+    djinn(&["run", &workspace.arg("mixed.toml"), "--output", &workspace.arg("first")]).expect(0);
+    let chosen_by_time =
+        |line: &&str| !["steps", "evaluate_every", "save_every", "n_eval"].iter().any(|key| line.starts_with(key));
+    let settings: Vec<&str> = MIXED.lines().filter(chosen_by_time).collect();
+    let start = workspace.arg("first/mixed/main/denoiser/model.safetensors");
+    workspace.put("timed.toml", &format!("{}\nstart_from = \"{start}\"\nfor = \"12 s\"\n", settings.join("\n")));
+    let begun = std::time::Instant::now();
+    djinn(&["run", &workspace.arg("timed.toml"), "--output", &workspace.arg("second")]).expect(0);
+    // In a crowd, tests may have to wait for the processor.
+    assert!(begun.elapsed().as_secs() < 60);
+    let run = workspace.path("second/timed/main");
+    let done: Value = serde_json::from_slice(&fs_err::read(run.join("train_denoiser.done.json")).unwrap()).unwrap();
+    let summary = &done["summary"];
+    let (chosen, won) = (&summary["chosen"], summary["won"].as_array().unwrap());
+    assert!(chosen["tried"].as_array().is_some_and(|tried| tried.len() == 2) && won.len() > 1, "{summary}");
+    assert!(won.iter().all(|line| line["scene_error_m"].as_f64().is_some_and(|error_m| error_m > 0.0)), "{summary}");
+    let spec = TrainedDenoiser::read(&run.join("denoiser/model.safetensors"), &djinn::nn::Compute::cpu()).unwrap().spec;
+    let loops = &summary["valid_closed_loops"];
+    let stays = spec.steps == 4;
+    assert!(stays || loops["before"].is_number() && loops["after"].is_number(), "{summary}");
 }

@@ -16,6 +16,7 @@ mod train_baseline;
 mod train_classifier;
 mod train_denoiser;
 mod train_distill;
+mod train_loops;
 mod training_scenes;
 
 pub use closed_loops::ClosedLoops;

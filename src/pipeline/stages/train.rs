@@ -178,7 +178,7 @@ impl<R: Recipe> Whole for Train<'_, R> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let StageContext { compute, progress, .. } = *context;
         let dir = context.root.join(R::STAGE.kind().outputs[0]);
-        let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress };
+        let job = TrainJob { seed: Seed(self.seed), dir: &dir, compute, progress, time: None };
         let source = self.recipe.source(self.own);
         let Some(path) = source.checkpoint.map(checkpoint_file) else {
             return self.recipe.train(self.own, self.layout, job);

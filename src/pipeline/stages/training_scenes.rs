@@ -65,6 +65,11 @@ impl OpenedScenes {
         Ok(Self { section, sources })
     }
 
+    /// The held-out scenes of the first source, by their position in its store.
+    pub(super) fn held_out(&self) -> Option<(&SceneStore, &[usize])> {
+        self.sources.first().map(|source| (&source.store, source.chosen.held_out.as_slice()))
+    }
+
     /// The scenes for a denoiser that was trained already.
     pub(super) fn data_of(&self, denoiser: &DenoiserSpec) -> StageResult<TrainingData<'_>> {
         self.training_data(Some(denoiser.normalizer.state_dim), denoiser.network.geometry.is_some())
