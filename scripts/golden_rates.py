@@ -67,8 +67,8 @@ def anderson_darling(y, shape, scale):
     return -n - ((2 * i - 1) * (np.log(u) + np.log1p(-u[::-1]))).mean()
 
 
-def profile_interval(y, at, shape, scale, n_shapes=4001):
-    """Where the profile likelihood of the survival at `at` is within half a quantile of chi-squared of the largest."""
+def profile_interval(y, at, shape, scale, dispersion=1.0, n_shapes=4001):
+    """Where the profile likelihood of the survival at `at`, over the dispersion, is within half a quantile of chi-squared of the largest."""
     shapes = np.linspace(-0.5, 1.0, n_shapes)
     shapes[np.abs(shapes) < 1e-9] = 1e-9
 
@@ -77,7 +77,7 @@ def profile_interval(y, at, shape, scale, n_shapes=4001):
         inside = 1 + shapes[:, None] * y / scales[:, None]
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where((inside > 0).all(1), -(1 + 1 / shapes) * np.log(inside).sum(1) - len(y) * np.log(scales), -np.inf)
-        return log_likelihood(y, shape, scale) - each.max() - stats.chi2.ppf(0.95, 1) / 2
+        return log_likelihood(y, shape, scale) - each.max() - dispersion * stats.chi2.ppf(0.95, 1) / 2
 
     estimate = stats.genpareto.logsf(at, shape, scale=scale)
     low = 0.0 if drop(-40) < 0 else np.exp(optimize.brentq(drop, -40, max(estimate, -39.9)))
@@ -87,7 +87,7 @@ def profile_interval(y, at, shape, scale, n_shapes=4001):
 def tail(name, shape, n, levels, rng):
     y = stats.genpareto.rvs(shape, scale=1.5, size=n, random_state=rng).round(4) + 1e-4
     found = fitted(y)
-    rows = [[at, stats.genpareto.sf(at, found[0], scale=found[1]), *profile_interval(y, at, *found)] for at in levels]
+    rows = [[at, phi, stats.genpareto.sf(at, found[0], scale=found[1]), *profile_interval(y, at, *found, phi)] for at in levels for phi in (1.0, 3.5)]
     return {"name": name, "exceedances": list(y), "fit": found, "anderson_darling": anderson_darling(y, *found), "survival": rows}
 
 

@@ -219,8 +219,8 @@ def tail_interval(found, exposure, level):
         survival = stats.genpareto.sf(at, shape, scale=scale)
         if len(y) * survival * 10 < 1:
             return None
-        low, high = golden_rates.profile_interval(y, at, shape, scale, 301)
         counts = np.array([(each > threshold).sum() for each in found])
+        low, high = golden_rates.profile_interval(y, at, shape, scale, dispersion(counts, exposure), 301)
         rate = counts.sum() / exposure.sum()
         ends = interval(stats, counts, exposure, True)
         with np.errstate(divide="ignore"):

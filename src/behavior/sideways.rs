@@ -79,6 +79,11 @@ impl Sideways {
         self.stays_s + FALLS * self.rises_s
     }
 
+    /// When half of the way is done, seconds after the start.
+    pub(super) fn midway_s(&self) -> f64 {
+        self.reaches_s(self.aside_m / 2.0)
+    }
+
     /// The way after `elapsed_s`, meters.
     fn moved_m(&self, elapsed_s: f64) -> f64 {
         let falls_s = FALLS * self.rises_s;

@@ -2,7 +2,7 @@
 
 use super::pairs::order_seed;
 use super::{Error, Generator, ResolvedGeneration, ResolvedSweep};
-use crate::behavior::Behavior;
+use crate::behavior::{Behavior, Outcome};
 use crate::guidance::Target;
 use crate::scene::{Roles, SceneId, SituationKind, Split};
 use crate::seed::Seed;
@@ -105,8 +105,11 @@ impl Generator<'_> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
         let order = self.scenes_in_order(index, &|entry| entry.situation == SituationKind::Recorded);
         for (sweep_idx, sweep) in self.config.sweeps.iter().enumerate().take(n_sweeps) {
-            let scenes = match self.behavior(sweep) {
-                Some(behavior) => self.scenes_with_pairs(sweep, behavior, &order)?,
+            let scenes: Vec<_> = match self.behavior(sweep) {
+                Some(behavior) => {
+                    let scenes = self.scenes_with_pairs(sweep, behavior, &order)?.into_iter();
+                    scenes.map(|cells| cells.into_iter().map(|able| able.cell).collect()).collect()
+                }
                 None => order.iter().take(sweep.n_scenes).map(|scene| vec![scene.cell(Roles::default())]).collect(),
             };
             if scenes.is_empty() {
@@ -132,7 +135,7 @@ impl Generator<'_> {
         (name, sweep): (&str, &ResolvedSweep),
         index: &SceneIndex,
         is_possible: &dyn Fn(&SceneIndexEntry<'_>) -> bool,
-    ) -> Result<Vec<Vec<Cell>>, Error> {
+    ) -> Result<Vec<Vec<AbleCell>>, Error> {
         let Some(behavior) = self.behavior(sweep) else { return Ok(Vec::new()) };
         let order = self.scenes_in_order(index, is_possible);
         let scenes = self.scenes_with_pairs(sweep, behavior, &order)?;
@@ -157,13 +160,13 @@ impl Generator<'_> {
         sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         order: &[ListedScene<'_>],
-    ) -> Result<Vec<Vec<Cell>>, Error> {
-        let mut found: Vec<Vec<Cell>> = Vec::new();
+    ) -> Result<Vec<Vec<AbleCell>>, Error> {
+        let mut found = Vec::new();
         // Scenes are examined in parallel, a batch at a time, and counted in order. On a GPU the classifier ranks one
         // scene after the other.
         let rank = |scene: &ListedScene<'_>| self.rank(sweep, behavior, scene);
         for batch in order.chunks(sweep.n_scenes.clamp(8, 64)) {
-            let ranked: Vec<Option<Vec<Cell>>> = match self.device.is_cuda() {
+            let ranked: Vec<Option<Vec<AbleCell>>> = match self.device.is_cuda() {
                 true => batch.iter().map(rank).collect::<Result<_, _>>()?,
                 false => batch.par_iter().map(rank).collect::<Result<_, _>>()?,
             };
@@ -182,7 +185,7 @@ impl Generator<'_> {
         sweep: &ResolvedSweep,
         behavior: &dyn Behavior,
         listed: &ListedScene<'_>,
-    ) -> Result<Option<Vec<Cell>>, Error> {
+    ) -> Result<Option<Vec<AbleCell>>, Error> {
         let scene_id = SceneId::from(listed.id);
         let scene = self.load(listed.scene_idx, &scene_id)?;
         let candidates = self.candidates(sweep, behavior, &scene)?;
@@ -192,7 +195,7 @@ impl Generator<'_> {
         let asked = candidates.into_iter().take(sweep.pairs.per_scene);
         let cells = asked.map(|pair| {
             let targets = self.targets(sweep, &scene_id, &pair);
-            Cell { targets, ..listed.cell(pair.roles) }
+            AbleCell { cell: Cell { targets, ..listed.cell(pair.roles) }, outcomes: pair.outcomes }
         });
         Ok(Some(cells.collect()))
     }
@@ -235,6 +238,12 @@ pub fn held_out_in_order<'i>(
         key(a).cmp(&key(b)).then_with(|| a.1.1.id.cmp(b.1.1.id))
     });
     scenes.into_iter().map(|(_, scene)| scene).collect()
+}
+
+/// A cell with the outcomes that its pair can still reach.
+pub(super) struct AbleCell {
+    pub(super) cell: Cell,
+    pub(super) outcomes: Vec<Outcome>,
 }
 
 /// A scene of the store.

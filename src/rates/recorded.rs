@@ -130,7 +130,7 @@ impl RecordedTraffic {
             let beyond = known.iter().filter(|(_, severity)| *severity > tail.threshold);
             let counts = self.counts(all, beyond.map(|(recording, _)| *recording));
             let of = |rate: Option<ClusteredRate>| {
-                rate.map(|rate| level.rate(&tail, counts.n_events(), (rate.rate, rate.interval))).transpose()
+                rate.map(|rate| level.rate(&tail, counts.n_events(), rate)).transpose()
             };
             let note = format!(
                 "from {} events with {} beyond {:.3}",

@@ -1,7 +1,7 @@
 //! How often is a severity passed that was hardly or never recorded?
 
 use super::Within;
-use crate::statistics::{Estimate, Interval, Pareto};
+use crate::statistics::{ClusteredRate, Estimate, Interval, Pareto};
 
 /// The measures of severity, and whether the larger ones are the more severe.
 const SEVERITIES: [(&str, bool); 7] = [
@@ -89,8 +89,8 @@ impl Level {
         })
     }
 
-    /// The rate beyond the level, from that beyond the threshold: their product, with the interval of Zou and Donner
-    /// (2008) for a product, on logarithms. `n_beyond` events are beyond the threshold.
+    /// The rate beyond the level, from that `beyond` the threshold: their product, with the interval of Zou and Donner
+    /// (2008) for a product, on logarithms. `n_beyond` events, which cluster, are beyond the threshold.
     ///
     /// # Errors
     /// Why none can be given, in words.
@@ -98,16 +98,18 @@ impl Level {
         &self,
         tail: &Tail,
         n_beyond: u64,
-        (rate, interval): (f64, Interval),
+        beyond: ClusteredRate,
     ) -> Result<(f64, Interval), &'static str> {
-        let (share, of_share) = tail.fitted.survival(self.severity - tail.threshold);
-        if tail.fitted.survival(self.end - tail.threshold).0 > LARGEST_REST * share {
+        let survival =
+            |severity: f64| tail.fitted.survival(severity - tail.threshold, beyond.dispersion.unwrap_or(1.0));
+        let (share, of_share) = survival(self.severity);
+        if survival(self.end).0 > LARGEST_REST * share {
             return Err("the tail goes on beyond the far end of the bucket");
         }
         if n_beyond as f64 * share * TIMES_RECORDED < 1.0 {
             return Err("expected less than once in ten times what was recorded");
         }
-        let found = Estimate::new(rate, interval).times(Estimate::new(share, of_share));
+        let found = Estimate::new(beyond.rate, beyond.interval).times(Estimate::new(share, of_share));
         if found.span() > WIDEST {
             return Err("the interval would span more than a factor of 100");
         }

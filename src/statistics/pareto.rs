@@ -45,8 +45,9 @@ impl Pareto {
     }
 
     /// The probability that an exceedance is above `y`, with its profile-likelihood interval (Coles 2001, section
-    /// 4.3.3).
-    pub fn survival(&self, y: f64) -> (f64, Interval) {
+    /// 4.3.3). Exceedances that come in clusters tell as much as that many divided by their `dispersion`, by which the
+    /// log likelihood is divided (Chandler and Bate 2007).
+    pub fn survival(&self, y: f64, dispersion: f64) -> (f64, Interval) {
         let best = log_likelihood(&self.exceedances, self.shape, self.scale);
         let ln_estimate = ln_survival(y, self.shape, self.scale).max(LEAST_LN_SURVIVAL);
         // The likelihood of the best distribution with this survival at `y`.
@@ -60,7 +61,7 @@ impl Pareto {
             };
             peak(SHAPES, of_shape).1
         };
-        let is_inside = |ln_p: f64| best - profile(ln_p) < DROP;
+        let is_inside = |ln_p: f64| best - profile(ln_p) < DROP * dispersion;
         let low = match is_inside(LEAST_LN_SURVIVAL) {
             true => 0.0,
             false => edge([ln_estimate, LEAST_LN_SURVIVAL], is_inside).exp(),
@@ -166,8 +167,8 @@ mod tests {
         /// Shape and scale.
         fit: [f64; 2],
         anderson_darling: f64,
-        /// Where, survival, and the ends of its interval.
-        survival: Vec<[f64; 4]>,
+        /// Where, the dispersion, survival, and the ends of its interval.
+        survival: Vec<[f64; 5]>,
     }
 
     #[test]
@@ -178,8 +179,8 @@ mod tests {
             let close = |a: f64, b: f64| (a - b).abs() <= 2e-3 * b.abs() + 1e-9;
             assert!((fitted.shape - case.fit[0]).abs() < 1e-3 && close(fitted.scale, case.fit[1]), "{}", case.name);
             assert!(close(fitted.anderson_darling(), case.anderson_darling), "{}", case.name);
-            for [y, survival, low, high] in case.survival {
-                let (found, interval) = fitted.survival(y);
+            for [y, dispersion, survival, low, high] in case.survival {
+                let (found, interval) = fitted.survival(y, dispersion);
                 let all = close(found, survival) && close(interval.low, low) && close(interval.high, high);
                 assert!(all, "{} at {y}: {found}, {interval:?}", case.name);
             }

@@ -131,6 +131,14 @@ pub enum Error {
         /// The cause.
         source: parquet::errors::ParquetError,
     },
+    /// A group-by failed.
+    #[error("cannot summarize {table}: {source}")]
+    Frame {
+        /// The table summarized.
+        table: &'static str,
+        /// The cause.
+        source: polars::prelude::PolarsError,
+    },
 }
 
 impl From<files::Error> for Error {

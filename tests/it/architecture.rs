@@ -311,9 +311,7 @@ fn the_scanner_sees_through_groups_strings_and_comments() {
          #[cfg(test)]\nmod tests {\n use crate::cli;\n}\n",
     );
     assert_eq!(modules_named(&code), ["geometry", "scene", "nn"]);
-    assert!(
-        names_crate("use safetensors::tensor::*;", "safetensors") && names_crate("fn f() -> csv::Result<()>", "csv")
-    );
+    assert!(names_crate("use polars::prelude::*;", "polars") && names_crate("fn f() -> csv::Result<()>", "csv"));
     assert!(!names_crate("use my_csv::X;", "csv") && !names_crate("use crate::ingest::csv::X;", "csv"));
     assert_eq!(without_raw_strings("a(r#\"b\nc\"#, d)"), "a(r#\"\n\"#, d)");
 }

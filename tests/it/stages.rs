@@ -79,6 +79,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     for (name, kind) in [
         ("", "run folder"),
         ("scenes", "scene store"),
+        ("events.parquet", "event table"),
         ("denoiser", "denoiser checkpoint"),
         ("classifier/model.safetensors", "behavior classifier checkpoint"),
         ("denoiser/state.safetensors", "training state"),

@@ -1,7 +1,6 @@
 //! Which cut-ins can a pair of vehicles still show?
 
 use super::CutIn;
-use super::template::STYLES;
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::{ACCELERATIONS_MPS2, effort, horizon_s};
@@ -64,19 +63,6 @@ pub(super) struct CutInPlan {
 }
 
 impl CutIn {
-    /// The outcomes of a cut-in of `other` before `ego` for which a maneuver can be solved. The other moves over as
-    /// fast as drivers do ([`CUT_IN`]) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego keeps its lane and
-    /// brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue straight. Before
-    /// the scene ends, the other's center is in the lane and the ego reaches the place where the other came in. Only
-    /// the past and the map are used.
-    ///
-    /// Empty if the ego is in no lane, or if the other is in the ego's lane or path already, does not head along it, or
-    /// is too far to the side, ahead or behind.
-    pub(super) fn outcomes(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Vec<Outcome>> {
-        let ways = self.ways(scene, [ego_idx, other_idx], |_| true, STYLES[0])?;
-        Some(ways.into_iter().map(|(outcome, _)| outcome).collect())
-    }
-
     /// The pair, if the other could cut in at all.
     pub(super) fn pair(&self, scene: &Scene, ego_idx: usize, other_idx: usize) -> Option<Pair> {
         let lanes = SceneLanes::new(&scene.lanes);

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_6;
+use template::Search;
 
 /// Name of the behavior in configs and tables.
 pub(super) const ID: &str = "cut_in";
@@ -145,8 +146,8 @@ impl Behavior for CutIn {
     }
 
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
-        let [ego_idx, other_idx] = agents else { return Vec::new() };
-        self.outcomes(scene, *ego_idx, *other_idx).unwrap_or_default()
+        let search = agents.try_into().ok().and_then(|pair| Search::new(self, scene, pair));
+        search.and_then(|search| search.outcomes()).unwrap_or_default()
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {
@@ -160,7 +161,7 @@ impl Behavior for CutIn {
         wanted: &BTreeMap<String, [f64; 2]>,
         variant: usize,
     ) -> Option<Template> {
-        self.solved(scene, agents.try_into().ok()?, wanted, variant)
+        Search::new(self, scene, agents.try_into().ok()?)?.solved(wanted, variant)
     }
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.

@@ -39,25 +39,47 @@ const LATE_S: f64 = 0.1;
 /// How far the ego must pass the place where the other came in, meters, because positions are known only at timesteps.
 const IN_PLACE_M: f64 = 0.5;
 
-impl CutIn {
-    /// A way in which `other` cuts in before `ego` with every `wanted` parameter in its range: a different one for each
-    /// `variant`, cyclically, through the styles one after the other. `None` if there is none.
-    pub(super) fn solved(
-        &self,
-        scene: &Scene,
-        pair: [usize; 2],
-        wanted: &BTreeMap<String, [f64; 2]>,
-        variant: usize,
-    ) -> Option<Template> {
-        let is_wanted = |outcome: &Outcome| outcome.may_be_within(wanted);
+/// A pair for which ways to cut in are looked for.
+pub(super) struct Search<'a> {
+    cut_in: &'a CutIn,
+    scene: &'a Scene,
+    lanes: SceneLanes<'a>,
+    ego_idx: usize,
+    other_idx: usize,
+    pair: Pair,
+}
+
+impl<'a> Search<'a> {
+    /// The search for ways in which `other` cuts in before `ego`. `None` if the ego is in no lane, or if the other is in
+    /// the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
+    pub(super) fn new(cut_in: &'a CutIn, scene: &'a Scene, [ego_idx, other_idx]: [usize; 2]) -> Option<Self> {
+        let pair = cut_in.pair(scene, ego_idx, other_idx)?;
+        Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair })
+    }
+
+    /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
+    /// ([`CUT_IN`](crate::behavior::sideways::CUT_IN)) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego
+    /// keeps its lane and brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue
+    /// straight. Before the scene ends, the other's center is in the lane and the ego reaches the place where the other
+    /// came in. Only the past and the map are used.
+    pub(super) fn outcomes(&self) -> Option<Vec<Outcome>> {
+        let plans = self.cut_in.plans(&self.pair)?.into_iter();
+        Some(plans.filter(|plan| self.way(plan, STYLES[0]).is_some()).map(|plan| plan.outcome).collect())
+    }
+
+    /// A way in which the other cuts in with every `wanted` parameter in its range: a different one for each `variant`,
+    /// cyclically. `None` if there is none.
+    pub(super) fn solved(&self, wanted: &BTreeMap<String, [f64; 2]>, variant: usize) -> Option<Template> {
+        let mut plans = self.cut_in.plans(&self.pair)?;
+        plans.retain(|plan| plan.outcome.may_be_within(wanted));
+        plans.sort_by(|a, b| a.outcome.effort().total_cmp(&b.outcome.effort()));
+        // The first few variants spread over all plans, and both pairs and plans over the styles.
+        let own = self.ego_idx + self.other_idx;
+        let styled = (0..STYLES.len()).flat_map(|round| (0..plans.len()).map(move |i| (i, (own + i + round) % STYLES.len())));
         let mut templates: Vec<Template> = Vec::new();
-        for style in STYLES {
-            let mut ways = self.ways(scene, pair, is_wanted, style)?;
-            ways.sort_by(|a, b| a.0.effort().total_cmp(&b.0.effort()));
-            // The first few variants spread over all ways of a style.
-            let n = ways.len();
-            let order = (0..n).map(|i| ways[spread(i, n)].1.clone());
-            templates = distinct(templates.into_iter().chain(order));
+        for (i, style) in styled {
+            let Some(template) = self.way(&plans[spread(i, plans.len())], STYLES[style]) else { continue };
+            templates = distinct(templates.into_iter().chain([template]));
             if variant < templates.len() {
                 break;
             }
@@ -66,40 +88,29 @@ impl CutIn {
         templates.into_iter().nth(variant % n)
     }
 
-    /// The ways in which `other` can cut in before `ego` with nobody in the way, each with its outcome, for the plans
-    /// whose outcome meets the request. `None` if the pair cannot show a cut-in at all.
-    pub(super) fn ways(
-        &self,
-        scene: &Scene,
-        [ego_idx, other_idx]: [usize; 2],
-        is_wanted: impl Fn(&Outcome) -> bool,
-        style: Style,
-    ) -> Option<Vec<(Outcome, Template)>> {
-        let pair = self.pair(scene, ego_idx, other_idx)?;
-        let lanes = SceneLanes::new(&scene.lanes);
-        let way = |plan: CutInPlan| {
-            let braking = pair.braking(&plan, self.max_delay_s, style)?;
-            let over = pair.coming_over(&plan, style)?;
-            let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(&plan, over, elapsed_s))?;
-            let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(&plan, braking, elapsed_s))?;
-            let last = template.last_state(other_idx)?;
-            let there = pair.lane.project(last.position)?;
-            let positions = template.positions(scene, other_idx)?;
-            let is_possible = angle_difference(last.heading_rad, there.heading_rad).abs() < ALONG_AT_END_RAD
-                && template.is_drivable(scene)
-                && template.keeps_road(scene, &lanes)
-                && template.keeps_apart(scene)
-                && template.is_clear(scene, InTheWay::Everybody)
-                && has_room(scene, other_idx, (over.midway_s(), &positions), &[ego_idx]);
-            is_possible.then_some((plan.outcome, template))
-        };
-        Some(self.plans(&pair)?.into_iter().filter(|plan| is_wanted(&plan.outcome)).filter_map(way).collect())
+    /// The way to follow a plan with nobody in the way.
+    fn way(&self, plan: &CutInPlan, style: Style) -> Option<Template> {
+        let Self { scene, ref pair, ego_idx, other_idx, .. } = *self;
+        let braking = pair.braking(plan, self.cut_in.max_delay_s, style)?;
+        let over = pair.coming_over(plan, style)?;
+        let template = Template::empty().with(scene, other_idx, |elapsed_s| pair.place(plan, over, elapsed_s))?;
+        let template = template.with(scene, ego_idx, |elapsed_s| pair.own_place(plan, braking, elapsed_s))?;
+        let last = template.last_state(other_idx)?;
+        let there = pair.lane.project(last.position)?;
+        let positions = template.positions(scene, other_idx)?;
+        let is_possible = angle_difference(last.heading_rad, there.heading_rad).abs() < ALONG_AT_END_RAD
+            && template.is_drivable(scene)
+            && template.keeps_road(scene, &self.lanes)
+            && template.keeps_apart(scene)
+            && template.is_clear(scene, InTheWay::Everybody)
+            && has_room(scene, other_idx, (over.midway_s(), &positions), &[ego_idx]);
+        is_possible.then_some(template)
     }
 }
 
 /// How drivers perform a maneuver.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Style {
+struct Style {
     /// Speed across the lanes, as a multiple of the preferred one, if it suffices.
     eager: f64,
     /// Preferred deceleration of the ego, m/s².
@@ -107,7 +118,7 @@ pub(super) struct Style {
 }
 
 /// Styles, the ordinary one first.
-pub(super) const STYLES: [Style; 4] = [
+const STYLES: [Style; 4] = [
     Style { eager: 1.0, brakes_mps2: 2.0 },
     Style { eager: 1.25, brakes_mps2: 3.0 },
     Style { eager: 0.85, brakes_mps2: 1.2 },
@@ -124,7 +135,7 @@ struct ComingOver {
 impl ComingOver {
     /// When the center is midway between the lanes, seconds after the present.
     fn midway_s(self) -> f64 {
-        self.begins_s + self.sideways.takes_s() / 2.0
+        self.begins_s + self.sideways.midway_s()
     }
 }
 

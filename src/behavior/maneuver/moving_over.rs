@@ -153,7 +153,7 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, manner:
             let share = |step: usize| over.share(step as f64 * scene.dt_s - begins_s);
             let both = on_own.iter().zip(&on_target).enumerate();
             let positions = both.map(|(step, (own, there))| own.lerp(*there, share(step))).collect();
-            let midway_s = begins_s + over.reaches_s(aside_m / 2.0);
+            let midway_s = begins_s + over.midway_s();
             let effort = effort(along_mps2).max(over.mps / manner.mps[1]);
             found.push(MovingOver { side, midway_s, effort, positions });
         }

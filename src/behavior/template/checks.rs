@@ -84,7 +84,7 @@ impl Template {
 
     /// Whether all agents that are in a lane at present stay in lanes.
     pub(in crate::behavior) fn keeps_road(&self, scene: &Scene, lanes: &SceneLanes<'_>) -> bool {
-        let is_on_road = |state: &State| lanes.lanes_at(state.position).next().is_some();
+        let is_on_road = |state: &State| lanes.is_road(state.position);
         self.motions.iter().all(|Motion { agent_idx, states }| {
             let is_bound = scene.state(*agent_idx, scene.current_timestep()).is_some_and(is_on_road);
             !is_bound || states.iter().step_by(STRIDE).chain(states.last()).all(is_on_road)

@@ -11,6 +11,11 @@ use std::collections::BTreeMap;
 /// A bucket is given up after this many samples in a row that aimed at it and were not accepted. At a rate of one in
 /// fifty, this happens in 2 of 100 cases.
 const N_FRUITLESS: u64 = 200;
+/// A cell has nothing more for a bucket after this many near-duplicates in a row.
+const N_ALIKE: u64 = 4;
+/// It has nothing, either, after so many samples in a row that aimed at it in vain that this many of them are usually
+/// hits: e⁻⁴ of the cells with the usual rate are closed wrongly.
+const N_USUAL_HITS: f64 = 4.0;
 
 /// The results of a finished shard of a request.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -134,6 +139,16 @@ pub(super) struct CellCounts {
     pub(super) n_samples: Vec<u64>,
     pub(super) next_sample: usize,
     pub(super) hits: BTreeMap<usize, Hits>,
+    /// The buckets for which it may still have something.
+    open: BTreeMap<usize, InVain>,
+}
+
+/// What a cell brought for a bucket since the last accepted sample.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct InVain {
+    /// Samples that aimed at it.
+    n_aimed: u64,
+    n_near_duplicates: u64,
 }
 
 /// The results of a request so far.
@@ -162,11 +177,14 @@ pub struct Ledger {
     /// The situation of each cell, and the events and the number of accepted scenarios by bucket in each of them.
     situation_of_cell: Vec<usize>,
     situations: Vec<SituationCounts>,
+    /// By bucket: the number of cells that may still have something for it.
+    n_open: Vec<usize>,
 }
 
 /// Accepted scenarios of one situation.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct SituationCounts {
+    cells: Vec<usize>,
     events: Vec<EventValues>,
     by_bucket: BTreeMap<usize, u64>,
 }
@@ -180,11 +198,16 @@ impl Ledger {
         let cell = |reaches: &BTreeMap<usize, f64>| CellCounts {
             reaches: reaches.keys().copied().collect(),
             n_samples: vec![0; n_arms],
+            open: reaches.keys().map(|bucket| (*bucket, InVain::default())).collect(),
             ..CellCounts::default()
         };
         let max_per_scene = request.config.max_per_scene;
         let situation_of_cell = pool.situations();
         let n_situations = situation_of_cell.iter().max().map_or(0, |last| last + 1);
+        let mut situations = vec![SituationCounts::default(); n_situations];
+        for (cell, situation) in situation_of_cell.iter().enumerate() {
+            situations[*situation].cells.push(cell);
+        }
         Self {
             wanted: request.buckets.wanted().to_vec(),
             room: (0..n_buckets).map(|bucket| max_per_scene.saturating_mul(pool.n_feasible(bucket) as u64)).collect(),
@@ -201,7 +224,8 @@ impl Ledger {
             paths: PathIndex::default(),
             duplicate_distance_m: request.duplicate_distance_m,
             situation_of_cell,
-            situations: vec![SituationCounts::default(); n_situations],
+            situations,
+            n_open: (0..n_buckets).map(|bucket| pool.n_feasible(bucket)).collect(),
         }
     }
 
@@ -237,8 +261,17 @@ impl Ledger {
             if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
                 *fruitless += cell.n_samples;
             }
+            if let Some(in_vain) = cell.aimed.and_then(|bucket| counts.open.get_mut(&bucket)) {
+                in_vain.n_aimed += cell.n_samples;
+            }
             for (bucket, hits) in cell.hits.iter().filter(|(bucket, _)| **bucket < self.wanted.len()) {
                 counts.hits.entry(*bucket).or_default().add(*hits);
+                if let Some(in_vain) = counts.open.get_mut(bucket) {
+                    in_vain.n_near_duplicates += hits.n_near_duplicates;
+                    if hits.n_accepted > 0 {
+                        *in_vain = InVain::default();
+                    }
+                }
                 self.accepted[*bucket] += hits.n_accepted;
                 if hits.n_accepted > 0 {
                     self.fruitless[*bucket] = 0;
@@ -248,6 +281,23 @@ impl Ledger {
             if tally.round == 0 {
                 self.first_round[tally.arm].add(cell);
             }
+            self.close_exhausted(cell.cell);
+        }
+    }
+
+    /// Closes cells of the situation of this one to buckets for which they have nothing more.
+    fn close_exhausted(&mut self, cell: usize) {
+        let most_aimed = N_USUAL_HITS / self.usual_rate(|_| true);
+        let Self { situations, cells, n_open, max_per_scene, .. } = self;
+        let Some(situation) = self.situation_of_cell.get(cell).map(|idx| &situations[*idx]) else { return };
+        for cell in &situation.cells {
+            cells[*cell].open.retain(|bucket, in_vain| {
+                let n_accepted = situation.by_bucket.get(bucket).copied().unwrap_or_default();
+                let is_barren = in_vain.n_near_duplicates >= N_ALIKE || in_vain.n_aimed as f64 >= most_aimed;
+                let stays = n_accepted < *max_per_scene && !is_barren;
+                n_open[*bucket] -= usize::from(!stays);
+                stays
+            });
         }
     }
 
@@ -258,7 +308,26 @@ impl Ledger {
 
     /// Whether a bucket lacks scenarios but was given up.
     pub fn is_given_up(&self, bucket: usize) -> bool {
-        self.gives_up && self.lacks(bucket) && self.fruitless[bucket] >= N_FRUITLESS
+        self.gives_up && self.lacks(bucket) && (self.fruitless[bucket] >= N_FRUITLESS || self.n_open[bucket] == 0)
+    }
+
+    /// Whether a bucket is open, and a cell may have something for it.
+    pub(super) fn is_open_to(&self, cell: usize, bucket: usize) -> bool {
+        self.is_open(bucket) && (!self.gives_up || self.cells[cell].open.contains_key(&bucket))
+    }
+
+    /// The number of scenarios that an open bucket probably lacks after this many more samples that aim at it.
+    pub(super) fn lack_after(&self, n_aimed: u64, bucket: usize) -> f64 {
+        let n_lacking = self.wanted[bucket] - self.accepted[bucket];
+        n_lacking as f64 - self.usual_rate(|other| other == bucket) * n_aimed as f64
+    }
+
+    /// The share of samples that fall into the bucket that they aim at, among those that aim at these buckets, by
+    /// Laplace's rule of succession.
+    fn usual_rate(&self, is_counted: impl Fn(usize) -> bool) -> f64 {
+        let aimed = (0..self.arms.len()).map(|arm| self.aimed_of_arm(arm, &is_counted));
+        let (n_samples, n_hits) = aimed.fold((0, 0), |sum, arm| (sum.0 + arm.n_samples, sum.1 + arm.n_hits));
+        (1 + n_hits) as f64 / (2 + n_samples) as f64
     }
 
     fn lacks(&self, bucket: usize) -> bool {

@@ -4,7 +4,8 @@ use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use crate::behavior::Outcome;
 use crate::generate::{Cell, Error, Generator, ResolvedSweep};
-use crate::scene::{SceneId, TrackId};
+use crate::generate::plan::AbleCell;
+use crate::scene::{Scene, SceneId, TrackId};
 use crate::store::{SceneIndex, SceneIndexEntry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -102,11 +103,12 @@ impl Generator<'_> {
         let scenes = self.cells_by_scene((&request.config.name, sweep), index, &is_possible)?;
         let n_scenes = scenes.len();
         let (mut cells, mut feasible, mut n_infeasible) = (Vec::new(), Vec::new(), 0);
-        for cell in scenes.into_iter().flatten() {
-            if !self.has_classes(request, &cell)? {
+        for AbleCell { cell, outcomes } in scenes.into_iter().flatten() {
+            let scene = self.load(cell.scene_idx, &cell.scene_id)?;
+            if !has_classes(request, &cell, &scene) {
                 continue;
             }
-            let buckets = self.feasible_buckets(request, &cell)?;
+            let buckets = feasible_buckets(request, &scene, outcomes);
             if buckets.is_empty() {
                 n_infeasible += 1;
                 continue;
@@ -135,46 +137,34 @@ impl Generator<'_> {
         // The last of equal ones is that of the first arm.
         arms.rev().max_by(|a, b| plans_s(a).total_cmp(&plans_s(b))).unwrap_or(&self.config.sweeps[0])
     }
+}
 
-    /// The buckets that a cell can reach, given its past, with the least effort for each.
-    fn feasible_buckets(&self, request: &ResolvedRequest, cell: &Cell) -> Result<BTreeMap<usize, f64>, Error> {
-        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
-        let all = request.buckets.of_scene(&scene).into_iter();
-        let sweep = self.most_patient(request);
-        let Some(behavior) = self.behavior(sweep).filter(|_| request.config.pairs.only_feasible) else {
-            return Ok(all.map(|bucket| (bucket, 0.0)).collect());
-        };
-        let agents: Vec<usize> = cell.roles.tracks().filter_map(|track| scene.track_idx(track)).collect();
-        let mut outcomes = behavior.feasible(&sweep.planned(&scene), &agents);
-        outcomes.retain(|outcome| {
-            request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {
-                (Some(value), Requirement::Range([least, most])) => (*least..=*most).contains(&value),
-                _ => true,
-            })
-        });
-        let least_effort = |bucket: usize| {
-            let own = outcomes.iter().filter(|outcome| request.buckets.allows(bucket, outcome));
-            own.map(Outcome::effort).reduce(f64::min).map(|effort| (bucket, effort))
-        };
-        Ok(all.filter_map(least_effort).collect())
+/// The buckets that a pair with these outcomes can reach, with the least effort for each.
+fn feasible_buckets(request: &ResolvedRequest, scene: &Scene, mut outcomes: Vec<Outcome>) -> BTreeMap<usize, f64> {
+    let all = request.buckets.of_scene(scene).into_iter();
+    if !request.config.pairs.only_feasible {
+        return all.map(|bucket| (bucket, 0.0)).collect();
     }
+    outcomes.retain(|outcome| {
+        request.config.conditions.iter().all(|(name, condition)| match (outcome.get(name), condition) {
+            (Some(value), Requirement::Range([least, most])) => (*least..=*most).contains(&value),
+            _ => true,
+        })
+    });
+    let least_effort = |bucket: usize| {
+        let own = outcomes.iter().filter(|outcome| request.buckets.allows(bucket, outcome));
+        own.map(Outcome::effort).reduce(f64::min).map(|effort| (bucket, effort))
+    };
+    all.filter_map(least_effort).collect()
+}
 
-    /// Whether the agents of a cell are of the classes that the request allows.
-    fn has_classes(&self, request: &ResolvedRequest, cell: &Cell) -> Result<bool, Error> {
-        let by_role = cell.roles.iter().filter_map(|(role, track)| {
-            match request.config.conditions.get(&format!("{role}_class")) {
-                Some(Requirement::Texts(classes)) => Some((track, classes)),
-                _ => None,
-            }
-        });
-        let by_role: Vec<_> = by_role.collect();
-        if by_role.is_empty() {
-            return Ok(true);
-        }
-        let scene = self.load(cell.scene_idx, &cell.scene_id)?;
-        Ok(by_role.into_iter().all(|(track, classes)| {
-            let class = scene.track_idx(track).map(|agent_idx| scene.tracks[agent_idx].class.name());
-            class.is_some_and(|class| classes.iter().any(|allowed| allowed == class))
-        }))
-    }
+/// Whether the agents of a cell are of the classes that the request allows.
+fn has_classes(request: &ResolvedRequest, cell: &Cell, scene: &Scene) -> bool {
+    cell.roles.iter().all(|(role, track)| match request.config.conditions.get(&format!("{role}_class")) {
+        Some(Requirement::Texts(classes)) => scene.track_idx(track).is_some_and(|agent_idx| {
+            let class = scene.tracks[agent_idx].class.name();
+            classes.iter().any(|allowed| allowed == class)
+        }),
+        _ => true,
+    })
 }

@@ -62,14 +62,20 @@ pub struct RoundContext<'a> {
     pub seed: Seed,
 }
 
+/// What earlier shards of a round take.
+struct Taken {
+    /// By cell: the number after that of its last sample.
+    next_sample: BTreeMap<usize, usize>,
+    /// By bucket: the samples that aim at it.
+    aimed: Vec<u64>,
+}
+
 impl RoundContext<'_> {
     /// The open buckets that a cell can reach and that have room for it, with the ease of each, from 0.1 to 1.1.
     fn open_buckets(&self, cell: usize) -> impl Iterator<Item = (usize, f64)> {
         let Self { pool, ledger, .. } = *self;
-        let wants =
-            move |bucket: usize| ledger.is_open(bucket) && ledger.accepted_of_cell(cell, bucket) < ledger.max_per_scene;
         let reachable = pool.feasible[cell].iter().map(|(bucket, effort)| (*bucket, LEAST_EASE + 1.0 - effort));
-        reachable.filter(move |(bucket, _)| wants(*bucket))
+        reachable.filter(move |(bucket, _)| ledger.is_open_to(cell, *bucket))
     }
 }
 
@@ -82,8 +88,7 @@ impl ResolvedRequest {
         }
         let mut spent = ledger.spent();
         let mut shards: Vec<RoundShard> = Vec::new();
-        // The cells of earlier shards of the round, each with the number after that of its last sample.
-        let mut planned: BTreeMap<usize, usize> = BTreeMap::new();
+        let mut taken = Taken { next_sample: BTreeMap::new(), aimed: vec![0; self.buckets.len()] };
         for slot in 0..self.n_slots(round) {
             let arm_idx = self.choose_arm(context, slot);
             let arm = &self.arms[arm_idx];
@@ -93,17 +98,18 @@ impl ResolvedRequest {
             if n_cells == 0 {
                 break;
             }
-            let members = self.choose_cells(context, slot, n_cells, &planned);
-            if members.is_empty() {
+            let idx = context.next_idx + shards.len();
+            let aims = self.choose_cells(context, slot, (idx, arm, n_cells), &mut taken);
+            if aims.is_empty() {
                 break;
             }
+            let members: Vec<usize> = aims.iter().map(|(cell, _)| *cell).collect();
             let n_planned = n_samples * members.len() as u64;
             spent = (spent.0 + n_planned, spent.1 + n_planned * arm.n_evaluations);
-            let idx = context.next_idx + shards.len();
-            let plan = self.shard(context, (idx, arm), &members, &planned);
+            let plan = self.shard(context, (idx, arm), &aims, &taken);
             let next_sample = plan.first_sample + arm.n_samples;
             for cell in &members {
-                let next = planned.entry(*cell).or_default();
+                let next = taken.next_sample.entry(*cell).or_default();
                 *next = next_sample.max(*next);
             }
             shards.push(RoundShard { arm: arm_idx, plan, members });
@@ -152,21 +158,27 @@ impl ResolvedRequest {
         }
     }
 
+    /// The cells of a shard, each with the bucket that it aims at, if the arm aims.
     fn choose_cells(
         &self,
         context: &RoundContext<'_>,
         slot: usize,
-        n_cells: usize,
-        planned: &BTreeMap<usize, usize>,
-    ) -> Vec<usize> {
+        (idx, arm, n_cells): (usize, &Arm, usize),
+        taken: &mut Taken,
+    ) -> Vec<(usize, Option<usize>)> {
         let RoundContext { pool, ledger, round, .. } = *context;
         let n = pool.cells.len();
+        let aim = |cell: usize, taken: &mut Taken| {
+            let bucket = self.aim(context, (idx, cell), &taken.aimed).filter(|_| arm.aims)?;
+            taken.aimed[bucket] += arm.n_samples as u64;
+            Some(bucket)
+        };
         if round == 0 {
-            return (0..n_cells).collect();
+            return (0..n_cells).map(|cell| (cell, aim(cell, taken))).collect();
         }
         if self.config.plan == PlanKind::Even {
             let first = self.even_shard(round, slot) / self.arms.len() * context.cells_per_shard;
-            return (0..n_cells).map(|i| (first + i) % n).collect();
+            return (0..n_cells).map(|i| (first + i) % n).map(|cell| (cell, aim(cell, taken))).collect();
         }
         // The hits of a cell are modeled as Poisson: the rates of the arms that were tried on it, times its
         // suitability. The suitability is drawn from its posterior.
@@ -186,11 +198,12 @@ impl ResolvedRequest {
         let ease = |cell: usize| context.open_buckets(cell).map(|(_, ease)| ease).reduce(f64::max);
         let useful = (0..n).filter_map(|cell| Some((cell, ease(cell)?)));
         let mut order: Vec<(bool, f64, usize)> =
-            useful.map(|(cell, ease)| (planned.contains_key(&cell), draw(cell) * ease, cell)).collect();
+            useful.map(|(cell, ease)| (taken.next_sample.contains_key(&cell), draw(cell) * ease, cell)).collect();
         order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
-        let mut members: Vec<usize> = order.into_iter().take(n_cells).map(|(_, _, cell)| cell).collect();
-        members.sort_unstable();
-        members
+        let chosen = order.into_iter().map(|(_, _, cell)| (cell, aim(cell, taken)));
+        let mut chosen: Vec<_> = chosen.filter(|(_, aim)| aim.is_some() || !arm.aims).take(n_cells).collect();
+        chosen.sort_unstable();
+        chosen
     }
 
     /// The index of this shard of an even plan, over all rounds.
@@ -204,37 +217,35 @@ impl ResolvedRequest {
         &self,
         context: &RoundContext<'_>,
         (idx, arm): (usize, &Arm),
-        members: &[usize],
-        planned: &BTreeMap<usize, usize>,
+        aims: &[(usize, Option<usize>)],
+        taken: &Taken,
     ) -> ShardPlan {
-        let next = |cell: &usize| {
-            let in_round = planned.get(cell).copied().unwrap_or_default();
+        let next = |(cell, _): &(usize, _)| {
+            let in_round = taken.next_sample.get(cell).copied().unwrap_or_default();
             context.ledger.cells[*cell].next_sample.max(in_round)
         };
-        let first_sample = if context.round == 0 { 0 } else { members.iter().map(next).max().unwrap_or(0) };
-        let mut aimed = vec![0; self.buckets.len()];
-        let cells = members.iter().map(|cell| {
+        let first_sample = if context.round == 0 { 0 } else { aims.iter().map(next).max().unwrap_or(0) };
+        let cells = aims.iter().map(|(cell, bucket)| {
             let mut own = context.pool.cells[*cell].clone();
-            if let (true, Some(bucket)) = (arm.aims, self.aim(context, (idx, *cell), &aimed)) {
-                aimed[bucket] += 1;
-                own.targets = vec![self.buckets.target(bucket)];
+            if let Some(bucket) = bucket {
+                own.targets = vec![self.buckets.target(*bucket)];
             }
             own
         });
         ShardPlan { idx, sweep_idx: arm.sweep_idx, cells: cells.collect(), first_sample }
     }
 
-    /// The bucket at which the samples of a cell aim: an open one that the cell reaches easily, that lacks many
-    /// scenarios, and at which few other cells of this shard aim.
+    /// The bucket at which the samples of a cell aim: an open one that the cell reaches easily, and that lacks many
+    /// scenarios beyond those that `aimed` samples of the round will probably bring. `None` if those will fill it.
     fn aim(&self, context: &RoundContext<'_>, (shard, cell): (usize, usize), aimed: &[u64]) -> Option<usize> {
         let RoundContext { ledger, .. } = *context;
-        let lack = |bucket: usize| (ledger.wanted[bucket] - ledger.accepted[bucket]) as f64;
+        let lack = |bucket: usize| ledger.lack_after(aimed[bucket], bucket);
         let draw = |bucket: usize| {
             let seed = context.seed.derive_named("request", &self.config.name);
             seed.derive("aim", &[shard as u64, cell as u64, bucket as u64]).rng().uniform()
         };
-        let weight = |bucket: usize| lack(bucket) / (1.0 + aimed[bucket] as f64) + draw(bucket);
-        let open = context.open_buckets(cell).map(|(bucket, ease)| (ease * weight(bucket), bucket));
+        let open = context.open_buckets(cell).filter(|(bucket, _)| lack(*bucket) > 0.0);
+        let open = open.map(|(bucket, ease)| (ease * (lack(bucket) + draw(bucket)), bucket));
         open.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, bucket)| bucket)
     }
 

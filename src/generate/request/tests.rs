@@ -397,3 +397,52 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     ledger.add(&tally(0, 1));
     assert_eq!([1, 2].map(|bucket| ledger.is_open(bucket)), [false, true]);
 }
+
+#[test]
+fn a_pair_that_repeats_itself_or_misses_is_closed_to_the_bucket() {
+    let request = tight("arms = ['aimed']\nper_bucket = 2\nbudget = { n_samples = 30000 }");
+    let pool = pool(12);
+    let after = |hits: Hits, n_shards: usize| {
+        let mut ledger = Ledger::new(&request, &pool);
+        for round in 0..n_shards {
+            let hits = BTreeMap::from([(3, hits)]);
+            let cell = CellTally { cell: 5, n_samples: 3, aimed: Some(3), hits, ..CellTally::default() };
+            ledger.add(&ShardTally { request: "tight".to_owned(), round, arm: 0, cells: vec![cell] });
+        }
+        [ledger.is_open_to(5, 3), ledger.is_open_to(5, 0), ledger.is_open_to(4, 3)]
+    };
+    let alike = Hits { n_near_duplicates: 3, ..Hits::default() };
+    assert_eq!([after(alike, 1), after(alike, 2)], [[true; 3], [false, true, true]]);
+    // A quarter of nine samples hits: (1 + 0) / (2 + n) of n never does.
+    assert_eq!([after(Hits::default(), 1), after(Hits::default(), 9)], [[true; 3]; 2]);
+    let mut ledger = Ledger::new(&request, &pool);
+    let mut add = |cell: usize, bucket: usize, n_surplus: u64| {
+        let hits = BTreeMap::from([(bucket, Hits { n_surplus, ..Hits::default() })]);
+        let cell = CellTally { cell, n_samples: 3, aimed: Some(bucket), hits, ..CellTally::default() };
+        ledger.add(&ShardTally { request: "tight".to_owned(), arm: 0, cells: vec![cell], ..ShardTally::default() });
+    };
+    // Others hit in two of three: six samples without a hit are four usual ones.
+    (0..20).for_each(|_| add(0, 0, 2));
+    (0..3).for_each(|_| add(5, 3, 0));
+    assert!(!ledger.is_open_to(5, 3) && ledger.is_open_to(4, 3) && ledger.is_open_to(0, 1));
+}
+
+#[test]
+fn a_round_aims_no_more_samples_at_a_bucket_than_will_probably_fill_it() {
+    let request = tight("arms = ['aimed']\nper_bucket = 2\nbudget = { n_samples = 30000 }");
+    let pool = pool(60);
+    let mut ledger = Ledger::new(&request, &pool);
+    // Bucket 0 lacks one, and every second sample hits; where nothing is known, so many are expected to.
+    let hits = BTreeMap::from([(0, Hits { n_accepted: 1, n_surplus: 29, ..Hits::default() })]);
+    let cell = CellTally { n_samples: 60, aimed: Some(0), hits, ..CellTally::default() };
+    ledger.add(&ShardTally { request: "tight".to_owned(), cells: vec![cell], ..ShardTally::default() });
+    let context =
+        RoundContext { pool: &pool, ledger: &ledger, round: 1, next_idx: 1, cells_per_shard: 4, seed: Seed(1) };
+    let round = request.next_round(&context).unwrap();
+    let mut n_cells = [0; 4];
+    for cell in round.shards.iter().flat_map(|shard| &shard.plan.cells) {
+        let reached: Vec<usize> = (0..4).collect();
+        n_cells[request.buckets.with_target(&cell.targets[0], &reached).unwrap()] += 1;
+    }
+    assert_eq!(n_cells, [1, 2, 2, 2], "three samples each");
+}

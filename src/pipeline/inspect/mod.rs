@@ -4,7 +4,9 @@
 //! names and values, which the command line turns into text or JSON.
 
 mod checkpoint;
+mod events;
 mod folders;
+mod rates;
 mod requests;
 
 use crate::engine::{Failure, Result};
@@ -25,8 +27,17 @@ pub struct Description {
 type Describer = fn(&Path) -> Result<Option<Description>>;
 
 /// Every describer, in the order in which they are tried.
-const DESCRIBERS: [Describer; 6] =
-    [folders::run, folders::scenes, folders::samples, folders::corpus, folders::model, checkpoint::describe];
+const DESCRIBERS: [Describer; 9] = [
+    folders::run,
+    folders::scenes,
+    folders::samples,
+    folders::corpus,
+    folders::model,
+    checkpoint::describe,
+    events::describe,
+    rates::describe,
+    rates::exposure,
+];
 
 /// Describes the content of the file or folder at `path`.
 ///
@@ -39,8 +50,10 @@ pub fn inspect(path: &Path) -> Result<Description> {
             return Ok(description);
         }
     }
-    Err(Failure::input_message(format_args!("{} is nothing that can be inspected", path.display()))
-        .with_hint("known: run folders, scene stores, checkpoints, samples and corpora; SQL and jq read the rest"))
+    Err(Failure::input_message(format_args!("{} is nothing that can be inspected", path.display())).with_hint(
+        "known: run folders, scene stores, event tables, rates, checkpoints, samples and corpora; SQL and jq read \
+                 the rest",
+    ))
 }
 
 impl Description {

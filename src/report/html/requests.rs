@@ -19,9 +19,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
 fn one(request: &RequestSummary, cards: &[SceneCard]) -> Markup {
     let ended = match request.ended {
         Ended::Full => "all reachable buckets were full",
-        Ended::GivenUp => {
-            "all reachable buckets were full or given up, after 200 samples in a row without one that was accepted"
-        }
+        Ended::GivenUp => "all reachable buckets were full or given up: their pairs brought nothing more",
         Ended::Budget => "its budget was spent",
     };
     html! {

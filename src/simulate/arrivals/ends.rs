@@ -2,7 +2,7 @@
 //! it, since maps mostly reach farther than recordings.
 
 use super::{LEAST_MPS, without_states};
-use crate::geometry::{Polyline, Vec2, angle_difference};
+use crate::geometry::{Path, Polyline, Vec2, angle_difference};
 use crate::quantile::quantile;
 use crate::scene::{Lane, LaneGraph, LaneId, Scene, State, Track};
 use std::collections::BTreeSet;
@@ -30,7 +30,7 @@ pub(in crate::simulate) struct Ends {
 #[derive(Debug)]
 pub(super) struct End {
     /// The lane and those that follow it up to where others join, each with its distance from the beginning.
-    lanes: Vec<(Polyline, f64)>,
+    lanes: Vec<(Path, f64)>,
     /// Where traffic is first seen.
     pub(super) starts_at_m: f64,
     /// The median speed of vehicles that come into sight, m/s.
@@ -167,7 +167,8 @@ impl End {
 
     /// The distance of a vehicle from the beginning of the lane, and to the left of its middle, meters.
     pub(super) fn place(&self, state: &State) -> Option<[f64; 2]> {
-        let places = self.lanes.iter().filter_map(|(lane, start_m)| {
+        let near = self.lanes.iter().filter(|(lane, _)| lane.may_come_within(state.position, IN_LANE_M));
+        let places = near.filter_map(|(lane, start_m)| {
             let place = lane.project(state.position)?;
             let is_along = angle_difference(place.heading_rad, state.heading_rad).abs() < FRAC_PI_4;
             (is_along && place.point.distance(state.position) < IN_LANE_M)
@@ -178,22 +179,22 @@ impl End {
 
     /// The state of a vehicle at this place that drives along the lane.
     pub(super) fn state(&self, station_m: f64, speed_mps: f64, offset_m: f64) -> Option<State> {
-        let holds = |(lane, start_m): &&(Polyline, f64)| start_m + lane.length_m() > station_m;
+        let holds = |(lane, start_m): &&(Path, f64)| start_m + lane.length_m() > station_m;
         let (lane, start_m) = self.lanes.iter().find(holds)?;
-        let middle = lane.point_at(station_m - start_m)?;
-        let heading_rad = lane.project(middle)?.heading_rad;
+        let (middle, heading_rad) = lane.pose_at(station_m - start_m)?;
         let position = middle + Vec2::from_angle(heading_rad + FRAC_PI_2) * offset_m;
         Some(State { position, heading_rad, velocity: Vec2::from_angle(heading_rad) * speed_mps })
     }
 }
 
 /// A lane and those that follow it up to where others join, each with its distance from the beginning of the first.
-fn lanes_from(map: &LaneGraph, first: LaneId) -> Vec<(Polyline, f64)> {
+fn lanes_from(map: &LaneGraph, first: LaneId) -> Vec<(Path, f64)> {
     let (mut lanes, mut known, mut open) = (Vec::new(), BTreeSet::from([first]), vec![(first, 0.0)]);
     while let Some((id, start_m)) = open.pop() {
         let Some(lane) = map.get(id) else { continue };
-        lanes.push((lane.centerline.clone(), start_m));
-        let end_m = start_m + lane.centerline.length_m();
+        let path = Path::new(lane.centerline.clone());
+        let end_m = start_m + path.length_m();
+        lanes.push((path, start_m));
         let joins_alone = |id: &&LaneId| map.get(**id).is_some_and(|lane| lane.predecessors.len() == 1);
         for id in lane.successors.iter().filter(joins_alone).filter(|_| end_m < IN_SIGHT_M + STRETCH_M) {
             if known.insert(*id) {

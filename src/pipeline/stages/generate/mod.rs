@@ -64,7 +64,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        24
+        25
     }
 
     fn check(&self) -> Result<()> {

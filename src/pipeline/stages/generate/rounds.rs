@@ -244,7 +244,7 @@ pub(super) fn warn_of_short(summary: &RequestSummary, progress: &dyn Progress) {
         return;
     }
     let counted = |n: usize, what: &str| if n == 0 { String::new() } else { format!("; {what} {n} of them") };
-    let given_up = counted(summary.given_up().count(), "nothing came of 200 samples in a row that aimed at");
+    let given_up = counted(summary.given_up().count(), "pairs brought nothing more for");
     let infeasible = counted(summary.infeasible().count(), "no pair can reach");
     progress.warn(&format!(
         "request {}: {n_short} of {} buckets stayed short ({} of {} scenarios){infeasible}{given_up}; the report says \
