@@ -335,16 +335,21 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    /// A record with these parts, and otherwise empty.
+    fn read(parts: &Value) -> StageRecord {
+        let mut record = json!({ "stage": "", "version": 1, "config": null, "inputs": {}, "fingerprint": "",
+            "settings": "", "outputs": {}, "files": [], "summary": null });
+        record.as_object_mut().unwrap().extend(parts.as_object().unwrap().clone());
+        serde_json::from_value(record).unwrap()
+    }
+
     #[test]
     fn whichever_input_was_written_anew_is_named() {
-        let record = |scenes: &str, events: &str| -> StageRecord {
-            let input = |producer: &str, content: &str| json!({ "stage": { "producer": producer, "fingerprint": "", "content": content } });
-            serde_json::from_value(
-                json!({ "stage": "evaluate", "version": 1, "config": null, "fingerprint": "", "settings": "",
-                "inputs": { "events": input("mine", events), "scenes": input("ingest", scenes) },
-                "outputs": {}, "files": [], "summary": null }),
-            )
-            .unwrap()
+        let input = |producer: &str, content: &str| {
+            json!({ "stage": { "producer": producer, "fingerprint": "", "content": content } })
+        };
+        let record = |scenes: &str, events: &str| {
+            read(&json!({ "inputs": { "events": input("mine", events), "scenes": input("ingest", scenes) } }))
         };
         let earlier = record("1", "2");
         assert_eq!(record("1", "2").rewritten_since(&earlier), None);
@@ -354,13 +359,7 @@ mod tests {
 
     #[test]
     fn presets_and_the_precision_of_the_run_are_not_of_the_section() {
-        let record = |config: Value| -> StageRecord {
-            serde_json::from_value(
-                json!({ "stage": "train", "version": 1, "config": config, "fingerprint": "", "settings": "",
-                "inputs": {}, "outputs": {}, "files": [], "summary": null }),
-            )
-            .unwrap()
-        };
+        let record = |config: Value| read(&json!({ "config": config }));
         let earlier = record(json!({ "steps": 10, "precision": "f32", "resolved": { "width": 8 } }));
         let same = record(json!({ "steps": 10, "precision": "bf16", "resolved": { "width": 16 } }));
         assert!(!same.section_differs(&earlier) && record(json!({ "steps": 11 })).section_differs(&earlier));

@@ -105,8 +105,8 @@ fn describe(
     most_evaluations
 }
 
-/// The speed of the denoiser on a recorded scene, in evaluations of single samples per second. `None` without a denoiser
-/// or a scene.
+/// The speed of the denoiser on a recorded scene, in evaluations of single samples per second. `None` without one of
+/// the two.
 fn evaluations_per_second(
     config: &PipelineConfig,
     generate: &GenerateConfig,

@@ -14,7 +14,7 @@ const CRITICAL_S: f64 = 1.5;
 pub struct Accepted {
     /// The shortest time to collision of each scenario by its id, seconds; infinite without a collision course.
     min_ttc_s: BTreeMap<String, f64>,
-    /// Scenarios in which the careful driver was judged, and those among them in which it could not prevent a collision.
+    /// Scenarios in which the careful driver was judged, and those of them in which it could not prevent a collision.
     n_careful: u64,
     n_not_preventable: u64,
     /// Whether any scenario, accepted or not, has a time to collision: if not, it was not measured.
