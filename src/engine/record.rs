@@ -346,7 +346,8 @@ mod tests {
     #[test]
     fn whichever_input_was_written_anew_is_named() {
         let input = |producer: &str, content: &str| {
-            json!({ "stage": { "producer": producer, "fingerprint": "", "content": content } })
+            let stage = json!({ "producer": producer, "fingerprint": "", "content": content });
+            json!({ "stage": stage })
         };
         let record = |scenes: &str, events: &str| {
             read(&json!({ "inputs": { "events": input("mine", events), "scenes": input("ingest", scenes) } }))

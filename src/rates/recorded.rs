@@ -129,9 +129,8 @@ impl RecordedTraffic {
             let tail = level.tail(&known.iter().map(|(_, severity)| *severity).collect::<Vec<_>>())?;
             let beyond = known.iter().filter(|(_, severity)| *severity > tail.threshold);
             let counts = self.counts(all, beyond.map(|(recording, _)| *recording));
-            let of = |rate: Option<ClusteredRate>| {
-                rate.map(|rate| level.rate(&tail, counts.n_events(), rate)).transpose()
-            };
+            let of =
+                |rate: Option<ClusteredRate>| rate.map(|rate| level.rate(&tail, counts.n_events(), rate)).transpose();
             let note = format!(
                 "from {} events with {} beyond {:.3}",
                 counts.n_events(),

@@ -1,4 +1,4 @@
-//! Do rates of the model and of a planner's failures follow from the settings to the tables, whatever happens meanwhile?
+//! Do rates of the model and of a planner's failures follow from the settings to the tables, whatever happens?
 
 use crate::drive::MODEL;
 use crate::support::{Workspace, assert_same, djinn, files, start};
@@ -34,12 +34,12 @@ levels = [0.5, 1.0]
 copies = 2
 
 [generate]
-model = "distilled"
 splits = ["train", "val"]
 sampler = { kind = "euler", n_steps = 2, grid = { sigma_max = 20, sigma_min = 1.5 } }
 
 [[generate.sweeps]]
 name = "cut_ins"
+model = "distilled"
 behavior = "cut_in"
 classifier_scope = "none"
 template = true

@@ -50,8 +50,8 @@ pub(super) struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    /// The search for ways in which `other` cuts in before `ego`. `None` if the ego is in no lane, or if the other is in
-    /// the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
+    /// The search for ways in which `other` cuts in before `ego`. `None` if the ego is in no lane, or if the other is
+    /// in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn new(cut_in: &'a CutIn, scene: &'a Scene, [ego_idx, other_idx]: [usize; 2]) -> Option<Self> {
         let pair = cut_in.pair(scene, ego_idx, other_idx)?;
         Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair })
@@ -59,9 +59,9 @@ impl<'a> Search<'a> {
 
     /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
     /// ([`CUT_IN`](crate::behavior::sideways::CUT_IN)) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego
-    /// keeps its lane and brakes for the other with at most 5 m/s². No other agent is in the way if all of them continue
-    /// straight. Before the scene ends, the other's center is in the lane and the ego reaches the place where the other
-    /// came in. Only the past and the map are used.
+    /// keeps its lane and brakes for the other with at most 5 m/s². No other agent is in the way if all of them
+    /// continue straight. Before the scene ends, the other's center is in the lane and the ego reaches the place where
+    /// the other came in. Only the past and the map are used.
     pub(super) fn outcomes(&self) -> Option<Vec<Outcome>> {
         let plans = self.cut_in.plans(&self.pair)?.into_iter();
         Some(plans.filter(|plan| self.way(plan, STYLES[0]).is_some()).map(|plan| plan.outcome).collect())
@@ -75,7 +75,8 @@ impl<'a> Search<'a> {
         plans.sort_by(|a, b| a.outcome.effort().total_cmp(&b.outcome.effort()));
         // The first few variants spread over all plans, and both pairs and plans over the styles.
         let own = self.ego_idx + self.other_idx;
-        let styled = (0..STYLES.len()).flat_map(|round| (0..plans.len()).map(move |i| (i, (own + i + round) % STYLES.len())));
+        let styled =
+            (0..STYLES.len()).flat_map(|round| (0..plans.len()).map(move |i| (i, (own + i + round) % STYLES.len())));
         let mut templates: Vec<Template> = Vec::new();
         for (i, style) in styled {
             let Some(template) = self.way(&plans[spread(i, plans.len())], STYLES[style]) else { continue };

@@ -158,7 +158,8 @@ fn text(report: &DriveReport) -> String {
         let place = if place.is_empty() { "all places" } else { place };
         let _ = writeln!(
             text,
-            "by loops at {place}, it fails {per_1000_km} times in 1,000 km, the careful driver {careful_per_1000_km} times"
+            "by loops at {place}, it fails {per_1000_km} times in 1,000 km, the careful driver {careful_per_1000_km} \
+             times"
         );
     }
     if report.rates.iter().flatten().all(|at| at.buckets.is_empty()) && report.rates.is_some() {

@@ -3,8 +3,8 @@
 use super::config::Requirement;
 use super::resolve::ResolvedRequest;
 use crate::behavior::Outcome;
-use crate::generate::{Cell, Error, Generator, ResolvedSweep};
 use crate::generate::plan::AbleCell;
+use crate::generate::{Cell, Error, Generator, ResolvedSweep};
 use crate::scene::{Scene, SceneId, TrackId};
 use crate::store::{SceneIndex, SceneIndexEntry};
 use serde::{Deserialize, Serialize};

@@ -21,7 +21,7 @@ pub(super) struct TrackTable<'a> {
     pub(super) first_line: u64,
 }
 
-/// The tracks of all tables in order of their first rows, and the rows that are left out. It is a reject if they are more
+/// The tracks of all tables in order of their first rows, and the rows that are left out. A reject if they are more
 /// than this share of all.
 ///
 /// A track has one type. Its size is that of its first row with a size, because sizes are not measured in every frame.

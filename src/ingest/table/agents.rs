@@ -171,8 +171,8 @@ impl Rows<'_> {
         let at = self.position(row);
         if self.mapping.origin.is_some() && !(at.norm() <= MAX_FROM_ORIGIN_M) {
             let detail = format!(
-                "is {:.0} km from ingest.table.origin, expected at most {}; is {x} the longitude and {y} the latitude, in \
-                 degrees?",
+                "is {:.0} km from ingest.table.origin, expected at most {}; is {x} the longitude and {y} the latitude, \
+                 in degrees?",
                 at.norm() / 1e3,
                 MAX_FROM_ORIGIN_M / 1e3
             );

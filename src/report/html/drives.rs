@@ -33,7 +33,7 @@ pub fn render_drives(content: &DrivesPage) -> String {
     if !content.grids.is_empty() {
         let grids = html! {
             p class="note" {
-                "By what is within 50 m of the center, and by two parameters of the event, each in parts with equally many \
+                "By what is within 50 m of the center, and by two parameters of the event, each in parts with as many \
                  scenarios; 2/7: fails 2 of 7. "
                 span class="key full" { "none that the careful driver survives" } " "
                 span class="key short" { "some that it survives" } " "
