@@ -110,7 +110,7 @@ fn a_time_is_read_from_words_and_decides_what_is_left_out() {
     let resolved = config("1h 30 min").resolve().unwrap();
     let within = resolved.within.unwrap();
     assert_eq!((within.seconds, resolved.common.n_eval_scenes), (5400.0, 192));
-    assert!(within.learning_rates == [6e-4, 2e-4] && resolved.common.tasks.predictive == 80.0);
+    assert_eq!((within.learning_rates, resolved.common.tasks.predictive), (vec![6e-4, 6e-4 / 3.0], 80.0));
     let own = |rate: f64| DenoiserTrainingConfig { learning_rate: Some(rate), ..config("3 min") };
     assert_eq!(own(1e-3).resolve().unwrap().within.unwrap().learning_rates, [1e-3]);
     let more = MoreScenes { scenes: "more".into(), weight: 2.0 };

@@ -115,8 +115,8 @@ fn rates_of_the_model_and_of_failures_are_those_of_their_parts() {
     let bucket = &at["buckets"][0];
     let number = |value: &Value| value.as_f64().unwrap();
     let share = number(&bucket["n_failed"]) / number(&bucket["n_scenarios"]);
-    let per_1000_km = number(&bucket["rate"]["value"]) * share;
-    assert!((number(&at["per_1000_km"]["value"]) - per_1000_km).abs() < 1e-9 && per_1000_km > 0.0, "{at}");
+    let rate = number(&bucket["rate"]["value"]);
+    assert!((number(&at["per_1000_km"]["value"]) - rate * share).abs() < 1e-9 && rate > 0.0, "{at}");
     assert!(number(&report["split_rates"][0]["per_1000_km"]["interval"]["high"]) > 0.0, "{report}");
 
     // A sweep that prefers hard events tells nothing of how many of all are failed.

@@ -153,7 +153,7 @@ fn rates_are_per_hour_and_per_kilometer_and_those_of_buckets_of_their_events() {
 
 #[test]
 fn a_level_that_was_not_passed_is_extrapolated_or_not_with_the_reason() {
-    // Quantiles of an exponential distribution downward from 3 s, mixed over the recordings: the least of 400 is 0.33 s.
+    // Quantiles of an exponential distribution downward from 3 s, mixed over recordings: the least of 400 is 0.33 s.
     let quantile = |n: usize| 3.0 + (1.0 - ((n * 167 % 400) as f64 + 0.5) / 400.0).ln() * 0.4;
     let traffic = traffic(&[100; 4], quantile);
     let ask = |text: &str| {
