@@ -169,7 +169,7 @@ impl Rows<'_> {
         }
         let TableColumns { x, y, .. } = &self.mapping.columns;
         let at = self.position(row);
-        if self.mapping.origin.is_some() && !(at.norm() <= MAX_FROM_ORIGIN_M) {
+        if self.mapping.origin.is_some() && !(0.0..=MAX_FROM_ORIGIN_M).contains(&at.norm()) {
             let detail = format!(
                 "is {:.0} km from ingest.table.origin, expected at most {}; is {x} the longitude and {y} the latitude, \
                  in degrees?",
