@@ -3,7 +3,7 @@
 use super::lane_index::{Circle, LaneIndex};
 use super::raw::{Finding, RawScene, Reject};
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
-use crate::scene::{AgentClass, DatasetFacts, State, Track, Trajectory};
+use crate::scene::{AgentClass, DatasetFacts, State, Track};
 use std::f64::consts::TAU;
 
 /// Vehicles faster than this move along their heading, m/s.
@@ -75,7 +75,7 @@ pub(super) fn judge(raw: &mut RawScene) -> Result<(), Reject> {
         if facts.has_headings {
             let wrapped = |state: &State| State { heading_rad: wrap_angle(state.heading_rad), ..*state };
             let states = track.trajectory.entries().iter().map(|state| state.as_ref().map(wrapped)).collect();
-            track.trajectory = Trajectory::new(states);
+            track.trajectory = track.trajectory.with_states(states);
         }
     }
     for (fault, (n_judged, n_doubtful, first)) in FAULTS.into_iter().zip(doubtful) {
@@ -178,7 +178,10 @@ mod tests {
     use super::*;
     use crate::ingest::lane_topology::tests::lane;
     use crate::ingest::map_id;
-    use crate::scene::{Dataset, Extent, LaneGraph, SceneId, SceneSource, SituationKind, Split, TrackId, TrackRole};
+    use crate::scene::{
+        Dataset, Derivation, Extent, LaneGraph, SceneId, SceneSource, SituationKind, Split, TrackId, TrackRole,
+        Trajectory,
+    };
     use std::sync::Arc;
 
     type Change = dyn Fn(usize, &mut State);
@@ -309,6 +312,17 @@ mod tests {
             *state = State { position: Vec2::new(jitter, 0.0), velocity: Vec2::ZERO, heading_rad: 2.0 };
         };
         assert_eq!(judged(5, standing).expect("sound").findings, []);
+    }
+
+    #[test]
+    fn what_is_derived_stays_marked() {
+        let derivation = Derivation { held_headings: vec![true; 20], recorded: Vec::new() };
+        let derived = car(0, |_, _| ());
+        let derived = Track { trajectory: derived.trajectory.derived(derivation.clone()), ..derived };
+        let mut scene = scene(vec![derived, car(1, |_, _| ())]);
+        judge(&mut scene).expect("sound");
+        let found: Vec<_> = scene.tracks.iter().map(|track| track.trajectory.derivation()).collect();
+        assert_eq!(found, [Some(&derivation), None]);
     }
 
     #[test]

@@ -72,6 +72,12 @@ impl Trajectory {
         Self { derivation: Some(Box::new(derivation)), ..self }
     }
 
+    /// The trajectory with other states, derived in the same way.
+    #[must_use]
+    pub fn with_states(&self, states: Vec<Option<State>>) -> Self {
+        Self { states, derivation: self.derivation.clone() }
+    }
+
     /// The derived parts, if there are any.
     pub fn derivation(&self) -> Option<&Derivation> {
         self.derivation.as_deref()

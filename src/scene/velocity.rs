@@ -34,12 +34,9 @@ impl Trajectory {
             velocity_at(position, dt_s).unwrap_or(state.velocity)
         };
         let entries = self.entries().iter().enumerate();
-        let entries =
-            entries.map(|(t, state)| state.map(|state| State { velocity: velocity(t, &state), ..state })).collect();
-        match self.derivation() {
-            Some(derivation) => Self::new(entries).derived(derivation.clone()),
-            None => Self::new(entries),
-        }
+        self.with_states(
+            entries.map(|(t, state)| state.map(|state| State { velocity: velocity(t, &state), ..state })).collect(),
+        )
     }
 }
 
