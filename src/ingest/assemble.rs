@@ -4,17 +4,19 @@ use super::config::IngestConfig;
 use super::interruptions::mend;
 use super::lane_index::{Circle, LaneIndex};
 use super::plausible_tracks::{judge, judge_place};
-use super::raw::{HeadingGap, RawScene, Reject};
+use super::raw::{Finding, HeadingGap, RawScene, Reject};
 use super::report::IngestReport;
 use super::vicinity::Vicinity;
 use crate::geometry::{Transform2, Vec2};
-use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole, Trajectory};
+use crate::scene::{AgentClass, LaneGraph, Scene, State, Track, TrackRole};
 use crate::seed::Seed;
 use std::fmt::Display;
 use std::sync::Arc;
 
 /// A standing vehicle takes the direction of a lane within this distance of its center, meters.
 const MAX_LANE_DISTANCE_M: f64 = 5.0;
+/// One that never moves stands on the lanes within this distance, meters.
+const ON_LANE_M: f64 = 2.0;
 
 /// Largest acceleration of an agent, m/s²: the limit for generated traffic.
 const MAX_ACCELERATION_MPS2: f64 = 5.0;
@@ -80,12 +82,14 @@ pub(super) fn assemble(
     let kept = choose_agents(&raw.tracks, ego_idx, present, config, &mut counts);
     for gap in std::mem::take(&mut raw.heading_gaps) {
         if kept.binary_search(&gap.track_idx).is_ok() {
-            fill_headings(&mut raw.tracks[gap.track_idx], gap, present, map, &mut counts);
+            let is_filled = fill_headings(&mut raw.tracks[gap.track_idx], gap, present, map);
+            count_headings(&raw, gap, is_filled, &mut counts);
         }
     }
 
-    let ego_heading_rad = raw.tracks[ego_idx].trajectory.get(present).map_or(0.0, |state| state.heading_rad);
-    let world_from_scene = Transform2::from_pose(ego_state.position, ego_heading_rad);
+    // Its heading may have been filled in.
+    let ego_state = raw.tracks[ego_idx].trajectory.get(present).copied().unwrap_or(ego_state);
+    let world_from_scene = Transform2::from_pose(ego_state.position, ego_state.heading_rad);
     let scene_from_world = world_from_scene.inverse();
     let lanes = map.map_or_else(LaneGraph::default, |map| {
         let future_s = raw.n_timesteps.saturating_sub(raw.n_history) as f64 * raw.dt_s;
@@ -232,29 +236,38 @@ fn choose_agents(
     kept
 }
 
-/// Gives a standing track the direction of its lane; without a lane its headings stay 0 in the recording's frame.
-fn fill_headings(
-    track: &mut Track,
-    gap: HeadingGap,
-    present: usize,
-    map: Option<&LaneIndex>,
-    counts: &mut IngestReport,
-) {
+/// Gives a standing track the direction of its lane; without a lane its headings stay 0 in the recording's frame, and
+/// it is false.
+fn fill_headings(track: &mut Track, gap: HeadingGap, present: usize, map: Option<&LaneIndex>) -> bool {
     let observed = track.trajectory.valid().rev().find(|(timestep, _)| *timestep <= present);
-    let Some((_, state)) = observed else { return };
-    let Some(heading_rad) = map.and_then(|map| map.heading_at(state.position, MAX_LANE_DISTANCE_M)) else {
-        counts.count_assumed("headings_unknown", 1);
-        return;
-    };
-    counts.count_assumed("headings_from_lanes", 1);
-    let entries = track.trajectory.entries().iter().enumerate().map(|(timestep, state)| {
-        state.map(|state| if timestep < gap.until_timestep { State { heading_rad, ..state } } else { state })
+    let Some((_, state)) = observed else { return false };
+    let heading_rad = map.and_then(|map| match gap.never_moves {
+        None => map.heading_at(state.position, MAX_LANE_DISTANCE_M),
+        Some(_) => map.sole_heading_at(state.position, ON_LANE_M),
     });
-    let filled = Trajectory::new(entries.collect());
-    track.trajectory = match track.trajectory.derivation() {
-        Some(derivation) => filled.derived(derivation.clone()),
-        None => filled,
-    };
+    let Some(heading_rad) = heading_rad else { return false };
+    let to_center = Vec2::from_angle(heading_rad) * gap.never_moves.unwrap_or_default();
+    let filled = |state: State| State { heading_rad, position: state.position + to_center, ..state };
+    let entries = track.trajectory.entries().iter().enumerate();
+    let entries =
+        entries.map(|(timestep, state)| state.map(|at| if timestep < gap.until_timestep { filled(at) } else { at }));
+    track.trajectory = track.trajectory.with_states(entries.collect());
+    true
+}
+
+fn count_headings(raw: &RawScene, gap: HeadingGap, is_filled: bool, counts: &mut IngestReport) {
+    match gap.never_moves {
+        _ if is_filled => counts.count_assumed("headings_from_lanes", 1),
+        None => counts.count_assumed("headings_unknown", 1),
+        Some(_) => {
+            let (file, track) = (&raw.source.file, &raw.tracks[gap.track_idx].id);
+            let detail = format!(
+                "{file}: scene {}: track {track} never moves, and no lane tells its heading; 0 is assumed",
+                raw.id
+            );
+            counts.count_warning(Finding { what: "headings_unknown", n: 1, detail });
+        }
+    }
 }
 
 #[cfg(test)]

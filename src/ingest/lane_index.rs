@@ -1,8 +1,11 @@
 //! Finds the lanes of a map near points.
 
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::sync::Arc;
+
+/// Lanes run the same way if their directions differ by less, radians: as branches of a fork do.
+const SAME_WAY_RAD: f64 = std::f64::consts::FRAC_PI_6;
 
 /// A map with the bounds of its lanes, to skip far ones quickly.
 #[derive(Debug, Clone)]
@@ -51,6 +54,14 @@ impl LaneIndex {
             .filter(|projection| projection.offset_m.abs() <= radius_m)
             .min_by(|a, b| a.offset_m.abs().total_cmp(&b.offset_m.abs()))
             .map(|projection| projection.heading_rad)
+    }
+
+    /// Direction of the lanes that come within `radius_m` of `point`: of the nearest, if all run the same way.
+    pub(super) fn sole_heading_at(&self, point: Vec2, radius_m: f64) -> Option<f64> {
+        let nearest_rad = self.heading_at(point, radius_m)?;
+        let near = self.candidates(point, radius_m).filter_map(|lane| lane.centerline.project(point));
+        let mut near = near.filter(|projection| projection.offset_m.abs() <= radius_m);
+        near.all(|lane| angle_difference(lane.heading_rad, nearest_rad).abs() <= SAME_WAY_RAD).then_some(nearest_rad)
     }
 
     fn candidates(&self, point: Vec2, radius_m: f64) -> impl Iterator<Item = &Lane> {
@@ -115,5 +126,18 @@ mod tests {
         assert!(index.heading_at(point, 7.0).is_none());
         let heading = index.heading_at(point, 160.0).expect("both lanes are near");
         assert!((heading - std::f64::consts::FRAC_PI_4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn lanes_tell_a_heading_if_they_run_the_same_way() {
+        // Two lanes east, and one back.
+        let lanes = [(0.0, (0.0, 50.0)), (3.0, (0.0, 50.0)), (6.0, (50.0, 0.0))];
+        let lanes = (1..).zip(lanes).map(|(id, (y, (from, to)))| lane(id, (from, y), (to, y)));
+        let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes.collect())));
+        let at = |y: f64| index.sole_heading_at(Vec2::new(20.0, y), 2.0);
+        assert_eq!(
+            [at(1.5), at(4.5), at(6.5).map(f64::abs), at(9.0)],
+            [Some(0.0), None, Some(std::f64::consts::PI), None]
+        );
     }
 }

@@ -69,6 +69,9 @@ pub struct SeenTrack {
     pub changes: Vec<(f64, Change)>,
     /// The times of rows that are out of place.
     pub jumps_s: Vec<f64>,
+    /// Where it pointed while it stood for long, each until a time, both as in the rows: seconds, and radians from x
+    /// to y.
+    pub stood_rad: Vec<(f64, f64)>,
 }
 
 /// The second file of a [`RawUnit`].
@@ -171,12 +174,15 @@ pub struct Finding {
 
 /// A track that stands before it moves, in a recording without headings: headings before `until_timestep` are
 /// placeholders.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeadingGap {
     /// Index of the track.
     pub track_idx: usize,
     /// First timestep with a known heading; the number of timesteps if there is none.
     pub until_timestep: usize,
+    /// If the recording is long and the track never moves in it: how far the center is ahead of the positions, meters.
+    /// Only a lane that it stands on tells its heading then.
+    pub never_moves: Option<f64>,
 }
 
 /// The map of `dataset` for a place, city or scenario.

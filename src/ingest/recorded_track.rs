@@ -34,6 +34,8 @@ pub(super) struct RecordedTrack {
     pub(super) extent: Option<Extent>,
     /// When it is parked, seconds after frame 0.
     pub(super) parked_s: Vec<RangeInclusive<f64>>,
+    /// If its heading is unknown because it never moves: how far its center is ahead of its positions, meters.
+    pub(super) never_moves: Option<f64>,
     /// By ascending frame.
     pub(super) states: Vec<(i64, State, HeadingSource)>,
 }
@@ -46,7 +48,7 @@ pub(super) enum HeadingSource {
     Motion,
     /// The last known heading, because the agent is slow.
     Held,
-    /// The direction of the velocity, which is noise, because the agent has been slow from the start.
+    /// The agent has been slow from the start, so nothing tells: the direction of the velocity, which is noise, or 0.
     Unknown,
 }
 
@@ -88,7 +90,18 @@ impl RecordedTrack {
         let mut standing = Standing::default();
         observations.iter().for_each(|seen| standing.see(seen.frame as f64 * DT_S, seen.position));
         let parked_s = standing.parked_s(0.0);
-        Self { id, class, role, extent, parked_s, states: states(observations, class) }
+        Self { id, class, role, extent, parked_s, never_moves: None, states: states(observations, class) }
+    }
+
+    /// The track of a context agent with these states, by ascending frame.
+    pub(super) const fn of_states(
+        id: TrackId,
+        class: AgentClass,
+        extent: Option<Extent>,
+        parked_s: Vec<RangeInclusive<f64>>,
+        states: Vec<(i64, State, HeadingSource)>,
+    ) -> Self {
+        Self { id, class, role: TrackRole::Context, extent, parked_s, never_moves: None, states }
     }
 
     /// First and last frame.

@@ -1,7 +1,7 @@
 //! The scenes of a long recording: windows of equal length, cut from its tracks.
 
 use super::config::IngestConfig;
-use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
+use super::raw::{Finding, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::recorded_track::{DT_S, RecordedTrack};
 use super::source::{Horizon, PendingScene};
 use crate::scene::{Dataset, SceneId, Split, Track};
@@ -148,7 +148,11 @@ impl Cut<'_> {
                 true => track.trajectory,
                 false => track.trajectory.with_velocities_from_positions(n_history, DT_S),
             };
-            Some(Track { trajectory, ..track })
+            Some((Track { trajectory, ..track }, tracks[index].never_moves))
+        };
+        let (tracks, never_move): (Vec<Track>, Vec<Option<f64>>) = present.into_iter().filter_map(cut).unzip();
+        let gap = |(track_idx, never_moves): (usize, Option<f64>)| {
+            never_moves.map(|_| HeadingGap { track_idx, until_timestep: n_timesteps, never_moves })
         };
         RawScene {
             id: SceneId(format!("{}/{}/{}/{case}", dataset.name(), split.name(), unit.place)),
@@ -156,8 +160,8 @@ impl Cut<'_> {
             dt_s: DT_S,
             n_timesteps,
             n_history,
-            tracks: present.into_iter().filter_map(cut).collect(),
-            heading_gaps: Vec::new(),
+            tracks,
+            heading_gaps: never_move.into_iter().enumerate().filter_map(gap).collect(),
             map_id: map_id(dataset, &unit.place),
             own_map: None,
             findings: Vec::new(),

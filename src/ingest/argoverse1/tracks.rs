@@ -36,7 +36,11 @@ pub(super) fn parse(unit: &RawUnit, horizon: Horizon, smooths: bool) -> Result<R
         };
         let DerivedStates { states, held_headings, headings_from, recorded } = derived;
         if headings_from > first {
-            heading_gaps.push(HeadingGap { track_idx: tracks.len(), until_timestep: headings_from - first });
+            heading_gaps.push(HeadingGap {
+                track_idx: tracks.len(),
+                until_timestep: headings_from - first,
+                never_moves: None,
+            });
         }
         let derivation = Derivation { held_headings: held_headings[first..last].to_vec(), recorded };
         tracks.push(Track {

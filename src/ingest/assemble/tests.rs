@@ -3,7 +3,7 @@
 use super::*;
 use crate::ingest::lane_topology::tests::lane;
 use crate::ingest::raw::map_id;
-use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split, TrackId};
+use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split, TrackId, Trajectory};
 use proptest::prelude::*;
 
 const N_TIMESTEPS: usize = 5;
@@ -208,7 +208,7 @@ fn standing_tracks_take_the_direction_of_their_lane() {
     let index = LaneIndex::new(Arc::new(LaneGraph::new(vec![lane(1, (0.0, 0.0), (0.0, 90.0))])));
     let parked = |x| track("parked", TrackRole::Focal, Vec2::new(x, 10.0), 0.0, |_| true);
     let heading = |x| {
-        let heading_gaps = vec![HeadingGap { track_idx: 0, until_timestep: 4 }];
+        let heading_gaps = vec![HeadingGap { track_idx: 0, until_timestep: 4, never_moves: None }];
         let (scene, counts) =
             assemble(RawScene { heading_gaps, ..raw(vec![parked(x)]) }, Some(&index), &config()).expect("complete");
         let headings: Vec<f64> = scene.tracks[0].trajectory.valid().map(|(_, state)| state.heading_rad).collect();
@@ -220,6 +220,31 @@ fn standing_tracks_take_the_direction_of_their_lane() {
     assert_eq!(assumed["headings_from_lanes"], 1);
     let (world, _, _, assumed) = heading(6.0);
     assert_eq!((world, assumed["headings_unknown"]), (0.0, 1));
+}
+
+#[test]
+fn who_never_moves_takes_the_direction_of_the_lane_it_stands_on() {
+    // A lane north, and one south beside it. The front is recorded, 2 m ahead of the center.
+    let lanes = vec![lane(1, (0.0, 0.0), (0.0, 90.0)), lane(2, (-3.5, 90.0), (-3.5, 0.0))];
+    let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes)));
+    let parked = |x| track("parked", TrackRole::Focal, Vec2::new(x, 10.0), 0.0, |_| true);
+    let assembled = |x: f64| {
+        let heading_gaps = vec![HeadingGap { track_idx: 0, until_timestep: 5, never_moves: Some(-2.0) }];
+        let raw = RawScene { heading_gaps, ..raw(vec![parked(x)]) };
+        let (scene, counts) = assemble(raw, Some(&index), &config()).expect("complete");
+        (scene.world_from_scene, counts)
+    };
+    let (world, counts) = assembled(0.5);
+    assert!((world.rotation_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12, "{world:?}");
+    assert!(world.point(Vec2::ZERO).distance(Vec2::new(0.5, 8.0)) < 1e-12, "{world:?}");
+    assert_eq!(counts.assumed["headings_from_lanes"], 1);
+    // Between both, and beside them.
+    for x in [-1.75, 2.5] {
+        let (world, counts) = assembled(x);
+        assert_eq!((world.rotation_rad, world.point(Vec2::ZERO)), (0.0, Vec2::new(x, 10.0)));
+        let said = &counts.warnings["headings_unknown"];
+        assert!(said.count == 1 && said.examples[0].contains("track parked never moves"), "{said:?}");
+    }
 }
 
 #[test]

@@ -153,8 +153,7 @@ impl Rows<'_> {
             owners.see(Seen::new(self.time_s(*row), self.position(*row), size, class), self.mapping.max_gap_s);
         }
         owners.end();
-        let Owners { changes, jumps_s, standing, .. } = owners;
-        Some(SeenTrack { number: 0, parked_s: standing.parked_s(clock.start_s), changes, jumps_s })
+        Some(owners.seen_track(0, clock.start_s))
     }
 
     /// Refuses a row that is far from all others, in time or place.

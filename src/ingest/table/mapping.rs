@@ -113,6 +113,8 @@ pub enum PositionOf {
     Center,
     /// The middle of its front (NGSIM, SUMO).
     Front,
+    /// The middle of its rear (I-24 MOTION).
+    Rear,
     /// The corner with the least x and y of a box along the axes, as `length` by x and `width` by y (highD).
     Corner,
 }

@@ -20,6 +20,7 @@
 
 mod agents;
 mod columns;
+mod headings;
 mod left_out;
 mod mapping;
 mod owners;

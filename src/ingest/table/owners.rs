@@ -1,8 +1,10 @@
 //! Finds where an id passes from one agent to another, and rows that are out of place.
 
+use super::headings::LongStands;
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::plausible_tracks::MAX_SPEED_MPS;
+use crate::ingest::raw::SeenTrack;
 use crate::ingest::standing::Standing;
 use crate::scene::AgentClass;
 
@@ -47,10 +49,11 @@ pub(super) struct Owners {
     n_rows: usize,
     fastest_mps: f64,
     /// From when on the id is that of another agent, in the unit of rows, seconds.
-    pub(super) changes: Vec<(f64, Change)>,
+    changes: Vec<(f64, Change)>,
     /// Rows that are out of place.
-    pub(super) jumps_s: Vec<f64>,
-    pub(super) standing: Standing,
+    jumps_s: Vec<f64>,
+    standing: Standing,
+    long_stands: LongStands,
 }
 
 impl Seen {
@@ -106,10 +109,19 @@ impl Owners {
     pub(super) fn end(&mut self) {
         self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
         self.jumps_s.sort_by(f64::total_cmp);
+        self.long_stands.end(f64::INFINITY);
+    }
+
+    /// What is known of the track with this number, in a recording that begins at `start_s`.
+    pub(super) fn seen_track(self, number: usize, start_s: f64) -> SeenTrack {
+        let Self { changes, jumps_s, standing, long_stands, .. } = self;
+        let parked_s = standing.parked_s(start_s);
+        SeenTrack { number, parked_s, changes, jumps_s, stood_rad: long_stands.into_headings() }
     }
 
     fn pass_to(&mut self, seen: Seen, change: Change) {
         self.changes.push((seen.time_s, change));
+        self.long_stands.end(seen.time_s);
         (self.n_rows, self.fastest_mps, self.last) = (0, 0.0, None);
         self.accept(seen);
     }
@@ -121,6 +133,7 @@ impl Owners {
         }
         self.n_rows += 1;
         self.standing.see(seen.time_s, seen.position);
+        self.long_stands.see(seen.time_s, seen.position);
         // Its size may be blank in some rows.
         let size_m = seen.size_m.or(self.last.and_then(|last| last.size_m));
         self.last = Some(Seen { size_m, ..seen });

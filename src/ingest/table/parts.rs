@@ -244,8 +244,7 @@ impl<'a> PartReader<'a> {
         }
         let seen_track = |(id, (number, mut owners)): (String, (usize, Owners))| {
             owners.end();
-            let Owners { changes, jumps_s, standing, .. } = owners;
-            (id, SeenTrack { number, parked_s: standing.parked_s(start_s), changes, jumps_s })
+            (id, owners.seen_track(number, start_s))
         };
         let tracks = std::mem::take(&mut seen.tracks).into_iter().map(seen_track);
         let tracks = Arc::new(tracks.collect::<BTreeMap<_, _>>());

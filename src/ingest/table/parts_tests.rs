@@ -159,6 +159,32 @@ fn parquet(text: &str) -> Vec<u8> {
 }
 
 #[test]
+fn who_parks_for_longer_than_a_part_points_where_it_came() {
+    // Drives north for 10 s, and parks for the other 230.
+    let row = |i: i32| {
+        let t = f64::from(i) / 5.0;
+        format!("a,{t},{},7,car,x\nb,{t},3,{},car,x\n", 2.0 * t, f64::min(5.0 * t, 50.0))
+    };
+    let text = (0..1200).fold("id,t,x,y,c,more\n".to_owned(), |text, i| text + &row(i));
+    let config = config("");
+    let tables = Tables::new(&config).unwrap();
+    let mut n_seen = 0;
+    for unit in units(&tables, SMALL, &[("a.csv", text)]) {
+        for scene in tables.parse(unit.unwrap()) {
+            // One lies across the beginning of val.
+            let Ok(scene) = scene() else { continue };
+            assert!(scene.heading_gaps.is_empty(), "{}", scene.id);
+            let parks = scene.tracks.iter().find(|track| track.id.0 == "b").unwrap();
+            for (_, state) in parks.trajectory.valid() {
+                assert!((state.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9, "{} {state:?}", scene.id);
+                n_seen += 1;
+            }
+        }
+    }
+    assert!(n_seen > 10_000, "{n_seen}");
+}
+
+#[test]
 fn recordings_of_one_file_are_cut_each_for_itself_however_their_rows_lie() {
     let recording = |name: &'static str, shift_s: f64, n_rows: usize| {
         let again = rows().into_iter().take(n_rows);

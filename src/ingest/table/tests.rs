@@ -8,6 +8,8 @@ use crate::scene::{AgentClass, Scene, Track};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+mod motion;
+
 fn config(folder: &Path, mapping: &str) -> IngestConfig {
     let table = toml::from_str(mapping).unwrap_or_else(|error| panic!("{error}: {mapping}"));
     IngestConfig {

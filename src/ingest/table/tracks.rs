@@ -1,16 +1,17 @@
 //! The tracks of a table: the states of each agent from its rows, at the frames of scenes.
 
 use super::columns::Table;
+use super::headings::{Chords, headings};
 use super::left_out::LeftOut;
 use super::mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use super::resample::{TimedState, resampled};
 use super::rows::{Group, Rows};
 use crate::geometry::Vec2;
 use crate::ingest::raw::SeenTrack;
-use crate::ingest::recorded_track::{DT_S, Observation, RecordedTrack};
+use crate::ingest::recorded_track::{DT_S, HeadingSource, Observation, RecordedTrack};
 use crate::ingest::windows::Recording;
 use crate::ingest::{RawUnit, Reject};
-use crate::scene::{AgentClass, Dataset, Extent, TrackId, TrackRole, velocity_at};
+use crate::scene::{AgentClass, Dataset, Extent, State, TrackId, velocity_at};
 
 /// Frames are numbered by the times of the recording unless these are further than this from 0, as times of day are,
 /// seconds.
@@ -146,15 +147,41 @@ impl Rows<'_> {
         if observations.is_empty() {
             return Ok(None);
         }
-        let mut track = RecordedTrack::new(TrackId(name), class, TrackRole::Context, extent, &observations);
-        track.parked_s.clone_from(&seen.parked_s);
-        if self.mapping.position == PositionOf::Front {
-            let back_m = extent.unwrap_or_else(|| class.nominal_extent()).length_m / 2.0;
-            for (_, state, _) in &mut track.states {
-                state.position = state.position - Vec2::from_angle(state.heading_rad) * back_m;
-            }
+        let chords = Chords::of(class, extent, self.mapping.position);
+        let mut headings = headings(&observations, class, chords);
+        let is_unknown = |(_, source): &(f64, HeadingSource)| *source == HeadingSource::Unknown;
+        if chords.is_wheeled
+            && headings.iter().all(is_unknown)
+            && let Some(stood_rad) = self.stood_rad(rows[0], seen)
+        {
+            headings.fill((stood_rad, HeadingSource::Held));
         }
+        let half_m = extent.unwrap_or_else(|| class.nominal_extent()).length_m / 2.0;
+        let ahead_m = match self.mapping.position {
+            PositionOf::Center | PositionOf::Corner => 0.0,
+            PositionOf::Front => -half_m,
+            PositionOf::Rear => half_m,
+        };
+        let state = |(seen, (heading_rad, source)): (&Observation, (f64, HeadingSource))| {
+            // A person whose heading is not recorded is where the position is, whatever part of it that may be.
+            let is_known = source == HeadingSource::Recorded || chords.is_wheeled && source != HeadingSource::Unknown;
+            let to_center = Vec2::from_angle(heading_rad) * if is_known { ahead_m } else { 0.0 };
+            let position = seen.position + to_center;
+            (seen.frame, State { position, heading_rad, velocity: seen.velocity }, source)
+        };
+        let states: Vec<_> = observations.iter().zip(headings).map(state).collect();
+        let never_moves = chords.is_wheeled && states.iter().all(|(.., source)| *source == HeadingSource::Unknown);
+        let mut track = RecordedTrack::of_states(TrackId(name), class, extent, seen.parked_s.clone(), states);
+        track.never_moves = never_moves.then_some(ahead_m);
         Ok(Some(track))
+    }
+
+    /// Where an agent points that stands from this row on, if other parts of the table tell.
+    fn stood_rad(&self, row: u32, seen: &SeenTrack) -> Option<f64> {
+        let time_s = self.time_s(row);
+        let at = seen.stood_rad.partition_point(|(until_s, _)| *until_s <= time_s);
+        let (_, heading_rad) = seen.stood_rad.get(at)?;
+        Some(if self.mapping.y_points_down { -heading_rad } else { *heading_rad })
     }
 
     /// The position in a row, as recorded, meters.
@@ -164,7 +191,7 @@ impl Rows<'_> {
         self.plane.at([x, y].map(number))
     }
 
-    /// Center (or front) and heading at a row.
+    /// Center (or front or rear) and heading at a row.
     fn state(&self, row: u32, extent: Option<Extent>, start_s: f64) -> TimedState {
         let mut position = self.position(row);
         if let (PositionOf::Corner, Some(Extent { length_m, width_m })) = (self.mapping.position, extent) {

@@ -53,7 +53,7 @@ fn a_file_becomes_a_scene() {
     let state = scene.tracks[1].trajectory.get(19).expect("tracked");
     assert_eq!(state.position, Vec2::new(1019.0, 2000.0));
     assert!(state.velocity.distance(Vec2::new(10.0, 0.0)) < 1e-5 && state.heading_rad == 0.0);
-    assert_eq!(scene.heading_gaps, [HeadingGap { track_idx: 2, until_timestep: 50 }]);
+    assert_eq!(scene.heading_gaps, [HeadingGap { track_idx: 2, until_timestep: 50, never_moves: None }]);
 }
 
 #[test]
@@ -67,7 +67,7 @@ fn tracks_are_smoothed_and_what_was_recorded_is_kept() {
     let derivation = agent.derivation().expect("nothing but positions is recorded");
     assert_eq!((derivation.recorded.len(), derivation.held_headings.as_slice()), (50, &[false; 15][..]));
     assert_eq!(derivation.recorded[19], RecordedPosition { time_s: 0.0, position: Vec2::new(1019.0, 2000.0) });
-    assert_eq!(scene.heading_gaps, [HeadingGap { track_idx: 2, until_timestep: 35 }]);
+    assert_eq!(scene.heading_gaps, [HeadingGap { track_idx: 2, until_timestep: 35, never_moves: None }]);
     let test = parse(&unit(&csv_text(20), Split::Test), RECORDED, true).expect("a test file");
     assert_eq!((test.n_timesteps, test.tracks[1].trajectory.n_valid()), (20, 20));
 }
