@@ -165,7 +165,7 @@ mod tests {
     use parquet::arrow::ArrowWriter;
     use std::sync::Arc;
 
-    const WANTED: [(&str, Kind); 3] = [("id", Kind::Text), ("x", Kind::Number), ("nowhere", Kind::Number)];
+    const WANTED: [(&str, Kind); 3] = [("id|who", Kind::Text), ("x|X", Kind::Number), ("nowhere", Kind::Number)];
 
     fn read(text: &str) -> Result<Table, String> {
         Table::read(text.as_bytes(), &[], &WANTED).map_err(|error| error.to_string())
@@ -178,15 +178,16 @@ mod tests {
             "\u{feff}id;y;x\r\na;9;1.5\r\nb;9;\r\na;9;NaN",
             "id\ty\tx\n\"a\"\t9\t 1.5\nb\t9\t\na\t9\tnan",
             "id;y;x\na;9,0;1,5\nb;9;\na;9;nan",
+            "id,y,x,who,X\na,9,1.5,,7\n,9,,b,\na,9,nan,,\n",
         ] {
             let table = read(text).unwrap();
             assert_eq!((table.n_rows, table.place_of(1)), (3, "line 3".to_owned()), "{text}");
-            let ids = table.text(Some("id")).unwrap();
+            let ids = table.text(Some("id|who")).unwrap();
             assert_eq!(
                 (ids.different.as_slice(), ids.of_row.as_slice()),
                 (&["a".to_owned(), "b".to_owned()][..], &[0, 1, 0][..])
             );
-            let x = table.number(Some("x")).unwrap();
+            let x = table.number(Some("x|X")).unwrap();
             assert!(x[0] == 1.5 && x[1].is_nan() && x[2].is_nan(), "{x:?}");
             assert!(table.number(Some("nowhere")).is_none() && table.number(None).is_none());
         }
@@ -194,9 +195,11 @@ mod tests {
 
     #[test]
     fn parquet_holds_the_same_with_gaps_and_names_of_numbers() {
-        let columns: [(&str, ArrayRef); 3] = [
+        let columns: [(&str, ArrayRef); 5] = [
             ("id", Arc::new(Int64Array::from(vec![Some(7), None, Some(7)]))),
-            ("x", Arc::new(Float64Array::from(vec![Some(1.5), Some(2.5), None]))),
+            ("who", Arc::new(Int64Array::from(vec![Some(8), None, None]))),
+            ("x", Arc::new(Float64Array::from(vec![Some(1.5), None, None]))),
+            ("X", Arc::new(Float64Array::from(vec![Some(9.0), Some(2.5), None]))),
             ("y", Arc::new(Float64Array::from(vec![9.0; 3]))),
         ];
         let batch = RecordBatch::try_from_iter(columns).unwrap();
@@ -205,14 +208,14 @@ mod tests {
         writer.write(&batch).unwrap();
         writer.close().unwrap();
         let table = Table::read(&bytes, &[], &WANTED).unwrap();
-        let ids = table.text(Some("id")).unwrap();
+        let ids = table.text(Some("id|who")).unwrap();
         assert_eq!(
             (ids.different.as_slice(), ids.of_row.as_slice()),
             (&["7".to_owned(), String::new()][..], &[0, 1, 0][..])
         );
-        let x = table.number(Some("x")).unwrap();
+        let x = table.number(Some("x|X")).unwrap();
         assert!(x[..2] == [1.5, 2.5] && x[2].is_nan());
-        assert!(table.lacks(&["z"]).contains("the table has id, x, y") && table.place_of(1) == "row 1");
+        assert!(table.lacks(&["z"]).contains("the table has id, who, x, X, y") && table.place_of(1) == "row 1");
         assert!(Table::read(&bytes[..bytes.len() - 9], &[], &WANTED).is_err());
     }
 
@@ -220,7 +223,7 @@ mod tests {
     fn what_is_wrong_is_said_with_its_line() {
         for (text, expected) in [
             ("id,x\na,1\nb\n", "line 3: 1 cells, expected 2 between ',', as in the header"),
-            ("id,x\na,1\nb,one\n", "line 3: column x is \"one\", expected a number"),
+            ("id,x\na,1\nb,one\n", "line 3: column x|X is \"one\", expected a number"),
             ("id,x\na,1\n\"b,1\nc,1\n", "line 3: a quote on it is not closed"),
         ] {
             let passed = read(text).unwrap().passed;

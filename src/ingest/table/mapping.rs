@@ -68,7 +68,8 @@ pub struct TableMapping {
     pub max_gap_s: f64,
 }
 
-/// The names of columns.
+/// The names of columns. `"a|b"` is column b where a is blank or missing, for tables that write kinds of agents into
+/// columns of their own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TableColumns {

@@ -11,14 +11,15 @@ use super::columns::PARQUET;
 use super::mapping::TableMapping;
 use super::owners::Owners;
 use super::rows::wanted;
+use super::table_rows::alternatives;
 use super::timed_rows::{Gathered, TimedRows};
 use super::tracks::{first_frame_of, is_of_recording};
 use crate::containment::contained;
 use crate::ingest::archive::Entry;
 use crate::ingest::error::Malformed;
 use crate::ingest::pairing::{PairPart, PairReader};
-use crate::ingest::parquet_columns::{n_bytes_of, read_footer};
-use crate::ingest::raw::{Part, RawUnit, Reject, SeenTrack};
+use crate::ingest::parquet_columns::{columns_of, n_bytes_of, read_footer};
+use crate::ingest::raw::{Part, RawUnit, Reject};
 use crate::ingest::recorded_track::DT_S;
 use crate::ingest::source::{EmitUnit, Horizon, UnitReader};
 use crate::ingest::windows::MAX_RECORDING_FRAMES;
@@ -299,7 +300,9 @@ impl<'a> PartReader<'a> {
             Some(Err(error)) => return Err(error),
             _ => return Err("the file is cut short".into()),
         };
-        let names: Vec<&str> = wanted(&self.mapping.columns).into_iter().map(|(name, _)| name).collect();
+        let found = columns_of(&footer)?;
+        let names: Vec<&str> =
+            wanted(&self.mapping.columns).into_iter().flat_map(|(name, _)| alternatives(name, &found)).collect();
         let n_cells = footer.file_metadata().num_rows().unsigned_abs().saturating_mul(names.len() as u64);
         let n_bytes = n_bytes_of(&footer, &names).max(n_cells.saturating_mul(8));
         Ok((is_long || n_bytes > self.sizes.whole_bytes).then_some(footer))

@@ -42,10 +42,10 @@ pub(super) struct Passed {
 }
 
 enum Source<'r> {
-    /// `places`: the index of each of the columns in the table.
-    Text { lines: Lines<'r>, separator: u8, cells: csv::ByteRecord, places: Vec<usize> },
-    /// `cells`: some rows of the table, the first `n_done` of which were read.
-    Parquet { stream: Box<Stream<'r>>, cells: Vec<Cells>, n_rows: usize, n_done: usize },
+    /// `places`: the indices of each of the columns in the table, by precedence.
+    Text { lines: Lines<'r>, separator: u8, cells: csv::ByteRecord, places: Vec<Vec<usize>> },
+    /// `cells`: some rows of the table, the first `n_done` of which were read, by column and precedence.
+    Parquet { stream: Box<Stream<'r>>, cells: Vec<Vec<Cells>>, n_rows: usize, n_done: usize },
 }
 
 /// The cells of one column.
@@ -69,13 +69,18 @@ impl<'r> TableRows<'r> {
         let names: Vec<String> = cells.iter().map(printable).collect();
         let (mut places, mut columns) = (Vec::new(), Vec::new());
         for (name, kind) in with_types(wanted, &names) {
-            let mut found = names.iter().enumerate().filter(|(_, found)| **found == name);
-            let Some((place, _)) = found.next() else { continue };
-            if found.next().is_some() {
-                return Err(format!("line 1: the column {name} appears twice").into());
+            let mut found = Vec::new();
+            for name in alternatives(&name, &names) {
+                let mut same = names.iter().enumerate().filter(|(_, found)| *found == name).map(|(place, _)| place);
+                found.extend(same.next());
+                if same.next().is_some() {
+                    return Err(format!("line 1: the column {name} appears twice").into());
+                }
             }
-            places.push(place);
-            columns.push((name, kind));
+            if !found.is_empty() {
+                places.push(found);
+                columns.push((name, kind));
+            }
         }
         let source = Source::Text { lines, separator, cells, places };
         Ok(Self::new(source, names, columns, 1))
@@ -88,9 +93,11 @@ impl<'r> TableRows<'r> {
         wanted: &[(&str, Kind)],
     ) -> Result<Self, Malformed> {
         let names = columns_of(footer)?;
-        let columns: Vec<(String, Kind)> =
-            with_types(wanted, &names).into_iter().filter(|(name, _)| names.contains(name)).collect();
-        let read: Vec<&str> = columns.iter().map(|(name, _)| name.as_str()).collect();
+        let columns: Vec<(String, Kind)> = with_types(wanted, &names)
+            .into_iter()
+            .filter(|(name, _)| alternatives(name, &names).next().is_some())
+            .collect();
+        let read: Vec<&str> = columns.iter().flat_map(|(name, _)| alternatives(name, &names)).collect();
         let stream = Box::new(Stream::of(table, footer, &read)?);
         let source = Source::Parquet { stream, cells: Vec::new(), n_rows: 0, n_done: 0 };
         // The first row is row 0.
@@ -141,11 +148,14 @@ impl<'r> TableRows<'r> {
             Source::Parquet { stream, cells, n_rows, n_done } => {
                 while *n_done == *n_rows {
                     let Some(rows) = stream.next()? else { return Ok(None) };
-                    let of_column = |(name, kind): &(String, Kind)| match kind {
+                    let of_column = |name: &str, kind: Kind| match kind {
                         Kind::Required | Kind::Number => rows.float_or_nan(name).map(Cells::Numbers),
                         Kind::Track | Kind::Text | Kind::Types => rows.text_or_null(name).map(Cells::Texts),
                     };
-                    *cells = self.columns.iter().map(of_column).collect::<Result<_, _>>()?;
+                    let of_columns = |(names, kind): &(String, Kind)| {
+                        alternatives(names, &self.names).map(|name| of_column(name, *kind)).collect()
+                    };
+                    *cells = self.columns.iter().map(of_columns).collect::<Result<_, _>>()?;
                     (*n_rows, *n_done) = (rows.n_rows(), 0);
                 }
                 *n_done += 1;
@@ -228,11 +238,11 @@ impl<'r> TableRows<'r> {
 impl Source<'_> {
     fn cell(&self, at: usize) -> &[u8] {
         match self {
-            Source::Text { cells, places, .. } => &cells[places[at]],
-            Source::Parquet { cells, n_done, .. } => match &cells[at] {
+            Source::Text { cells, places, .. } => first_of(places[at].iter().map(|place| &cells[*place])),
+            Source::Parquet { cells, n_done, .. } => first_of(cells[at].iter().map(|cells| match cells {
                 Cells::Texts(texts) if !texts.is_null(*n_done - 1) => texts.value(*n_done - 1).as_bytes().trim_ascii(),
                 _ => b"",
-            },
+            })),
         }
     }
 
@@ -244,9 +254,13 @@ impl Source<'_> {
 
     fn number(&self, at: usize) -> Result<f64, String> {
         if let Source::Parquet { cells, n_done, .. } = self
-            && let Cells::Numbers(numbers) = &cells[at]
+            && let [Cells::Numbers(_), ..] = cells[at][..]
         {
-            return Ok(numbers[*n_done - 1]);
+            let mut numbers = cells[at].iter().filter_map(|cells| match cells {
+                Cells::Numbers(numbers) => Some(numbers[*n_done - 1]),
+                Cells::Texts(_) => None,
+            });
+            return Ok(numbers.find(|number| !number.is_nan()).unwrap_or(f64::NAN));
         }
         let cell = self.cell(at);
         let parsed = |text: &str| {
@@ -264,7 +278,7 @@ impl Source<'_> {
     fn n_bytes(&self, at: usize) -> u64 {
         const N_BYTES_OF_NUMBER: u64 = 8;
         match self {
-            Source::Parquet { cells, .. } if matches!(cells[at], Cells::Numbers(_)) => N_BYTES_OF_NUMBER,
+            Source::Parquet { cells, .. } if matches!(cells[at][..], [Cells::Numbers(_), ..]) => N_BYTES_OF_NUMBER,
             _ => self.cell(at).len() as u64 + 1,
         }
     }
@@ -280,12 +294,26 @@ impl Passed {
     }
 
     pub(super) fn findings(&self, file: &str) -> Vec<Finding> {
-        let nobody = "rows without an id (blank, nan or -1) are left out".to_owned();
+        let nobody = "rows without an id (blank, nan or -1) are left out; others in columns of their own are read by \
+                      ingest.table.columns.track = \"this|other\", and x, y, time likewise";
         let bad = self.first_bad.clone().unwrap_or_default();
         let of = |what, n: u64, detail: &str| (n > 0).then(|| Finding { what, n, detail: format!("{file}: {detail}") });
-        let all = [of("rows_without_track", self.n_without_track, &nobody), of("rows_left_out", self.n_bad, &bad)];
+        let all = [of("rows_without_track", self.n_without_track, nobody), of("rows_left_out", self.n_bad, &bad)];
         all.into_iter().flatten().collect()
     }
+}
+
+/// The columns of a table with these `names` that a mapping means by `name`: those of its parts between `|` that the
+/// table has, the first of which that is not blank counts.
+pub(super) fn alternatives<'a>(name: &'a str, names: &'a [String]) -> impl Iterator<Item = &'a str> {
+    let is_one = names.iter().any(|found| found == name);
+    let parts = name.split(if is_one { '\0' } else { '|' }).map(str::trim);
+    parts.filter(|part| names.iter().any(|found| found == part))
+}
+
+/// The first cell that is not blank.
+fn first_of<'a>(mut cells: impl Iterator<Item = &'a [u8]>) -> &'a [u8] {
+    cells.find(|cell| !cell.is_empty()).unwrap_or_default()
 }
 
 /// The separator of cells, found in the header of a table.

@@ -140,8 +140,8 @@ fn mappings_that_come_along_read_their_formats() {
         (
             "sumo_fcd",
             "traffic.csv",
-            "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type;person_id",
-            Box::new(|_, t, x| format!("{t};5;{};-3;90;car;\n{t};;;;;;walker", x + 2.3)),
+            "timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type;",
+            Box::new(|_, t, x| format!("{t};5;{};-3;90;car;\n{t};;;;;;", x + 2.3)),
             None,
             "train-traffic",
         ),
@@ -460,6 +460,33 @@ fn each_unit_and_axis_has_a_value_that_only_the_right_reading_gives() {
                 assert!(off_rad.abs() < 1e-9, "{mapping} {i}: {}", state.heading_rad);
                 assert!(state.velocity.distance(along * 5.0) < 1e-6, "{mapping} {i}: {:?}", state.velocity);
             }
+        }
+    }
+}
+
+#[test]
+fn people_may_be_in_columns_of_their_own() {
+    // What SUMO's xml2csv.py makes of its XML, and what SUMO writes itself.
+    let own = |_: usize, t: f64, x: f64| format!("{t};90;car0;{x};-3;car;;;;;\n{t};;;;;;0;ped0;5;{};walker", 0.1 * x);
+    let same = |_: usize, t: f64, x: f64| format!("{t};90;car0;{x};-3;car\n{t};0;ped0;5;{};walker", 0.1 * x);
+    let vehicles = "timestep_time;vehicle_angle;vehicle_id;vehicle_x;vehicle_y;vehicle_type";
+    let persons = format!("{vehicles};person_angle;person_id;person_x;person_y;person_type");
+    for text in [drive(&persons, 40, own), drive(vehicles, 40, same)] {
+        let folder = file("traffic.csv", &text.replace("walker", "DEFAULT_PEDTYPE"));
+        let text = fs_err::read_to_string("configs/sumo_fcd.toml").unwrap();
+        let sections: BTreeMap<String, IngestConfig> = toml::from_str(&text).unwrap();
+        let config = IngestConfig { inputs: vec![folder.path().to_owned()], ..sections["ingest"].clone() };
+        let (scenes, report) = read(&config).unwrap();
+        assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+        let tracks: Vec<_> = scenes[0].tracks.iter().map(|track| (track.id.0.as_str(), track.class)).collect();
+        assert_eq!(tracks, [("car0", AgentClass::Vehicle), ("ped0", AgentClass::Pedestrian)]);
+        for (i, state) in scenes[0].tracks[1].trajectory.valid() {
+            let state = state.transformed(&scenes[0].world_from_scene);
+            assert!(
+                (state.position.x - 5.0).abs() < 1e-6 && (state.velocity.norm() - 1.0).abs() < 1e-6,
+                "{i} {state:?}"
+            );
+            assert!((state.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9, "{i} {state:?}");
         }
     }
 }
