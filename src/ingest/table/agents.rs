@@ -45,6 +45,7 @@ impl Rows<'_> {
                     Change::Size => "its size is another",
                     Change::Class => "its class is another",
                     Change::Place => "no vehicle comes here from where it was",
+                    Change::Time => "nobody had it for more than a minute",
                 };
                 let place = self.table.place_of(*first as usize);
                 let detail = format!("{}, {place}: track {id} goes on as {name}: {why}", self.file);

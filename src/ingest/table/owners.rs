@@ -16,6 +16,10 @@ const MAX_ERROR_M: f64 = 4.0;
 const USUAL_GAP_S: f64 = 1.0;
 /// Over longer times, what an agent has driven until then tells how far it comes, seconds.
 const SHORT_S: f64 = 0.5;
+/// An id that was not seen for longer is another agent's: datasets count anew in each recording, seconds, and times the
+/// longest gap that is filled in, and the usual time between rows.
+const LOST_S: f64 = 60.0;
+const LOST_GAPS: f64 = 10.0;
 /// Sizes of one agent differ by less, meters.
 const MAX_OFF_SIZE_M: f64 = 0.5;
 
@@ -37,6 +41,8 @@ pub enum Change {
     Class,
     /// No vehicle comes there from where the agent was.
     Place,
+    /// Nobody had it for long.
+    Time,
 }
 
 /// What the rows of an id show, by ascending time.
@@ -45,8 +51,9 @@ pub(super) struct Owners {
     last: Option<Seen>,
     /// A row that the agent of the last one cannot reach: out of place, or of another agent.
     suspect: Option<Seen>,
-    /// Rows of the present agent, and how fast it has been.
+    /// Rows of the present agent, the time of the first, and how fast it has been.
     n_rows: usize,
+    begun_s: f64,
     fastest_mps: f64,
     /// From when on the id is that of another agent, in the unit of rows, seconds.
     changes: Vec<(f64, Change)>,
@@ -77,7 +84,8 @@ impl Owners {
         }
         let gap_s = seen.time_s - last.time_s;
         if gap_s > USUAL_GAP_S.max(max_gap_s) + 1e-4
-            && let Some(change) = change(&last, &seen)
+            && let Some(change) =
+                change(&last, &seen).or_else(|| self.is_lost(gap_s, max_gap_s).then_some(Change::Time))
         {
             self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
             return self.pass_to(seen, change);
@@ -105,6 +113,13 @@ impl Owners {
         }
     }
 
+    /// Whether the present agent is not the one that has the id after this gap.
+    fn is_lost(&self, gap_s: f64, max_gap_s: f64) -> bool {
+        let Some(last) = self.last.filter(|_| self.n_rows > 1) else { return false };
+        let usual_s = (last.time_s - self.begun_s) / (self.n_rows - 1) as f64;
+        gap_s > LOST_S.max(LOST_GAPS * max_gap_s.max(usual_s))
+    }
+
     /// Ends the rows.
     pub(super) fn end(&mut self) {
         self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
@@ -130,6 +145,9 @@ impl Owners {
         if let Some(last) = self.last {
             let gap_s = seen.time_s - last.time_s;
             self.fastest_mps = self.fastest_mps.max(seen.position.distance(last.position) / gap_s.max(0.1));
+        }
+        if self.n_rows == 0 {
+            self.begun_s = seen.time_s;
         }
         self.n_rows += 1;
         self.standing.see(seen.time_s, seen.position);
@@ -191,11 +209,16 @@ mod tests {
             ((50.0, 0.0, 12.0, Vehicle), Some(Change::Size)),
             ((50.0, 0.0, 4.5, Bus), Some(Change::Class)),
             ((50.0, 9000.0, 4.5, Vehicle), Some(Change::Place)),
+            ((61.8, 0.0, 4.5, Vehicle), None),
+            ((886.0, 0.0, 4.5, Vehicle), Some(Change::Time)),
         ] {
             let rows = [drive.clone(), goes_on(next)].concat();
             let found: Vec<(f64, Change)> = expected.map(|change| (next.0, change)).into_iter().collect();
             assert_eq!(owners(&rows), (found, vec![]), "{next:?}");
         }
+        // Rows that are always far apart are one agent's.
+        let seldom: Vec<_> = (0..9).map(|i| (f64::from(i) * 100.0, 0.0, 4.5, Vehicle)).collect();
+        assert_eq!(owners(&seldom), (vec![], vec![]));
         // A single row that is elsewhere, within, at the beginning and at the end.
         for out_of_place in [0, 7, 19] {
             let mut rows = drive.clone();
