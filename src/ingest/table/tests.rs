@@ -109,7 +109,7 @@ fn mappings_that_come_along_read_their_formats() {
     type Row<'a> = Box<dyn Fn(usize, f64, f64) -> String + 'a>;
     // Mapping, file, header, rows, table of tracks, place.
     type Case<'a> = (&'a str, &'a str, &'a str, Row<'a>, Option<(&'a str, &'a str)>, &'a str);
-    let cases: [Case<'_>; 4] = [
+    let cases: [Case<'_>; 5] = [
         (
             "highd",
             "01_tracks.csv",
@@ -144,6 +144,17 @@ fn mappings_that_come_along_read_their_formats() {
             Box::new(|_, t, x| format!("{t};5;{};-3;90;car;\n{t};;;;;;", x + 2.3)),
             None,
             "train-traffic",
+        ),
+        (
+            "i24_motion",
+            "i24_1.csv",
+            "id,t,x,y,length,width,class",
+            Box::new(|_, t, x| {
+                let (x, y, length, width) = (ft(x - 2.0), ft(-3.0), ft(4.0), ft(2.0));
+                format!("5,{},{x},{y},{length},{width},4", 1e-3 * epoch_ms + t)
+            }),
+            None,
+            "I-24",
         ),
     ];
     for (name, recording, header, row, of_tracks, place) in cases {
@@ -425,10 +436,13 @@ fn each_unit_and_axis_has_a_value_that_only_the_right_reading_gives() {
         ("frame_rate_hz = 25\ncolumns.frame = 't'", |t, at, deg| [25.0 * t, at.x, at.y, deg.to_radians()]),
     ];
     for (mapping, write) in cases {
-        // Where the car is when its front is at `at`, and when the corner of a box along x is.
-        for (position, shift, deg) in
-            [("center", Vec2::ZERO, heading), ("front", along * 2.0, heading), ("corner", Vec2::new(-2.0, -0.9), 0.0)]
-        {
+        // Where the car is when its front or rear is at `at`, and when the corner of a box along x is.
+        for (position, shift, deg) in [
+            ("center", Vec2::ZERO, heading),
+            ("front", along * 2.0, heading),
+            ("rear", along * -2.0, heading),
+            ("corner", Vec2::new(-2.0, -0.9), 0.0),
+        ] {
             let is_down = mapping.contains("down");
             let is_corner = position == "corner";
             let along = if is_corner { Vec2::new(1.0, 0.0) } else { along };
