@@ -145,8 +145,21 @@ impl Table {
 
 /// The error that a table with these columns has none of the missing ones.
 pub(super) fn lacks(names: &[String], missing: &[&str]) -> String {
-    let (missing, found) = (missing.join(", "), names.join(", "));
-    format!("no column {missing}; the table has {found}: name its columns in ingest.table.columns")
+    const N_NAMED: usize = 40;
+    const N_CHARS: usize = 40;
+    let short = |name: &String| match name.char_indices().nth(N_CHARS) {
+        Some((end, _)) => format!("{}…", &name[..end]),
+        None => name.clone(),
+    };
+    let found = names.iter().take(N_NAMED).map(short).collect::<Vec<_>>().join(", ");
+    let more = match names.len().saturating_sub(N_NAMED) {
+        0 => String::new(),
+        n => format!(" and {n} more"),
+    };
+    let has_header = !names.iter().any(|name| name.parse::<f64>().is_ok());
+    let what_to_do =
+        if has_header { "name its columns in ingest.table.columns" } else { "its first line must name them" };
+    format!("no column {}; the table has {found}{more}: {what_to_do}", missing.join(", "))
 }
 
 /// The `wanted` columns of a table with these columns, that of types by its name, if there is one.
@@ -231,5 +244,28 @@ mod tests {
         }
         assert_eq!(read("id,x,x\n").unwrap_err(), "line 1: the column x appears twice");
         assert!(read("id,x\n").unwrap().lacks(&["y"]).starts_with("no column y; the table has id, x: name"));
+        // A whole file without a line end.
+        let found = read(&"[{name: \"é\",".repeat(5000)).unwrap().lacks(&["y"]);
+        assert!(found.len() < 2000 && found.contains(" more: name"), "{found}");
+        assert!(read("1.0,2\n1,2\n").unwrap().lacks(&["id"]).ends_with("its first line must name them"));
+    }
+
+    #[test]
+    fn thousands_may_have_commas_where_points_are_decimal() {
+        for (cell, expected) in [
+            ("1,050.197", Some(1050.197)),
+            ("-6,451,137.5", Some(-6_451_137.5)),
+            ("1,118,846,979,700", Some(1_118_846_979_700.0)),
+            // A decimal comma?
+            ("1,050", None),
+            ("1050,197.5", None),
+            ("1,05.7", None),
+            (",050.7", None),
+        ] {
+            let table = read(&format!("id,x\na,\"{cell}\"\n")).unwrap();
+            let found = table.number(Some("x|X")).and_then(|x| x.first().copied());
+            assert_eq!(found, expected, "{cell}");
+        }
+        assert_eq!(read("id;x\na;1,050.5\nb;1,05\n").unwrap().number(Some("x|X")), Some(&[1050.5, 1.05][..]));
     }
 }

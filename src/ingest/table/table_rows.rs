@@ -266,7 +266,8 @@ impl Source<'_> {
         let parsed = |text: &str| {
             // Where commas do not separate cells, one in a number is its decimal point.
             let has_commas = matches!(self, Source::Text { separator, .. } if *separator != b',');
-            text.parse().ok().or_else(|| has_commas.then(|| text.replacen(',', ".", 1).parse().ok())?)
+            let with_comma = || has_commas.then(|| text.replacen(',', ".", 1).parse().ok())?;
+            text.parse().ok().or_else(|| in_thousands(text)).or_else(with_comma)
         };
         let number = if cell.is_empty() { Some(f64::NAN) } else { std::str::from_utf8(cell).ok().and_then(parsed) };
         number.ok_or_else(|| {
@@ -314,6 +315,19 @@ pub(super) fn alternatives<'a>(name: &'a str, names: &'a [String]) -> impl Itera
 /// The first cell that is not blank.
 fn first_of<'a>(mut cells: impl Iterator<Item = &'a [u8]>) -> &'a [u8] {
     cells.find(|cell| !cell.is_empty()).unwrap_or_default()
+}
+
+/// A number with commas between thousands, such as `1,050.197` from spreadsheets. A single comma without a point may be
+/// that of a decimal fraction.
+fn in_thousands(text: &str) -> Option<f64> {
+    let (whole, fraction) = text.split_once('.').map_or((text, None), |(whole, fraction)| (whole, Some(fraction)));
+    let mut groups = whole.strip_prefix('-').unwrap_or(whole).split(',');
+    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    let first = groups.next().filter(|first| (1..=3).contains(&first.len()) && is_number(first));
+    let n_groups = groups.clone().count();
+    let is_whole = first.is_some() && groups.all(|group| group.len() == 3 && is_number(group));
+    let is_certain = n_groups > usize::from(fraction.is_none()) && fraction.is_none_or(is_number);
+    (is_whole && is_certain).then(|| text.replace(',', "").parse().ok())?
 }
 
 /// The separator of cells, found in the header of a table.
