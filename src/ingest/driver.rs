@@ -113,8 +113,14 @@ impl SeenFiles {
         let inputs: Vec<String> = config.inputs.iter().map(|input| input.display().to_string()).collect();
         let example = self.example_of_others.as_ref().map_or(String::new(), |path| format!(", such as {path}"));
         let pattern = |table: &TableMapping| format!("`{}` (ingest.table.files), as ", table.files);
+        let to_convert = match config.table {
+            Some(_) if self.n_recordings == 0 => {
+                "; configs/README.md says what to convert first, such as SUMO's XML by its xml2csv.py"
+            }
+            _ => "",
+        };
         format!(
-            "{} has {} files named like {}{} recordings of the chosen splits and {} other files{example}",
+            "{} has {} files named like {}{} recordings of the chosen splits and {} other files{example}{to_convert}",
             inputs.join(", "),
             self.n_recordings,
             config.table.as_ref().map(pattern).unwrap_or_default(),

@@ -59,7 +59,7 @@ pub struct SceneSource {
     pub file: String,
     /// The case, sequence or scenario id within the file, as written.
     pub case_id: String,
-    /// The first frame or timestamp of the scene as written in the file.
+    /// The first frame or timestamp of the scene as written in the file; of tables, its time in steps of 0.1 s.
     pub first_frame: String,
     /// How its past came about.
     pub situation: SituationKind,

@@ -54,7 +54,8 @@ pub struct TableMapping {
     #[serde(default = "vehicle")]
     #[schemars(schema_with = "class_schema")]
     pub class: AgentClass,
-    /// The class for each text of `columns.class`. Agents of others are left out, with a warning.
+    /// The class for each text of `columns.class`. Agents of others are left out, with a warning, and so are all
+    /// of class `unknown`.
     #[serde(default)]
     #[schemars(schema_with = "classes_schema")]
     pub classes: BTreeMap<String, AgentClass>,

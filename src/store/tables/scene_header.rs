@@ -25,7 +25,11 @@ pub(crate) fn fields() -> Vec<Field> {
         column("place", DataType::Utf8, "City or location, as the dataset names it."),
         column("file", DataType::Utf8, "Recording file within its folder or archive."),
         column("case_id", DataType::Utf8, "Case, sequence or scenario id within the file, as written."),
-        column("first_frame", DataType::Utf8, "First frame or timestamp of the scene, as written."),
+        column(
+            "first_frame",
+            DataType::Utf8,
+            "First frame or timestamp as written; of tables, time in steps of 0.1 s.",
+        ),
         column(
             "situation",
             DataType::Utf8,
