@@ -23,7 +23,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        12
+        13
     }
 
     fn check(&self) -> Result<()> {
