@@ -238,6 +238,11 @@ def cut_in(scene, ego, other):
         return "behind"
     if not s_theirs[come_in] - along[come_in] - s_own[come_in] - length / 2 >= 0:
         return "alongside"
+    for third in set(range(len(scene.states))) - {ego, other}:
+        at = scene.states[third][come_in, :2]
+        if np.isfinite(at).all() and max(lane.beyond(at, 1)[0], lane.beyond(at, -1)[0]) <= 0:
+            if s_own[come_in] < lane.center.project(at)[0][0] < s_theirs[come_in]:
+                return "behind_a_third"
     until = np.arange(now, come_in + 1)
     if not lane.holds(own[until[own_known[until]], :2]).all():
         return "ego_leaves"

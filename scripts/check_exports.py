@@ -4,11 +4,11 @@
     readers/bin/pip install --no-deps -r scripts/requirements-readers.txt
     readers/bin/python scripts/check_exports.py output/xosc output/commonroad ...
 
-What is not installed is skipped, and said so; `--may-skip NAME` makes it a failure for all but the named ones. With `--corpus DIR`,
-every state of every track is compared with the corpus (pyarrow): position, heading, velocity and size, as far as the format holds them, to
-a millionth; and no state may be missing. Judgments are compared, too. `scenario_gym` plays OpenSCENARIO where it is installed (`pip install
-scenario-gym "numpy<2" "shapely<2.1" pyarrow`, in an environment of its own). `--schema FILE` names an XSD of OpenSCENARIO 1.2 where no
-package brings it. Ends with 1 when a check fails.
+What is not installed is skipped, and said so; `--may-skip NAME` makes it a failure for all but the named ones. With `--corpus DIR`, every
+state of every track is compared with the corpus (pyarrow): position, heading, velocity and size, as far as the format holds them, to a
+millionth; and no state may be missing. Judgments are compared, too. Two readers want environments of their own: `scenario_gym` plays
+OpenSCENARIO (`pip install scenario-gym "numpy<2" "shapely<2.1" pyarrow`), and the protos of Waymo Open Motion need Python 3.10 (see
+check_womd.py). `--schema FILE` names an XSD of OpenSCENARIO 1.2 where no package brings it. Ends with 1 when a check fails.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from exports.asam import demand_clean
 from exports.opendrive import compare_roads
 from exports.openscenario import compare_trajectories, last_of_ego, play
 from exports.tables import Corpus, Export, part
+from exports.womd import compare_scenarios
 
 skipped = {}
 
@@ -114,6 +115,15 @@ def check_argoverse2(export):
                 assert static.vector_drivable_areas[lane.id].xyz.shape[0] > 3
         said.append(f"av2 read maps with {n_lanes} lanes and as many drivable areas")
     return said
+
+
+def check_womd(export):
+    modules = available("waymo_open_dataset", "waymo_open_dataset.protos.scenario_pb2")
+    if modules is None:
+        return []
+    n_lanes, n_lights = compare_scenarios(modules[1], export)
+    compared = export.compared("positions, headings, velocities, sizes")
+    return [f"the dataset's package read {len(export.scenarios)} scenarios with {n_lanes} lanes and {n_lights} lights{compared}"]
 
 
 def check_commonroad(export):
@@ -243,6 +253,7 @@ def main():
     checks = {
         "interaction": check_interaction,
         "argoverse2": check_argoverse2,
+        "womd": check_womd,
         "commonroad": check_commonroad,
         "openscenario": lambda export: check_openscenario(export, args.schema),
         "openlabel": check_openlabel,

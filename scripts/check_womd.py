@@ -5,10 +5,10 @@
     python scripts/check_womd.py compare random.tfrecord output/random
 
 Needs numpy and pyarrow, and to compare the dataset's own `scenario_pb2`: `pip install --no-deps
-waymo-open-dataset-tf-2-12-0==1.6.7 protobuf==3.20.3` with Python 3.10 does without TensorFlow. Compared are positions, headings and
-sizes of all states and which there are, the roles of tracks, center lines, links, neighbors, speed limits, boundaries and lights of lanes. Written
-scenarios have random content of every kind that is read. What `compare` printed for the fixture is in
-tests/fixtures/recordings/womd_compared.txt. Ends with 1 if anything differs.
+waymo-open-dataset-tf-2-12-0==1.6.7 protobuf==3.20.3` with Python 3.10 does without TensorFlow. Compared are positions, headings
+and sizes of all states and which there are, the roles of tracks, center lines, links, neighbors, speed limits, boundaries, lights
+and crosswalks of lanes. Written scenarios have random content of every kind that is read. What `compare` printed for the fixture
+is in tests/fixtures/recordings/womd_compared.txt. Ends with 1 if anything differs.
 """
 
 import argparse
@@ -108,6 +108,8 @@ def compare_lanes(scenario, lanes, found):
         found.note("links", links == [sorted(ours["successors"]), sorted(ours["predecessors"])], where)
         found.note("speed limits", abs(float(tags.get("speed_limit_mps", 0)) - lane.speed_limit_mph * 0.44704) < 1e-3, where)
         found.note("controls", ours["has_traffic_control"] == (id in signs or id in lights), where)
+        walks = {int(key.split(":")[1]): corners(value) for key, value in tags.items() if key.startswith("crosswalk:")}
+        found.note("crosswalks", walks == crossed(features, line), where)
         shown = [(step, LIGHTS.index(name)) for name, steps in parted(tags.get("traffic_light")) for step in steps]
         found.note("lights", shown == lights[id], where)
         for name, neighbors, bounds in [
@@ -122,6 +124,33 @@ def compare_lanes(scenario, lanes, found):
             written = [f"{of.boundary_feature_id}:{of.lane_start_index}-{of.lane_end_index}/{LINES[of.boundary_type]}" for of in bounds]
             found.note("boundaries", ";".join(written) == tags.get(f"{name}_boundaries", ""), where)
             compare_side(line_of(ours, name), line, bounds, features, found, f"{where}, {name}")
+
+
+def corners(text):
+    return [[float(number) for number in corner.split(",")] for corner in text.split(" ")]
+
+
+def crossed(features, line):
+    """The crosswalks of which a point of the line, every centimeter, is inside."""
+    stations = np.r_[0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at, walks = np.arange(0, stations[-1], 0.01), {}
+    points = np.stack([np.interp(at, stations, line[:, axis]) for axis in (0, 1)], -1)
+    for id, of in features.items():
+        corners = np.array([(point.x, point.y) for point in of.crosswalk.polygon])
+        if len(corners) > 2:
+            near = points[((points >= corners.min(0)) & (points <= corners.max(0))).all(1)]
+            if inside(near, corners).any():
+                walks[id] = corners.tolist()
+    return walks
+
+
+def inside(points, corners):
+    is_odd = np.zeros(len(points), bool)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, 0)):
+        rises = (ay > points[:, 1]) != (by > points[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            is_odd ^= rises & (points[:, 0] < ax + (points[:, 1] - ay) / (by - ay) * (bx - ax))
+    return is_odd
 
 
 def line_of(row, name):

@@ -36,14 +36,15 @@ class Export:
     def ego(self, scenario):
         return next(row for row in self.tracks[scenario["scenario_id"]] if row["is_ego"] == "true")
 
-    def compare(self, scenario, name, timestep, **said):
-        """Demands of a state of the track that is called `name` in the file that all that is said of it is as in the corpus."""
+    def compare(self, scenario, name, timestep, singles=(), **said):
+        """Demands of a state of the track that is called `name` in the file that all that is said of it is as in the corpus; `singles` are
+        of single precision."""
         if self.corpus is None:
             return
         track = next(row for row in self.tracks[scenario["scenario_id"]] if row["name"] == name)
-        self.compare_track(scenario["scenario_id"], track["track_id"], timestep, said)
+        self.compare_track(scenario["scenario_id"], track["track_id"], timestep, said, singles)
 
-    def compare_track(self, scenario_id, track_id, timestep, said):
+    def compare_track(self, scenario_id, track_id, timestep, said, singles=()):
         where = f"{track_id} of {scenario_id} at {timestep}"
         expected = self.corpus.states.get((scenario_id, track_id, timestep))
         assert expected is not None, f"{where} is not in the corpus"
@@ -53,7 +54,8 @@ class Export:
             error = abs(value - expected[what])
             if what == "heading":
                 error = abs((error + math.pi) % (2 * math.pi) - math.pi)
-            assert error < TOLERANCE, f"{where}: {what} is {value}, and {expected[what]} in the corpus"
+            tolerance = max(TOLERANCE, 1e-7 * abs(expected[what])) if what in singles else TOLERANCE
+            assert error < tolerance, f"{where}: {what} is {value}, and {expected[what]} in the corpus"
             self.worst = max(self.worst, error)
         self.found.add((scenario_id, track_id, timestep))
 
@@ -89,7 +91,9 @@ class Corpus:
         self.scenarios = {row["scenario_id"]: row for row in scenarios.to_pylist()}
         rotation = {key: row["world_from_scene"]["rotation_rad"] for key, row in self.scenarios.items()}
         columns_of_lanes = [f"{side}_{axis}_m" for side in ("left", "right") for axis in "xy"]
-        lanes = part(folder, "lanes", dataset).to_table(columns=["map_id", "lane_id", *columns_of_lanes]).to_pylist()
+        links = ["centerline_x_m", "centerline_y_m", "successors", "predecessors", "left_neighbor", "right_neighbor"]
+        lanes = part(folder, "lanes", dataset).to_table(columns=["map_id", "lane_id", *links, *columns_of_lanes]).to_pylist()
+        self.links = {(row["map_id"], row["lane_id"]): row for row in lanes}
         self.lanes = {}  # left and right edge in the recording's frame
         for row in lanes:
             edges = [np.array([row[f"{side}_x_m"] or [], row[f"{side}_y_m"] or []], float).T for side in ("left", "right")]

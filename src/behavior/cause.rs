@@ -11,8 +11,10 @@ use crate::scene::{LaneDuty, Scene, State, Track};
 use crate::settings::named;
 use std::f64::consts::FRAC_PI_6;
 
-/// Comfortable braking, half of the least hard one, m/s². Whoever can do with it has no cause to brake hard.
+/// Comfortable braking, m/s².
 pub(super) const COMFORTABLE_MPS2: f64 = 2.0;
+/// Whoever can do with half the braking, or with a comfortable one, has no cause to brake as hard.
+const NEEDED_SHARE: f64 = 0.5;
 /// Drivers stop this far behind what is ahead, meters.
 pub(super) const STANDSTILL_GAP_M: f64 = 1.0;
 /// A deceleration over half a second is known this long after it begins, seconds.
@@ -89,26 +91,35 @@ pub fn needs_cause(behavior: &str) -> bool {
 
 /// What explains an event of such a behavior; `None` if nothing does.
 ///
-/// - A *hard brake* has a cause if braking comfortably, with 2 m/s² from the same moment, is not enough: along its way
-///   the agent would come closer than 1 m to somebody ahead of it, as everybody moves, or drive over the end of a lane
-///   at which a rule of the map has it stop or yield, at which it stops now.
+/// - A *hard brake* has a cause if half the deceleration from the same moment, and no less than 2 m/s², is not enough:
+///   along its way the agent would come closer than 1 m to somebody ahead of it, as everybody moves, or drive over the
+///   end of a lane at which a rule of the map has it stop or yield, at which it stops now.
 /// - A *near miss* has one if it is an ordinary mistake. If the courses differ by 30 degrees or more, the gap was
 ///   misjudged; nobody then accelerates with more than 3 m/s². Otherwise the one behind looked too late, by 2 s at
 ///   most: it gains no speed in the 2 s before it brakes, and brakes with 3.4 m/s² or more.
 pub fn explanation(scene: &Scene, event: &BehaviorEvent) -> Option<Explanation> {
     let agents: Option<Vec<usize>> = event.roles.tracks().map(|track| scene.track_idx(track)).collect();
     match agents?[..] {
-        [agent_idx] => of_braking(scene, agent_idx, event.start_timestep),
+        [agent_idx] => {
+            let hardest_mps2 = event.parameters.get("max_deceleration_mps2").copied().unwrap_or_default();
+            of_braking(scene, agent_idx, event.start_timestep, not_enough_mps2(hardest_mps2))
+        }
         [first, second] => of_near_miss(scene, [first, second], event),
         _ => None,
     }
 }
 
-fn of_braking(scene: &Scene, agent_idx: usize, start: usize) -> Option<Explanation> {
+/// The braking that must not be enough where somebody brakes this hard, m/s².
+pub(super) fn not_enough_mps2(hardest_mps2: f64) -> f64 {
+    (NEEDED_SHARE * hardest_mps2).max(COMFORTABLE_MPS2)
+}
+
+fn of_braking(scene: &Scene, agent_idx: usize, start: usize, mps2: f64) -> Option<Explanation> {
     let from = start.saturating_sub((BUILDING_UP_S / scene.dt_s).round() as usize);
     let way = Way::of(scene, agent_idx, from)?;
-    let hit = way.hit_by_comfortable_braking(from, &|idx, timestep| moved_on(&scene.tracks[idx], timestep, scene.dt_s));
-    let cause = hit.map(|idx| way.kind_of(idx, from)).or_else(|| way.stops_at_line(from).then_some(Cause::StopLine));
+    let hit = way.hit_by_braking(from, mps2, &|idx, timestep| moved_on(&scene.tracks[idx], timestep, scene.dt_s));
+    let stops = || way.stops_at_line(from, mps2).then_some(Cause::StopLine);
+    let cause = hit.map(|idx| way.kind_of(idx, from)).or_else(stops);
     cause.map(|cause| Explanation { cause, mistake_s: None })
 }
 
@@ -150,7 +161,7 @@ fn late_s(scene: &Scene, [own, other]: [usize; 2], event: &BehaviorEvent) -> Opt
                 ..*state
             })
         };
-        way.hit_by_comfortable_braking(timestep, &goes_on).is_some()
+        way.hit_by_braking(timestep, COMFORTABLE_MPS2, &goes_on).is_some()
     };
     let n_needed = (earliest..=acts).rev().take_while(needs).count();
     let speed_mps = |timestep: usize| scene.state(own, timestep).map(State::speed_mps);
@@ -190,14 +201,14 @@ impl<'a> Way<'a> {
         Some(Self { scene, agent_idx, path: extended(points.iter()) })
     }
 
-    /// The first agent ahead that this one would come closer to than [`STANDSTILL_GAP_M`] if it braked comfortably from
+    /// The first agent ahead that this one would come closer to than [`STANDSTILL_GAP_M`] if it braked with `mps2` from
     /// timestep `from` on, while others are at `place(agent, timestep)`.
-    fn hit_by_comfortable_braking(&self, from: usize, place: &dyn Fn(usize, usize) -> Option<State>) -> Option<usize> {
+    fn hit_by_braking(&self, from: usize, mps2: f64, place: &dyn Fn(usize, usize) -> Option<State>) -> Option<usize> {
         let scene = self.scene;
         let now = scene.state(self.agent_idx, from)?;
         let (start_m, speed_mps) = (self.path.project(now.position)?.station_m, now.speed_mps());
         let extent = scene.tracks[self.agent_idx].extent_or_nominal();
-        let stops_s = (speed_mps / COMFORTABLE_MPS2).min(LONGEST_S);
+        let stops_s = (speed_mps / mps2).min(LONGEST_S);
         let ahead = Vec2::from_angle(now.heading_rad);
         let is_behind =
             |idx: usize| place(idx, from).is_some_and(|state| (state.position - now.position).dot(ahead) < 0.0);
@@ -205,7 +216,7 @@ impl<'a> Way<'a> {
             (0..scene.tracks.len()).filter(|idx| *idx != self.agent_idx && !is_behind(*idx)).collect();
         (0..=(stops_s / scene.dt_s) as usize).find_map(|step| {
             let elapsed_s = step as f64 * scene.dt_s;
-            let driven_m = speed_mps * elapsed_s - COMFORTABLE_MPS2 * elapsed_s * elapsed_s / 2.0;
+            let driven_m = speed_mps * elapsed_s - mps2 * elapsed_s * elapsed_s / 2.0;
             let (center, heading_rad) = self.path.pose_at(start_m + driven_m)?;
             let forward = Vec2::from_angle(heading_rad);
             let size_m = [extent.length_m + STANDSTILL_GAP_M, extent.width_m];
@@ -247,9 +258,9 @@ impl<'a> Way<'a> {
         }
     }
 
-    /// Whether comfortable braking leads over the end of a lane at which a rule has the agent stop or yield, before
+    /// Whether braking with `mps2` leads over the end of a lane at which a rule has the agent stop or yield, before
     /// which it is still at the end.
-    fn stops_at_line(&self, from: usize) -> bool {
+    fn stops_at_line(&self, from: usize, mps2: f64) -> bool {
         let scene = self.scene;
         let lanes = SceneLanes::new(&scene.lanes);
         let (Some(kept), Some(now)) = (KeptLane::of(scene, &lanes, self.agent_idx), scene.state(self.agent_idx, from))
@@ -262,7 +273,7 @@ impl<'a> Way<'a> {
         let ends = kept.ids().iter().filter_map(|id| lanes.get(*id)).map(|lane| lane.lane);
         let ends = ends.filter(|lane| lane.attributes.duties().any(|(_, duty)| duty != LaneDuty::HasRightOfWay));
         let Some((front_m, last_m)) = station_m(now.position).zip(last.and_then(station_m)) else { return false };
-        let needed_m = now.speed_mps().powi(2) / (2.0 * COMFORTABLE_MPS2);
+        let needed_m = now.speed_mps().powi(2) / (2.0 * mps2);
         ends.filter_map(|lane| station_m(*lane.centerline.0.last()?))
             .map(|line_m| line_m - half_m)
             .any(|line_m| (front_m..front_m + needed_m).contains(&line_m) && last_m <= line_m + STANDSTILL_GAP_M)
@@ -276,8 +287,12 @@ mod tests {
     use crate::behavior::{Behavior, EventLabel, HardBrake, NearMiss};
 
     const LANE: &str = "lanes = [{ id = 1, centerline = [[-100, 0], [300, 0]], width_m = 3.5 }]";
-    const STOP: &str = "lanes = [{ id = 1, centerline = [[-100, 0], [40, 0]], width_m = 3.5, tags = { 'regulatory:1' = \
-                        'role=yield;subtype=all_way_stop' } }]";
+
+    /// A lane that ends here, where everybody stops.
+    fn stop(x: f64) -> String {
+        let tags = "{ 'regulatory:1' = 'role=yield;subtype=all_way_stop' }";
+        format!("lanes = [{{ id = 1, centerline = [[-100, 0], [{x}, 0]], width_m = 3.5, tags = {tags} }}]")
+    }
 
     fn car(id: &str, x: f64, speed_mps: f64, segments: &str) -> String {
         format!(
@@ -295,17 +310,19 @@ mod tests {
     }
 
     #[test]
-    fn hard_brakes_have_a_cause_if_comfortable_braking_would_not_do() {
-        // At x = 20 with 10 m/s: comfortable braking takes 25 m.
+    fn hard_brakes_have_a_cause_if_half_the_braking_would_not_do() {
+        // At x = 20 with 10 m/s: half the braking takes 16.7 m, a comfortable one 25 m.
         let own = car("a", 0.0, 10.0, "{ duration_s = 2.0 }, { duration_s = 1.5, acceleration_mps2 = -6 }");
         let leader = "{ duration_s = 1.2 }, { duration_s = 2.0, acceleration_mps2 = -5 }";
+        let [stop, late_stop] = [33.0, 42.0].map(stop);
         for (other, lanes, expected) in [
             (None, LANE, None),
             (Some(car("b", 36.0, 0.0, "")), LANE, Some(Cause::StandsAhead)),
             (Some(car("b", 60.0, 0.0, "")), LANE, None),
             (Some(car("b", 16.0, 10.0, leader)), LANE, Some(Cause::BrakesAhead)),
             (Some(car("b", -12.0, 10.0, "")), LANE, None),
-            (None, STOP, Some(Cause::StopLine)),
+            (None, &stop, Some(Cause::StopLine)),
+            (None, &late_stop, None),
         ] {
             let agents: Vec<String> = std::iter::once(own.clone()).chain(other).collect();
             let found = explained(&HardBrake::default(), &agents, lanes);

@@ -20,6 +20,8 @@ pub(super) const PARAMETERS: &[&str] =
 
 /// How long the center must stay in the new lane, seconds.
 const MIN_STAY_S: f64 = 1.0;
+/// Who goes back within this time, seconds, has only swung out, or cut a corner.
+const BACK_S: f64 = 3.0;
 /// How far the center must be beyond the lane's side before it has left the lane, meters: more than the center of a
 /// vehicle along a side wavers.
 const HYSTERESIS_M: f64 = 0.3;
@@ -46,8 +48,8 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 /// One agent (`agent`) changes lanes. Scenes without lanes have no events.
 ///
 /// **Positive**: the agent's center moves from its lane into a lane beside it in the same direction (a left or right
-/// neighbor by the map, or a parallel lane at its side) and stays there for at least 1 s. It has left a lane
-/// when it is more than 0.3 m beyond its side, and not before.
+/// neighbor by the map, or a parallel lane at its side), stays there for at least 1 s and does not go back
+/// within 3 s. It has left a lane when it is more than 0.3 m beyond its side, and not before.
 ///
 /// - The event *starts* when the center is more than 0.5 m off the old center line and stays so until it crosses.
 /// - It is *complete* when the center has been in the new lane for 1 s. Crossing several lanes, each in less than
@@ -59,7 +61,7 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 ///   another lane; moving over to an oncoming lane; moving over by less than 1 m while it is seen; changes that the
 ///   scene ends too early to confirm.
 ///
-/// **Negative**: the agent crosses, but goes back within 1 s; or it never crosses, but its center comes within
+/// **Negative**: the agent crosses, but goes back within 3 s; or it never crosses, but its center comes within
 /// 0.5 m of a lane beside its own.
 ///
 /// Parameters: `side` (+1 left, -1 right); at the crossing `crossing_timestep`, `speed_mps` and `lateral_speed_mps`
@@ -83,6 +85,7 @@ impl LaneChange {
     fn detect_agent<'a>(scene: &Scene, lanes: &'a SceneLanes<'a>, agent_idx: usize) -> Vec<BehaviorEvent> {
         let trajectory = &scene.tracks[agent_idx].trajectory;
         let stay = (MIN_STAY_S / scene.dt_s - 1e-9).ceil().max(1.0) as usize;
+        let back = (BACK_S / scene.dt_s).round() as usize;
         let trace = LaneTrace::follow(lanes, trajectory, HYSTERESIS_M, stay);
         if trace.crossings.is_empty() {
             return Self::drift(scene, lanes, &trace, agent_idx).into_iter().collect();
@@ -91,7 +94,8 @@ impl LaneChange {
         let mut crossings = trace.crossings.iter().peekable();
         while let Some(crossing) = crossings.next() {
             let is_soon = |next: &LaneMove<'_>| next.timestep < crossing.timestep + stay;
-            let back = crossings.next_if(|next| is_soon(next) && next.side != crossing.side);
+            let is_back = |next: &LaneMove<'_>| next.timestep < crossing.timestep + back && next.side != crossing.side;
+            let back = crossings.next_if(|next| is_back(next));
             let goes_on = crossings.peek().is_some_and(|next| is_soon(next));
             let (label, end) = match back {
                 Some(back) => (EventLabel::Negative, back.timestep),

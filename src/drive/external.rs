@@ -129,7 +129,10 @@ fn told(why: &str, ended: Option<&str>, said: &str) -> String {
 /// A question for the driver whose name is nearly that of the command.
 fn near_name(command: &str) -> String {
     let name = |driver: &NamedDriver| driver.name();
-    let near = NamedDriver::ALL.iter().map(name).find(|name| strsim::damerau_levenshtein(name, command.trim()) <= 2);
+    let near = NamedDriver::ALL
+        .iter()
+        .map(name)
+        .find(|name| strsim::damerau_levenshtein(name, &command.trim().to_lowercase()) <= 2);
     near.map_or_else(String::new, |name| format!("; did you mean {name}?"))
 }
 

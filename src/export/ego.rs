@@ -15,7 +15,7 @@ pub enum EgoMotion {
 #[cfg(test)]
 mod tests {
     use crate::behavior::{self, Subject};
-    use crate::export::testing::{self, Node, read};
+    use crate::export::testing::{self, Node, read, womd_scenes};
     use crate::export::{ExportFormat, Item};
     use crate::scenario::{EgoChoice, ScenarioRecord};
     use crate::scene::testing::{Drive, scene};
@@ -65,6 +65,7 @@ mod tests {
                 let batch = batches.next().unwrap().unwrap();
                 batch["focal_track_id"].as_string::<i32>().value(0).to_owned()
             }
+            ExportFormat::Womd => womd_scenes(&dir.join(file), [4, 8])[0].ego().id.0.clone(),
             ExportFormat::CommonRoad => {
                 let root = Node::parse(&read(dir, file));
                 let initial = root.at("planningProblem").at("initialState").at("position").at("point");

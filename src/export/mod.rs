@@ -22,6 +22,7 @@ mod selection;
 #[cfg(test)]
 mod testing;
 mod text;
+mod womd;
 mod xml;
 
 pub use ego::EgoMotion;
@@ -44,6 +45,8 @@ pub enum ExportFormat {
     Interaction,
     /// Scenarios of Argoverse 2 motion forecasting.
     Argoverse2,
+    /// Scenarios of Waymo Open Motion.
+    Womd,
     /// CommonRoad scenarios with planning problems.
     CommonRoad,
     /// OpenSCENARIO XML with trajectories, and OpenDRIVE with the roads.
@@ -53,8 +56,8 @@ pub enum ExportFormat {
 }
 
 named! { ExportFormat {
-    Interaction = "interaction", Argoverse2 = "argoverse2", CommonRoad = "commonroad", OpenScenario = "openscenario",
-    OpenLabel = "openlabel",
+    Interaction = "interaction", Argoverse2 = "argoverse2", Womd = "womd", CommonRoad = "commonroad",
+    OpenScenario = "openscenario", OpenLabel = "openlabel",
 } }
 
 impl ExportFormat {
@@ -63,6 +66,7 @@ impl ExportFormat {
         match self {
             Self::Interaction => "cases as INTERACTION v1.2 has them: one CSV for each place and split",
             Self::Argoverse2 => "Argoverse 2 motion forecasting: a folder for each scenario with Parquet and map JSON",
+            Self::Womd => "Waymo Open Motion: Scenario protos with their maps, one TFRecord for each split",
             Self::CommonRoad => "CommonRoad 2020a XML: lanelets, obstacles from the present on, a planning problem",
             Self::OpenScenario => {
                 "OpenSCENARIO XML 1.2: every road user follows its trajectory, on roads in OpenDRIVE 1.7"
@@ -76,6 +80,7 @@ impl ExportFormat {
         match self {
             Self::Interaction => interaction::NOTES,
             Self::Argoverse2 => argoverse2::NOTES,
+            Self::Womd => womd::NOTES,
             Self::CommonRoad => commonroad::NOTES,
             Self::OpenScenario => openscenario::NOTES,
             Self::OpenLabel => openlabel::NOTES,
@@ -87,6 +92,7 @@ impl ExportFormat {
         match self {
             Self::Interaction => Box::new(interaction::Interaction::new(dir)),
             Self::Argoverse2 => Box::new(argoverse2::Argoverse2::new(dir)),
+            Self::Womd => Box::new(womd::Womd::new(dir)),
             Self::CommonRoad => Box::new(commonroad::CommonRoad::new(dir, ego)),
             Self::OpenScenario => Box::new(openscenario::OpenScenario::new(dir, ego)),
             Self::OpenLabel => Box::new(openlabel::OpenLabel::new(dir)),
@@ -103,7 +109,9 @@ impl ExportFormat {
     pub const fn usual_ego(self) -> EgoMotion {
         match self {
             Self::CommonRoad => EgoMotion::Free,
-            Self::Interaction | Self::Argoverse2 | Self::OpenScenario | Self::OpenLabel => EgoMotion::Replayed,
+            Self::Interaction | Self::Argoverse2 | Self::Womd | Self::OpenScenario | Self::OpenLabel => {
+                EgoMotion::Replayed
+            }
         }
     }
 }

@@ -3,11 +3,13 @@
 use super::{ExportOutcome, Exporter, Item, Written};
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::geometry::{Polyline, Transform2, Vec2};
+use crate::ingest::{IngestConfig, ingest};
+use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
 use crate::scene::{
-    AgentClass, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance,
-    Roles, Scenario, Scene,
+    AgentClass, Dataset, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask,
+    Provenance, Roles, Scenario, Scene,
 };
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
@@ -109,6 +111,24 @@ pub(super) fn add_all(mut exporter: Box<dyn Exporter>, scenes: &[Scene]) -> Vec<
     let outcomes = outcomes.collect();
     exporter.finish().unwrap();
     outcomes
+}
+
+/// The scenes in files of Waymo Open Motion, with so many observed timesteps and later ones.
+pub(super) fn womd_scenes(path: &Path, [n_history, n_future]: [usize; 2]) -> Vec<Scene> {
+    let config = IngestConfig {
+        n_history: Some(n_history),
+        n_future: Some(n_future),
+        map_radius_m: 1e6,
+        ..IngestConfig::new(Dataset::Womd, vec![path.to_owned()])
+    };
+    let mut scenes = Vec::new();
+    let report = ingest(&config, None, &Silent, &mut |batch| {
+        scenes.extend(batch.scenes);
+        Ok(())
+    });
+    let report = report.unwrap();
+    assert!(report.n_rejects() == 0 && report.warnings.is_empty(), "{:?} {:?}", report.rejects, report.warnings);
+    scenes
 }
 
 /// The content of a written file.

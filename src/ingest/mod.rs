@@ -51,7 +51,7 @@ mod table;
 mod test_data;
 mod vicinity;
 mod windows;
-mod womd;
+pub(crate) mod womd;
 mod xml_tree;
 
 pub use assemble::assemble_window;

@@ -2,15 +2,11 @@
 
 use super::error::Malformed;
 use crate::geometry::Vec2;
+use crate::settings::in_words;
 
 /// The farthest middle, meters: grids of countries put a zone before their eastings, and double precision still has
 /// micrometers there.
 const MAX_MIDDLE_M: f64 = 1e8;
-
-/// A number as it is written, or with its exponent if that has fewer digits.
-pub(super) fn in_words(number: f64) -> String {
-    if number.abs() < 1e15 { number.to_string() } else { format!("{number:e}") }
-}
 
 /// Places are within kilometers of their middle, meters.
 const MAX_FROM_MIDDLE_M: f64 = 1e6;

@@ -37,8 +37,8 @@ mod training;
 
 pub use accepted::{Accepted, HardnessSummary};
 pub use card::{
-    Acceptance, CardBucket, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Sample, SceneCard, ScenePanel,
-    Verdict, ViewRect,
+    Acceptance, CardBucket, CardKey, CardValue, DrawnAgent, DrawnLane, DrawnSample, Light, Sample, SceneCard,
+    ScenePanel, Verdict, ViewRect,
 };
 pub use cautions::cautions;
 pub use choice::Drawn;

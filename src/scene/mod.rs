@@ -10,6 +10,7 @@ mod edit;
 mod guidance_level;
 mod ids;
 mod lane_graph;
+mod lane_tags;
 mod moments;
 mod motion;
 mod motion_heading;

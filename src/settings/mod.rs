@@ -35,6 +35,11 @@ impl<T: Into<String>> From<T> for Unreadable {
     }
 }
 
+/// A number as it is written, or with its exponent if it would have many digits.
+pub fn in_words(number: f64) -> String {
+    if number == 0.0 || (1e-9..1e15).contains(&number.abs()) { number.to_string() } else { format!("{number:e}") }
+}
+
 /// The result of checking settings.
 pub type Result<T = (), E = Issue> = std::result::Result<T, E>;
 

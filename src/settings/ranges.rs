@@ -3,7 +3,7 @@
 //! One statement serves editors, readers and this check. It handles the parts of JSON Schema that our types use:
 //! references, properties, items, alternatives, the bounds of numbers, and lists without repetitions.
 
-use super::{Issue, Result, distinct};
+use super::{Issue, Result, distinct, in_words};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value as Schema;
@@ -80,7 +80,7 @@ impl Walk<'_> {
             DeValue::Integer(number) => check_number(schema, float(number.as_str()), number.as_str(), key),
             DeValue::Float(number) => {
                 let number = float(number.as_str());
-                check_number(schema, number, &number.to_string(), key)
+                check_number(schema, number, &in_words(number), key)
             }
             DeValue::Array(items) => {
                 check_unique(schema, items, key)?;

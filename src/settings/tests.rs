@@ -100,6 +100,7 @@ fn what_is_beyond_is_told_by_its_place_value_and_range() {
             "choice.0.level is 1, expected a number of at least 5",
         ),
         (Section { scale: 0.0, ..section() }, "scale is 0, expected a positive number"),
+        (Section { scale: -1e-300, ..section() }, "scale is -1e-300, expected a positive number"),
         (Section { scale: f64::INFINITY, ..section() }, "scale is inf, expected a positive number"),
         (Section { scale: f64::NAN, ..section() }, "scale is NaN, expected a number"),
         (Section { free: f64::NAN, ..section() }, "free is NaN, expected a number"),

@@ -16,8 +16,10 @@
 //! motion: it goes on along its route at its speed, or keeps braking as in the last 0.3 s. They learn otherwise at the
 //! next replanning.
 //!
-//! *Braking.* An agent that would drive its front into another in the sampled future, or into the ego as expected,
-//! brakes on its path instead: the model knows little of agents that stand in the road.
+//! *Corrections.* An agent that would drive its front into another in the sampled future, or into the ego as expected,
+//! brakes on its path instead, and one that strays across the lanes keeps to its own: the model knows little of agents
+//! that stand or creep on the road. What a scenario goes on with is drawn again, a few times, where somebody still
+//! drives into another or leaves the road; traffic around a planner is drawn once.
 //!
 //! *Randomness* comes from the seed, the scenario, the timestep of the replanning and the index of the agent: the same
 //! world and the same motion of the ego give the same bytes, whatever other drivers are run beside it.
@@ -29,6 +31,7 @@
 
 mod aim;
 mod arrivals;
+mod draws;
 mod driver;
 mod drivers;
 mod error;

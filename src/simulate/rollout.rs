@@ -1,31 +1,30 @@
 //! Drives on from a world, replanning again and again, until the ego is through or has failed.
 
-use super::drivers::{expected, free_m};
+use super::drivers::free_m;
 use super::outcome::{contact, ttc_s};
 use super::peek::peek;
-use super::reaction::{brake, go_on, walk_on};
 use super::situation::Situation;
 use super::traffic::Traffic;
 use super::world::World;
 use super::{Contact, Driver, Error, Failed, Outcome, Result};
-use crate::generate::{Continued, Futures, check_times};
-use crate::scene::{Scene, State, UnfitScene};
+use crate::generate::{Futures, check_times};
+use crate::scene::{Scene, State};
 use serde::{Deserialize, Serialize};
 use std::cell::Cell;
 
 /// The longest drive, seconds.
 pub(crate) const MOST_HORIZON_S: f64 = 600.0;
 /// How far off the road the center of the ego may be, meters: as in the check of validity.
-const OFF_ROAD_SLACK_M: f64 = 0.3;
+pub(super) const OFF_ROAD_SLACK_M: f64 = 0.3;
 /// An ego that stands for this long, seconds, below this speed, m/s, with this much free road ahead, meters, has
 /// stopped dead.
 const STOPPED_S: f64 = 4.0;
 const STANDING_MPS: f64 = 0.3;
 const FREE_M: f64 = 10.0;
-/// How far ahead, seconds, an agent of the event checks whether its plan leads into an ego that is off its own path by
-/// this, meters.
-const LOOKS_AHEAD_S: f64 = 2.0;
-const LEFT_LOG_M: f64 = 1.0;
+
+/// How often a part of a scenario is drawn at most until nobody drives into another or leaves the road. Traffic around
+/// a planner, and that whose rates are counted, is drawn once.
+const N_DRAWS: usize = 4;
 
 /// The settings of a drive.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -251,13 +250,13 @@ pub(super) fn came_through(situation: &Situation, world: &World) -> End {
 }
 
 /// An ongoing drive.
-struct Drive<'a> {
-    situation: &'a Situation,
-    world: World,
-    driver: &'a mut dyn Driver,
+pub(super) struct Drive<'a> {
+    pub(super) situation: &'a Situation,
+    pub(super) world: World,
+    pub(super) driver: &'a mut dyn Driver,
     min_ttc_s: Option<f64>,
     contact: Option<Contact>,
-    gave_up_plan: bool,
+    pub(super) gave_up_plan: bool,
 }
 
 impl Drive<'_> {
@@ -270,8 +269,9 @@ impl Drive<'_> {
             Others::Continued(futures) => Some(futures).filter(|_| now > situation.scene.current_timestep()),
             Others::Replayed => None,
         };
+        let n_draws = if matches!(others, Others::Continued(_)) { N_DRAWS } else { 1 };
         let sampled = match futures {
-            Some(futures) => match self.sample(futures)? {
+            Some(futures) => match self.sample(futures, n_draws, n_steps)? {
                 Ok(sampled) => Some((sampled, futures.n_history())),
                 Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
             },
@@ -315,35 +315,6 @@ impl Drive<'_> {
         Ok(None)
     }
 
-    /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
-    fn sample(&mut self, futures: &Futures<'_>) -> Result<Result<Scene, UnfitScene>> {
-        let (situation, now) = (self.situation, self.world.now());
-        let sizes = [futures.n_history(), futures.n_timesteps()];
-        let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
-        situation.let_go(&mut self.world);
-        if self.driver.answers() {
-            situation.keep_in_aim(&mut self.world, &expected);
-        }
-        if self.plan_leads_into(&expected) {
-            (self.world.plan_ends, self.gave_up_plan) = (now, true);
-        }
-        let expected = (!self.driver.is_model()).then_some(expected.as_slice());
-        let (scene, mask) = situation.window(&self.world, expected, true, sizes);
-        let (center_idx, name) = (situation.ego_idx, &*self.world.stream(futures.seed()));
-        let mut sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
-        if let Ok(sampled) = &mut sampled {
-            let is_sampled = |idx: &usize| {
-                let is_driven = *idx == center_idx && !self.driver.is_model();
-                !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
-            };
-            let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
-            go_on(situation, &self.world, sampled, &agents);
-            walk_on(situation, sampled, &agents);
-            brake(situation, sampled, &agents);
-        }
-        Ok(sampled)
-    }
-
     /// Removes agents that have left since an earlier timestep, and returns the end of the drive if it is reached.
     fn look(&mut self, since: usize) -> Option<End> {
         let (situation, ego_idx) = (self.situation, self.situation.ego_idx);
@@ -371,30 +342,5 @@ impl Drive<'_> {
             return Some((Outcome::LeftRoad, Some(format!("is {off_m:.1} m off the road"))));
         }
         (has_left && !goes_on).then(|| (Outcome::Survived, Some("came to the end of the map".to_owned())))
-    }
-
-    /// Whether an agent of the event would soon drive its front into an ego that is not where the scenario has it and
-    /// goes on as `expected`.
-    fn plan_leads_into(&self, expected: &[State]) -> bool {
-        let (situation, world, now) = (self.situation, &self.world, self.world.now());
-        let Some(ego) = world.present(situation.ego_idx).filter(|_| !situation.is_collision) else { return false };
-        let logged = situation.scene.state(situation.ego_idx, now);
-        if logged.is_some_and(|logged| logged.position.distance(ego.position) < LEFT_LOG_M) {
-            return false;
-        }
-        let dt_s = situation.scene.dt_s;
-        let n_ahead = (LOOKS_AHEAD_S / dt_s).round() as usize;
-        situation.planned.iter().filter(|agent_idx| situation.can_touch(**agent_idx)).any(|agent_idx| {
-            // After its end, the plan goes on at its last velocity.
-            let mut last = world.present(*agent_idx).filter(|_| situation.plan(world, *agent_idx, now + 1).is_some());
-            expected.iter().take(n_ahead).enumerate().any(|(i, then)| {
-                let on = last.map(|last| State { position: last.position + last.velocity * dt_s, ..last });
-                last = situation.plan(world, *agent_idx, now + 1 + i).or(on);
-                let Some(other) = last else { return false };
-                let place = (then.position - other.position).rotated(-other.heading_rad);
-                let is_ahead = place.x > 0.0 && place.y.abs() < place.x;
-                is_ahead && situation.overlap([(situation.ego_idx, then), (*agent_idx, &other)])
-            })
-        })
     }
 }

@@ -212,6 +212,7 @@ fn a_planner_that_never_runs_is_refused() {
     let out = dir.path().join("out");
     for (command, why) in [
         ("idmm", "did you mean idm?"),
+        ("IDM", "did you mean idm?"),
         ("./no-such-planner --fast", "exit status 127"),
         ("./Cargo.toml", "exit status 126"),
         ("python3 no_such_planner.py", "can't open file"),

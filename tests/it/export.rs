@@ -4,7 +4,7 @@ use crate::support::{Outcome, Workspace, assert_same, djinn, files};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-const FORMATS: [&str; 5] = ["interaction", "argoverse2", "commonroad", "openscenario", "openlabel"];
+const FORMATS: [&str; 6] = ["interaction", "argoverse2", "womd", "commonroad", "openscenario", "openlabel"];
 
 /// The rows of a table by the names of its columns.
 fn rows(path: &Path) -> Vec<BTreeMap<String, String>> {
@@ -73,13 +73,14 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
     // Our own readers take the cases and scenarios for what they are.
     export("commonroad", "replayed", &["--replay-ego"]).expect(0);
     for (dataset, folder, settings) in [
-        ("interaction", "interaction", ["ingest.maps=none", "ingest.n_history=10"]),
+        ("interaction", "interaction", ["ingest.maps=none", "ingest.n_history=10", "ingest.n_future=30"]),
+        ("womd", "womd", ["ingest.maps=required", "ingest.n_history=10", "ingest.n_future=30"]),
         // An exported scenario begins at present.
-        ("commonroad", "replayed", ["ingest.maps=required", "ingest.n_history=1"]),
+        ("commonroad", "replayed", ["ingest.maps=required", "ingest.n_history=1", "ingest.n_future=30"]),
     ] {
         let (cases, scenes) = (workspace.arg(folder), format!("{}_ingested", workspace.arg(dataset)));
-        let [first, second] = settings;
-        let settings = ["--set", first, "--set", second, "--output", &scenes];
+        let [maps, past, future] = settings;
+        let settings = ["--set", maps, "--set", past, "--set", future, "--output", &scenes];
         let outcome = djinn(&[&["ingest", &cases, "--dataset", dataset][..], &settings].concat()).expect(0);
         assert!(outcome.stderr.contains(&format!("ingest: {n_scenarios} scenes")), "{}", outcome.stderr);
     }

@@ -65,7 +65,10 @@ impl LaneCrossing<'_> {
             .map(|t| if t < present { [None, None] } else { [self.place(ego, t), self.place(other, t)] })
             .collect();
         let (intrusion, reached) = self.replayed(&places)?;
-        if !self.is_ahead(&places, crossing, intrusion) || !self.is_met(&places) {
+        if !self.is_ahead(&places, crossing, intrusion)
+            || self.is_behind_a_third(&places[crossing.max(intrusion)], crossing.max(intrusion))
+            || !self.is_met(&places)
+        {
             return None;
         }
         let last = (crossing.max(intrusion) + self.n_settling()).min(end - 1);
@@ -136,6 +139,19 @@ impl LaneCrossing<'_> {
             && is_ahead(intrusion)
             && both(come_in).is_some_and(|(own, theirs)| self.gap_m(&own, &theirs) >= 0.0)
             && (self.scene.current_timestep()..=come_in).all(keeps)
+    }
+
+    /// Whether somebody else is in the lane between the two when the other has come in.
+    fn is_behind_a_third(&self, places: &[Option<LanePlace>; 2], come_in: usize) -> bool {
+        let Some((own, theirs)) = places[0].zip(places[1]) else { return false };
+        let is_between = |track: &Track| {
+            let Some(at) = state(track, come_in).map(|state| state.position) else { return false };
+            let is_inside = || [1.0, -1.0].iter().all(|side| self.lane.beyond_m(at, *side).is_some_and(|m| m <= 0.0));
+            let station_m = self.lane.project(at).map(|place| place.station_m);
+            station_m.is_some_and(|m| own.station_m < m && m < theirs.station_m) && is_inside()
+        };
+        let mut thirds = (0..self.scene.tracks.len()).filter(|agent_idx| !self.pair.contains(agent_idx));
+        thirds.any(|agent_idx| is_between(&self.scene.tracks[agent_idx]))
     }
 
     /// Whether the other comes into the way of the driving ego: ahead of it, and beside the place at which the ego

@@ -71,8 +71,8 @@ const ALONG_RAD: f64 = FRAC_PI_6;
 ///   t_other < t_ego < t_other + 3 s the ego's box is where the other's was.
 /// - The other comes into the way of the ego as it drives, too: at some future time, and not at present, it is ahead,
 ///   and beside the place at which the ego passes it, or is last, by at most half of both widths.
-/// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened; and both
-///   move, with at least 1 m/s at t_other.
+/// - The other's center is ahead of the ego's then and when it crosses, its whole box when both have happened, and then
+///   nobody else's center is in the lane between theirs; and both move, with at least 1 m/s at t_other.
 ///
 /// The event *starts* at the intrusion, the first such t_other, and is *complete* at the first such t_ego.
 ///

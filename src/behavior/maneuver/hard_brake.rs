@@ -2,7 +2,7 @@
 //! stop.
 
 use super::{Driver, Maneuver, Pace};
-use crate::behavior::cause::{COMFORTABLE_MPS2, STANDSTILL_GAP_M};
+use crate::behavior::cause::{STANDSTILL_GAP_M, not_enough_mps2};
 use crate::behavior::following::Follower;
 use crate::behavior::hard_brake::HardBrake;
 use crate::behavior::lane_relation::SceneLanes;
@@ -18,7 +18,7 @@ const HARDEST_MPS2: f64 = 7.75;
 const BEGINS_S: [f64; 4] = [0.4, 0.9, 1.4, 1.9];
 const LASTS_S: [f64; 3] = [0.9, 1.5, 2.5];
 /// How hard the one ahead brakes, m/s², and how long before the agent, which needs that long to react, seconds.
-const LEADER_MPS2: [f64; 4] = [0.0, 2.5, 3.5, 4.5];
+const LEADER_MPS2: [f64; 5] = [0.0, 2.5, 3.5, 4.5, 6.0];
 const REACTION_S: f64 = 0.75;
 /// How far ahead somebody, or a line, is looked for, meters.
 const REACH_M: f64 = 60.0;
@@ -33,23 +33,23 @@ enum Reason {
 }
 
 impl Reason {
-    /// Whether braking comfortably, after `driven_m` with this speed at timestep `begins`, is too little for it, and
+    /// Whether braking with `mps2`, after `driven_m` with this speed at timestep `begins`, is too little for it, and
     /// the planned drive is enough.
-    fn explains(&self, (begins, speed_mps): (usize, f64), driven_m: &[f64], dt_s: f64) -> bool {
-        let comfortable_m = |time_s: f64| {
-            let time_s = time_s.min(speed_mps / COMFORTABLE_MPS2);
-            driven_m[begins] + speed_mps * time_s - COMFORTABLE_MPS2 * time_s * time_s / 2.0
+    fn explains(&self, mps2: f64, (begins, speed_mps): (usize, f64), driven_m: &[f64], dt_s: f64) -> bool {
+        let braked_m = |time_s: f64| {
+            let time_s = time_s.min(speed_mps / mps2);
+            driven_m[begins] + speed_mps * time_s - mps2 * time_s * time_s / 2.0
         };
         let (Some(end_m), Some(last)) = (driven_m.last(), driven_m.len().checked_sub(1)) else { return false };
         match self {
-            Self::Line(line_m) => comfortable_m(f64::INFINITY) > *line_m && end_m <= line_m,
+            Self::Line(line_m) => braked_m(f64::INFINITY) > *line_m && end_m <= line_m,
             Self::Leader { gap_m, driven_m: led_m, .. } => {
                 let last_mps = (led_m[last] - led_m[last - 1]) / dt_s;
                 let led_m =
                     |step: usize| led_m[step.min(last)] + step.saturating_sub(last) as f64 * dt_s * last_mps + gap_m;
-                let n_steps = (speed_mps / COMFORTABLE_MPS2 / dt_s) as usize;
+                let n_steps = (speed_mps / mps2 / dt_s) as usize;
                 let hits = (begins..=begins + n_steps)
-                    .any(|step| led_m(step) - comfortable_m((step - begins) as f64 * dt_s) < STANDSTILL_GAP_M);
+                    .any(|step| led_m(step) - braked_m((step - begins) as f64 * dt_s) < STANDSTILL_GAP_M);
                 hits && driven_m.iter().enumerate().all(|(step, own_m)| led_m(step) - own_m >= STANDSTILL_GAP_M)
             }
         }
@@ -77,7 +77,8 @@ impl HardBrake {
                     let travel = driver.travel(rail, &pace);
                     let begins = ((from_s / scene.dt_s) as usize).min(travel.driven_m.len() - 1);
                     let then = (begins, travel.speeds_mps[begins]);
-                    let is_explained = |reason: &&Reason| reason.explains(then, &travel.driven_m, scene.dt_s);
+                    let mps2 = not_enough_mps2(deceleration_mps2);
+                    let is_explained = |reason: &&Reason| reason.explains(mps2, then, &travel.driven_m, scene.dt_s);
                     let Some(reason) = reasons.iter().find(is_explained) else { continue };
                     let others = match reason {
                         Reason::Line(_) => Vec::new(),

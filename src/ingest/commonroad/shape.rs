@@ -3,9 +3,9 @@
 use super::map::point;
 use crate::geometry::Vec2;
 use crate::ingest::error::Malformed;
-use crate::ingest::vicinity::in_words;
 use crate::ingest::xml_tree::Element;
 use crate::scene::Extent;
+use crate::settings::in_words;
 
 /// The largest obstacle, meters.
 const MAX_SIZE_M: f64 = 1e3;

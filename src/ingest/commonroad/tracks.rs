@@ -6,9 +6,10 @@ use crate::geometry::Vec2;
 use crate::ingest::error::Malformed;
 use crate::ingest::recorded_track::{Observation, RecordedTrack};
 use crate::ingest::source::Horizon;
-use crate::ingest::vicinity::{Vicinity, in_words};
+use crate::ingest::vicinity::Vicinity;
 use crate::ingest::xml_tree::Element;
 use crate::scene::{AgentClass, Track, TrackId, TrackRole, Trajectory};
+use crate::settings::in_words;
 use std::collections::BTreeSet;
 
 /// The longest scenario, timesteps: times further apart are an error.

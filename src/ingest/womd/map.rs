@@ -1,5 +1,6 @@
 //! The map of a scenario: its lanes, with what lies beside them and what controls them.
 
+use super::crosswalks;
 use super::messages::{BoundarySegment, FeatureData, LaneCenter, LaneNeighbor, MapPoint, Scenario};
 use crate::geometry::{Path, Polyline, Vec2};
 use crate::ingest::assumed_bounds::{self, ASSUMED_LANE_WIDTH_M};
@@ -9,14 +10,13 @@ use crate::ingest::plausible_lanes::{Flaw, flaw};
 use crate::ingest::vicinity::Vicinity;
 use crate::scene::{Lane, LaneAttributes, LaneGraph, LaneId};
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
 
 /// `LaneCenter.LaneType`.
-const LANE_TYPES: [&str; 4] = ["undefined", "freeway", "surface_street", "bike_lane"];
+pub(crate) const LANE_TYPES: [&str; 4] = ["undefined", "freeway", "surface_street", "bike_lane"];
 /// Lanes for bicycles are left out, because no generated vehicle drives on them.
 const BIKE_LANE: i32 = 3;
 /// `RoadLine.RoadLineType`; edges have the first.
-const LINE_TYPES: [&str; 9] = [
+pub(crate) const LINE_TYPES: [&str; 9] = [
     "edge",
     "broken_single_white",
     "solid_single_white",
@@ -28,7 +28,7 @@ const LINE_TYPES: [&str; 9] = [
     "passing_double_yellow",
 ];
 /// `TrafficSignalLaneState.State`.
-const LIGHTS: [&str; 9] = [
+pub(crate) const LIGHTS: [&str; 9] = [
     "unknown",
     "arrow_stop",
     "arrow_caution",
@@ -39,7 +39,7 @@ const LIGHTS: [&str; 9] = [
     "flashing_stop",
     "flashing_caution",
 ];
-const MPS_PER_MPH: f64 = 0.447_04;
+pub(crate) const MPS_PER_MPH: f64 = 0.447_04;
 /// How far a boundary may be from the center line, meters: some name a line across the road.
 const MAX_TO_BOUNDARY_M: f64 = 10.0;
 const MIN_TO_BOUNDARY_M: f64 = 0.3;
@@ -53,10 +53,10 @@ struct Surroundings {
     lights: BTreeMap<i64, Vec<(usize, i32)>>,
 }
 
-/// The lanes, with the lights in some timesteps of the scenario, and a report on those that are left out.
-pub(super) fn read(scenario: &Scenario, steps: &Range<usize>) -> (LaneGraph, MapReport) {
+/// The lanes, with the lights from a timestep of the scenario on, and a report on those that are left out.
+pub(super) fn read(scenario: &Scenario, first_step: usize) -> (LaneGraph, MapReport) {
     let mut report = MapReport::default();
-    let around = Surroundings::of(scenario, steps);
+    let around = Surroundings::of(scenario, first_step);
     let lanes = || {
         scenario.map_features.iter().filter_map(|feature| match &feature.feature_data {
             Some(FeatureData::Lane(lane)) => Some((feature.id, &**lane)),
@@ -77,12 +77,13 @@ pub(super) fn read(scenario: &Scenario, steps: &Range<usize>) -> (LaneGraph, Map
             }
         }
     }
+    crosswalks::tag(&mut read, scenario, vicinity, &mut report);
     report.n_lanes = read.len() as u64;
     (connect_one_way(read), report)
 }
 
 impl Surroundings {
-    fn of(scenario: &Scenario, steps: &Range<usize>) -> Self {
+    fn of(scenario: &Scenario, first_step: usize) -> Self {
         let mut around = Self::default();
         for feature in &scenario.map_features {
             match &feature.feature_data {
@@ -92,10 +93,11 @@ impl Surroundings {
                 Some(FeatureData::StopSign(sign)) => {
                     sign.lane.iter().for_each(|lane| around.stop_signs.entry(*lane).or_default().push(feature.id));
                 }
-                Some(FeatureData::Lane(_)) | None => {}
+                Some(FeatureData::Lane(_) | FeatureData::Crosswalk(_)) | None => {}
             }
         }
-        let shown = scenario.dynamic_map_states.iter().take(steps.end).skip(steps.start).enumerate();
+        // Also those after the scene: what goes on from it meets the same lights.
+        let shown = scenario.dynamic_map_states.iter().skip(first_step).enumerate();
         for (timestep, light) in shown.flat_map(|(timestep, at)| at.lane_states.iter().map(move |of| (timestep, of))) {
             around.lights.entry(light.lane).or_default().push((timestep, light.state));
         }
@@ -119,7 +121,7 @@ impl Surroundings {
         tag("left_boundaries", joined(&lane.left_boundaries, boundary));
         tag("right_boundaries", joined(&lane.right_boundaries, boundary));
         tag("stop_signs", self.stop_signs.get(&id).map_or(String::new(), |signs| joined(signs, i64::to_string)));
-        tag("traffic_light", self.lights.get(&id).map_or(String::new(), |shown| lights(shown)));
+        tag(LaneAttributes::LIGHT, self.lights.get(&id).map_or(String::new(), |shown| lights(shown)));
         if n_assumed > 0 {
             let n = 2 * center.0.len();
             tag("boundaries", format!("assumed:{ASSUMED_LANE_WIDTH_M}_m_wide at {n_assumed} of {n} points"));
@@ -187,7 +189,7 @@ impl Surroundings {
     }
 }
 
-fn point(at: &MapPoint) -> Vec2 {
+pub(super) fn point(at: &MapPoint) -> Vec2 {
     Vec2::new(at.x, at.y)
 }
 
@@ -216,7 +218,7 @@ fn boundary(of: &BoundarySegment) -> String {
     format!("{boundary_feature_id}:{lane_start_index}-{lane_end_index}/{}", named(&LINE_TYPES, *boundary_type))
 }
 
-/// `stop:0-40;go:41-90`: lights of a lane, each from timestep to timestep of the scene.
+/// The tag of lights of a lane.
 fn lights(shown: &[(usize, i32)]) -> String {
     let runs = shown.chunk_by(|(step, light), (next_step, next)| light == next && *next_step <= step + 1);
     let one = |run: &[(usize, i32)]| {

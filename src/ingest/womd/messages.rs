@@ -1,98 +1,102 @@
-//! What is read of the protocol buffers of the dataset's `scenario.proto` and `map.proto`, by their field numbers.
+//! What is read and written of the protocol buffers of the dataset's `scenario.proto` and `map.proto`, by their field
+//! numbers.
 //!
-//! Everything else in a message, such as heights, crosswalks and the features of sensors, is passed over.
+//! Everything else in a message, such as heights and the features of sensors, is passed over.
 
 use prost::{Message, Oneof};
 
 /// The tracks, lights and map of some seconds.
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct Scenario {
+pub(crate) struct Scenario {
     #[prost(double, repeated, packed = "false", tag = "1")]
-    pub(super) timestamps_seconds: Vec<f64>,
+    pub(crate) timestamps_seconds: Vec<f64>,
     #[prost(message, repeated, tag = "2")]
-    pub(super) tracks: Vec<Track>,
+    pub(crate) tracks: Vec<Track>,
     /// Ids of tracks.
     #[prost(int32, repeated, packed = "false", tag = "4")]
-    pub(super) objects_of_interest: Vec<i32>,
+    pub(crate) objects_of_interest: Vec<i32>,
     #[prost(string, tag = "5")]
-    pub(super) scenario_id: String,
+    pub(crate) scenario_id: String,
     #[prost(int32, optional, tag = "6")]
-    pub(super) sdc_track_index: Option<i32>,
+    pub(crate) sdc_track_index: Option<i32>,
     /// One for each timestep.
     #[prost(message, repeated, tag = "7")]
-    pub(super) dynamic_map_states: Vec<DynamicMapState>,
+    pub(crate) dynamic_map_states: Vec<DynamicMapState>,
     #[prost(message, repeated, tag = "8")]
-    pub(super) map_features: Vec<MapFeature>,
+    pub(crate) map_features: Vec<MapFeature>,
     /// The present.
     #[prost(int32, optional, tag = "10")]
-    pub(super) current_time_index: Option<i32>,
+    pub(crate) current_time_index: Option<i32>,
     #[prost(message, repeated, tag = "11")]
-    pub(super) tracks_to_predict: Vec<RequiredPrediction>,
+    pub(crate) tracks_to_predict: Vec<RequiredPrediction>,
 }
 
 /// A road user, with a state for each timestep.
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct Track {
+pub(crate) struct Track {
     #[prost(int32, tag = "1")]
-    pub(super) id: i32,
+    pub(crate) id: i32,
     #[prost(int32, tag = "2")]
-    pub(super) object_type: i32,
+    pub(crate) object_type: i32,
     #[prost(message, repeated, tag = "3")]
-    pub(super) states: Vec<ObjectState>,
+    pub(crate) states: Vec<ObjectState>,
 }
 
 /// Meters, radians, m/s.
 #[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct ObjectState {
+pub(crate) struct ObjectState {
     #[prost(double, tag = "2")]
-    pub(super) center_x: f64,
+    pub(crate) center_x: f64,
     #[prost(double, tag = "3")]
-    pub(super) center_y: f64,
+    pub(crate) center_y: f64,
     #[prost(float, tag = "5")]
-    pub(super) length: f32,
+    pub(crate) length: f32,
     #[prost(float, tag = "6")]
-    pub(super) width: f32,
+    pub(crate) width: f32,
     #[prost(float, tag = "8")]
-    pub(super) heading: f32,
+    pub(crate) heading: f32,
     #[prost(float, tag = "9")]
-    pub(super) velocity_x: f32,
+    pub(crate) velocity_x: f32,
     #[prost(float, tag = "10")]
-    pub(super) velocity_y: f32,
+    pub(crate) velocity_y: f32,
     #[prost(bool, tag = "11")]
-    pub(super) valid: bool,
+    pub(crate) valid: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct RequiredPrediction {
+pub(crate) struct RequiredPrediction {
     #[prost(int32, tag = "1")]
-    pub(super) track_index: i32,
+    pub(crate) track_index: i32,
 }
 
 /// The lights at a timestep.
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct DynamicMapState {
+pub(crate) struct DynamicMapState {
     #[prost(message, repeated, tag = "1")]
-    pub(super) lane_states: Vec<TrafficSignalLaneState>,
+    pub(crate) lane_states: Vec<TrafficSignalLaneState>,
 }
 
 #[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct TrafficSignalLaneState {
+pub(crate) struct TrafficSignalLaneState {
     #[prost(int64, tag = "1")]
-    pub(super) lane: i64,
+    pub(crate) lane: i64,
     #[prost(int32, tag = "2")]
-    pub(super) state: i32,
+    pub(crate) state: i32,
+    /// Where to stop: the dataset's maps have it at the beginning of the lane. Only written.
+    #[prost(message, optional, tag = "3")]
+    pub(crate) stop_point: Option<MapPoint>,
 }
 
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct MapFeature {
+pub(crate) struct MapFeature {
     #[prost(int64, tag = "1")]
-    pub(super) id: i64,
-    #[prost(oneof = "FeatureData", tags = "3, 4, 5, 7")]
-    pub(super) feature_data: Option<FeatureData>,
+    pub(crate) id: i64,
+    #[prost(oneof = "FeatureData", tags = "3, 4, 5, 7, 8")]
+    pub(crate) feature_data: Option<FeatureData>,
 }
 
 #[derive(Clone, PartialEq, Oneof)]
-pub(super) enum FeatureData {
+pub(crate) enum FeatureData {
     #[prost(message, tag = "3")]
     Lane(Box<LaneCenter>),
     #[prost(message, tag = "4")]
@@ -101,79 +105,94 @@ pub(super) enum FeatureData {
     RoadEdge(RoadSide),
     #[prost(message, tag = "7")]
     StopSign(StopSign),
+    #[prost(message, tag = "8")]
+    Crosswalk(Crosswalk),
 }
 
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct LaneCenter {
+pub(crate) struct LaneCenter {
     #[prost(double, tag = "1")]
-    pub(super) speed_limit_mph: f64,
+    pub(crate) speed_limit_mph: f64,
     #[prost(int32, tag = "2")]
-    pub(super) kind: i32,
+    pub(crate) kind: i32,
     /// Whether it joins two others.
     #[prost(bool, tag = "3")]
-    pub(super) interpolating: bool,
+    pub(crate) interpolating: bool,
     #[prost(message, repeated, tag = "8")]
-    pub(super) polyline: Vec<MapPoint>,
+    pub(crate) polyline: Vec<MapPoint>,
     #[prost(int64, repeated, tag = "9")]
-    pub(super) entry_lanes: Vec<i64>,
+    pub(crate) entry_lanes: Vec<i64>,
     #[prost(int64, repeated, tag = "10")]
-    pub(super) exit_lanes: Vec<i64>,
+    pub(crate) exit_lanes: Vec<i64>,
     #[prost(message, repeated, tag = "11")]
-    pub(super) left_neighbors: Vec<LaneNeighbor>,
+    pub(crate) left_neighbors: Vec<LaneNeighbor>,
     #[prost(message, repeated, tag = "12")]
-    pub(super) right_neighbors: Vec<LaneNeighbor>,
+    pub(crate) right_neighbors: Vec<LaneNeighbor>,
     #[prost(message, repeated, tag = "13")]
-    pub(super) left_boundaries: Vec<BoundarySegment>,
+    pub(crate) left_boundaries: Vec<BoundarySegment>,
     #[prost(message, repeated, tag = "14")]
-    pub(super) right_boundaries: Vec<BoundarySegment>,
+    pub(crate) right_boundaries: Vec<BoundarySegment>,
 }
 
 /// A line or an edge of the road.
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct RoadSide {
+pub(crate) struct RoadSide {
+    /// Of a line its mark, of an edge what it is. Only written.
+    #[prost(int32, tag = "1")]
+    pub(crate) kind: i32,
     #[prost(message, repeated, tag = "2")]
-    pub(super) polyline: Vec<MapPoint>,
+    pub(crate) polyline: Vec<MapPoint>,
 }
 
 #[derive(Clone, PartialEq, Message)]
-pub(super) struct StopSign {
+pub(crate) struct StopSign {
     #[prost(int64, repeated, packed = "false", tag = "1")]
-    pub(super) lane: Vec<i64>,
+    pub(crate) lane: Vec<i64>,
+    /// Only written.
+    #[prost(message, optional, tag = "2")]
+    pub(crate) position: Option<MapPoint>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+pub(crate) struct Crosswalk {
+    /// Its corners in order, the first one not repeated.
+    #[prost(message, repeated, tag = "1")]
+    pub(crate) polygon: Vec<MapPoint>,
 }
 
 /// A lane in the same direction beside a part of a lane, from point to point of both polylines.
 #[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct LaneNeighbor {
+pub(crate) struct LaneNeighbor {
     #[prost(int64, tag = "1")]
-    pub(super) feature_id: i64,
+    pub(crate) feature_id: i64,
     #[prost(int32, tag = "2")]
-    pub(super) self_start_index: i32,
+    pub(crate) self_start_index: i32,
     #[prost(int32, tag = "3")]
-    pub(super) self_end_index: i32,
+    pub(crate) self_end_index: i32,
     #[prost(int32, tag = "4")]
-    pub(super) neighbor_start_index: i32,
+    pub(crate) neighbor_start_index: i32,
     #[prost(int32, tag = "5")]
-    pub(super) neighbor_end_index: i32,
+    pub(crate) neighbor_end_index: i32,
 }
 
 /// A line or an edge beside a part of a lane, from point to point of its polyline.
 #[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct BoundarySegment {
+pub(crate) struct BoundarySegment {
     #[prost(int32, tag = "1")]
-    pub(super) lane_start_index: i32,
+    pub(crate) lane_start_index: i32,
     #[prost(int32, tag = "2")]
-    pub(super) lane_end_index: i32,
+    pub(crate) lane_end_index: i32,
     #[prost(int64, tag = "3")]
-    pub(super) boundary_feature_id: i64,
+    pub(crate) boundary_feature_id: i64,
     /// 0 for edges.
     #[prost(int32, tag = "4")]
-    pub(super) boundary_type: i32,
+    pub(crate) boundary_type: i32,
 }
 
 #[derive(Clone, Copy, PartialEq, Message)]
-pub(super) struct MapPoint {
+pub(crate) struct MapPoint {
     #[prost(double, tag = "1")]
-    pub(super) x: f64,
+    pub(crate) x: f64,
     #[prost(double, tag = "2")]
-    pub(super) y: f64,
+    pub(crate) y: f64,
 }

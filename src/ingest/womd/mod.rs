@@ -2,15 +2,18 @@
 //!
 //! Records are read one after the other, and each is a unit. The ego is the vehicle that recorded them.
 
+mod crosswalks;
 mod map;
-mod messages;
+pub(crate) mod messages;
 #[cfg(test)]
 mod tests;
 mod tfrecord;
 mod tracks;
 
+pub(crate) use self::map::{LANE_TYPES, LIGHTS, LINE_TYPES, MPS_PER_MPH};
+
 use self::messages::Scenario;
-use self::tfrecord::Records;
+use self::tfrecord::{Records, framed};
 use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
@@ -28,6 +31,11 @@ const RECORDED: Horizon = Horizon { n_history: 11, n_future: 80 };
 const DT_S: f64 = 0.1;
 /// The largest distance of a timestamp from an even one, seconds.
 const MAX_UNEVEN_S: f64 = 0.05;
+
+/// A record of a TFRecord with this scenario.
+pub(crate) fn record(scenario: &Scenario) -> Vec<u8> {
+    framed(&scenario.encode_to_vec())
+}
 
 /// The format of Waymo Open Motion.
 pub(super) struct Womd<'a> {
@@ -54,7 +62,7 @@ impl<'a> Womd<'a> {
         }
         let steps = self.timesteps(&scenario, split).map_err(|(reason, detail)| reject(reason, detail))?;
         let (tracks, mut findings) = tracks::read(&scenario, &steps, self.horizon.n_history);
-        let map = self.config.wants_maps().then(|| map::read(&scenario, &steps));
+        let map = self.config.wants_maps().then(|| map::read(&scenario, steps.start));
         let at = format!("{}: {}", unit.file, unit.case_id);
         findings.iter_mut().for_each(|finding| finding.detail = format!("{at}: {}", finding.detail));
         findings.extend(map.iter().flat_map(|(_, report)| report.findings(&at)));

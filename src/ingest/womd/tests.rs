@@ -2,10 +2,10 @@
 //! reading.
 
 use super::messages::{
-    BoundarySegment, DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, MapFeature, MapPoint, ObjectState,
-    RequiredPrediction, RoadSide, Scenario, StopSign, Track, TrafficSignalLaneState,
+    BoundarySegment, Crosswalk, DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, MapFeature, MapPoint,
+    ObjectState, RequiredPrediction, RoadSide, Scenario, StopSign, Track, TrafficSignalLaneState,
 };
-use super::tfrecord::{Records, masked_crc};
+use super::tfrecord::{Records, framed, masked_crc};
 use super::*;
 use crate::geometry::{Polyline, Vec2};
 use crate::ingest::test_data::{damaged, test_data};
@@ -13,11 +13,6 @@ use crate::ingest::{IngestReport, MapsConfig, ingest};
 use crate::progress::Silent;
 use crate::scene::{AgentClass, Lane, LaneId, Scene, TrackRole};
 use proptest::prelude::*;
-
-fn framed(content: &[u8]) -> Vec<u8> {
-    let length = (content.len() as u64).to_le_bytes();
-    [&length, &masked_crc(&length).to_le_bytes()[..], content, &masked_crc(content).to_le_bytes()].concat()
-}
 
 fn read(bytes: &[u8]) -> Vec<(u64, Result<String, &'static str>)> {
     let text = |content: Vec<u8>| String::from_utf8_lossy(&content).into_owned();
@@ -99,7 +94,7 @@ fn scenario() -> Scenario {
         ..LaneCenter::default()
     };
     let feature = |id, feature_data| MapFeature { id, feature_data: Some(feature_data) };
-    let light = |step| TrafficSignalLaneState { lane: 2, state: if step < 40 { 4 } else { 6 } };
+    let light = |step| TrafficSignalLaneState { lane: 2, state: if step < 40 { 4 } else { 6 }, ..Default::default() };
     Scenario {
         timestamps_seconds: (0..91).map(|step| f64::from(step) / 10.0).collect(),
         tracks: vec![track(30), track(31), track(32)],
@@ -110,12 +105,19 @@ fn scenario() -> Scenario {
         map_features: vec![
             feature(2, FeatureData::Lane(Box::new(lane(5.0, vec![bound])))),
             feature(3, FeatureData::Lane(Box::new(lane(9.0, Vec::new())))),
-            feature(7, FeatureData::RoadLine(RoadSide { polyline: line(6.5, &[-5.0, 95.0]) })),
-            feature(8, FeatureData::StopSign(StopSign { lane: vec![3] })),
+            feature(7, FeatureData::RoadLine(RoadSide { kind: 2, polyline: line(6.5, &[-5.0, 95.0]) })),
+            feature(8, FeatureData::StopSign(StopSign { lane: vec![3], position: None })),
+            feature(9, FeatureData::Crosswalk(Crosswalk { polygon: corners(4) })),
         ],
         current_time_index: Some(10),
         tracks_to_predict: vec![RequiredPrediction { track_index: 0 }],
     }
+}
+
+/// Some corners of an area across the first lane alone, between two of its points.
+fn corners(n: usize) -> Vec<MapPoint> {
+    let all = [(40.0, 3.0), (44.5, 3.0), (44.5, 8.0), (40.0, 8.0)];
+    all.into_iter().take(n).map(|(x, y)| MapPoint { x, y }).collect()
 }
 
 fn config() -> IngestConfig {
@@ -171,6 +173,7 @@ fn lanes_have_sides_neighbors_and_controls() {
     let tags: Vec<(&str, &str)> = attributes.tags.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect();
     let expected = [
         ("boundaries", "assumed:3.8_m_wide at 5 of 8 points"),
+        ("crosswalk:9", "40,3 44.5,3 44.5,8 40,8"),
         ("left_boundaries", "7:1-99/solid_single_white"),
         ("left_neighbors", "4:0-1/1-2;3:0-2/1-2"),
         ("speed_limit_mps", "11.176"),
@@ -183,6 +186,12 @@ fn lanes_have_sides_neighbors_and_controls() {
     );
     assert!(attributes.has_traffic_control && lane(3).attributes.has_traffic_control);
     assert_eq!(lane(3).attributes.tags["stop_signs"], "8");
+    assert!(!lane(3).attributes.tags.contains_key("crosswalk:9"));
+    // What is no area is left out and named.
+    let mut pointless = scenario();
+    pointless.map_features[4].feature_data = Some(FeatureData::Crosswalk(Crosswalk { polygon: corners(2) }));
+    let found = parsed(&pointless, Split::Train, &config()).expect("whole");
+    assert_eq!(found.findings[0].detail, "x.tfrecord: record at byte 7: crosswalk 9 is left out");
     // A line that doubles back is none to be bounded by; the lane stays.
     let mut folded = scenario();
     let Some(FeatureData::RoadLine(side)) = &mut folded.map_features[2].feature_data else { panic!("a line") };

@@ -112,6 +112,12 @@ fn length(head: [u8; HEAD_BYTES]) -> Option<u64> {
     length.first_chunk().filter(|_| is_right).map(|length| u64::from_le_bytes(*length))
 }
 
+/// A record with this content.
+pub(super) fn framed(content: &[u8]) -> Vec<u8> {
+    let length = (content.len() as u64).to_le_bytes();
+    [&length, &masked_crc(&length).to_le_bytes()[..], content, &masked_crc(content).to_le_bytes()].concat()
+}
+
 /// CRC-32C, masked as in TFRecords, since a checksum of data with checksums in it would mean little.
 pub(super) fn masked_crc(bytes: &[u8]) -> u32 {
     crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)

@@ -51,7 +51,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        21
+        22
     }
 
     fn check(&self) -> Result<()> {

@@ -94,7 +94,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        13
+        14
     }
 
     fn check(&self) -> Result<()> {

@@ -57,7 +57,7 @@ impl Stage for Rates<'_> {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn check(&self) -> Result<()> {

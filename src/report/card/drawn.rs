@@ -2,6 +2,8 @@
 
 use super::ViewRect;
 use crate::scene::{Lane, ObservationMask, Roles, Scene};
+use crate::settings::named;
+use std::ops::RangeInclusive;
 
 /// How far a drawn lane may lie from the mapped one, meters.
 const LANE_TOLERANCE_M: f64 = 0.05;
@@ -15,7 +17,24 @@ pub struct DrawnLane {
     pub left: Vec<[f64; 2]>,
     /// Right boundary.
     pub right: Vec<[f64; 2]>,
+    /// What the light at its beginning shows, from its first to its last timestep each; empty without a light.
+    pub lights: Vec<(Light, RangeInclusive<usize>)>,
 }
+
+/// What a light shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Light {
+    /// It was not seen.
+    Unknown,
+    /// Red.
+    Stop,
+    /// Yellow.
+    Caution,
+    /// Green.
+    Go,
+}
+
+named! { Light { Unknown = "unknown", Stop = "stop", Caution = "caution", Go = "go" } }
 
 /// One drawing: a recording, or overlaid samples of its future.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,15 +78,36 @@ pub struct DrawnAgent {
 }
 
 impl DrawnLane {
-    pub(super) fn of(lane: &Lane) -> Self {
+    /// The lanes of a scene that come into view.
+    pub(super) fn all(scene: &Scene, view: &ViewRect) -> Vec<Self> {
+        scene.lanes.lanes().iter().map(|lane| Self::of(scene, lane)).filter(|lane| lane.is_in(view)).collect()
+    }
+
+    fn of(scene: &Scene, lane: &Lane) -> Self {
         let points = |line: &crate::geometry::Polyline| {
             let rounded: Vec<[f64; 2]> = line.0.iter().map(|p| [centi(p.x), centi(p.y)]).collect();
             simplified(&rounded)
         };
-        Self { centerline: points(&lane.centerline), left: points(&lane.left), right: points(&lane.right) }
+        // Arrows and flashing lights mean what others mean.
+        let light = |state: &str| {
+            let plain = ["arrow_", "flashing_"].into_iter().find_map(|kind| state.strip_prefix(kind));
+            Light::from_name(plain.unwrap_or(state)).unwrap_or(Light::Unknown)
+        };
+        Self {
+            centerline: points(&lane.centerline),
+            left: points(&lane.left),
+            right: points(&lane.right),
+            lights: scene.lights(lane).map(|(state, timesteps)| (light(state), timesteps)).collect(),
+        }
     }
 
-    pub(super) fn is_in(&self, view: &ViewRect) -> bool {
+    /// The light at a timestep; `None` where there is none at all.
+    pub(in crate::report) fn light(&self, timestep: usize) -> Option<Light> {
+        let shown = self.lights.iter().find(|(_, timesteps)| timesteps.contains(&timestep));
+        (!self.lights.is_empty()).then(|| shown.map_or(Light::Unknown, |(light, _)| *light))
+    }
+
+    fn is_in(&self, view: &ViewRect) -> bool {
         [&self.centerline, &self.left, &self.right].into_iter().any(|line| view.touches(line))
     }
 }
@@ -152,6 +192,22 @@ fn simplified(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::{Polyline, Vec2};
+    use crate::scene::testing::{self, Drive};
+
+    #[test]
+    fn lights_have_the_color_of_each_timestep() {
+        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 1.0)]);
+        let line = Polyline(vec![Vec2::ZERO, Vec2::new(9.0, 0.0)]);
+        let mut lane = Lane::unconnected(1, line, Default::default());
+        assert_eq!(DrawnLane::of(&scene, &lane).light(0), None);
+        let shown = ("traffic_light".to_owned(), "arrow_stop:0-4;flashing_caution:6-6;go:7-90".to_owned());
+        std::sync::Arc::make_mut(&mut lane.attributes).tags.extend([shown]);
+        let drawn = DrawnLane::of(&scene, &lane);
+        let expected =
+            [(4, Light::Stop), (5, Light::Unknown), (6, Light::Caution), (90, Light::Go), (91, Light::Unknown)];
+        assert!(expected.iter().all(|(timestep, light)| drawn.light(*timestep) == Some(*light)), "{drawn:?}");
+    }
 
     #[test]
     fn straight_lines_need_their_ends_and_corners_stay() {

@@ -6,7 +6,7 @@ mod of_records;
 mod packed;
 mod view;
 
-pub use drawn::{DrawnAgent, DrawnLane, DrawnSample, ScenePanel};
+pub use drawn::{DrawnAgent, DrawnLane, DrawnSample, Light, ScenePanel};
 pub(super) use packed::{pack_lanes, pack_sample};
 pub use view::ViewRect;
 
@@ -183,7 +183,7 @@ impl SceneCard {
         let roles = if roles.is_empty() { &ego } else { roles };
         let scenes: Vec<&Scene> = std::iter::once(recorded).chain(samples.iter().map(|sample| sample.scene)).collect();
         let view = ViewRect::around(&scenes, roles);
-        let lanes = recorded.lanes.lanes().iter().map(DrawnLane::of).filter(|lane| lane.is_in(&view)).collect();
+        let lanes = DrawnLane::all(recorded, &view);
         let panel = |title: String, is_recorded: bool, samples: Vec<DrawnSample>| ScenePanel {
             title,
             is_recorded,

@@ -26,7 +26,6 @@ impl SceneCard {
                 samples,
             }
         };
-        let lanes = scenes.first().map(|scene| scene.lanes.lanes()).unwrap_or_default().iter().map(DrawnLane::of);
         let last = scenes.last();
         let closeness = last.and_then(|scene| closeness_over_time(scene, pair(scene, roles)?)).unwrap_or_default();
         Self {
@@ -44,7 +43,7 @@ impl SceneCard {
             },
             facts,
             view,
-            lanes: lanes.filter(|lane| lane.is_in(&view)).collect(),
+            lanes: scenes.first().map(|scene| DrawnLane::all(scene, &view)).unwrap_or_default(),
             panels: drives.iter().map(panel).collect(),
             closeness,
         }

@@ -32,18 +32,27 @@ impl Packed {
     }
 }
 
-/// The lanes: their number; for each, three lines: the number of points and their steps in x and y.
+/// The lanes: their number; for each, three lines: the number of points and their steps in x and y; then what its light
+/// shows: the number of changes, and the state, first and last timestep of each.
 pub(in crate::report) fn pack_lanes(lanes: &[DrawnLane]) -> String {
     let mut packed = Packed::default();
     packed.push_len(lanes.len());
-    for line in lanes.iter().flat_map(|lane| [&lane.centerline, &lane.left, &lane.right]) {
-        packed.push_len(line.len());
-        let mut before = [0, 0];
-        for point in line {
-            let now = point.map(hundredths);
-            packed.push(now[0] - before[0]);
-            packed.push(now[1] - before[1]);
-            before = now;
+    for lane in lanes {
+        for line in [&lane.centerline, &lane.left, &lane.right] {
+            packed.push_len(line.len());
+            let mut before = [0, 0];
+            for point in line {
+                let now = point.map(hundredths);
+                packed.push(now[0] - before[0]);
+                packed.push(now[1] - before[1]);
+                before = now;
+            }
+        }
+        packed.push_len(lane.lights.len());
+        for (light, timesteps) in &lane.lights {
+            packed.push(*light as i64);
+            packed.push_len(*timesteps.start());
+            packed.push_len(*timesteps.end());
         }
     }
     packed.0
@@ -87,7 +96,7 @@ fn hundredths(value: f64) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::DrawnAgent;
+    use super::super::{DrawnAgent, Light};
     use super::*;
 
     fn letters(numbers: &[i64]) -> String {
@@ -160,7 +169,14 @@ mod tests {
 
     #[test]
     fn lanes_are_steps_between_points() {
-        let lane = DrawnLane { centerline: vec![[1.0, 2.0], [1.5, 2.0]], left: vec![], right: vec![[0.0, -1.0]] };
-        assert_eq!(numbers(&pack_lanes(&[lane])), [1, 2, 100, 200, 50, 0, 0, 1, 0, -100]);
+        let mut lane = DrawnLane {
+            centerline: vec![[1.0, 2.0], [1.5, 2.0]],
+            left: vec![],
+            right: vec![[0.0, -1.0]],
+            lights: Vec::new(),
+        };
+        assert_eq!(numbers(&pack_lanes(&[lane.clone()])), [1, 2, 100, 200, 50, 0, 0, 1, 0, -100, 0]);
+        lane.lights = vec![(Light::Stop, 0..=4), (Light::Go, 7..=90)];
+        assert_eq!(numbers(&pack_lanes(&[lane]))[10..], [2, 1, 0, 4, 3, 7, 90]);
     }
 }

@@ -5,6 +5,7 @@
   const ROLE_COLORS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000"];
   const [RECORDED, GENERATED] = ["#777777", "#A05C8B"];
   const DOT_STEPS = 3;
+  const [LIGHTS, LIGHT_M] = [["unknown", "stop", "caution", "go"], 2.8];
   const parsed = (element) => JSON.parse(element.textContent);
   const lanesOfAll = parsed(document.getElementById("lanes"));
 
@@ -28,7 +29,8 @@
       let [x, y] = [0, 0];
       return Array.from({ length: next() }, () => [(x += next()) / 100, (y += next()) / 100]);
     };
-    return Array.from({ length: next() }, () => [line(), line(), line()]);
+    const lights = () => Array.from({ length: next() }, () => [next(), next(), next()]);
+    return Array.from({ length: next() }, () => [line(), line(), line(), lights()]);
   };
 
   // One entry an agent: its states by timestep as [x, y, heading, whether it was observed], and its stretches.
@@ -68,6 +70,15 @@
     return `<path class="lane" d="${all(surface)}"/><path class="centerline" d="${all(([center]) => line(center))}"/>` +
       `<path class="border" d="${all(([, left, right]) => line(left) + line(right))}"/>`;
   };
+
+  // A bar across the beginning of each lane that has a light; its color is set as time goes on.
+  const drawLights = (lanes) =>
+    lanes.map(([[[x, y] = [], [nextX, nextY] = []], , , lights], i) => {
+      const half = LIGHT_M / 2 / Math.max(1e-3, Math.hypot(nextX - x, nextY - y));
+      const end = (side) => [x - side * half * (nextY - y), y + side * half * (nextX - x)];
+      return lights.length && nextX !== undefined ? `<path class="light" data-lane="${i}" d="${line([end(1), end(-1)])}"/>` : "";
+    }).join("");
+  const lightAt = (lights, timestep) => lights.find(([, first, last]) => first <= timestep && timestep <= last)?.[0] ?? 0;
 
   const drawScale = ([x0, y0, x1], unit) => {
     const length = [100, 50, 20, 10, 5].find((l) => l <= (x1 - x0) / 4) ?? 2;
@@ -110,7 +121,7 @@
     const labels = data.agents.map(([, role, , width], a) =>
       role === null ? "" : `<text class="role" data-label="${a}" data-lift="${0.6 * width + 6 * unit}" font-size="${15 * unit}" stroke-width="${4 * unit}" text-anchor="middle"></text>`);
     return `<svg class="scene" role="img" viewBox="${x0} ${-y1} ${x1 - x0} ${y1 - y0}"><rect class="ground" x="${x0}" y="${-y1}" width="${x1 - x0}" height="${y1 - y0}"/>` +
-      `${drawLanes(lanes)}${groups.join("")}${labels.join("")}${drawScale(data.view, unit)}</svg>`;
+      `${drawLanes(lanes)}${drawLights(lanes)}${groups.join("")}${labels.join("")}${drawScale(data.view, unit)}</svg>`;
   };
 
   const element = (name, properties = {}, ...children) => {
@@ -166,6 +177,9 @@
       timestep = Math.min(last, Math.max(0, wanted));
       figures.forEach((figure, p) => {
         const at = Math.min(timestep, ends[p]);
+        for (const bar of figure.querySelectorAll("[data-lane]")) {
+          bar.setAttribute("class", `light ${LIGHTS[lightAt(lanes[bar.dataset.lane][3], at)]}`);
+        }
         for (const group of figure.querySelectorAll("[data-sample]")) {
           const ofSample = states[p][group.dataset.sample];
           for (const now of group.querySelectorAll(".now")) {

@@ -1,7 +1,7 @@
 //! A still drawing of a scene, to scale: lanes, boxes at the present and at the end, observed and generated traces.
 
 use super::{PALETTE, path};
-use crate::report::card::{DrawnAgent, DrawnLane, DrawnSample, SceneCard, ScenePanel};
+use crate::report::card::{DrawnAgent, DrawnLane, DrawnSample, Light, SceneCard, ScenePanel};
 use crate::report::number::coordinate;
 use maud::{Markup, html};
 
@@ -9,6 +9,8 @@ use maud::{Markup, html};
 const GHOST_INTERVAL_S: f64 = 1.0;
 /// Timesteps between the dots that mark observed states.
 const DOT_STEPS: usize = 3;
+/// Length of the bar of a light, meters.
+const LIGHT_M: f64 = 2.8;
 /// Color of recorded agents without a role.
 pub(in crate::report) const CONTEXT: &str = "#777777";
 /// Color of generated agents without a role.
@@ -33,6 +35,7 @@ pub(in crate::report) fn scene_panel(card: &SceneCard, panel: &ScenePanel, roles
             role="img" aria-label=(name) {
             rect class="ground" x=(card.view.min[0]) y=(-card.view.max[1]) width=(width) height=(height) {}
             (lanes(&card.lanes))
+            (lights(&card.lanes, present))
             @for sample in &panel.samples { (pen.traces(sample)) }
             @for (i, sample) in panel.samples.iter().enumerate() { (pen.ends(sample, i == 0)) }
             @for agent in in_drawing_order(first) {
@@ -146,6 +149,23 @@ fn lanes(lanes: &[DrawnLane]) -> Markup {
     }
 }
 
+/// A bar across the beginning of each lane with a light, in its color at a timestep. Lanes may begin together, so known
+/// colors lie on top.
+fn lights(lanes: &[DrawnLane], timestep: usize) -> Markup {
+    let mut bars: Vec<(Light, String)> = lanes
+        .iter()
+        .filter_map(|lane| {
+            let [[x, y], [next_x, next_y], ..] = lane.centerline.as_slice() else { return None };
+            let [ahead_x, ahead_y] = [next_x - x, next_y - y];
+            let half = LIGHT_M / 2.0 / ahead_x.hypot(ahead_y).max(1e-3);
+            let end = |side: f64| [x - side * half * ahead_y, y + side * half * ahead_x];
+            Some((lane.light(timestep)?, line(&[end(1.0), end(-1.0)])))
+        })
+        .collect();
+    bars.sort_by_key(|(light, _)| *light);
+    html! { @for (light, bar) in bars { path class=(format!("light {}", light.name())) d=(bar) {} } }
+}
+
 /// The y axis points down in SVG and up in scenes.
 fn line<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> String {
     path(points.into_iter().map(|[x, y]| [*x, -y]))
@@ -195,5 +215,24 @@ fn scale_bar(card: &SceneCard, unit: f64) -> Markup {
         text class="role" x=(coordinate(left + length / 2.0)) y=(coordinate(bottom - 6.0 * unit))
             font-size=(coordinate(14.0 * unit))
             stroke-width=(coordinate(4.0 * unit)) text-anchor="middle" { (length) " m" }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_light_is_a_bar_across_the_beginning_of_its_lane() {
+        let lane = |light: Light| DrawnLane {
+            centerline: vec![[1.0, 2.0], [1.0, 12.0]],
+            left: Vec::new(),
+            right: Vec::new(),
+            lights: vec![(light, 0..=3)],
+        };
+        // To the north, and y points down; what is known lies on top.
+        let bar = |state: &str| format!(r#"<path class="light {state}" d="M-0.4 -2L2.4 -2"></path>"#);
+        assert_eq!(lights(&[lane(Light::Go), lane(Light::Unknown)], 3).0, bar("unknown") + &bar("go"));
+        assert!(lights(&[DrawnLane { lights: Vec::new(), ..lane(Light::Go) }], 3).0.is_empty());
     }
 }

@@ -2,12 +2,14 @@
 
 use super::Situation;
 use crate::behavior::footprint::Bounds;
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId, State};
 use crate::simulate::World;
 
 /// Agents farther than this from the middle of every lane, meters, have left the map.
 const OFF_MAP_M: f64 = 10.0;
+/// Agents this close to the middle of a lane, meters, are in it.
+const IN_LANE_M: f64 = 2.0;
 
 impl Situation {
     /// How far off the road an ego that starts on it is, meters. `None` where the map does not show the road.
@@ -17,6 +19,17 @@ impl Situation {
 
     pub(in crate::simulate) fn off_road_m(&self, state: &State) -> Option<f64> {
         (!self.scene.lanes.is_empty()).then(|| self.road.distance_m(state.position))
+    }
+
+    /// The smallest angle between the heading of a state and a lane that it is in, radians. `None` outside of lanes.
+    pub(in crate::simulate) fn across_lanes_rad(&self, state: &State) -> Option<f64> {
+        let lanes = self.scene.lanes.lanes().iter().zip(&self.lane_bounds);
+        let near = lanes.filter(|(_, bounds)| bounds.is_some_and(|bounds| bounds.contains(state.position, IN_LANE_M)));
+        let angles = near.filter_map(|(lane, _)| {
+            let place = lane.centerline.project(state.position).filter(|place| place.offset_m.abs() <= IN_LANE_M)?;
+            Some(angle_difference(state.heading_rad, place.heading_rad).abs())
+        });
+        angles.reduce(f64::min)
     }
 
     pub(super) fn is_on_map(&self, state: &State) -> bool {

@@ -64,7 +64,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        25
+        26
     }
 
     fn check(&self) -> Result<()> {

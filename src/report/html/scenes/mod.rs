@@ -30,7 +30,7 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
                 (filters::form(&model.scenes))
                 div id="scatter" class="scatter" hidden {}
             }
-            (reading_help(model.scenes.len()))
+            (reading_help(&model.scenes))
             (player(&model.scenes))
             (drawn(&model.drawn))
             script type="application/json" id="index" { (json(&filters::index(&model.scenes))) }
@@ -68,7 +68,9 @@ fn drawn(rows: &[Drawn]) -> Markup {
     html! { @if !rows.is_empty() { (table("Drawings by sweep", &head, &body)) } }
 }
 
-fn reading_help(n_scenes: usize) -> Markup {
+fn reading_help(scenes: &[SceneCard]) -> Markup {
+    let n_scenes = scenes.len();
+    let has_lights = scenes.iter().flat_map(|card| &card.lanes).any(|lane| !lane.lights.is_empty());
     html! {
         details { summary { "How to read the drawings" }
         p class="note" {
@@ -77,6 +79,10 @@ fn reading_help(n_scenes: usize) -> Markup {
             "Plain colored lines were generated or, in a recording, are its future. Filled boxes are given or recorded \
              states, light ones with an outline generated ones; the notch points forward. "
             "Outlines without filling are the end of the scene, faint ones a second apart on the way there."
+            @if has_lights {
+                " A bar across the beginning of a lane is its traffic light, gray where it is not known; models do not \
+                 see lights."
+            }
         } }
         ul class="legend" {
             li { span class="swatch" style=(format!("background:{CONTEXT}")) {} "others, recorded" }

@@ -138,5 +138,8 @@ fn lane(i: i64) -> Lane {
     let line = |offset: f64| {
         Polyline((0..8).map(|k| Vec2::new(f64::from(k) * 30.0 - 80.0, i as f64 * 3.5 + offset)).collect())
     };
-    Lane::unconnected(i, line(0.0), [1.75, -1.75].map(line))
+    let mut lane = Lane::unconnected(i, line(0.0), [1.75, -1.75].map(line));
+    let light = ("traffic_light".to_owned(), "stop:0-20;go:21-39".to_owned());
+    Arc::make_mut(&mut lane.attributes).tags.extend((i == 1).then_some(light));
+    lane
 }

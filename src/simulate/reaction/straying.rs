@@ -1,0 +1,100 @@
+//! Slow vehicles are rare in recordings of fast roads. After an event that has slowed them down, the model turns many
+//! of them across the road.
+
+use super::{at_stations, future, replace, stations};
+use crate::behavior::kept_lane::way_on;
+use crate::geometry::{Polyline, Vec2};
+use crate::scene::{Scene, State};
+use crate::simulate::situation::Situation;
+
+/// A vehicle that heads along a lane within the first angle and comes to head across all lanes around it by more than
+/// the second, radians, has strayed. Every few timesteps are looked at.
+const ALONG_RAD: f64 = 0.2;
+const ACROSS_RAD: f64 = 0.4;
+const STRIDE: usize = 3;
+
+/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene.
+pub(in crate::simulate) fn keep_to_lanes(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
+    let is_along = |state: &State, most_rad: f64| situation.across_lanes_rad(state).is_none_or(|rad| rad <= most_rad);
+    for agent_idx in agents.iter().copied().filter(|idx| situation.scene.tracks[*idx].class.is_motorized()) {
+        let own = future(scene, agent_idx);
+        let strays = own.first().is_some_and(|now| is_along(now, ALONG_RAD))
+            && own.iter().rev().step_by(STRIDE).any(|state| !is_along(state, ACROSS_RAD));
+        if !strays {
+            continue;
+        }
+        if let Some(kept) = along_lane(scene, agent_idx, &own) {
+            replace(scene, agent_idx, &kept);
+        }
+    }
+}
+
+/// These states along the lane that the agent is in at present. `None` if it is in none, or the lane ends before.
+fn along_lane(scene: &Scene, agent_idx: usize, own: &[State]) -> Option<Vec<State>> {
+    let stations = stations(own);
+    let (now, driven_m) = (own.first()?, *stations.last()?);
+    let past = Scene { n_timesteps: scene.n_history, ..scene.clone() };
+    let ahead = way_on(&past, agent_idx, driven_m + 1.0);
+    let way = Polyline(std::iter::once(now.position).chain(ahead).collect());
+    if way.length_m() < driven_m {
+        return None;
+    }
+    let headings = way.0.windows(2).map(|pair| (pair[1] - pair[0]).angle());
+    let points = way.0.iter().skip(1).zip(headings);
+    let along = points.map(|(position, heading_rad)| State { position: *position, heading_rad, velocity: Vec2::ZERO });
+    let path: Vec<State> = std::iter::once(*now).chain(along).collect();
+    let on_way = super::stations(&path);
+    Some(at_stations(&path, &on_way, stations.into_iter().skip(1), scene.dt_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::DT_S;
+    use super::*;
+    use crate::scene::{AgentClass, Lane, LaneGraph, Trajectory};
+    use crate::simulate::Situation;
+    use crate::simulate::testing::record;
+    use std::sync::Arc;
+
+    /// Where and in which direction an agent ends that drives along x with 4 m/s and is sampled to turn by 0.7 rad, on
+    /// a map with these lanes.
+    fn ends(lanes: &[[[f64; 2]; 2]]) -> (Vec2, f64) {
+        let lane = |(i, [a, b]): (usize, &[[f64; 2]; 2])| {
+            let center = Polyline([a, b].map(|[x, y]| Vec2::new(*x, *y)).to_vec());
+            Lane::unconnected(i as i64, center, [Polyline::default(), Polyline::default()])
+        };
+        let mut scene = record().scenario.scene;
+        scene.lanes = Arc::new(LaneGraph::new(lanes.iter().enumerate().map(lane).collect()));
+        scene.ego_idx = 0;
+        let present = scene.current_timestep();
+        let mut drive = |turn_rad: f64| {
+            let mut position = Vec2::new(-4.0 * present as f64 * DT_S, 0.3);
+            let states = (0..scene.n_timesteps).map(|t| {
+                let heading_rad = turn_rad * (t.saturating_sub(present) as f64 / 15.0).min(1.0);
+                let velocity = Vec2::from_angle(heading_rad) * 4.0;
+                let state = State { position, heading_rad, velocity };
+                position = position + velocity * DT_S;
+                Some(state)
+            });
+            scene.tracks[0].trajectory = Trajectory::new(states.collect());
+            scene.tracks[0].class = AgentClass::Vehicle;
+            scene.clone()
+        };
+        let situation = Situation::without_event("lanes", drive(0.0), 0, None).unwrap();
+        let mut sampled = drive(0.7);
+        keep_to_lanes(&situation, &mut sampled, &[0]);
+        let last = sampled.state(0, sampled.n_timesteps - 1).unwrap();
+        (last.position, last.heading_rad)
+    }
+
+    #[test]
+    fn who_turns_across_the_lanes_is_kept_in_its_own_and_who_takes_another_is_not() {
+        let road = [[-50.0, 0.0], [100.0, 0.0]];
+        let beside = [[-50.0, 3.5], [100.0, 3.5]];
+        let (at, heading_rad) = ends(&[road, beside]);
+        assert!(at.y.abs() < 0.35 && heading_rad.abs() < 0.1 && (at.x - 12.0).abs() < 0.5, "{at:?} {heading_rad}");
+        // A lane that leads off, in the direction of the turn.
+        let (turned, heading_rad) = ends(&[road, [[1.0, 0.0], [1.0 + 20.0 * 0.7_f64.cos(), 20.0 * 0.7_f64.sin()]]]);
+        assert!(turned.y > 3.0 && (heading_rad - 0.7).abs() < 1e-9, "{turned:?}");
+    }
+}
