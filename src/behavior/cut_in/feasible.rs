@@ -46,6 +46,8 @@ pub(super) struct Pair {
     pub(super) side: f64,
     /// How the other moves over.
     pub(super) manner: Manner,
+    /// Everybody else ahead of the ego in its lane: the station, meters, and the speed along it, m/s.
+    pub(super) ahead: Vec<[f64; 2]>,
     /// From the present to the end of the scene, seconds.
     pub(super) horizon_s: f64,
 }
@@ -103,6 +105,7 @@ impl CutIn {
             lengths_m: [own_extent.length_m, their_extent.length_m],
             side,
             manner: CUT_IN.of(self.hurry, their_extent.length_m),
+            ahead: ahead(scene, &lane, [ego_idx, other_idx], own_place.station_m),
             horizon_s: horizon_s(scene),
             lane,
             their_lane,
@@ -137,6 +140,10 @@ impl CutIn {
         let then = pair.lane.project(on_lane)?;
         let half_lengths_m = (own_length_m + their_length_m) / 2.0;
         let gap_m = then.station_m - pair.own_station_m - own_mps * time_s - half_lengths_m;
+        // Nobody may be between the two.
+        if pair.ahead.iter().any(|[station_m, mps]| station_m + mps * time_s < then.station_m) {
+            return Some(None);
+        }
         // The ego must get there before the scene ends.
         let left_s = self.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
         if !(LEAST_GAP_M..own_mps * left_s).contains(&gap_m) {
@@ -170,6 +177,18 @@ impl CutIn {
             .at_effort(effort(acceleration_mps2).max((least_s / time_s).powi(2)));
         Some(Some(CutInPlan { time_s, then_mps, aside_m, shift_m, outcome }))
     }
+}
+
+/// Those in a lane ahead of a station but this pair: their stations, meters, and speeds along the lane, m/s.
+fn ahead(scene: &Scene, lane: &KeptLane, pair: [usize; 2], own_station_m: f64) -> Vec<[f64; 2]> {
+    let others = (0..scene.tracks.len()).filter(|agent_idx| !pair.contains(agent_idx));
+    let present = others.filter_map(|agent_idx| scene.state(agent_idx, scene.current_timestep()));
+    let in_lane = present.filter(|state| state.is_finite() && lane.holds(state.position));
+    let places = in_lane.filter_map(|state| {
+        let place = lane.project(state.position)?;
+        Some([place.station_m, state.velocity.dot(Vec2::from_angle(place.heading_rad))])
+    });
+    places.filter(|[station_m, _]| *station_m > own_station_m).collect()
 }
 
 #[cfg(test)]
@@ -234,6 +253,18 @@ mod tests {
         for (effort, expected) in efforts.iter().rev().zip(expected) {
             assert!((effort - expected).abs() < 1e-6, "{effort}, {expected}");
         }
+    }
+
+    #[test]
+    fn who_is_behind_a_third_cannot_be_cut_off() {
+        let behind = |third: Drive| {
+            let pair = [drive(0.0, 0.0, 0.0, 10.0), drive(12.0, 3.5, 0.0, 10.0)];
+            let scene = slowed(scene(&[pair[0], pair[1], third]));
+            CutIn::default().feasible(&scene, &[0, 1]).len()
+        };
+        let n = outcomes(drive(12.0, 3.5, 0.0, 10.0)).len();
+        // Between the two, as fast; far ahead, and behind.
+        assert_eq!([7.0, 60.0, -8.0].map(|x| behind(drive(x, 0.0, 0.0, 10.0))), [0, n, n]);
     }
 
     #[test]
