@@ -107,6 +107,7 @@ impl Crafted {
         let named = |name: &String| name.replace(ABSOLUTE, &outside.to_string_lossy());
         let mut record = StageRecord::done(root, stage).unwrap().unwrap();
         let content = record.outputs.values().next().unwrap().clone();
+        let own_files = record.files.clone();
         record.outputs.extend(self.outputs.iter().map(|name| (named(name), content.clone())));
         record.files.extend(self.files.iter().map(|name| PathBuf::from(named(name))));
         record.fingerprint = self.fingerprint.clone().unwrap_or(record.fingerprint);
@@ -135,7 +136,7 @@ impl Crafted {
             std::os::unix::fs::symlink(outside.join("theirs"), link).unwrap();
         }
         // A record holds each path once: `a` and `a/.` are one, under the name that comes first.
-        let mut files = BTreeSet::new();
+        let mut files: BTreeSet<&Path> = own_files.iter().map(PathBuf::as_path).collect();
         for name in &self.files {
             files.insert(Path::new(name));
         }
