@@ -2,12 +2,12 @@
 """Judges splitting: how many evaluations of the network does a rare event take, beside closed loops that are not split?
 
     pip install numpy
-    python scripts/judge_splitting.py --djinn target/release/djinn --out judged --plain 4000 --split 1000
+    python scripts/judge_splitting.py --djinn target/release/djinn --out judged
 
-Loops begin with the scenes of the fixtures. Plain ones give the shares of loops that reach severities, from which levels
-follow: each is reached by one in `--copies` of the loops that reach the one before. Events are those of EVENTS, and near
-misses at times to collision (or required decelerations) that the first half of split loops gives for `--shares`; the second half estimates them. Plain
-estimates of a share p vary by p (1 - p) a loop, split ones as their loops do.
+Loops begin with the scenes of the fixtures. Plain ones say how many reach each required deceleration, from which levels
+follow: one in `--copies` of the loops that reach a level reaches the next. Of the loops that are split at these, every
+second one gives the limits of EVENTS at which they have the shares of SHARES; the others estimate them. Plain estimates
+of a share p vary by p (1 - p) a loop, split ones as their loops do.
 """
 
 import argparse
@@ -38,35 +38,32 @@ splits = ["train", "val"]
 sweeps = [{{ name = "none", n_scenes = 1 }}]
 [rates]
 loops = {loops}
-horizon_s = {horizon_s}
-severity = "{severity}"
+horizon_s = 6.0
 levels = {levels}
 copies = {copies}
 """
-# Severities that plain loops are asked for, the least severe first.
-GRIDS = {
-    "required_deceleration_mps2": np.geomspace(0.25, 16, 37).round(3).tolist(),
-    "time_to_collision_s": np.geomspace(8, 0.2, 33).round(3).tolist(),
-    "gap_m": np.geomspace(20, 0.1, 33).round(3).tolist(),
-}
-EVENTS = {"hard_brake": None, "near_miss": None, "collision": None}
+STAGES = [word for stage in ("ingest", "mine", "train_denoiser", "train_distill", "rates") for word in ("--stage", stage)]
+GRID = np.geomspace(0.25, 16, 37).round(3).tolist()
+# Behaviors with a parameter, and whether larger ones are rarer.
+EVENTS = [("near_miss", "min_ttc_s", False), ("hard_brake", "max_deceleration_mps2", True)]
+SHARES = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+# A level is reached by at least so many plain loops.
 FEWEST = 8
 
 
 def loops(options, name, **settings):
-    """Runs loops; returns their events, each loop a list of (behavior, parameters, weight), and the figures."""
+    """Drives loops, or finds those of an earlier run; returns the events of each, and the figures."""
     folder = options.out / name
-    if not (done := folder / "out" / "run" / "main" / "modeled.json").exists():
+    summary = folder / "out" / "run" / "main" / "modeled.json"
+    if not summary.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        settings = {"root": ROOT, "horizon_s": options.horizon, "severity": options.severity, **settings}
-        (folder / "run.toml").write_text(CONFIG.format(**settings))
-        stages = [word for stage in ("ingest", "mine", "train_denoiser", "train_distill", "rates") for word in ("--stage", stage)]
-        subprocess.run([options.djinn, "run", "run.toml", "--output", "out", *stages], cwd=folder, check=True)
-    return read(done.with_name("modeled.bin")), json.loads(done.read_text())
+        (folder / "run.toml").write_text(CONFIG.format(root=ROOT, **settings))
+        subprocess.run([options.djinn, "run", "run.toml", "--output", "out", *STAGES], cwd=folder, check=True)
+    return read(summary.with_name("modeled.bin")), json.loads(summary.read_text())
 
 
 def read(path):
-    """The loops of a file `modeled`: a line of text, then postcard (varints, and floats of eight bytes)."""
+    """The loops of a file, each a list of (behavior, parameters, weight): a line of text, then postcard."""
     data = path.read_bytes()
     at = data.index(b"\n") + 1
 
@@ -97,60 +94,48 @@ def read(path):
     return found
 
 
-def levels_of(figures, grid, copies):
-    """Severities that are each reached by one in `copies` of the loops that reach the one before, as far as enough do."""
+def levels_of(figures, copies):
     levels, share = [], 1.0
-    for level, reached in zip(grid, figures["reached"]):
+    for level, reached in zip(GRID, figures["reached"]):
         if reached <= share / copies and reached * figures["n_loops"] >= FEWEST:
-            levels, share = [*levels, float(level)], reached
+            levels, share = [*levels, level], reached
     return levels
 
 
-def sums(found, is_of):
-    return np.array([sum(weight for behavior, values, weight in events if is_of(behavior, values)) for events in found])
+def events(split):
+    """Names of events of decreasing shares, and whether an event is of them."""
+    for behavior, parameter, is_larger in EVENTS:
+        sign = -1 if is_larger else 1
+        known = sorted((sign * values[parameter], weight) for loop in split for of, values, weight in loop if of == behavior and parameter in values)
+        shares = np.cumsum([weight for _, weight in known]) / len(split)
+        for wanted in SHARES:
+            if len(known) and shares[0] < wanted < shares[-1]:
+                limit = known[np.searchsorted(shares, wanted)][0]
+                yield f"{behavior}, {parameter} {'≥' if is_larger else '≤'} {abs(limit):.2f}", (
+                    lambda of, values, case=(behavior, parameter, sign, limit): of == case[0] and case[2] * values.get(case[1], case[2] * 1e9) <= case[3]
+                )
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--djinn", default="djinn", type=lambda path: str(pathlib.Path(path).resolve()) if "/" in path else path)
-    parser.add_argument("--out", type=pathlib.Path, required=True, help="where runs are kept; those that are there are not made again")
-    parser.add_argument("--plain", type=int, default=4000, help="plain loops (default: 4000)")
-    parser.add_argument("--split", type=int, default=1000, help="loops that are split (default: 1000)")
+    parser.add_argument("--out", type=pathlib.Path, required=True, help="where runs are kept")
+    parser.add_argument("--plain", type=int, default=3000, help="plain loops (default: 3000)")
+    parser.add_argument("--split", type=int, default=500, help="loops that are split (default: 500)")
     parser.add_argument("--copies", type=int, default=3)
-    parser.add_argument("--levels", type=float, nargs="*", help="instead of those that plain loops give")
-    parser.add_argument("--severity", choices=GRIDS, default="required_deceleration_mps2")
-    parser.add_argument("--horizon", type=float, default=6.0, help="seconds (default: 6)")
     options = parser.parse_args()
-    grid = GRIDS[options.severity]
-    plain, of_plain = loops(options, f"plain_{options.severity}_{options.plain}", seed=1, loops=options.plain, levels=grid, copies=1)
-    levels = options.levels or levels_of(of_plain, grid, options.copies)
-    name = f"split_{options.severity}_{options.split}_{options.copies}_{'_'.join(map(str, levels))}"
-    split, of_split = loops(options, name, seed=2, loops=options.split, levels=levels, copies=options.copies)
+    plain, of_plain = loops(options, f"plain_{options.plain}", seed=1, loops=options.plain, levels=GRID, copies=1)
+    levels = levels_of(of_plain, options.copies)
+    split, of_split = loops(options, f"split_{options.split}_{options.copies}", seed=1, loops=options.split, levels=levels, copies=options.copies)
     cost = [figures["n_futures"] / figures["n_loops"] for figures in (of_plain, of_split)]
-    print(f"levels {levels}, reached by {[f'{reached:.2e}' for reached in of_split['reached']]}")
-    print(f"plain: {len(plain)} loops of {cost[0]:.1f} futures; split: {len(split)} of {cost[1]:.1f}\n")
-    print("| event | a loop | plain | times fewer evaluations |\n|---|---:|---:|---:|")
+    print(f"levels {levels}, reached by {[f'{reached:.2g}' for reached in of_split['reached']]}")
+    print(f"{len(plain)} plain loops of {cost[0]:.1f} futures, {len(split)} of {cost[1]:.1f} that are split\n")
+    print("| event | a loop, split | plain (found) | times fewer evaluations |\n|---|---:|---:|---:|")
     for name, is_of in events(split[::2]):
-        found, hits = sums(split[1::2], is_of), sums(plain, is_of)
-        mean, error, p = found.mean(), found.std(ddof=1) / len(found) ** 0.5, hits.mean()
-        gain = mean * (1 - min(mean, 1)) * cost[0] / (found.var(ddof=1) * cost[1]) if found.any() else np.nan
-        print(f"| {name} | {mean:.2e} ± {error:.1e} | {p:.2e} ± {(p / len(hits)) ** 0.5:.1e} ({hits.sum():.0f}) | {gain:.2f} |")
-
-
-def events(split):
-    """Names, and whether an event is of it: behaviors, and near misses and hard brakes of decreasing shares."""
-    for behavior in EVENTS:
-        yield behavior, lambda of, _, behavior=behavior: of == behavior
-    for behavior, parameter, sign in (("hard_brake", "max_deceleration_mps2", -1), ("near_miss", "min_ttc_s", 1)):
-        found = sorted((sign * values[parameter], weight) for loop in split for of, values, weight in loop if of == behavior and parameter in values)
-        severity, share = np.array([at for at, _ in found]), np.cumsum([weight for _, weight in found]) / len(split)
-        for wanted in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4):
-            if len(share) and share[0] < wanted < share[-1]:
-                limit = float(severity[np.searchsorted(share, wanted)])
-                yield f"{behavior}, {parameter} {'at most' if sign > 0 else 'at least'} {abs(limit):.2f}", (
-                    lambda of, values, behavior=behavior, parameter=parameter, sign=sign, limit=limit:
-                    of == behavior and sign * values.get(parameter, sign * 1e9) <= limit
-                )  # fmt: skip
+        sums, hits = (np.array([sum(e[2] for e in loop if is_of(*e[:2])) for loop in found]) for found in (split[1::2], plain))
+        mean, error, p = sums.mean(), sums.std(ddof=1) / len(sums) ** 0.5, hits.mean()
+        gain = mean * (1 - mean) * cost[0] / (sums.var(ddof=1) * cost[1]) if sums.any() else np.nan
+        print(f"| {name} | {mean:.2g} ± {error:.1g} | {p:.2g} ({hits.sum():.0f}) | {gain:.1f} |")
 
 
 if __name__ == "__main__":

@@ -3,8 +3,8 @@
 use super::external::External;
 use super::kept::Kept;
 use super::margin::Margin;
-use super::{DriveConfig, EgoDriver, Error, Origin, Result, SaveAt, SplitFailures};
-use crate::generate::{Futures, NamedDriver, held_out_in_order};
+use super::{DriveConfig, EgoDriver, Origin, Result, SaveAt, SplitFailures};
+use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::rates::ModeledTraffic;
 use crate::simulate::{
@@ -13,7 +13,6 @@ use crate::simulate::{
 };
 use crate::store::SceneStore;
 use rayon::ThreadPool;
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -74,22 +73,14 @@ impl<'a> Pool<'a> {
 }
 
 impl Pool<'_> {
-    /// Failures of the driver under test, and of the careful one, in loops that begin with scenes at these places that
-    /// are no training scenes.
+    /// Failures of the driver under test, and of the careful one, in loops that begin with the scenes at `positions`.
     pub(super) fn split(
         &mut self,
         config: &RatesConfig,
         store: &SceneStore,
-        places: &[String],
+        positions: &[usize],
         progress: &dyn Progress,
     ) -> Result<Vec<SplitFailures>> {
-        let order = held_out_in_order(store.index(), (&[], places), &BTreeSet::new(), self.futures.seed());
-        let positions: Vec<usize> = order.into_iter().map(|(position, _)| position).collect();
-        if positions.is_empty() {
-            let why =
-                "--scenes has no scene at the places of the corpus that is neither of the split train nor of test";
-            return Err(Error::Config(why.to_owned()));
-        }
         let loops = Modeling { config, futures: self.futures, store, behaviors: &[] };
         let mut of = |driver: Option<NamedDriver>| -> Result<ModeledTraffic> {
             let at = |worker: &Worker| {
@@ -99,7 +90,7 @@ impl Pool<'_> {
             let workers = self.workers.iter_mut().map(|worker| (at(worker), worker));
             let mut workers: Vec<LoopWorker<'_>> =
                 workers.map(|(at, worker)| (&worker.pool, &mut worker.drivers[at].1)).collect();
-            Ok(loops.drive(&positions, &mut workers, progress)?.0)
+            Ok(loops.drive(positions, &mut workers, progress)?.0)
         };
         Ok(SplitFailures::of(&[of(None)?, of(Some(NamedDriver::Careful))?]))
     }

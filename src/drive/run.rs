@@ -5,9 +5,9 @@ use super::output::Output;
 use super::pool::Pool;
 use super::report::DriveReport;
 use super::starts::Starts;
-use super::{DriveConfig, Origin, Result};
+use super::{DriveConfig, Error, Origin, Result};
 use crate::files::NewFolder;
-use crate::generate::Futures;
+use crate::generate::{Futures, held_out_in_order};
 use crate::progress::Progress;
 use crate::scenario::EgoChoice;
 use crate::store::{CorpusReader, SceneStore};
@@ -31,6 +31,10 @@ pub fn drive_corpus(
     let reader = CorpusReader::open(corpus)?;
     let inputs = [("corpus", corpus)].into_iter().chain(config.scenes.as_deref().map(|scenes| ("scenes", scenes)));
     let scenes = config.scenes.as_deref().map(SceneStore::open).transpose()?;
+    let loop_starts = match scenes.as_ref().filter(|_| config.split.is_some()) {
+        Some(scenes) => loop_starts(&reader, scenes, futures.seed())?,
+        None => Vec::new(),
+    };
     let mut starts = Starts::new((corpus, &reader), scenes.as_ref(), (from, ego), config, futures.seed())?;
     let folder = NewFolder::begin(out, inputs)?;
     let of_scenes = scenes.as_ref().map_or("", SceneStore::fingerprint);
@@ -54,7 +58,7 @@ pub fn drive_corpus(
     }
     progress.finish();
     let split = match config.split.as_ref().zip(scenes.as_ref()) {
-        Some((split, scenes)) => Some(pool.split(split, scenes, &places(&reader), progress)?),
+        Some((split, scenes)) => Some(pool.split(split, scenes, &loop_starts, progress)?),
         None => None,
     };
     let report = output.finish(starts.finish()?, split)?;
@@ -69,10 +73,15 @@ pub fn drive_corpus(
     Ok(report)
 }
 
-/// The places of a corpus.
-fn places(reader: &CorpusReader) -> Vec<String> {
-    let places = reader.manifest().scenarios_by_partition.iter().map(|part| part.place.clone());
-    places.collect::<BTreeSet<String>>().into_iter().collect()
+/// The scenes at the places of a corpus that no model learns from by default.
+fn loop_starts(reader: &CorpusReader, scenes: &SceneStore, seed: u64) -> Result<Vec<usize>> {
+    let places: Vec<String> = reader.manifest().scenarios_by_partition.iter().map(|part| part.place.clone()).collect();
+    let order = held_out_in_order(scenes.index(), (&[], &places), &BTreeSet::new(), seed);
+    if order.is_empty() {
+        let why = "--scenes has no scene of the split val, or of no split, at the places of the corpus to begin a loop";
+        return Err(Error::Config(why.to_owned()));
+    }
+    Ok(order.into_iter().map(|(position, _)| position).collect())
 }
 
 /// Everything that drives depend on, except what a planner does beside the files that its command names.

@@ -30,7 +30,7 @@ fn example(fault: &str) -> String {
 }
 
 /// A planner in a line of Python: `answer` is what it prints for the observation number `n`.
-fn planner(answer: &str) -> String {
+pub(crate) fn planner(answer: &str) -> String {
     let code = format!(
         "import json, sys, time\nn = 0\nfor line in sys.stdin:\n if json.loads(line)['type'] == 'observation':\n  \
          n += 1\n  {answer}\n  sys.stdout.flush()"

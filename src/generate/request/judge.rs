@@ -1,8 +1,9 @@
 //! Does a generated scenario meet the request, and is there room for it?
 
 use super::config::RequestConfig;
+use super::event_values::EventValues;
 use super::facts::{CAREFUL_MARGIN, Facts};
-use super::ledger::{CellTally, EventValues, Ledger, ShardTally};
+use super::ledger::{CellTally, Ledger, ShardTally};
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
 use super::rounds::RoundShard;

@@ -1,9 +1,9 @@
 //! The results of a request so far: counts by bucket, arm and cell, from the tallies of finished shards in order.
 
 use super::config::PlanKind;
+use super::event_values::EventValues;
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
-use crate::behavior::BehaviorEvent;
 use crate::metrics::{PairPath, PathIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -56,31 +56,6 @@ pub struct CellTally {
     /// The parameters of their events.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub accepted_events: Vec<EventValues>,
-}
-
-/// The parameters of an event that a request names or a template solves for, in hundredths of their units.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct EventValues(BTreeMap<String, i64>);
-
-impl EventValues {
-    /// How far apart events of one situation are at least in one parameter: in hundredths of a second for times,
-    /// otherwise of the parameter's unit.
-    const APART: [i64; 2] = [15, 50];
-
-    pub(super) fn of<'n>(event: &BehaviorEvent, names: impl Iterator<Item = &'n str>) -> Self {
-        let value = |name: &str| Some((name.to_owned(), (event.parameters.get(name)? * 100.0).round() as i64));
-        Self(names.filter_map(value).collect())
-    }
-
-    /// Whether two events of one situation differ too little to be two.
-    fn is_like(&self, other: &Self) -> bool {
-        self.0.iter().all(|(name, value)| {
-            let [apart_s, apart] = Self::APART;
-            let least = if name.ends_with("_s") { apart_s } else { apart };
-            other.0.get(name).is_some_and(|other| (value - other).abs() < least)
-        })
-    }
 }
 
 /// Scenarios of a bucket that meet the request.

@@ -8,6 +8,7 @@
 mod buckets;
 mod config;
 mod draws;
+mod event_values;
 mod facts;
 mod judge;
 mod ledger;
@@ -20,8 +21,9 @@ mod tests;
 
 pub use buckets::{BucketPart, Buckets};
 pub use config::{BudgetConfig, Divisions, PlanKind, RequestConfig, Requirement};
+pub use event_values::EventValues;
 pub use judge::PlacedScenario;
-pub use ledger::{CellTally, EventValues, Hits, Ledger, ShardTally};
+pub use ledger::{CellTally, Hits, Ledger, ShardTally};
 pub use pool::Pool;
 pub use resolve::{Arm, ResolvedGeneration, ResolvedRequest};
 pub use rounds::{Round, RoundContext, RoundShard};

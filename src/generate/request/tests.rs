@@ -413,7 +413,7 @@ fn a_pair_that_repeats_itself_or_misses_is_closed_to_the_bucket() {
     };
     let alike = Hits { n_near_duplicates: 3, ..Hits::default() };
     assert_eq!([after(alike, 1), after(alike, 2)], [[true; 3], [false, true, true]]);
-    // A quarter of nine samples hits: (1 + 0) / (2 + n) of n never does.
+    // Where nobody hits, misses tell nothing of a pair.
     assert_eq!([after(Hits::default(), 1), after(Hits::default(), 9)], [[true; 3]; 2]);
     let mut ledger = Ledger::new(&request, &pool);
     let mut add = |cell: usize, bucket: usize, n_surplus: u64| {
@@ -421,7 +421,7 @@ fn a_pair_that_repeats_itself_or_misses_is_closed_to_the_bucket() {
         let cell = CellTally { cell, n_samples: 3, aimed: Some(bucket), hits, ..CellTally::default() };
         ledger.add(&ShardTally { request: "tight".to_owned(), arm: 0, cells: vec![cell], ..ShardTally::default() });
     };
-    // Others hit in two of three: six samples without a hit are four usual ones.
+    // Others hit in two of three: of nine samples, more than four usually do.
     (0..20).for_each(|_| add(0, 0, 2));
     (0..3).for_each(|_| add(5, 3, 0));
     assert!(!ledger.is_open_to(5, 3) && ledger.is_open_to(4, 3) && ledger.is_open_to(0, 1));

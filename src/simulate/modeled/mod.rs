@@ -223,14 +223,22 @@ impl Modeling<'_> {
 mod tests {
     use super::*;
     use crate::behavior::{self, BehaviorConfig};
+    use crate::geometry::Vec2;
     use crate::progress::Silent;
+    use crate::scene::State;
     use crate::simulate::testing::{corpus, model, record, write_scenes};
+    use crate::simulate::{Failed, Peeker, World};
     use crate::store::CorpusReader;
     use candle_core::Device;
+    use std::sync::{Arc, Mutex};
 
     const LEVELS: [f64; 2] = [0.5, 2.0];
 
     fn run(config: &RatesConfig, n_threads: usize) -> (ModeledTraffic, LoopFigures) {
+        run_with(config, n_threads, |modeling| modeling.run(&[0], &Silent).unwrap())
+    }
+
+    fn run_with<R: Send>(config: &RatesConfig, n_threads: usize, run: impl Fn(&Modeling<'_>) -> R + Sync + Send) -> R {
         let dir = tempfile::tempdir().unwrap();
         write_scenes(dir.path(), &CorpusReader::open(&corpus()).unwrap(), &[record().scenario.scene]);
         let store = SceneStore::open(dir.path()).unwrap();
@@ -240,7 +248,7 @@ mod tests {
         let behaviors: Vec<Box<dyn Behavior>> = behaviors.iter().map(BehaviorConfig::build).collect();
         let modeling = Modeling { config, futures: &futures, store: &store, behaviors: &behaviors };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
-        pool.install(|| modeling.run(&[0], &Silent)).unwrap()
+        pool.install(|| run(&modeling))
     }
 
     #[test]
@@ -265,6 +273,58 @@ mod tests {
         assert!(of_split.n_futures > of_plain.n_futures && of_split.reached.len() == 2, "{of_split:?}");
         // The three loops differ.
         assert!(plain.loops[0].motorized_km != plain.loops[1].motorized_km);
+    }
+
+    /// An ego that stands, so that others come close, and that notes where it does not remember how often it planned.
+    #[derive(Clone, Default)]
+    struct Remembers {
+        n_planned: usize,
+        /// Times that it began, and plans that it does not remember.
+        noted: Arc<Mutex<[usize; 2]>>,
+    }
+
+    impl Driver for Remembers {
+        fn begin(&mut self, _: &Situation, _: &World) -> Result<(), Failed> {
+            self.n_planned = 0;
+            self.noted.lock().unwrap()[0] += 1;
+            Ok(())
+        }
+
+        fn plan(&mut self, of: &Situation, world: &World, n_steps: usize, _: &Peeker<'_>) -> Result<(), Failed> {
+            let n_before = (world.now() - of.scene.current_timestep()) / n_steps;
+            self.noted.lock().unwrap()[1] += usize::from(n_before != self.n_planned);
+            self.n_planned = n_before + 1;
+            Ok(())
+        }
+
+        fn next(&mut self, of: &Situation, world: &World, _: Option<State>) -> Result<State, Failed> {
+            let present = world.present(of.ego_idx).ok_or_else(|| Failed::because("it is gone"))?;
+            Ok(State { velocity: Vec2::default(), ..present })
+        }
+    }
+
+    #[test]
+    fn copies_of_a_driver_remember_their_own_past_and_split_loops_are_as_long() {
+        let levels = vec![0.01, 0.5];
+        let config = RatesConfig { loops: 2, horizon_s: 4.0, levels, copies: 3, ..RatesConfig::default() };
+        let driven = |config: &RatesConfig| {
+            let driver = Remembers::default();
+            let (traffic, figures) = run_with(config, 1, |modeling| {
+                let (pool, mut own): (_, Box<dyn Driver>) = (pool_of_worker().unwrap(), Box::new(driver.clone()));
+                modeling.drive(&[0], &mut [(&pool, &mut own)], &Silent).unwrap()
+            });
+            let noted = *driver.noted.lock().unwrap();
+            (traffic, figures, noted)
+        };
+        let (plain, of_plain, noted) = driven(&RatesConfig { levels: Vec::new(), ..config.clone() });
+        assert_eq!((noted, plain.loops.len()), ([2, 0], 2));
+        let (split, of_split, [n_begun, n_forgotten]) = driven(&config);
+        assert!(n_begun > 2 && n_forgotten == 0 && of_split.n_futures > of_plain.n_futures, "{n_begun} {n_forgotten}");
+        // A loop lasts 4 s, with all of its copies, unless the ego fails.
+        for one in plain.loops.iter().chain(&split.loops) {
+            let has_failed = one.events.iter().any(|event| event.behavior == FAILURE);
+            assert!(has_failed || (one.observed_h * 3600.0 - 4.0).abs() < 1e-9, "{one:?}");
+        }
     }
 
     #[test]
