@@ -23,12 +23,12 @@ const TIMED_STEPS: u64 = 8;
 const TRIAL: f64 = 0.05;
 /// The part of the time that evaluations may take, and their least and largest number.
 const EVALUATIONS: f64 = 0.12;
-const N_EVALUATIONS: [f64; 2] = [3.0, 20.0];
+const N_EVALUATIONS: [f64; 2] = [2.0, 20.0];
 /// Left for steps that take longer than the timed ones.
 const SPARE: f64 = 0.05;
 /// Held-out scenes of each evaluation for each minute, and the least and largest number of them.
 const EVALUATED_PER_MINUTE: f64 = 8.0;
-const N_EVALUATED: [f64; 2] = [48.0, 192.0];
+const N_EVALUATED: [f64; 2] = [16.0, 192.0];
 
 /// What a training that is given time may choose from.
 #[derive(Debug, Clone, PartialEq, Serialize)]

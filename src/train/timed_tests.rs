@@ -63,7 +63,7 @@ fn what_was_chosen_for_a_time_brings_the_same_bytes_and_an_interruption_changes_
     // Hardly anything is learned at the lower rate.
     assert_eq!((chosen.learning_rate, outcome.spec.steps), (5e-3, chosen.steps));
     let minutes: Vec<f64> = outcome.statistics.iter().filter_map(|line| line.minutes).collect();
-    assert!(minutes.len() > 3 && minutes.is_sorted() && minutes[minutes.len() - 1] < UNTIL_S / 60.0, "{minutes:?}");
+    assert!(minutes.len() > 2 && minutes.is_sorted() && minutes[minutes.len() - 1] < UNTIL_S / 60.0, "{minutes:?}");
     let errors = outcome.statistics.iter().filter_map(|line| line.evaluation.get(SCENE_ERROR));
     let errors: Vec<f64> = errors.copied().collect();
     assert!(errors.iter().copied().fold(f64::INFINITY, f64::min) < 0.9 * errors[0], "{errors:?}");
@@ -96,7 +96,7 @@ fn a_training_that_makes_scenes_worse_ends_with_the_checkpoint_as_it_was() {
     let outcome = outcome.unwrap();
     let errors = outcome.statistics.iter().filter_map(|line| line.evaluation.get(SCENE_ERROR));
     let errors: Vec<f64> = errors.copied().collect();
-    assert!(errors.len() > 3 && errors[1..].iter().all(|error| *error > errors[0]), "{errors:?}");
+    assert!(errors.len() > 2 && errors[1..].iter().all(|error| *error > errors[0]), "{errors:?}");
     assert_eq!(outcome.fingerprint, start.fingerprint);
 }
 
@@ -133,6 +133,6 @@ fn steps_and_evaluations_fill_the_time() {
     // Of 1,000 s, 120 are for evaluations of 10 s: twelve, and two more. The rest but for 50 s are 810 steps of a
     // second.
     assert_eq!(Chosen::lasting(1000.0, 1.0, 10.0), [810, 68]);
-    // At least three evaluations and three steps.
-    assert_eq!(Chosen::lasting(100.0, 1.0, 40.0), [3, 1]);
+    // At least two evaluations and two steps.
+    assert_eq!(Chosen::lasting(100.0, 1.0, 40.0), [2, 1]);
 }
