@@ -124,6 +124,7 @@ mod tests {
             gradient_norm: None,
             evaluation: evaluation.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect(),
             minutes: None,
+            planned: None,
         };
         let figures = [
             ("held_out_loss_at_sigma_0.2", 0.1),

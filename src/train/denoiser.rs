@@ -2,18 +2,65 @@
 
 use super::changed_losses::{changed_losses, losses_by_place, map_warnings};
 use super::objective_loss::described;
-use super::scene_error::scene_error_m;
-use super::timed::choose;
+use super::timed::Choice;
 use super::trainable::ScenesOfFit;
 use super::training_data::{SceneConstants, TrainingData};
 use super::{DenoiserTraining, DenoisingTask, Error, FitConfig, Scales, TrainJob, TrainOutcome, Trainable, fit};
-use crate::model::{DenoiserKind, DenoiserSpec, ModelSpec};
+use crate::model::{DenoiserKind, DenoiserSpec};
 use crate::nn::{Checkpoint, Params};
+
+/// What a denoiser is trained on, and from.
+#[derive(Clone, Copy)]
+pub(super) struct TrainedFrom<'a> {
+    /// Settings.
+    pub(super) training: &'a DenoiserTraining,
+    /// The scenes.
+    pub(super) data: &'a TrainingData<'a>,
+    /// The checkpoint to start from.
+    pub(super) start: Option<&'a Checkpoint<DenoiserSpec>>,
+    /// The description with the constants of the scenes.
+    found: &'a DenoiserSpec,
+    /// Its environment.
+    pub(super) job: TrainJob<'a>,
+}
+
+impl TrainedFrom<'_> {
+    /// Hands a network, with the weights to start from, and its task under other settings to `then`.
+    pub(super) fn with_task<T>(
+        &self,
+        training: &DenoiserTraining,
+        then: impl FnOnce(&mut Params, &DenoisingTask<'_>) -> Result<T, Error>,
+    ) -> Result<(T, Trainable<DenoiserSpec>), Error> {
+        let spec = self.spec(training.scales);
+        let mut model = Trainable::new(&spec, self.start, self.job)?;
+        let scenes = ScenesOfFit::new(self.data, &training.common, training.balance, spec.collator(), self.job.seed)?;
+        let draws = scenes.draws(!training.objectives.is_empty(), self.job);
+        let sampling = self.keeps_best().then(|| spec.sampling_collator());
+        let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws, sampling };
+        let found = then(&mut model.params, &task)?;
+        Ok((found, model))
+    }
+
+    /// The description with these scales of motion.
+    fn spec(&self, scales: Scales) -> DenoiserSpec {
+        let normalizer = match (self.start, scales) {
+            (None, _) => self.found.normalizer.clone(),
+            (Some(start), Scales::Recordings) => start.metadata.normalizer.for_motion_of(&self.found.normalizer),
+            (Some(start), Scales::Checkpoint) => start.metadata.normalizer.clone(),
+        };
+        DenoiserSpec { normalizer, ..self.found.clone() }
+    }
+
+    /// Whether training ends with the weights that were best on held-out scenes.
+    const fn keeps_best(&self) -> bool {
+        self.start.is_some() || self.training.within.is_some()
+    }
+}
 
 /// Trains a denoiser and writes it to `model.safetensors` in the job's folder. With `start`, training begins at the
 /// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`) unless `scales`
 /// says otherwise, and ends with the weights whose samples of held-out scenes had the least error. A training that is
-/// given time chooses its steps and learning rate, and ends with `start` as it is if that is no worse.
+/// given time chooses its steps, learning rate and scales, and ends with `start` as it is if that is no worse.
 ///
 /// # Errors
 /// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
@@ -23,58 +70,41 @@ pub fn train_denoiser(
     start: Option<&Checkpoint<DenoiserSpec>>,
     job: TrainJob<'_>,
 ) -> Result<TrainOutcome<DenoiserSpec>, Error> {
-    let mut spec = describe(training, data, job)?;
+    let found = describe(training, data, job)?;
     if let Some(start) = start {
-        check_start(&start.metadata, &spec)?;
-        spec.normalizer = match training.scales {
-            Scales::Recordings => {
-                data.warn_if_few("trained further", job.progress);
-                start.metadata.normalizer.for_motion_of(&spec.normalizer)
-            }
-            Scales::Checkpoint => start.metadata.normalizer.clone(),
-        };
+        check_start(&start.metadata, &found)?;
     }
-    let mut model = Trainable::new(&spec, start, job)?;
-    let scenes = ScenesOfFit::new(data, &training.common, training.balance, spec.collator(), job.seed)?;
-    let draws = scenes.draws(!training.objectives.is_empty(), job);
-    let keeps_best = start.is_some() || training.within.is_some();
-    let sampling = keeps_best.then(|| spec.sampling_collator());
-    let task = DenoisingTask { denoiser: &model.network, frozen: &model.frozen, training, draws, sampling };
-    let schedule = match &training.within {
-        Some(within) => {
-            let chosen = choose(within, training, (&task, data), &mut model.params, job)?;
-            chosen.schedule(&training.common.fit)
-        }
-        None => training.common.fit.clone(),
-    };
-    // Training a model further must not end with a worse one.
-    let outcome = fit(&FitConfig { keeps_best, ..schedule }, &mut model.params, &task, job)?;
-    spec.steps = outcome.n_steps;
-    if let Some(start) = start.filter(|_| training.within.is_some()) {
-        let began_m = error_of(start, &task, job)?;
+    let from = TrainedFrom { training, data, start, found: &found, job };
+    let chosen = training.within.as_ref().map(|within| Choice::made(within, from)).transpose()?;
+    let settings = chosen.as_ref().map_or_else(|| training.clone(), |chosen| chosen.settings(training));
+    if start.is_some() && settings.scales == Scales::Recordings {
+        data.warn_if_few("trained further", job.progress);
+    }
+    let ((outcome, judged), mut model) = from.with_task(&settings, |params, task| {
+        // Training a model further must not end with a worse one.
+        let config = FitConfig { keeps_best: from.keeps_best(), ..settings.common.fit.clone() };
+        let outcome = fit(&config, params, task, job)?;
+        let began_m = chosen.as_ref().and_then(|chosen| chosen.began_m);
         if let Some((began_m, best_m)) = began_m.zip(outcome.best).filter(|(began_m, best_m)| began_m <= best_m) {
             let figures = format!("{best_m:.3} m, {began_m:.3} m before");
             job.progress.warn(&format!("the denoiser stays as it was: no sampled scene error is less ({figures})"));
-            model.params.load(&start.tensors)?;
-            return model.finish(start.metadata.clone(), outcome, job);
+            return Ok((outcome, None));
         }
+        Ok((outcome, Some((changed_losses(task)?, losses_by_place(task)?))))
+    })?;
+    let mut spec = DenoiserSpec { steps: outcome.n_steps, ..from.spec(settings.scales) };
+    match (judged, start) {
+        (Some((of_changed, by_place)), _) => {
+            map_warnings(&of_changed).iter().for_each(|warning| job.progress.warn(warning));
+            (spec.changed_losses, spec.losses_by_place) = (of_changed, by_place);
+        }
+        (None, Some(start)) => {
+            model.params.load(&start.tensors)?;
+            spec = start.metadata.clone();
+        }
+        (None, None) => {}
     }
-    spec.changed_losses = changed_losses(&task)?;
-    spec.losses_by_place = losses_by_place(&task)?;
-    map_warnings(&spec.changed_losses).iter().for_each(|warning| job.progress.warn(warning));
     model.finish(spec, outcome, job)
-}
-
-/// The scene error of a checkpoint as it is, with its own scales.
-fn error_of(
-    start: &Checkpoint<DenoiserSpec>,
-    task: &DenoisingTask<'_>,
-    job: TrainJob<'_>,
-) -> Result<Option<f64>, Error> {
-    let mut params = Params::new(job.compute).frozen();
-    let network = start.metadata.build(&mut params, job.seed)?;
-    params.load(&start.tensors)?;
-    scene_error_m(&network, &start.metadata.sampling_collator(), &task.draws)
 }
 
 /// Fails if the weights of `start` would have another meaning in `wanted`.

@@ -1,6 +1,7 @@
 //! One training loop for every model: steps, warm-up, clipping, averages, evaluation.
 
 use super::fit_config::CLIP_NORM;
+use super::pace::Pace;
 use super::run_state::{Position, Run};
 use super::{Error, FitConfig, TrainJob, TrainTask};
 use crate::nn::{Params, copies, in_pool, keep_freed_memory};
@@ -23,6 +24,9 @@ pub struct FitStatistics {
     /// The time by then, minutes, on lines of an evaluation of a training that is given time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub minutes: Option<f64>,
+    /// The steps that are planned in all, where a training that is given time changed its plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub planned: Option<u64>,
 }
 
 /// The result of a training run.
@@ -38,9 +42,10 @@ pub struct FitOutcome {
     pub statistics: Vec<FitStatistics>,
 }
 
-/// Trains `params` on `task` for `config.steps` steps, or until the time of the job is up, from the state in its folder
-/// if there is one. At the end `params` are the averaged weights if `config.ema_decay` is positive, otherwise the last
-/// ones; with `config.keeps_best`, those of the best evaluation, including the one before the first step.
+/// Trains `params` on `task` for `config.steps` steps, or as many instead as the time of the job allows, from the state
+/// in its folder if there is one. At the end `params` are the averaged weights if `config.ema_decay` is positive,
+/// otherwise the last ones; with `config.keeps_best`, those of the best evaluation, including the one before the first
+/// step.
 ///
 /// The folder holds `state.safetensors` (weights, averages, optimizer, position) and `statistics.jsonl`. A run that was
 /// killed and resumed ends with the same weights as an uninterrupted one.
@@ -56,32 +61,44 @@ pub fn fit(
 ) -> Result<FitOutcome, Error> {
     keep_freed_memory();
     let mut run = Run::open(config, params, dir)?;
+    let mut config = FitConfig { steps: run.position.planned.unwrap_or(config.steps), ..config.clone() };
     let first_step = run.position.step;
     let before_s = run.position.elapsed_s;
     let elapsed_s = || time.map_or(0.0, |time| before_s + time.elapsed_s());
-    let is_up = || time.is_some_and(|time| elapsed_s() > time.until_s);
+    let mut pace = Pace::new(0.0, run.position.evaluation_s);
     progress.start("train", config.steps, "steps");
     progress.advance(first_step);
     // The effect of training shows only beside the figures of the initial weights.
     if run.position.statistics.is_empty() && first_step == 0 && config.steps > 0 {
         run.position.elapsed_s = elapsed_s();
-        run.evaluate(config, params, task)?;
+        run.evaluate(&config, params, task)?;
+        run.position.evaluation_s = elapsed_s() - run.position.elapsed_s;
+        pace.evaluation_s = run.position.evaluation_s;
     }
-    while run.position.step < config.steps && !run.position.is_cut {
+    while run.position.step < config.steps {
         if progress.must_stop() {
             run.save(params)?;
             return Err(Error::Stopped { step: run.position.step });
         }
-        run.step(config, params, task)?;
-        let step = run.position.step;
+        let from_s = elapsed_s();
+        run.step(&config, params, task)?;
         run.position.elapsed_s = elapsed_s();
-        run.position.is_cut = step < config.steps && is_up();
-        let is_last = step == config.steps || run.position.is_cut;
+        pace.took(run.position.elapsed_s - from_s);
+        let step = run.position.step;
+        let left_s = time.map(|time| time.until_s - run.position.elapsed_s);
+        let replanned = left_s.and_then(|left_s| pace.replanned(config.steps, step, left_s, config.evaluate_every));
+        if replanned.is_some() {
+            run.position.planned = replanned;
+            config.steps = replanned.unwrap_or(config.steps);
+        }
+        let is_last = step == config.steps;
         if step.is_multiple_of(config.log_every) || is_last {
-            progress.note(&run.log(config)?);
+            progress.note(&run.log(&config)?);
         }
         if step.is_multiple_of(config.evaluate_every) || is_last {
-            run.evaluate(config, params, task)?;
+            run.evaluate(&config, params, task)?;
+            run.position.evaluation_s = elapsed_s() - run.position.elapsed_s;
+            pace.evaluation_s = run.position.evaluation_s;
         }
         if step.is_multiple_of(config.save_every) || is_last {
             run.save(params)?;
@@ -90,12 +107,6 @@ pub fn fit(
     }
     progress.finish();
     let n_steps = run.position.step;
-    if n_steps < config.steps {
-        progress.warn(&format!(
-            "the time was up after {n_steps} of {} steps: they took longer than at first",
-            config.steps
-        ));
-    }
     if let Some(ema) = &mut run.ema {
         ema.swap(params)?;
     }
@@ -182,6 +193,7 @@ impl Run {
             gradient_norm: Some(norm),
             evaluation: BTreeMap::new(),
             minutes: None,
+            planned: self.position.planned,
         });
         self.write_statistics()?;
         Ok(format!("loss {loss:.4}"))
@@ -206,6 +218,7 @@ impl Run {
             gradient_norm: None,
             evaluation: evaluation?,
             minutes: Some(self.position.elapsed_s / 60.0).filter(|minutes| *minutes > 0.0),
+            planned: self.position.planned,
         });
         self.write_statistics()
     }

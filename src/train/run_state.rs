@@ -30,9 +30,12 @@ pub(super) struct Position {
     /// The time spent on it, seconds; 0 for a training that is not given time.
     #[serde(default, skip_serializing_if = "is_default")]
     pub(super) elapsed_s: f64,
-    /// Whether its time was up before it had taken all steps.
+    /// The duration of its last evaluation, seconds; 0 for a training that is not given time.
     #[serde(default, skip_serializing_if = "is_default")]
-    pub(super) is_cut: bool,
+    pub(super) evaluation_s: f64,
+    /// The steps that it takes in all, where it was given time and changed its plan.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) planned: Option<u64>,
     /// Hash of the rest of the state, including its tensors; `None` before they are saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) checksum: Option<String>,
@@ -152,6 +155,7 @@ mod tests {
             gradient_norm: Some(1e9),
             evaluation: BTreeMap::new(),
             minutes: None,
+            planned: None,
         };
         run.position = Position {
             step: 7,
@@ -161,7 +165,8 @@ mod tests {
             statistics: vec![line],
             best: Some((5, 0.25)),
             elapsed_s: 1.5,
-            is_cut: true,
+            evaluation_s: 0.25,
+            planned: Some(9),
             checksum: None,
         };
         run.save(&params()).unwrap();

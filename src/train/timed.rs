@@ -1,14 +1,16 @@
 //! A training that is given time instead of steps: what does it do with it?
 //!
-//! A few steps tell how long one takes. Each learning rate is then tried for a twentieth of the time, all from the same
-//! weights; the one that ends with the least scene error trains anew for the rest, on a schedule as long as the time
+//! A few steps and an evaluation tell how long they take. Where a twenty-fifth of the time is enough to learn something,
+//! scales of motion and learning rates are tried for that long each, all from the same weights; otherwise the scales are
+//! chosen before any step. What does best on held-out scenes is trained for the rest, on a schedule as long as the time
 //! allows. What was chosen is written down: with the same settings given explicitly, training brings the same bytes on
-//! any machine, and a resumed training goes on with them.
+//! any machine unless it had to change its plan, and a resumed training goes on with them.
 
+use super::denoiser::TrainedFrom;
 use super::fit::take_steps;
-use super::{DenoiserTraining, DenoisingTask, Error, FitConfig, TrainJob, TrainTask, TrainingData};
+use super::pace::Pace;
+use super::{DenoiserTraining, Error, FitConfig, JobTime, Scales, SceneTraining, TrainTask};
 use crate::files::write_atomically;
-use crate::nn::{Params, copies};
 use crate::tensor::TaskWeights;
 use fs_err as fs;
 use serde::{Deserialize, Serialize};
@@ -17,43 +19,61 @@ use std::io::Write;
 /// Name of the file with what was chosen.
 pub const CHOSEN_FILE: &str = "chosen.json";
 
-/// Steps that are timed, after a first one in which memory is allocated.
-const TIMED_STEPS: u64 = 8;
-/// The part of the time in which each learning rate is tried.
-const TRIAL: f64 = 0.05;
-/// The part of the time that evaluations may take, and their least and largest number.
-const EVALUATIONS: f64 = 0.12;
+/// Steps that are timed, after a first one in which memory is allocated, and scenes that are evaluated meanwhile.
+const TIMED_STEPS: u64 = 4;
+const TIMED_SCENES: usize = 8;
+/// The part of the time of a trial, and the least steps that it must allow.
+const TRIAL: f64 = 0.04;
+const TRIAL_STEPS: u64 = 25;
+/// The part of the time of one evaluation, and the least and largest number of its scenes.
+const EVALUATION: f64 = 0.02;
+const N_EVALUATED: [f64; 2] = [8.0, 96.0];
+/// The part of the time of all evaluations between steps, and the least and largest number of them.
+const EVALUATIONS: f64 = 0.05;
 const N_EVALUATIONS: [f64; 2] = [2.0, 20.0];
-/// Left for steps that take longer than the timed ones.
-const SPARE: f64 = 0.05;
-/// Held-out scenes of each evaluation for each minute, and the least and largest number of them.
-const EVALUATED_PER_MINUTE: f64 = 8.0;
-const N_EVALUATED: [f64; 2] = [16.0, 192.0];
+/// The least time between evaluations, relative to theirs.
+const EVERY: f64 = 8.0;
+/// Steps that are taken at least, so that they can be timed again.
+const LEAST_STEPS: u64 = 10;
 
 /// What a training that is given time may choose from.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Within {
     /// The time for all of it, seconds.
     pub seconds: f64,
-    /// The learning rates that are tried.
+    /// The learning rates that are tried; the first where there is no time to try any.
     pub learning_rates: Vec<f64>,
+    /// The scales of motion that are tried, of a training that starts from a checkpoint.
+    pub scales: Vec<Scales>,
+    /// Held-out scenes of each evaluation; `None`: as many as there is time for.
+    pub n_eval_scenes: Option<usize>,
 }
 
-impl Within {
-    /// Held-out scenes of each evaluation.
-    pub(super) fn n_eval_scenes(&self) -> usize {
-        (self.seconds / 60.0 * EVALUATED_PER_MINUTE).clamp(N_EVALUATED[0], N_EVALUATED[1]) as usize
-    }
+/// A trial of some settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tried {
+    /// The scales of motion.
+    pub scales: Scales,
+    /// Learning rate after warm-up.
+    pub learning_rate: f64,
+    /// Steps.
+    pub steps: u64,
+    /// The mean error of sampled held-out scenes, meters; missing if nothing is held out or the loss was no longer a
+    /// number.
+    pub scene_error_m: Option<f64>,
 }
 
 /// The settings of `[train.denoiser]` that a training chose for its time, and what they were chosen by.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chosen {
-    /// Optimizer steps in all.
+    /// Optimizer steps in all, unless they become slower or faster.
     pub steps: u64,
     /// Learning rate after warm-up.
     pub learning_rate: f64,
+    /// The scales of motion.
+    pub scales: Scales,
     /// Steps between evaluations.
     pub evaluate_every: u64,
     /// Held-out scenes of each evaluation.
@@ -62,9 +82,10 @@ pub struct Chosen {
     pub tasks: TaskWeights,
     /// How often one of the run's own scenes is drawn relative to those of other runs.
     pub own_weight: f64,
-    /// Every learning rate that was tried and the scene error that it ended with, meters; missing if nothing is held
-    /// out or the loss was no longer a number.
-    pub tried: Vec<(f64, Option<f64>)>,
+    /// The error of scenes that the checkpoint samples as it is, meters.
+    pub began_m: Option<f64>,
+    /// Everything that was tried.
+    pub tried: Vec<Tried>,
     /// The duration of a step, seconds.
     pub step_s: f64,
     /// The duration of an evaluation, seconds.
@@ -72,106 +93,161 @@ pub struct Chosen {
 }
 
 impl Chosen {
-    /// The schedule with these settings, the others as in `base`.
-    pub(super) fn schedule(&self, base: &FitConfig) -> FitConfig {
-        FitConfig {
-            steps: self.steps,
-            learning_rate: self.learning_rate,
-            warmup_steps: base.warmup_steps.min(self.steps / 10),
+    /// These settings, the others as in `base`.
+    pub(super) fn settings(&self, base: &DenoiserTraining) -> DenoiserTraining {
+        let fit = FitConfig {
             evaluate_every: self.evaluate_every,
             save_every: (self.evaluate_every / 2).max(1),
-            ..base.clone()
-        }
-    }
-
-    /// The number of steps that leaves time for evaluations, and the steps between these, if `left_s` are left.
-    pub(super) fn lasting(left_s: f64, step_s: f64, evaluation_s: f64) -> [u64; 2] {
-        let n = (EVALUATIONS * left_s / evaluation_s).floor().clamp(N_EVALUATIONS[0], N_EVALUATIONS[1]);
-        // One before the first step, and about one after the last for the losses of changed scenes.
-        let stepping_s = left_s * (1.0 - SPARE) - (n + 2.0) * evaluation_s;
-        let steps = (stepping_s / step_s).floor().max(n) as u64;
-        [steps, steps.div_ceil(n as u64)]
+            ..schedule(&base.common.fit, self.steps, self.learning_rate)
+        };
+        let common = SceneTraining { n_eval_scenes: self.n_eval_scenes, fit, ..base.common.clone() };
+        DenoiserTraining { scales: self.scales, within: None, common, ..base.clone() }
     }
 }
 
-/// Chooses the settings of a training, or reads those that it chose before it was interrupted. The weights stay as they
-/// are.
-///
-/// # Errors
-/// When a step or an evaluation fails, the process must stop, or the file cannot be written or read.
-pub(super) fn choose(
-    within: &Within,
-    training: &DenoiserTraining,
-    (task, data): (&DenoisingTask<'_>, &TrainingData<'_>),
-    params: &mut Params,
-    job: TrainJob<'_>,
-) -> Result<Chosen, Error> {
-    let path = job.dir.join(CHOSEN_FILE);
-    if path.exists() {
-        return serde_json::from_str(&fs::read_to_string(&path)?).map_err(|_| Error::DamagedState { path });
-    }
-    let Some(time) = job.time else {
-        return Err(Error::Config("train.denoiser.for needs a clock, which only a run has".to_owned()));
-    };
-    let begun = copies(&params.tensors())?;
-    let base = &training.common.fit;
-    job.progress.start("try", 1 + within.learning_rates.len() as u64, "learning rates");
-    let from_s = time.elapsed_s();
-    task.evaluate()?;
-    let evaluation_s = time.elapsed_s() - from_s;
-    let of_steps = |steps: u64, learning_rate: f64| FitConfig {
-        steps,
-        learning_rate,
-        warmup_steps: base.warmup_steps.min(steps / 10),
-        ..base.clone()
-    };
-    let timed = |steps: u64, rate: f64, params: &mut Params| -> Result<f64, Error> {
-        let from_s = time.elapsed_s();
-        take_steps(&of_steps(steps, rate), params, task, job)?;
-        Ok((time.elapsed_s() - from_s) / steps as f64)
-    };
-    timed(1, 0.0, params)?;
-    let mut step_s = timed(TIMED_STEPS, 0.0, params)?;
-    job.progress.advance(1);
-    let trial_s = TRIAL * (time.until_s - time.elapsed_s());
-    let mut tried = Vec::new();
-    if let [only] = within.learning_rates[..] {
-        tried.push((only, None));
-    } else {
-        for rate in &within.learning_rates {
-            params.load(&begun)?;
-            let steps = (trial_s / step_s).max(TIMED_STEPS as f64) as u64;
-            let error_m = match timed(steps, *rate, params) {
-                Ok(each_s) => {
-                    step_s = each_s;
-                    task.scene_error_m()?
-                }
-                Err(Error::Diverged { .. }) => None,
-                Err(error) => return Err(error),
-            };
-            tried.push((*rate, error_m));
-            job.progress.advance(1);
+/// The schedule of so many steps.
+fn schedule(base: &FitConfig, steps: u64, learning_rate: f64) -> FitConfig {
+    FitConfig { steps, learning_rate, warmup_steps: base.warmup_steps.min(steps / 10), ..base.clone() }
+}
+
+/// The choice of settings.
+pub(super) struct Choice<'a> {
+    within: &'a Within,
+    from: TrainedFrom<'a>,
+    time: JobTime<'a>,
+    n_eval_scenes: usize,
+    step_s: f64,
+    /// The error of the checkpoint as it is.
+    began_m: Option<f64>,
+    tried: Vec<Tried>,
+}
+
+impl<'a> Choice<'a> {
+    /// Chooses the settings of a training, or reads those that it chose before it was interrupted.
+    ///
+    /// # Errors
+    /// When a step or an evaluation fails, the process must stop, or the file cannot be written or read.
+    pub(super) fn made(within: &'a Within, from: TrainedFrom<'a>) -> Result<Chosen, Error> {
+        let path = from.job.dir.join(CHOSEN_FILE);
+        if path.exists() {
+            return serde_json::from_str(&fs::read_to_string(&path)?).map_err(|_| Error::DamagedState { path });
         }
+        let no_clock = || Error::Config("train.denoiser.for needs a clock, which only a run has".to_owned());
+        let time = from.job.time.ok_or_else(no_clock)?;
+        let choice = Self { within, from, time, n_eval_scenes: 0, step_s: 0.0, began_m: None, tried: Vec::new() };
+        from.job.progress.start("try", 0, "settings");
+        let chosen = choice.choose()?;
+        from.job.progress.finish();
+        fs::create_dir_all(from.job.dir)?;
+        let text = serde_json::to_vec_pretty(&chosen).map_err(std::io::Error::from)?;
+        write_atomically::<Error>(&path, |file| Ok(file.write_all(&text)?))?;
+        Ok(chosen)
     }
-    params.load(&begun)?;
-    job.progress.finish();
-    let error_m = |(_, error_m): &&(f64, Option<f64>)| error_m.unwrap_or(f64::INFINITY);
-    let best = tried.iter().min_by(|a, b| error_m(a).total_cmp(&error_m(b)).then(a.0.total_cmp(&b.0)));
-    let learning_rate = best.map_or(base.learning_rate, |(rate, _)| *rate);
-    let [steps, evaluate_every] = Chosen::lasting(time.until_s - time.elapsed_s(), step_s, evaluation_s);
-    let chosen = Chosen {
-        steps,
-        learning_rate,
-        evaluate_every,
-        n_eval_scenes: training.common.n_eval_scenes,
-        tasks: training.common.tasks,
-        own_weight: data.sources.first().map_or(1.0, |own| own.weight),
-        tried,
-        step_s,
-        evaluation_s,
-    };
-    fs::create_dir_all(job.dir)?;
-    let text = serde_json::to_vec_pretty(&chosen).map_err(std::io::Error::from)?;
-    write_atomically::<Error>(&path, |file| Ok(file.write_all(&text)?))?;
-    Ok(chosen)
+
+    fn choose(mut self) -> Result<Chosen, Error> {
+        let (within, time, TrainedFrom { training, data, start, .. }) = (self.within, self.time, self.from);
+        let each_s = self.timed()?;
+        let n_scenes = (EVALUATION * within.seconds / each_s).clamp(N_EVALUATED[0], N_EVALUATED[1]) as usize;
+        self.n_eval_scenes = within.n_eval_scenes.unwrap_or(n_scenes);
+        if start.is_some() {
+            self.began_m = self.error_after(Scales::Checkpoint, training.common.fit.learning_rate, 0)?;
+        }
+        let fits = (TRIAL * within.seconds / self.step_s) as u64;
+        let steps = if fits < TRIAL_STEPS { 0 } else { fits };
+        let (scales, learning_rate) = self.best_after(steps)?;
+        let evaluation_s = each_s * self.n_eval_scenes as f64;
+        let left_s = time.until_s - time.elapsed_s() - evaluation_s;
+        let pace = Pace::new(self.step_s, evaluation_s);
+        let n = (EVALUATIONS * left_s / evaluation_s).clamp(N_EVALUATIONS[0], N_EVALUATIONS[1]).floor();
+        let every = pace.steps(0, left_s - (n - 1.0) * evaluation_s, u64::MAX).div_ceil(n as u64);
+        // Both may have taken longer than usual when they were timed.
+        let evaluate_every = every.max((EVERY * evaluation_s / self.step_s) as u64);
+        Ok(Chosen {
+            steps: pace.steps(0, left_s, evaluate_every).max(LEAST_STEPS),
+            learning_rate,
+            scales,
+            evaluate_every,
+            n_eval_scenes: self.n_eval_scenes,
+            tasks: training.common.tasks,
+            own_weight: data.sources.first().map_or(1.0, |own| own.weight),
+            began_m: self.began_m,
+            tried: self.tried,
+            step_s: self.step_s,
+            evaluation_s,
+        })
+    }
+
+    /// Times steps; returns the time that an evaluation takes for each scene, seconds.
+    fn timed(&mut self) -> Result<f64, Error> {
+        let (time, job, fit) = (self.time, self.from.job, &self.from.training.common.fit);
+        let settings = self.settings(Scales::Checkpoint, TIMED_SCENES);
+        let steps = |n: u64| schedule(fit, n, 0.0);
+        let ((each_s, step_s), _) = self.from.with_task(&settings, |params, task| {
+            take_steps(&steps(1), params, task, job)?;
+            let from_s = time.elapsed_s();
+            take_steps(&steps(TIMED_STEPS), params, task, job)?;
+            let between_s = time.elapsed_s();
+            task.evaluate()?;
+            let n_scenes = task.draws.held_out.len().max(1) as f64;
+            Ok(((time.elapsed_s() - between_s) / n_scenes, (between_s - from_s) / TIMED_STEPS as f64))
+        })?;
+        self.step_s = step_s;
+        Ok(each_s)
+    }
+
+    /// The scales that have the least error after so many steps at the first learning rate, and of the learning rates
+    /// that with these scales; these cannot be told apart without steps.
+    fn best_after(&mut self, steps: u64) -> Result<(Scales, f64), Error> {
+        let Within { scales, learning_rates, .. } = self.within;
+        let own = [Scales::default()];
+        let scales = if self.from.start.is_some() { scales } else { &own[..] };
+        let learning_rates = &learning_rates[..if steps == 0 { 1 } else { learning_rates.len() }];
+        let mut best = (scales[0], learning_rates[0]);
+        if scales.len() * learning_rates.len() == 1 {
+            return Ok(best);
+        }
+        let mut least_m = self.tried(best, steps)?;
+        for i in 1..scales.len() + learning_rates.len() - 1 {
+            let other = match scales.get(i) {
+                Some(scales) => (*scales, best.1),
+                None => (best.0, learning_rates[i + 1 - scales.len()]),
+            };
+            let error_m = self.tried(other, steps)?;
+            if error_m < least_m {
+                (best, least_m) = (other, error_m);
+            }
+        }
+        Ok(best)
+    }
+
+    /// The error after a trial, which is written down; infinite if there is none.
+    fn tried(&mut self, (scales, learning_rate): (Scales, f64), steps: u64) -> Result<f64, Error> {
+        let scene_error_m = match (scales, steps) {
+            (Scales::Checkpoint, 0) => self.began_m,
+            _ => self.error_after(scales, learning_rate, steps)?,
+        };
+        self.tried.push(Tried { scales, learning_rate, steps, scene_error_m });
+        Ok(scene_error_m.unwrap_or(f64::INFINITY))
+    }
+
+    fn error_after(&mut self, scales: Scales, learning_rate: f64, steps: u64) -> Result<Option<f64>, Error> {
+        let (time, job, fit) = (self.time, self.from.job, &self.from.training.common.fit);
+        let settings = self.settings(scales, self.n_eval_scenes);
+        let ((error_m, step_s), _) = self.from.with_task(&settings, |params, task| {
+            let from_s = time.elapsed_s();
+            match take_steps(&schedule(fit, steps, learning_rate), params, task, job) {
+                Err(Error::Diverged { .. }) => return Ok((None, None)),
+                other => other?,
+            }
+            let step_s = (time.elapsed_s() - from_s) / steps as f64;
+            Ok((task.scene_error_m()?, Some(step_s)))
+        })?;
+        self.step_s = step_s.filter(|_| steps > 0).unwrap_or(self.step_s);
+        Ok(error_m)
+    }
+
+    fn settings(&self, scales: Scales, n_eval_scenes: usize) -> DenoiserTraining {
+        let base = self.from.training;
+        DenoiserTraining { scales, common: SceneTraining { n_eval_scenes, ..base.common.clone() }, ..base.clone() }
+    }
 }

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The time for a test, on a clock that goes on by a hundredth of a second with each scene that is loaded.
-const UNTIL_S: f64 = 12.0;
+const UNTIL_S: f64 = 28.0;
 
 /// Interrupts after this many looks whether to stop.
 struct StopAfter(AtomicU64);
@@ -24,7 +24,8 @@ impl Progress for StopAfter {
 }
 
 fn within(learning_rates: &[f64]) -> DenoiserTraining {
-    let within = Within { seconds: UNTIL_S, learning_rates: learning_rates.to_vec() };
+    let scales = vec![Scales::Recordings, Scales::Checkpoint];
+    let within = Within { seconds: UNTIL_S, learning_rates: learning_rates.to_vec(), scales, n_eval_scenes: None };
     DenoiserTraining { within: Some(within), ..training(1_000) }
 }
 
@@ -55,27 +56,28 @@ fn start(dir: &Path) -> Checkpoint<DenoiserSpec> {
 fn what_was_chosen_for_a_time_brings_the_same_bytes_and_an_interruption_changes_nothing() {
     let [first, whole, stopped, explicit, cut] = std::array::from_fn(|_| tempfile::tempdir().unwrap());
     let start = start(first.path());
-    let config = within(&[5e-3, 1e-7]);
+    let config = within(&[1e-7, 5e-3]);
     let (outcome, ended_s) = trained(&config, &start, (whole.path(), &Silent), UNTIL_S);
     let outcome = outcome.unwrap();
     assert!(ended_s > 0.85 * UNTIL_S && ended_s < 1.05 * UNTIL_S, "{ended_s}");
     let chosen: Chosen = serde_json::from_slice(&fs::read(whole.path().join(CHOSEN_FILE)).unwrap()).unwrap();
     // Hardly anything is learned at the lower rate.
     assert_eq!((chosen.learning_rate, outcome.spec.steps), (5e-3, chosen.steps));
+    let tried: Vec<(Scales, f64)> = chosen.tried.iter().map(|tried| (tried.scales, tried.learning_rate)).collect();
+    let (own, other) = (Scales::Recordings, Scales::Checkpoint);
+    assert_eq!(tried, [(own, 1e-7), (other, 1e-7), (chosen.scales, 5e-3)]);
     let minutes: Vec<f64> = outcome.statistics.iter().filter_map(|line| line.minutes).collect();
     assert!(minutes.len() > 2 && minutes.is_sorted() && minutes[minutes.len() - 1] < UNTIL_S / 60.0, "{minutes:?}");
     let errors = outcome.statistics.iter().filter_map(|line| line.evaluation.get(SCENE_ERROR));
     let errors: Vec<f64> = errors.copied().collect();
     assert!(errors.iter().copied().fold(f64::INFINITY, f64::min) < 0.9 * errors[0], "{errors:?}");
 
-    let mut same = training(chosen.steps);
-    same.common.fit = chosen.schedule(&same.common.fit);
-    same.common.n_eval_scenes = chosen.n_eval_scenes;
+    let same = chosen.settings(&training(1_000));
     let same = train_denoiser(&same, &one_source(&arcs(48)), Some(&start), job(3, explicit.path())).unwrap();
     assert_eq!(same.fingerprint, outcome.fingerprint);
 
     // The trials take some 30 steps each.
-    let stop = StopAfter(AtomicU64::new(100));
+    let stop = StopAfter(AtomicU64::new(200));
     let (interrupted, _) = trained(&config, &start, (stopped.path(), &stop), UNTIL_S);
     assert!(matches!(interrupted, Err(Error::Stopped { step: 1.. })), "{interrupted:?}");
     let (resumed, _) = trained(&config, &start, (stopped.path(), &Silent), UNTIL_S);
@@ -88,10 +90,26 @@ fn what_was_chosen_for_a_time_brings_the_same_bytes_and_an_interruption_changes_
 }
 
 #[test]
+fn where_there_is_no_time_to_try_anything_scales_are_chosen_before_any_step() {
+    let [first, second] = std::array::from_fn(|_| tempfile::tempdir().unwrap());
+    let start = start(first.path());
+    let mut short = within(&[5e-3, 1e-3]);
+    short.within.as_mut().unwrap().seconds = 10.0;
+    let (outcome, ended_s) = trained(&short, &start, (second.path(), &Silent), 10.0);
+    assert!(outcome.is_ok() && ended_s < 10.5, "{ended_s}");
+    let chosen: Chosen = serde_json::from_slice(&fs::read(second.path().join(CHOSEN_FILE)).unwrap()).unwrap();
+    let tried: Vec<_> = chosen.tried.iter().map(|tried| (tried.scales, tried.learning_rate, tried.steps)).collect();
+    assert_eq!(tried, [(Scales::Recordings, 5e-3, 0), (Scales::Checkpoint, 5e-3, 0)]);
+    assert_eq!((chosen.learning_rate, chosen.tried[1].scene_error_m), (5e-3, chosen.began_m));
+    assert!(chosen.began_m.is_some_and(|began_m| began_m > 0.0));
+}
+
+#[test]
 fn a_training_that_makes_scenes_worse_ends_with_the_checkpoint_as_it_was() {
     let [first, second] = std::array::from_fn(|_| tempfile::tempdir().unwrap());
     let start = start(first.path());
-    let spoiling = DenoiserTraining { scales: Scales::Checkpoint, ..within(&[1.0]) };
+    let mut spoiling = within(&[1.0]);
+    spoiling.within.as_mut().unwrap().scales = vec![Scales::Checkpoint];
     let (outcome, _) = trained(&spoiling, &start, (second.path(), &Silent), UNTIL_S);
     let outcome = outcome.unwrap();
     let errors = outcome.statistics.iter().filter_map(|line| line.evaluation.get(SCENE_ERROR));
@@ -109,10 +127,13 @@ fn a_time_is_read_from_words_and_decides_what_is_left_out() {
     };
     let resolved = config("1h 30 min").resolve().unwrap();
     let within = resolved.within.unwrap();
-    assert_eq!((within.seconds, resolved.common.n_eval_scenes), (5400.0, 192));
-    assert_eq!((within.learning_rates, resolved.common.tasks.predictive), (vec![6e-4, 6e-4 / 3.0], 80.0));
+    assert_eq!((within.seconds, within.n_eval_scenes, within.scales.len()), (5400.0, None, 2));
+    assert_eq!((within.learning_rates, resolved.common.tasks.predictive), (vec![4e-4, 4e-4 / 3.0], 80.0));
     let own = |rate: f64| DenoiserTrainingConfig { learning_rate: Some(rate), ..config("3 min") };
     assert_eq!(own(1e-3).resolve().unwrap().within.unwrap().learning_rates, [1e-3]);
+    let kept = DenoiserTrainingConfig { scales: Some(Scales::Checkpoint), n_eval_scenes: Some(7), ..config("3 min") };
+    let kept = kept.resolve().unwrap().within.unwrap();
+    assert_eq!((kept.scales, kept.n_eval_scenes), (vec![Scales::Checkpoint], Some(7)));
     let more = MoreScenes { scenes: "more".into(), weight: 2.0 };
     let mixed = DenoiserTrainingConfig { data: vec![more], ..config("3 min") };
     assert_eq!(mixed.mixture(OwnScenes::default()).own_weight, 6.0);
@@ -126,13 +147,4 @@ fn a_time_is_read_from_words_and_decides_what_is_left_out() {
         let error = wrong.resolve().unwrap_err().to_string();
         assert!(error.contains(told) && error.contains("train.denoiser"), "{error}");
     }
-}
-
-#[test]
-fn steps_and_evaluations_fill_the_time() {
-    // Of 1,000 s, 120 are for evaluations of 10 s: twelve, and two more. The rest but for 50 s are 810 steps of a
-    // second.
-    assert_eq!(Chosen::lasting(1000.0, 1.0, 10.0), [810, 68]);
-    // At least two evaluations and two steps.
-    assert_eq!(Chosen::lasting(100.0, 1.0, 40.0), [2, 1]);
 }

@@ -11,7 +11,7 @@ use crate::pipeline::layout::Layout;
 use crate::store::{read_json, write_json_atomically};
 use crate::train::{
     CHOSEN_FILE, Chosen, DenoiserTrainingConfig, FitStatistics, JobTime, MODEL_FILE, OwnScenes, SCENE_ERROR, TrainJob,
-    TrainOutcome, TrainingData, Within, train_denoiser,
+    TrainOutcome, train_denoiser,
 };
 use serde_json::{Value, json};
 use std::path::Path;
@@ -48,58 +48,82 @@ impl Recipe for DenoiserTrainingConfig {
     }
 
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value> {
+        let watch = Stopwatch::start();
         let scenes = OpenedScenes::open(self.mixture(own), &layout.scenes, job.progress)?;
         let start = self.read_start(&job.compute.device)?;
         let state_dim = self.state_dim.or_else(|| start.as_ref().map(|start| start.metadata.normalizer.state_dim));
         let training = self.resolve()?;
         let data = scenes.training_data(state_dim, training.network.geometry.is_some())?;
-        if let Some(within) = &training.within {
-            let train = |job: TrainJob<'_>| train_denoiser(&training, &data, start.as_ref(), job);
-            return in_time(within, start.as_ref().zip(self.start_from.as_deref()), (&scenes, &data), &train, job);
-        }
-        let outcome = train_denoiser(&training, &data, start.as_ref(), job)?;
-        Ok(training_summary(&data, outcome.spec.steps, &outcome))
+        let Some(within) = &training.within else {
+            let outcome = train_denoiser(&training, &data, start.as_ref(), job)?;
+            return Ok(training_summary(&data, outcome.spec.steps, &outcome));
+        };
+        let clock_s = || watch.elapsed_s();
+        let begun = match start.as_ref().zip(self.start_from.as_deref()) {
+            Some((checkpoint, path)) => Some(Begun::new(checkpoint, path, &scenes, within.seconds, job)?),
+            None => None,
+        };
+        let until_s = within.seconds - begun.as_ref().map_or(0.0, |begun| AGAIN * begun.loops.seconds);
+        let time = Some(JobTime { clock_s: &clock_s, until_s });
+        let mut outcome = train_denoiser(&training, &data, start.as_ref(), TrainJob { time, ..job })?;
+        let loops = match begun.filter(|begun| outcome.spec != begun.checkpoint.metadata) {
+            Some(begun) => {
+                let trained = TrainedDenoiser::read(&job.dir.join(MODEL_FILE), job.compute)?;
+                let ended = begun.loops.again(&trained, &scenes, job)?;
+                begun.stays_if_better_than(&ended, &mut outcome, job)?
+            }
+            None => Value::Null,
+        };
+        let mut summary = training_summary(&data, outcome.spec.steps, &outcome);
+        summary["chosen"] = json!(read_json::<Chosen>(&job.dir.join(CHOSEN_FILE))?);
+        summary["won"] = json!(won(&outcome.statistics));
+        summary["valid_closed_loops"] = loops;
+        summary["minutes"] = json!(clock_s() / 60.0);
+        Ok(summary)
     }
 }
 
+/// The time for loops of what is trained, relative to those of the checkpoint: the processor may have more to do.
+const AGAIN: f64 = 1.2;
 /// Name of the file with the closed loops of the checkpoint that a training starts from.
 const LOOPS_FILE: &str = "loops.json";
 
-type TrainAs<'a> = dyn Fn(TrainJob<'_>) -> std::result::Result<TrainOutcome<DenoiserSpec>, crate::train::Error> + 'a;
+/// The checkpoint that a training starts from, and its closed loops.
+struct Begun<'a> {
+    checkpoint: &'a Checkpoint<DenoiserSpec>,
+    loops: ValidLoops,
+}
 
-/// Trains for the time that is given, and keeps the checkpoint that it started from if closed loops have become less
-/// valid.
-fn in_time(
-    within: &Within,
-    start: Option<(&Checkpoint<DenoiserSpec>, &Path)>,
-    (scenes, data): (&OpenedScenes, &TrainingData<'_>),
-    train: &TrainAs<'_>,
-    job: TrainJob<'_>,
-) -> Result<Value> {
-    let watch = Stopwatch::start();
-    let clock_s = || watch.elapsed_s();
-    let loops_file = job.dir.join(LOOPS_FILE);
-    let began = match start {
-        Some(_) if loops_file.exists() => Some(read_json::<ValidLoops>(&loops_file)?),
-        Some((_, path)) => {
-            let model = TrainedDenoiser::read(&checkpoint_file(path), job.compute)?;
-            let mut loops = ValidLoops::of(&model, scenes, within.seconds, job)?;
-            loops.seconds = clock_s();
-            fs_err::create_dir_all(job.dir)?;
-            write_json_atomically(&loops_file, &loops)?;
-            Some(loops)
+impl<'a> Begun<'a> {
+    /// Drives loops with the checkpoint at `path`, unless an interrupted training did.
+    fn new(
+        checkpoint: &'a Checkpoint<DenoiserSpec>,
+        path: &Path,
+        scenes: &OpenedScenes,
+        within_s: f64,
+        job: TrainJob<'_>,
+    ) -> Result<Self> {
+        let file = job.dir.join(LOOPS_FILE);
+        if file.exists() {
+            return Ok(Self { checkpoint, loops: read_json(&file)? });
         }
-        None => None,
-    };
-    let until_s = within.seconds - began.as_ref().map_or(0.0, |loops| loops.seconds);
-    let mut outcome = train(TrainJob { time: Some(JobTime { clock_s: &clock_s, until_s }), ..job })?;
-    let model_file = job.dir.join(MODEL_FILE);
-    let mut loops = Value::Null;
-    if let Some(((start, _), began)) = start.zip(began).filter(|((start, _), _)| outcome.spec != start.metadata) {
-        let ended = ValidLoops::of(&TrainedDenoiser::read(&model_file, job.compute)?, scenes, within.seconds, job)?;
-        let [before, after] = [&began, &ended].map(ValidLoops::valid_share);
-        loops = json!({ "before": before, "after": after });
-        if began.are_better_than(&ended) {
+        let model = TrainedDenoiser::read(&checkpoint_file(path), job.compute)?;
+        let loops = ValidLoops::of_start(&model, scenes, within_s, job)?;
+        fs_err::create_dir_all(job.dir)?;
+        write_json_atomically(&file, &loops)?;
+        Ok(Self { checkpoint, loops })
+    }
+
+    /// Puts the checkpoint in place of what was trained if loops have become worse. Returns the parts of both that are
+    /// valid.
+    fn stays_if_better_than(
+        &self,
+        ended: &ValidLoops,
+        outcome: &mut TrainOutcome<DenoiserSpec>,
+        job: TrainJob<'_>,
+    ) -> Result<Value> {
+        let [before, after] = [&self.loops, ended].map(ValidLoops::valid_share);
+        if self.loops.are_better_than(ended) {
             let percent = |share: f64| format!("{:.0} %", 100.0 * share);
             job.progress.warn(&format!(
                 "the denoiser stays as it was: after training {} of the time of closed loops are valid, {} before; \
@@ -107,16 +131,12 @@ fn in_time(
                 percent(after),
                 percent(before)
             ));
-            outcome.fingerprint = write_checkpoint(&model_file, &start.tensors, &start.metadata)?;
-            outcome.spec = start.metadata.clone();
+            let Checkpoint { tensors, metadata, .. } = self.checkpoint;
+            outcome.fingerprint = write_checkpoint(&job.dir.join(MODEL_FILE), tensors, metadata)?;
+            outcome.spec = metadata.clone();
         }
+        Ok(json!({ "before": before, "after": after, "loops": ended.n_loops() }))
     }
-    let mut summary = training_summary(data, outcome.spec.steps, &outcome);
-    summary["chosen"] = json!(read_json::<Chosen>(&job.dir.join(CHOSEN_FILE))?);
-    summary["won"] = json!(won(&outcome.statistics));
-    summary["valid_closed_loops"] = loops;
-    summary["minutes"] = json!(clock_s() / 60.0);
-    Ok(summary)
 }
 
 /// The scene error, meters, after so many minutes and steps, of each evaluation.
@@ -125,4 +145,50 @@ fn won(statistics: &[FitStatistics]) -> Vec<Value> {
     evaluated
         .map(|(line, error_m)| json!({ "minutes": line.minutes, "steps": line.step, "scene_error_m": error_m }))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nn::{Compute, read_checkpoint};
+    use crate::progress::Progress;
+    use crate::seed::Seed;
+    use std::sync::Mutex;
+
+    #[derive(Default)]
+    struct Heard(Mutex<Vec<String>>);
+
+    impl Progress for Heard {
+        fn warn(&self, message: &str) {
+            self.0.lock().unwrap().push(message.to_owned());
+        }
+    }
+
+    #[test]
+    fn a_checkpoint_whose_loops_are_better_takes_the_place_of_what_was_trained() {
+        let compute = Compute::cpu();
+        let read = |path: &Path| read_checkpoint::<DenoiserSpec>(path, &compute.device).unwrap();
+        let (bundled, first) =
+            (read(Path::new("pipelines/models/geometric.safetensors")), tempfile::tempdir().unwrap());
+        let path = first.path().join(MODEL_FILE);
+        write_checkpoint(&path, &bundled.tensors, &bundled.metadata).unwrap();
+        let checkpoint = read(&path);
+        let began = Begun { checkpoint: &checkpoint, loops: ValidLoops::made(&[9, 9, 9, 5]) };
+        for (ended, stays) in [([0, 0, 9, 5], true), ([9, 9, 9, 0], false)] {
+            let (dir, heard) = (tempfile::tempdir().unwrap(), Heard::default());
+            let job = TrainJob { seed: Seed(1), dir: dir.path(), compute: &compute, progress: &heard, time: None };
+            let file = dir.path().join(MODEL_FILE);
+            let spec = DenoiserSpec { steps: 7, ..checkpoint.metadata.clone() };
+            let fingerprint = write_checkpoint(&file, &checkpoint.tensors, &spec).unwrap();
+            let trained = TrainOutcome { fingerprint, spec, n_parameters: 1, statistics: Vec::new() };
+            let mut outcome = trained.clone();
+            let loops = began.stays_if_better_than(&ValidLoops::made(&ended), &mut outcome, job).unwrap();
+            assert_eq!((loops["before"].as_f64(), loops["loops"].as_u64()), (Some(32.0 / 36.0), Some(4)));
+            let expected = if stays { &checkpoint.fingerprint } else { &trained.fingerprint };
+            assert_eq!(&read(&file).fingerprint, expected);
+            assert_eq!((&outcome.fingerprint, outcome.spec == checkpoint.metadata), (expected, stays));
+            let warnings = heard.0.into_inner().unwrap();
+            assert!(warnings.len() == usize::from(stays) && warnings.iter().all(|text| text.contains("39 %")));
+        }
+    }
 }

@@ -3,7 +3,7 @@
 //! Samples of three seconds may look fine where a loop of thirty leads across the island of a roundabout.
 
 use super::training_scenes::OpenedScenes;
-use crate::engine::Result;
+use crate::engine::{Result, Stopwatch};
 use crate::evaluate::{for_maps, map_fits};
 use crate::generate::Futures;
 use crate::ingest::IngestConfig;
@@ -11,18 +11,21 @@ use crate::metrics::ValidityConfig;
 use crate::model::TrainedDenoiser;
 use crate::progress::Progress;
 use crate::simulate::{LoopCounts, NewScenes, SituationsConfig};
+use crate::statistics::exceeds_chance;
+use crate::store::SceneStore;
 use crate::train::TrainJob;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The length of a loop, seconds: this part of the training, within these limits.
-const OF_TRAINING: f64 = 1.0 / 6.0;
+/// The length of a loop: this part of the time of the training, within these limits, seconds.
+const OF_TRAINING: f64 = 1.0 / 20.0;
 const HORIZON_S: [f64; 2] = [6.0, 30.0];
 /// The length of the windows by which it is judged, seconds.
 const EVERY_S: f64 = 3.0;
-/// Loops for each minute of training, and the least and largest number of them.
-const LOOPS_PER_MINUTE: f64 = 1.0;
-const N_LOOPS: [f64; 2] = [4.0, 40.0];
+/// The part of the training's time in which loops of the checkpoint are driven; those of what is trained take as long.
+const SHARE: f64 = 0.055;
+/// The least and largest number of loops.
+const N_LOOPS: [usize; 2] = [2, 40];
 
 /// The part of each closed loop that is valid, up to the first window that is not, by the scene that it begins with.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -31,6 +34,8 @@ pub(super) struct ValidLoops {
     n_valid: BTreeMap<String, u64>,
     /// The windows of each loop.
     n_windows: u64,
+    /// The length of each loop, seconds.
+    horizon_s: f64,
     /// The time that it took, seconds.
     pub(super) seconds: f64,
 }
@@ -45,18 +50,54 @@ impl Progress for Unseen<'_> {
 }
 
 impl ValidLoops {
-    /// Drives loops with `model` from held-out scenes, as many as suit a training of `within_s` seconds.
-    pub(super) fn of(model: &TrainedDenoiser, scenes: &OpenedScenes, within_s: f64, job: TrainJob<'_>) -> Result<Self> {
-        let Some((store, held_out)) = scenes.held_out() else { return Ok(Self::default()) };
-        let continued = (within_s / 60.0 * LOOPS_PER_MINUTE).clamp(N_LOOPS[0], N_LOOPS[1]) as usize;
-        let continued = continued.min(held_out.len());
-        // Evenly over places and recordings.
-        let positions: Vec<usize> = (0..continued).map(|i| held_out[i * held_out.len() / continued]).collect();
-        let Some(first) = positions.first() else { return Ok(Self::default()) };
+    /// Drives loops with `model` from held-out scenes, as long and as many as suit a training of `within_s` seconds.
+    pub(super) fn of_start(
+        model: &TrainedDenoiser,
+        scenes: &OpenedScenes,
+        within_s: f64,
+        job: TrainJob<'_>,
+    ) -> Result<Self> {
+        let watch = Stopwatch::start();
+        let horizon_s = (OF_TRAINING * within_s).clamp(HORIZON_S[0], HORIZON_S[1]).round();
+        let mut loops = Self { horizon_s, ..Self::default() };
+        let Some((store, held_out)) = scenes.held_out() else { return Ok(loops) };
+        let mut positions = held_out.to_vec();
+        job.seed.derive("loops", &[]).rng().shuffle(&mut positions);
+        positions.truncate(N_LOOPS[1]);
+        // The first ones tell how many there is time for.
+        let later = positions.split_off(positions.len().min(N_LOOPS[0].max(rayon::current_num_threads())));
+        loops.drive(model, store, &positions, job)?;
+        let n_more = (SHARE * within_s / watch.elapsed_s() - 1.0).max(0.0) * positions.len() as f64;
+        loops.drive(model, store, &later[..later.len().min(n_more as usize)], job)?;
+        loops.seconds = watch.elapsed_s();
+        Ok(loops)
+    }
+
+    /// Drives loops with another model from the same scenes.
+    pub(super) fn again(&self, model: &TrainedDenoiser, scenes: &OpenedScenes, job: TrainJob<'_>) -> Result<Self> {
+        let mut loops = Self { horizon_s: self.horizon_s, ..Self::default() };
+        let Some((store, held_out)) = scenes.held_out() else { return Ok(loops) };
+        let is_driven = |position: &&usize| self.n_valid.contains_key(store.index().get(**position).id);
+        let positions: Vec<usize> = held_out.iter().filter(is_driven).copied().collect();
+        loops.drive(model, store, &positions, job)?;
+        Ok(loops)
+    }
+
+    fn drive(
+        &mut self,
+        model: &TrainedDenoiser,
+        store: &SceneStore,
+        positions: &[usize],
+        job: TrainJob<'_>,
+    ) -> Result<()> {
+        let Some(first) = positions.first() else { return Ok(()) };
+        // Scenes of a place follow each other in the store.
+        let mut positions = positions.to_vec();
+        positions.sort_unstable();
         let config = SituationsConfig {
-            continued,
+            continued: positions.len(),
             populated: 0,
-            horizon_s: (OF_TRAINING * within_s).clamp(HORIZON_S[0], HORIZON_S[1]).round(),
+            horizon_s: self.horizon_s,
             every_s: EVERY_S,
             ..SituationsConfig::default()
         };
@@ -65,20 +106,24 @@ impl ValidLoops {
         let validity = for_maps(&validity, &map_fits(store, &validity)?);
         let ingest = IngestConfig::new(store.index().get(*first).dataset, Vec::new());
         let new = NewScenes { config: &config, futures: &futures, store, validity: &validity, ingest: &ingest };
-        let mut loops = Self::default();
         for position in &positions {
-            loops.n_valid.insert(store.index().get(*position).id.to_owned(), 0);
+            self.n_valid.insert(store.index().get(*position).id.to_owned(), 0);
         }
         job.progress.start("loops", 0, "loops");
         let counts = new.make(&positions, LoopCounts::default(), &Unseen(job.progress), &mut |found, _, _| {
             for continued in found.iter().filter_map(|scene| scene.source.continues.as_ref()) {
-                *loops.n_valid.entry(continued.0.clone()).or_default() += 1;
+                *self.n_valid.entry(continued.0.clone()).or_default() += 1;
             }
             Ok(())
         })?;
         job.progress.finish();
-        loops.n_windows = (counts.n_scenes + counts.n_left_out) / counts.n_loops.max(1);
-        Ok(loops)
+        self.n_windows = (counts.n_scenes + counts.n_left_out) / counts.n_loops.max(1);
+        Ok(())
+    }
+
+    /// The number of loops.
+    pub(super) fn n_loops(&self) -> usize {
+        self.n_valid.len()
     }
 
     /// The mean of the valid parts.
@@ -87,15 +132,17 @@ impl ValidLoops {
         if n > 0.0 { self.n_valid.values().sum::<u64>() as f64 / n } else { 1.0 }
     }
 
-    /// Whether loops from the same scenes are less valid than these by more than chance brings: by more than the
-    /// standard error of the difference.
+    /// Whether loops from the same scenes are less valid than these by more than chance brings.
     pub(super) fn are_better_than(&self, others: &Self) -> bool {
-        let differences: Vec<f64> =
-            self.n_valid.iter().filter_map(|(scene, n)| Some(*n as f64 - *others.n_valid.get(scene)? as f64)).collect();
-        let n = differences.len() as f64;
-        let mean = differences.iter().sum::<f64>() / n;
-        let squares: f64 = differences.iter().map(|difference| (difference - mean).powi(2)).sum();
-        mean > (squares / (n * (n - 1.0).max(1.0))).sqrt()
+        let pairs = self.n_valid.iter().filter_map(|(scene, n)| Some((*n, *others.n_valid.get(scene)?)));
+        exceeds_chance(&pairs.map(|(n, of_other)| n as f64 - of_other as f64).collect::<Vec<_>>())
+    }
+
+    /// Loops of nine windows, of which so many are valid.
+    #[cfg(test)]
+    pub(super) fn made(n_valid: &[u64]) -> Self {
+        let n_valid = n_valid.iter().enumerate().map(|(i, n)| (format!("scene {i}"), *n)).collect();
+        Self { n_valid, n_windows: 9, horizon_s: 30.0, seconds: 0.0 }
     }
 }
 
@@ -105,17 +152,12 @@ mod tests {
 
     #[test]
     fn loops_are_worse_by_more_than_the_standard_error() {
-        let loops = |valid: &[u64]| ValidLoops {
-            n_valid: valid.iter().enumerate().map(|(i, n)| (format!("scene {i}"), *n)).collect(),
-            n_windows: 9,
-            seconds: 0.0,
-        };
-        let began = loops(&[9, 9, 9, 5]);
+        let began = ValidLoops::made(&[9, 9, 9, 5]);
         assert!((began.valid_share() - 32.0 / 36.0).abs() < 1e-12);
         // Differences 9, 9, 0, 0: a mean of 4.5 and a standard error of 2.6; 0, 0, 0, 5: both are 1.25.
-        assert!(began.are_better_than(&loops(&[0, 0, 9, 5])));
-        assert!(!began.are_better_than(&loops(&[9, 9, 9, 0])));
-        assert!(!began.are_better_than(&began) && !began.are_better_than(&loops(&[9; 4])));
+        assert!(began.are_better_than(&ValidLoops::made(&[0, 0, 9, 5])));
+        assert!(!began.are_better_than(&ValidLoops::made(&[9, 9, 9, 0])));
+        assert!(!began.are_better_than(&began) && !began.are_better_than(&ValidLoops::made(&[9; 4])));
         assert!(!ValidLoops::default().are_better_than(&ValidLoops::default()));
     }
 }
