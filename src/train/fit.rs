@@ -87,6 +87,8 @@ pub fn fit(
         let step = run.position.step;
         let left_s = time.map(|time| time.until_s - run.position.elapsed_s);
         let replanned = left_s.and_then(|left_s| pace.replanned(config.steps, step, left_s, config.evaluate_every));
+        // An interruption changes nothing, unless there is no time left.
+        let replanned = replanned.filter(|steps| first_step == 0 || *steps == step + 1);
         if replanned.is_some() {
             run.position.planned = replanned;
             config.steps = replanned.unwrap_or(config.steps);

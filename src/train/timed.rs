@@ -1,10 +1,10 @@
 //! A training that is given time instead of steps: what does it do with it?
 //!
-//! A few steps and an evaluation tell how long they take. Where a twenty-fifth of the time is enough to learn something,
-//! scales of motion and learning rates are tried for that long each, all from the same weights; otherwise the scales are
-//! chosen before any step. What does best on held-out scenes is trained for the rest, on a schedule as long as the time
-//! allows. What was chosen is written down: with the same settings given explicitly, training brings the same bytes on
-//! any machine unless it had to change its plan, and a resumed training goes on with them.
+//! A few steps and an evaluation tell how long they take. Where a twenty-fifth of the time is enough to learn
+//! something, scales of motion and learning rates are tried for that long each, all from the same weights; otherwise
+//! the scales are chosen before any step. What does best on held-out scenes is trained for the rest, on a schedule as
+//! long as the time allows. What was chosen is written down: with the same settings given explicitly, training brings
+//! the same bytes on any machine unless it had to change its plan, and a resumed training goes on with them.
 
 use super::denoiser::TrainedFrom;
 use super::fit::take_steps;

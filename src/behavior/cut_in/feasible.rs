@@ -264,7 +264,7 @@ mod tests {
         };
         let n = outcomes(drive(12.0, 3.5, 0.0, 10.0)).len();
         // Between the two, as fast; far ahead, and behind.
-        assert_eq!([7.0, 60.0, -8.0].map(|x| behind(drive(x, 0.0, 0.0, 10.0))), [0, n, n]);
+        assert_eq!([7.0, 60.0, -60.0].map(|x| behind(drive(x, 0.0, 0.0, 10.0))), [0, n, n]);
     }
 
     #[test]
