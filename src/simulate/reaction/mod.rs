@@ -1,8 +1,8 @@
-//! Makes agents brake that would drive into another, and agents go on that have waited for long.
+//! Corrects sampled futures before they are driven: agents brake that would drive into another, those that have waited
+//! for long go on, pedestrians walk on across the road, and vehicles keep to their lanes.
 //!
 //! The model was trained on ordinary traffic. Behind an ego that stops, most of its futures swerve or drive on through
-//! it, and hardly any of them stops. So sampled futures are corrected before they are driven: each agent keeps the path
-//! of its future and is only moved along it at other times.
+//! it, and hardly any of them stops. Most corrections keep the path of the future, and change when an agent is where.
 
 mod braking;
 mod moving_off;
