@@ -12,6 +12,8 @@ use crate::simulate::situation::Situation;
 /// Full braking, and the decelerations to be tried, m/s².
 const FULL_MPS2: f64 = 8.0;
 const BRAKES_MPS2: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, FULL_MPS2];
+/// The jerk of the end of braking, m/s³: from 1 m/s, a vehicle comes to a stand within 0.45 s.
+const ENDS_MPS3: f64 = 10.0;
 /// Braking ends after a multiple of this, seconds.
 const BRAKES_S: f64 = 0.5;
 /// Who follows another, with headings that differ by less than this, radians, must not touch it for this long, seconds,
@@ -116,13 +118,15 @@ fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[Stat
 }
 
 /// The path of these states, driven from the first on with a braking that builds up and ends as fast as pedals are
-/// pressed, after an acceleration of `from_mps2`, but never ahead of them.
+/// pressed, after an acceleration of `from_mps2`, but never ahead of them. It becomes weaker before a stand.
 fn braked(states: &[State], from_mps2: f64, braking: Braking, dt_s: f64) -> Vec<State> {
     let stations = stations(states);
     let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
     let mut acceleration_mps2 = from_mps2;
     let then = stations.iter().enumerate().skip(1).map(|(step, driven_m)| {
-        let wanted_mps2 = if (step as f64 - 0.5) * dt_s < braking.lasts_s { -braking.mps2 } else { 0.0 };
+        let is_wanted = (step as f64 - 0.5) * dt_s < braking.lasts_s;
+        let most_mps2 = (2.0 * ENDS_MPS3 * speed_mps).sqrt();
+        let wanted_mps2 = if is_wanted { -braking.mps2.min(most_mps2) } else { 0.0 };
         acceleration_mps2 = eased_mps2(wanted_mps2, acceleration_mps2, dt_s);
         let then_mps = (speed_mps + acceleration_mps2 * dt_s).max(0.0);
         let moved_m = (f64::midpoint(speed_mps, then_mps) * dt_s).min(driven_m - station_m);
