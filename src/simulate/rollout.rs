@@ -303,9 +303,12 @@ impl Drive<'_> {
                 Err(why) => return ended(why).map(Some),
             };
             let timestep = self.world.n_timesteps();
+            // Who has left since the last replanning does not come back.
+            let is_there = |agent_idx: usize| sampled.is_none() || self.world.present(agent_idx).is_some();
             let next = |agent_idx: usize| match agent_idx == center_idx {
                 true => ego,
-                false => situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)),
+                false => (situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)))
+                    .filter(|_| is_there(agent_idx)),
             };
             let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
             self.world.push(next);
