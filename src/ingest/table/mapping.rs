@@ -8,7 +8,7 @@ use crate::scene::AgentClass;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// The meaning of tables that have a row for each agent and time, as CSV (cells separated by commas, semicolons or
 /// tabs; also `.gz`) or Parquet.
@@ -33,7 +33,8 @@ pub struct TableMapping {
     #[serde(default = "one")]
     #[schemars(range(min = 1e-9, max = 1e3))]
     pub time_unit_s: f64,
-    /// The unit of positions and sizes, meters: 0.3048 where they are in feet.
+    /// The unit of positions and sizes, meters: 0.3048 where they are in feet; of sizes alone where positions are in
+    /// degrees. Where sizes are in another unit than positions, convert them first.
     #[serde(default = "one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub length_unit_m: f64,
@@ -149,6 +150,16 @@ impl Plane {
         match self.projection {
             Some(projection) => projection.project(GeoPoint { latitude_deg: y, longitude_deg: x }),
             None => Vec2::new(x, y) * self.unit_m,
+        }
+    }
+}
+
+impl HeadingUnit {
+    /// A full circle.
+    pub(super) const fn circle(self) -> f64 {
+        match self {
+            Self::Radians => TAU,
+            Self::Degrees | Self::CompassDegrees => 360.0,
         }
     }
 }

@@ -8,6 +8,7 @@ use crate::scene::{AgentClass, Scene, Track};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+mod doubts;
 mod motion;
 
 fn config(folder: &Path, mapping: &str) -> IngestConfig {
@@ -186,7 +187,7 @@ fn sizes_and_classes_may_be_in_a_table_of_tracks() {
         frame_rate_hz = 10
         columns = { track = 'id', x = 'x', y = 'y', frame = 'frame', length = 'l', width = 'w', class = 'class' }
         classes = { Car = 'vehicle', Bike = 'cyclist' }";
-    assert!(rejects(folder.path(), mapping).contains("01_tracksMeta.csv is not in the same folder"));
+    assert!(rejects(folder.path(), mapping).contains("01_tracksMeta.csv is not among the inputs"));
     let meta = |text: &str| fs_err::write(folder.path().join("train/01_tracksMeta.csv"), text).unwrap();
     meta("id,l,w,class\n8,1.8,0.6,Bike\n7,4.5,1.8,Car\n");
     let (scenes, _) = read(&config(folder.path(), mapping)).unwrap();
