@@ -17,7 +17,6 @@ fn all() -> Vec<ObjectiveConfig> {
             { kind = 'stay_on_road' },
             { kind = 'no_collision', margin_m = 1.0 },
             { kind = 'cut_in' },
-            { kind = 'cross_ahead', agents = 'ego', to = 'other' },
             { kind = 'hard_brake', agents = 'all' },
         ]";
     let table: toml::Table = toml::from_str(text).unwrap();
