@@ -55,16 +55,6 @@ fn classifier_objectives_and_wanted_states_act_together() {
 }
 
 #[test]
-fn masks_that_the_classifier_does_not_know_are_refused() {
-    for observe in ["'goal_conditioned'", "[{ agents = 'all', times = 'history' }, { agents = 'ego', times = 'all' }]"]
-    {
-        let config = config(&format!("{GUIDED}strengths = [3.0]\nobserve = {observe}"));
-        let why = with_generator_result(&config, |_| Ok(())).unwrap_err().to_string();
-        assert!(why.contains("the classifier knows only observe = \"predictive\""), "{why}");
-    }
-}
-
-#[test]
 fn objectives_select_without_guiding() {
     let calm = "objectives = [{ kind = 'acceleration_limit', agents = 'ego', limit_mps2 = 0.001 }]";
     let sweep = "splits = ['train']\n[[sweeps]]\nname = 'a'\nn_scenes = 3\nn_samples = 4\n";
