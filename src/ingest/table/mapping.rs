@@ -8,7 +8,7 @@ use crate::scene::AgentClass;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
 /// The meaning of tables that have a row for each agent and time, as CSV (cells separated by commas, semicolons or
 /// tabs; also `.gz`) or Parquet.
@@ -150,16 +150,6 @@ impl Plane {
         match self.projection {
             Some(projection) => projection.project(GeoPoint { latitude_deg: y, longitude_deg: x }),
             None => Vec2::new(x, y) * self.unit_m,
-        }
-    }
-}
-
-impl HeadingUnit {
-    /// A full circle.
-    pub(super) const fn circle(self) -> f64 {
-        match self {
-            Self::Radians => TAU,
-            Self::Degrees | Self::CompassDegrees => 360.0,
         }
     }
 }

@@ -256,18 +256,5 @@ mod tests {
             rows[out_of_place].1 += 40.0;
             assert_eq!(owners(&rows), (vec![], vec![rows[out_of_place].0]), "{out_of_place}");
         }
-        // A smaller leap: for one row, for good, and that to the second row, from which the motion is known.
-        for (leaps, jumps_s, leaps_s) in
-            [(7..8, vec![0.7], vec![]), (7..20, vec![], vec![0.7]), (0..1, vec![], vec![0.2])]
-        {
-            let mut owners = Owners::default();
-            for (i, (time_s, x, ..)) in drive.iter().enumerate() {
-                let y = if leaps.contains(&i) { 3.0 } else { 0.0 };
-                owners.see(Seen::new(*time_s, Vec2::new(*x, y), None, None), 1.0);
-            }
-            owners.end();
-            let rounded = |times_s: &[f64]| times_s.iter().map(|s| (s * 10.0).round() / 10.0).collect::<Vec<f64>>();
-            assert_eq!((rounded(&owners.jumps_s), rounded(&owners.leaps_s)), (jumps_s, leaps_s), "{leaps:?}");
-        }
     }
 }

@@ -15,8 +15,6 @@ pub(super) struct Rows<'a> {
     pub(super) part: Option<Arc<Part>>,
     pub(super) table: Table,
     pub(super) of_tracks: Option<OfTracks>,
-    /// Whether a heading of 0 is none where agents stand.
-    pub(super) rests_at_zero: bool,
 }
 
 /// A table with a row for each track.
@@ -89,8 +87,7 @@ impl<'a> Rows<'a> {
             return Err(unit.reject("no_rows", "the table has no rows"));
         }
         let plane = mapping.plane();
-        let (file, part, rests_at_zero) = (unit.file.clone(), unit.part.clone(), false);
-        Ok(Self { mapping, plane, file, part, table, of_tracks, rests_at_zero })
+        Ok(Self { mapping, plane, file: unit.file.clone(), part: unit.part.clone(), table, of_tracks })
     }
 
     /// Doubts about the whole table.

@@ -31,16 +31,14 @@ const N_STATES_AT_REST: usize = 10;
 
 /// The recordings of a file, in the order of their first rows, or why one cannot be read.
 pub(super) fn recordings(mut unit: RawUnit, mapping: &TableMapping) -> Vec<Result<Recording, Reject>> {
-    let mut rows = match Rows::read(&unit, mapping) {
+    let rows = match Rows::read(&unit, mapping) {
         Ok(rows) => rows,
         Err(reject) => return vec![Err(reject)],
     };
     (unit.bytes, unit.lines, unit.companion) = (Vec::new(), Vec::new(), None);
     let mut of_table = rows.findings();
-    let groups = rows.groups();
-    rows.rests_at_zero = rows.zero_at_rest(&groups);
     let mut recordings: Vec<Result<Recording, Reject>> =
-        groups.iter().map(|group| rows.recording(&unit, group)).collect();
+        rows.groups().into_iter().map(|group| rows.recording(&unit, &group)).collect();
     if let Some(first) = recordings.iter_mut().find_map(|recording| recording.as_mut().ok()) {
         first.findings.append(&mut of_table);
     } else if let Some(Err(reject)) = recordings.first_mut() {
@@ -127,7 +125,8 @@ impl Rows<'_> {
         let class = self.class(id, rows, clock, left_out)?;
         let extent = self.extent(id, rows, clock, left_out)?;
         let mut states: Vec<TimedState> = rows.iter().map(|row| self.state(*row, extent, clock.start_s)).collect();
-        self.blank_headings((id, class), rows, &mut states, left_out);
+        let chords = Chords::of(class, extent, self.mapping.position);
+        self.blank_headings((id, class, chords), rows, &mut states, left_out);
         let gaps = Gaps::of(&states, self.mapping.max_gap_s, |time_s| self.is_own(time_s));
         // At the ends of a part there may be few rows, on either side of a gap.
         let is_enough = self.part.is_none() || states.len() > N_ROWS_OF_PART;
@@ -171,7 +170,6 @@ impl Rows<'_> {
         if observations.is_empty() {
             return Ok(None);
         }
-        let chords = Chords::of(class, extent, self.mapping.position);
         let mut headings = headings(&observations, class, chords);
         let is_unknown = |(_, source): &(f64, HeadingSource)| *source == HeadingSource::Unknown;
         if chords.is_wheeled
