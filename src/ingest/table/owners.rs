@@ -101,15 +101,16 @@ impl Owners {
         let fastest_mps = if self.n_rows > 1 { self.fastest_mps } else { MAX_SPEED_MPS };
         let is_near = is_reached(&last, &seen, fastest_mps);
         let off_m = self.off_m(&last, &seen);
+        let goes_on = is_near && off_m.is_none_or(|off_m| off_m <= MAX_LEAP_M);
         let Some(other) = self.suspect.take() else {
-            if is_near && off_m.is_none_or(|off_m| off_m <= MAX_LEAP_M) {
+            if goes_on {
                 return self.accept(seen);
             }
             self.suspect = Some(seen);
             return;
         };
         let leaps = is_reached(&last, &other, fastest_mps);
-        if is_near && (!leaps || off_m.is_some_and(|off_m| off_m <= BACK_M)) {
+        if goes_on && (!leaps || off_m.is_some_and(|off_m| off_m <= BACK_M)) {
             self.jumps_s.push(other.time_s);
             return self.accept(seen);
         }
