@@ -65,27 +65,4 @@ fn what_is_bad_costs_no_more_than_itself_and_is_counted() {
     ] {
         is_kept(&text, what, 1, said, [40, 0, 40, 40]);
     }
-    // An id of another car: after a gap by its size, and at once by its place.
-    let later = |line: &str| {
-        let time_s = |rest: &str| rest.split(',').next().and_then(|t| t.parse().ok()).unwrap_or(0.0);
-        match line.strip_prefix("3,").map(|rest| (rest, time_s(rest))) {
-            Some((_, 1.0..3.0)) => String::new(),
-            Some((rest, 3.0..)) => format!("3,{}\n", rest.replace(",4.5,1.8", ",12,2.5")),
-            _ => format!("{line}\n"),
-        }
-    };
-    let passed_on: String = whole.lines().map(later).collect();
-    is_kept(&passed_on, "ids_of_another_agent", 1, "track 3 goes on as 3#2: its size is another", [40, 40, 10, 40]);
-    let (scenes, _) = read(&config(file("a.csv", &passed_on).path(), mapping)).unwrap();
-    let length_of = |scene: &Scene, id: &str| {
-        scene.tracks.iter().find(|track| track.id.0 == id).map(|track| track.extent.unwrap().length_m)
-    };
-    let lengths = [0, 1].map(|idx: usize| ["3", "3#2"].map(|id| length_of(&scenes[idx], id)));
-    assert_eq!(lengths, [[Some(4.5), None], [None, Some(12.0)]], "of agents at present");
-    let far = |i: usize, t: f64, x: f64| format!("1,{t},{x},0\n2,{t},{},9", if i < 5 { x } else { x + 90.0 });
-    let folder = file("a.csv", &drive("id,t,x,y", 60, far));
-    let (scenes, report) = read(&config(folder.path(), PLAIN)).unwrap();
-    assert_eq!(report.warnings["ids_of_another_agent"].count, 1);
-    let ids: Vec<&str> = scenes[0].tracks.iter().map(|track| track.id.0.as_str()).collect();
-    assert_eq!(ids, ["1", "2#2"], "those at present");
 }
