@@ -55,7 +55,7 @@ fn headings_that_cannot_be_are_blank_and_follow_from_the_motion() {
         // Added up over turns.
         (&|i, _| 810.0 + 1e-10 * i as f64, &|_, _| 1170.0 + 1e-10, "", 0),
         (&|i, _| if (20..29).contains(&i) { 999.0 } else { 90.0 }, &|_, _| 90.0, "headings_beyond_a_circle", 9),
-        (&|i, _| if i % 3 == 0 { -9999.0 } else { 90.0 }, &|_, _| 90.0, "headings_beyond_a_circle", 30),
+        (&|i, _| if i.is_multiple_of(3) { -9999.0 } else { 90.0 }, &|_, _| 90.0, "headings_beyond_a_circle", 30),
         (&|i, _| if i < 9 { 999.0 } else { 90.0 }, &|_, _| 90.0, "headings_beyond_a_circle", 9),
         (&|i, _| if i % 7 == 3 { -90.0 } else { 90.0 }, &|_, _| 90.0, "headings_that_no_vehicle_turns_to", 13),
         (&|_, t| if stands(t) { 0.0 } else { 90.0 }, &|_, _| 90.0, "headings_that_no_vehicle_turns_to", 31),
@@ -75,7 +75,7 @@ fn headings_that_cannot_be_are_blank_and_follow_from_the_motion() {
         }
     }
     // Where most of a track is wrong, its headings stay, and are named.
-    let wrong = |i: usize, t: f64, x: f64| format!("1,{t},{x},0,{}", if i % 3 == 0 { 0.0 } else { 180.0 });
+    let wrong = |i: usize, t: f64, x: f64| format!("1,{t},{x},0,{}", if i.is_multiple_of(3) { 0.0 } else { 180.0 });
     let (found, _) = doubts(&drive("id,t,x,y,h", 90, wrong), mapping);
     assert!(
         found["tracks_that_turn_at_once"].1.contains("line 3: track 1 turns at once, as no vehicle does, and most"),
