@@ -113,11 +113,15 @@ impl SeenFiles {
         let inputs: Vec<String> = config.inputs.iter().map(|input| input.display().to_string()).collect();
         let example = self.example_of_others.as_ref().map_or(String::new(), |path| format!(", such as {path}"));
         let pattern = |table: &TableMapping| format!("`{}` (ingest.table.files), as ", table.files);
+        let is_table =
+            |path: &String| [".csv", ".parquet"].iter().any(|end| path.trim_end_matches(".gz").ends_with(end));
         let to_convert = match config.table {
-            Some(_) if self.n_recordings == 0 => {
-                "; configs/README.md says what to convert first, such as SUMO's XML by its xml2csv.py"
+            Some(_) if self.n_recordings > 0 => "",
+            Some(_) if self.example_of_others.as_ref().is_some_and(is_table) => {
+                "; name the tables in ingest.table.files"
             }
-            _ => "",
+            Some(_) => "; configs/README.md says what to convert first, such as SUMO's XML by its xml2csv.py",
+            None => "",
         };
         format!(
             "{} has {} files named like {}{} recordings of the chosen splits and {} other files{example}{to_convert}",
@@ -143,7 +147,7 @@ fn read_batches(
         let is_recording = source.is_recording(path);
         let seen = &mut *seen.borrow_mut();
         if is_recording {
-            seen.n_recordings += 1;
+            seen.n_recordings += u64::from(!source.is_companion(path));
         } else {
             seen.n_others += 1;
             seen.example_of_others.get_or_insert_with(|| path.to_owned());

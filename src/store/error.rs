@@ -83,7 +83,7 @@ pub enum Error {
     /// A scene that was added twice.
     #[error(
         "scene {id} was read twice, {}; check whether the inputs overlap, such as a folder and the archive it was \
-         unpacked from", from_both(.files)
+         unpacked from, or a file and its .gz", from_both(.files)
     )]
     DuplicateScene {
         /// The scene.
