@@ -254,12 +254,9 @@ fn tables_that_cannot_be_read_are_rejects() {
     let config = config("");
     let tables = Tables::new(&config).unwrap();
     let whole = table(&rows());
-    for (text, expected) in [
-        (whole.replace("id,t,x", "id,t,t"), "a.csv: line 1: the column t appears twice"),
-        (whole.replace("id,t,x", "id,t,z"), "a.csv: no column x; the table has id, t, z"),
-        (whole.replace(",x\r\n", "\r\n"), "a.csv: line 2: 5 cells, expected 6"),
-        (format!("PAR1{whole}"), "a.csv: "),
-    ] {
+    for (text, expected) in
+        [(whole.replace(",x\r\n", "\r\n"), "a.csv: line 2: 5 cells, expected 6"), (format!("PAR1{whole}"), "a.csv: ")]
+    {
         let found = units(&tables, SMALL, &[("a.csv", &text)]);
         assert!(matches!(&found[..], [Err(reject)] if reject.detail.starts_with(expected)), "{found:?}");
     }

@@ -258,45 +258,20 @@ fn positions_in_degrees_are_meters_from_an_origin() {
 }
 
 #[test]
-fn mappings_that_cannot_work_are_refused_with_their_key() {
+fn a_table_needs_a_mapping() {
     let folder = file("a.csv", &plain(60));
-    let columns = |more: &str| format!("columns = {{ track = 'id', x = 'x', y = 'y'{more} }}");
-    for (mapping, expected) in [
-        (columns(""), "ingest.table.columns: has neither time nor frame"),
-        (columns(", time = 't', frame = 'f'"), "ingest.table.columns: has both time and frame"),
-        (columns(", frame = 'f'"), "ingest.table.frame_rate_hz: is missing"),
-        (format!("frame_rate_hz = 10\n{PLAIN}"), "ingest.table.frame_rate_hz: is of columns.frame"),
-        (columns(", time = 't', length = 'l'"), "ingest.table.columns: has only one of length and width"),
-        (format!("position = 'corner'\n{PLAIN}"), "ingest.table.position: is corner"),
-        (columns(", time = 't', class = 'c'"), "ingest.table.classes: and columns.class belong together"),
-        (format!("files = '*/*.csv'\n{PLAIN}"), "ingest.table.files: is the name of a file"),
-        (format!("files = 'a'\ntrack_files = 'a'\n{PLAIN}"), "ingest.table.track_files: is the same"),
-        (format!("max_gap_s = -1\n{PLAIN}"), "ingest.table.max_gap_s"),
-        (columns(", time = 'when'"), "a.csv: no column when; the table has id, t, x, y"),
-    ] {
-        let found = rejects(folder.path(), &mapping);
-        assert!(found.contains(expected), "{mapping}: {found}");
-    }
     let none = IngestConfig { table: None, ..config(folder.path(), PLAIN) };
     assert!(read(&none).unwrap_err().to_string().starts_with("ingest.table: is missing"));
-    let other = IngestConfig { dataset: Dataset::Interaction, ..config(folder.path(), PLAIN) };
-    assert!(read(&other).unwrap_err().to_string().starts_with("ingest.table: is for dataset"));
 }
 
 #[test]
 fn damaged_tables_are_rejects() {
     for (text, expected) in [
         (plain(60).replace(",2", ","), "a.csv: line 2: column y is blank or NaN, expected a number; 60 of 60 rows"),
-        (plain(60).replace(",2", ""), "a.csv: line 2: 3 cells, expected 4"),
-        ("id,t,x,y\n".to_owned(), "a.csv: the table has no rows"),
-        (String::new(), "a.csv: is empty"),
-        (plain(20), "a.csv: 20 frames, a scene has 40"),
-        (drive("id,t,x,y", 60, |_, t, x| format!("7,{},{x},2", 1e3 * t)), "rows of track 7 are 100.000 s apart"),
         (
             drive("id,t,x,y", 60, |_, t, x| format!("7,{t},{},2", 1e3 * x)),
             "where no vehicle comes from the rows around",
         ),
-        ("\u{0}\u{1}\u{2}".to_owned(), "a.csv: no column id"),
         ("PAR1 and nothing else".to_owned(), "a.csv: "),
         // What was left out may explain why too little is left.
         (

@@ -8,11 +8,10 @@ use super::messages::{
 use super::tfrecord::{Records, framed, masked_crc};
 use super::*;
 use crate::geometry::{Polyline, Vec2};
-use crate::ingest::test_data::{damaged, test_data};
+use crate::ingest::test_data::test_data;
 use crate::ingest::{IngestReport, MapsConfig, ingest};
 use crate::progress::Silent;
 use crate::scene::{AgentClass, Lane, LaneId, Scene, TrackRole};
-use proptest::prelude::*;
 
 fn read(bytes: &[u8]) -> Vec<(u64, Result<String, &'static str>)> {
     let text = |content: Vec<u8>| String::from_utf8_lossy(&content).into_owned();
@@ -266,13 +265,4 @@ fn the_two_public_scenarios_are_read() {
     // 83 and 257 tracks, of which 50 and 84 are there at present, and 198 and 114 lanes, one of them a point.
     let expected = [(50, "2406".to_owned(), 197), (64, "2893".to_owned(), 114)];
     assert_eq!(scenes.iter().map(counts).collect::<Vec<_>>(), expected);
-}
-
-proptest! {
-    #[test]
-    fn damage_does_no_harm(damages in prop::collection::vec((any::<usize>(), any::<u8>(), 0..14_usize), 1..6)) {
-        let bytes = damaged(&scenario().encode_to_vec(), &damages);
-        let unit = RawUnit { bytes, split: UnitSplit::All(Split::Train), ..RawUnit::default() };
-        _ = Womd::new(&config()).expect("defaults").scene(&unit);
-    }
 }
