@@ -148,6 +148,10 @@ impl RecordingSource for Womd<'_> {
         file_name(path).contains(".tfrecord") && set_of(path).is_none_or(is_wanted)
     }
 
+    fn pattern(&self) -> &'static str {
+        "*.tfrecord*"
+    }
+
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
         Box::new(Shards)
     }
