@@ -16,6 +16,8 @@ use std::time::Duration;
 
 /// Additional time for the first answer of a process, which has to start, seconds.
 const START_S: f64 = 30.0;
+/// Why a planner failed whose process ended by itself.
+const OUTPUT_ENDED: &str = "its output has ended";
 /// What programs say that the machine does not let start.
 const SHORT_OF: [&str; 3] = ["annot fork", "Resource temporarily unavailable", "Cannot allocate memory"];
 
@@ -69,7 +71,7 @@ impl External {
                 if is_first && !self.runs.load(Ordering::Relaxed) {
                     self.check_that_it_runs(age)?;
                 }
-                Err(self.give_up("its output has ended"))
+                Err(self.give_up(OUTPUT_ENDED))
             }
             Err(Silence::TimedOut) => {
                 let why = match is_first {
@@ -94,7 +96,8 @@ impl External {
         let Some(process) = self.process.take() else { return why.to_owned() };
         let (ended, said) = process.end();
         self.said += &said;
-        told(why, ended.as_deref(), &self.said)
+        // Otherwise it ends because its input does.
+        told(why, ended.as_deref().filter(|_| why == OUTPUT_ENDED), &self.said)
     }
 
     /// Starts the command anew and asks nothing: a planner waits then, at least as long as the first process lived.

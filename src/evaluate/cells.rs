@@ -98,6 +98,10 @@ impl CellSamples<'_> {
     /// Measures the cell against the scene it continues; one that no recording holds has no future to compare with.
     pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
         let samples = self.scenes(recorded);
+        let lasts_longer = |record: &&ScenarioRecord| record.scenario.scene.n_timesteps > samples[0].n_timesteps;
+        let whole: Option<Vec<Scene>> = (self.records.iter().any(lasts_longer))
+            .then(|| self.records.iter().map(|record| record.scenario.scene.clone()).collect());
+        let whole = whole.as_deref();
         let was_recorded = recorded.source.situation == SituationKind::Recorded;
         let with_references = self.with_references && was_recorded;
         let recorded = as_far_as_generated(recorded, &samples);
@@ -114,14 +118,15 @@ impl CellSamples<'_> {
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
         let asked = &first.scenario.provenance.guidance.roles;
         let asked_to_collide = first.asks_for_collision();
-        let figures = |samples: &[Scene]| {
+        let figures = |samples: &[Scene], whole: Option<&[Scene]>| {
             let alone = SampleGroup::equally_likely(&recorded, samples);
-            evaluate(&SampleGroup { asked, asked_to_collide, ..alone }, None)
+            evaluate(&SampleGroup { whole, asked, asked_to_collide, ..alone }, None)
         };
         let probabilities = self.probabilities();
         let together = SampleGroup {
             recorded: &recorded,
             samples: &samples,
+            whole,
             probabilities: probabilities.as_deref(),
             asked,
             asked_to_collide,
@@ -134,14 +139,18 @@ impl CellSamples<'_> {
         let [by_itself, by_baseline, by_samples, undefined] =
             measures.likelihoods(&recorded, has_road, [one(&recorded), one(&baseline), &samples, &[]], n_forecasts);
         let reference = |scene: &Scene, likelihoods: Vec<Option<f64>>| {
-            with_references.then(|| [figures(one(scene)), likelihoods].concat())
+            with_references.then(|| [figures(one(scene), None), likelihoods].concat())
         };
         let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
         CellFigures {
             recorded: reference(&recorded, by_itself),
             constant_velocity: reference(&baseline, by_baseline),
             together: [evaluate(&together, Some(self.mode_seed())), by_samples].concat(),
-            alone: samples.chunks(1).map(|sample| [figures(sample), undefined.clone()].concat()).collect(),
+            alone: (samples.iter().enumerate())
+                .map(|(i, sample)| {
+                    [figures(one(sample), whole.map(|whole| one(&whole[i]))), undefined.clone()].concat()
+                })
+                .collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: with_references
                 .then(|| [&recorded, &baseline].map(|scene| judge.judge_reference(scene))),
@@ -239,7 +248,16 @@ mod tests {
             CellSamples { records: vec![record], with_references: true }.evaluate(&recorded(), &measures, &judge)
         };
         let [short, long] = [&sampled, &driven].map(figures);
-        assert_eq!((&short.together, &short.alone, &short.recorded), (&long.together, &long.alone, &long.recorded));
+        // Only figures of samples alone are of the whole loop.
+        let docs = measures.docs();
+        let differ = |short: &[Option<f64>], long: &[Option<f64>]| -> Vec<String> {
+            let all = docs.iter().zip(short.iter().zip(long));
+            all.filter(|(_, (short, long))| short != long).map(|(doc, _)| doc.metric.clone()).collect()
+        };
+        let criticality = ["scene_min_ttc_s", "scene_max_drac_mps2"];
+        assert_eq!(differ(&short.together, &long.together), criticality);
+        assert_eq!(differ(&short.alone[0], &long.alone[0]), criticality);
+        assert_eq!(short.recorded, long.recorded);
         assert!(short.motion == long.motion && short.tracks == long.tracks);
         assert!(long.assessments[0].violations.len() > short.assessments[0].violations.len());
     }

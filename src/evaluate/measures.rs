@@ -149,6 +149,7 @@ impl<'a> Measures<'a> {
             metric.evaluate(&SampleGroup {
                 recorded: group.recorded,
                 samples,
+                whole: None,
                 probabilities: Some(probabilities),
                 ..*group
             })

@@ -90,7 +90,7 @@ pub enum NamedDriver {
     /// The model, as for everybody else.
     #[default]
     Model,
-    /// The states of the scenario; after its end, straight on along the lane at the last speed.
+    /// The states of the scenario; after its end, as `idm`.
     Log,
     /// The path of the scenario at the present speed.
     ConstantVelocity,

@@ -100,7 +100,7 @@ pub use sample_group::SampleGroup;
 pub use series::{Group, SeriesKey};
 pub use settings::MetricSettings;
 pub use spec::{Direction, MetricSpec};
-pub use validity::{Check, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate, Violation};
+pub use validity::{Check, DrivenArea, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate, Violation};
 
 use std::collections::BTreeSet;
 

@@ -14,6 +14,8 @@ pub struct SampleGroup<'a> {
     pub recorded: &'a Scene,
     /// The samples.
     pub samples: &'a [Scene],
+    /// The samples to their end, if closed loops last longer than the recording: for figures of samples alone.
+    pub whole: Option<&'a [Scene]>,
     /// How likely each sample is, up to a common factor; `None` if they are equally likely, as plain draws are.
     pub probabilities: Option<&'a [f64]>,
     /// The requested agents as (role, track), in the order of roles; empty if there are none.
@@ -25,7 +27,7 @@ pub struct SampleGroup<'a> {
 impl<'a> SampleGroup<'a> {
     /// A recorded scene and equally likely samples, without requested agents.
     pub const fn equally_likely(recorded: &'a Scene, samples: &'a [Scene]) -> Self {
-        Self { recorded, samples, probabilities: None, asked: Roles::none(), asked_to_collide: false }
+        Self { recorded, samples, whole: None, probabilities: None, asked: Roles::none(), asked_to_collide: false }
     }
 
     /// The probability of a sample; over all samples they sum to 1. `None` if there is no such sample, or no finite
@@ -49,9 +51,9 @@ impl<'a> SampleGroup<'a> {
         figures?.into_iter().reduce(f64::min)
     }
 
-    /// The mean `figure` of the samples for which it is defined; `None` if there are none.
-    pub(super) fn mean_over_samples(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
-        let figures: Vec<f64> = self.samples.iter().filter_map(figure).collect();
+    /// The mean `figure` of the whole samples for which it is defined; `None` if there are none.
+    pub(super) fn mean_over_whole(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
+        let figures: Vec<f64> = self.whole.unwrap_or(self.samples).iter().filter_map(figure).collect();
         (!figures.is_empty()).then(|| figures.iter().sum::<f64>() / figures.len() as f64)
     }
 

@@ -46,8 +46,7 @@ fn every_metric_gives_the_hand_computed_value_of_its_example_scenes() {
             let probabilities = case.probabilities.as_deref();
             let asked = case.asked.iter().map(|[role, agent]| (role.clone(), TrackId(agent.clone())));
             let asked: Roles = asked.collect();
-            let group =
-                SampleGroup { recorded, samples: &samples, probabilities, asked: &asked, asked_to_collide: false };
+            let group = SampleGroup { probabilities, asked: &asked, ..SampleGroup::equally_likely(recorded, &samples) };
             let value = metric.evaluate(&group);
             let agrees = match (value, case.value) {
                 (Some(value), Some(expected)) => (value - expected).abs() < 1e-3,

@@ -2,7 +2,7 @@
 
 use super::Result;
 use super::drivers::expected;
-use super::reaction::{brake, go_on, keep_to_lanes, walk_on};
+use super::reaction::{brake, ease, go_on, keep_to_lanes, walk_on};
 use super::rollout::{Drive, OFF_ROAD_SLACK_M};
 use super::situation::Situation;
 use crate::generate::{Continued, Futures};
@@ -14,23 +14,29 @@ use crate::scene::{Scene, State, UnfitScene};
 const LOOKS_AHEAD_S: f64 = 2.0;
 const LEFT_LOG_M: f64 = 1.0;
 
+/// How often a part of a scenario is drawn at most until nobody drives into another or leaves the road. Traffic around
+/// a planner, and that whose rates are counted, is drawn once.
+const N_DRAWS: usize = 4;
+
 impl Drive<'_> {
-    /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego. If
-    /// somebody drives into another within `n_steps` or leaves the road, they are drawn again, up to `n_draws` in all;
-    /// if all are like that, they are the first.
+    /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
+    /// Where a scenario is continued (`is_continued`), they follow their plan to its end, and if somebody drives into
+    /// another within `n_steps` or leaves the road, all are drawn again; if every draw is like that, they are the first.
     ///
     /// # Errors
     /// When the device fails; that the model cannot continue the scene is a result.
     pub(super) fn sample(
         &mut self,
         futures: &Futures<'_>,
-        n_draws: usize,
+        is_continued: bool,
         n_steps: usize,
     ) -> Result<Result<Scene, UnfitScene>> {
         let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
         let sizes = [futures.n_history(), futures.n_timesteps()];
         let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
-        situation.let_go(&mut self.world);
+        if !is_continued {
+            situation.let_go(&mut self.world);
+        }
         if self.driver.answers() {
             situation.keep_in_aim(&mut self.world, &expected);
         }
@@ -51,16 +57,17 @@ impl Drive<'_> {
                 go_on(situation, &self.world, &mut sampled, &agents);
                 walk_on(situation, &mut sampled, &agents);
                 keep_to_lanes(situation, &mut sampled, &agents);
+                ease(situation, &mut sampled, &agents);
                 brake(situation, &mut sampled, &agents);
                 sampled
             }))
         };
         let is_well = |sampled: &Scene| !goes_wrong(situation, sampled, &agents, n_steps);
         let first = draw(&stream)?;
-        if n_draws < 2 || first.as_ref().map_or(true, is_well) {
+        if !is_continued || first.as_ref().map_or(true, is_well) {
             return Ok(first);
         }
-        for again in 1..n_draws {
+        for again in 1..N_DRAWS {
             if let Ok(sampled) = draw(&format!("{stream} draw {again}"))?
                 && is_well(&sampled)
             {

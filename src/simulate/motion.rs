@@ -23,11 +23,11 @@ const ALIKE_RAD: f64 = 0.15;
 const NEAR_M: f64 = 5.0;
 /// Makes a heading of one that is written in another way.
 type ToHeading = fn(f64) -> f64;
-/// Other ways of writing a heading.
-const WRITTEN: [(&str, ToHeading); 3] = [
-    ("in degrees", f64::to_radians),
-    ("clockwise from north", |heading| FRAC_PI_2 - heading),
-    ("in degrees clockwise from north", |heading| FRAC_PI_2 - heading.to_radians()),
+/// Other ways of writing a heading, and from which number on: a smaller one is as likely in radians.
+const WRITTEN: [(&str, f64, ToHeading); 3] = [
+    ("in degrees", PI, f64::to_radians),
+    ("clockwise from north", 0.0, |heading| FRAC_PI_2 - heading),
+    ("in degrees clockwise from north", PI, |heading| FRAC_PI_2 - heading.to_radians()),
 ];
 
 /// How tightly a vehicle turns at most, 1/m: the least circle, and 9 m/s² across.
@@ -81,10 +81,10 @@ pub(crate) fn moved(
     let is_moving = speed_mps > SLIP_FROM_MPS;
     let along_rad = if is_moving { velocity.angle() } else { before.heading_rad };
     let refused = |what: String| {
-        let written = WRITTEN
-            .iter()
-            .find(|(_, meant)| angle_difference(scene_from_world.heading(meant(heading)), along_rad).abs() < ALIKE_RAD);
-        let seems = written.map_or_else(String::new, |(name, _)| format!("; it seems to be {name}"));
+        let is_meant =
+            |meant: ToHeading| angle_difference(scene_from_world.heading(meant(heading)), along_rad).abs() < ALIKE_RAD;
+        let written = WRITTEN.iter().find(|(_, from, meant)| heading.abs() >= *from && is_meant(*meant));
+        let seems = written.map_or_else(String::new, |(name, ..)| format!("; it seems to be {name}"));
         let heading = plain(heading);
         Err(format!("heading {heading} {what}; expected radians, counterclockwise from x{seems}"))
     };
@@ -147,6 +147,16 @@ mod tests {
         says(judged(10.0, on(1.0, 0.0), FRAC_PI_2 - TURNED_RAD), "it seems to be clockwise from north");
         says(judged(10.0, on(1.0, 0.0), -45.0), "it seems to be in degrees clockwise from north");
         says(judged(10.0, on(1.0, 0.0), TURNED_RAD + FRAC_PI_2), "is a turn by 1.571 rad");
+        // A quarter of a turn, along 2 degrees: as degrees, it would be right.
+        let east = |heading| {
+            moved(
+                &State { velocity: Vec2::new(10.0, 0.0), ..State::default() },
+                [1.0, 0.0, heading],
+                &Transform2::from_pose(Vec2::ZERO, 0.0),
+                (4.0, 0.1),
+            )
+        };
+        assert!(!east(FRAC_PI_2 + 0.3).unwrap_err().contains("degrees"));
         says(judged(10.0, on(1.0, 0.29), TURNED_RAD - 0.49), "off the motion at 10.412 m/s");
         says(judged(10.0, on(1.0, 0.0), 1e300), "more than two turns");
         says(judged(10.0, on(1.0, 0.0), f64::NAN), "not finite");

@@ -22,10 +22,6 @@ const STOPPED_S: f64 = 4.0;
 const STANDING_MPS: f64 = 0.3;
 const FREE_M: f64 = 10.0;
 
-/// How often a part of a scenario is drawn at most until nobody drives into another or leaves the road. Traffic around
-/// a planner, and that whose rates are counted, is drawn once.
-const N_DRAWS: usize = 4;
-
 /// The settings of a drive.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RolloutConfig {
@@ -145,7 +141,11 @@ pub fn roll_out(
         if save_at.is_some_and(|timestep| saved.is_none() && drive.world.now() >= timestep) {
             saved = Some(drive.world.clone());
         }
-        end = drive.replan(others, n_plan.min(last - drive.world.now()))?;
+        let n_steps = n_plan.min(last - drive.world.now());
+        let n_planned = drive.n_planned(n_steps);
+        // What becomes of agents of the event after their plan is decided when they are there.
+        let is_cut = matches!(others, Others::Continued(_)) && n_planned > 0;
+        end = drive.replan(others, if is_cut { n_planned } else { n_steps })?;
     }
     let (outcome, why) = end.unwrap_or_else(|| came_through(situation, &drive.world));
     let said = drive.driver.end(outcome, why.as_deref());
@@ -260,6 +260,14 @@ pub(super) struct Drive<'a> {
 }
 
 impl Drive<'_> {
+    /// For how many of the next `n_steps` timesteps the agents of the event have a plan.
+    fn n_planned(&self, n_steps: usize) -> usize {
+        let (situation, now) = (self.situation, self.world.now());
+        let has_plan = |idx: usize, timestep: usize| situation.plan(&self.world, idx, timestep).is_some();
+        let is_planned = |step: &usize| situation.planned.iter().any(|idx| has_plan(*idx, now + step));
+        (1..=n_steps).take_while(is_planned).count()
+    }
+
     /// Replans and drives the plan; returns the end of the drive if it is reached.
     fn replan(&mut self, others: &Others<'_>, n_steps: usize) -> Result<Option<End>> {
         let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
@@ -269,9 +277,9 @@ impl Drive<'_> {
             Others::Continued(futures) => Some(futures).filter(|_| now > situation.scene.current_timestep()),
             Others::Replayed => None,
         };
-        let n_draws = if matches!(others, Others::Continued(_)) { N_DRAWS } else { 1 };
+        let is_continued = matches!(others, Others::Continued(_));
         let sampled = match futures {
-            Some(futures) => match self.sample(futures, n_draws, n_steps)? {
+            Some(futures) => match self.sample(futures, is_continued, n_steps)? {
                 Ok(sampled) => Some((sampled, futures.n_history())),
                 Err(why) => return Ok(Some((Outcome::NotSampled, Some(why.to_string())))),
             },
@@ -295,9 +303,12 @@ impl Drive<'_> {
                 Err(why) => return ended(why).map(Some),
             };
             let timestep = self.world.n_timesteps();
+            // Who has left since the last replanning does not come back.
+            let is_there = |agent_idx: usize| sampled.is_none() || self.world.present(agent_idx).is_some();
             let next = |agent_idx: usize| match agent_idx == center_idx {
                 true => ego,
-                false => situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)),
+                false => (situation.plan(&self.world, agent_idx, timestep).or_else(|| then(agent_idx)))
+                    .filter(|_| is_there(agent_idx)),
             };
             let next: Vec<Option<State>> = (0..self.world.n_tracks()).map(next).collect();
             self.world.push(next);

@@ -78,7 +78,15 @@ fn read(path: &Path) -> Result<BTreeMap<String, Planned>> {
 fn converted(batch: &RecordBatch, path: &Path) -> Result<RecordBatch> {
     let fields: Vec<Field> = COLUMNS.iter().map(|(name, kind)| Field::new(*name, kind.clone(), true)).collect();
     let column = |(name, kind): &(&str, DataType)| {
-        let column = batch.column_by_name(name).and_then(|column| cast(column, kind).ok());
+        let found = batch.column_by_name(name);
+        let column = found.and_then(|column| cast(column, kind).ok());
+        // Numbers with a fraction would be cut off.
+        if let Some((found, cut)) = found.zip(column.as_ref())
+            && found.data_type().is_floating()
+            && cast(cut, found.data_type()).is_ok_and(|whole| whole.as_ref() != found.as_ref())
+        {
+            return Err(unfit(path, format!("column {name} has numbers that are no {kind}, expected whole ones")));
+        }
         let names: Vec<&str> = COLUMNS.iter().map(|(name, _)| *name).collect();
         column.ok_or_else(|| {
             let why = format!("column {name} is missing or no {kind}, expected {}", names.join(", "));
@@ -120,6 +128,8 @@ mod tests {
         let why = |table: &[(&str, ArrayRef)]| written(table).unwrap_err().to_string();
         assert!(why(&table(steps(vec![10, 10, 10]), some())).contains("a has timestep 10 twice"));
         assert!(why(&table(steps(vec![-1, 10, 10]), some())).contains("timestep -1"));
+        let fraction = why(&table(some(), some()));
+        assert!(fraction.contains("column timestep has numbers that are no Int64"), "{fraction}");
         assert!(why(&table(steps(vec![1, 2, 3]), number(vec![None, Some(1.0), Some(1.0)]))).contains("lacks a value"));
         let missing = why(&table(steps(vec![1, 2, 3]), some())[..4]);
         assert!(missing.starts_with("cannot read ") && missing.contains("column x is missing"), "{missing}");

@@ -2,7 +2,8 @@
 //!
 //! A few steps and an evaluation tell how long they take. Where a twenty-fifth of the time is enough to learn
 //! something, scales of motion and learning rates are tried for that long each, all from the same weights; otherwise
-//! the scales are chosen before any step. What does best on held-out scenes is trained for the rest, on a schedule as
+//! the first of each are taken: before any step, other scales are worse than those of the weights even where they are
+//! better in the end. What does best on held-out scenes is trained for the rest, on a schedule as
 //! long as the time allows. What was chosen is written down: with the same settings given explicitly, training brings
 //! the same bytes on any machine unless it had to change its plan, and a resumed training goes on with them.
 
@@ -26,7 +27,7 @@ const TIMED_SCENES: usize = 8;
 const TRIAL: f64 = 0.04;
 const TRIAL_STEPS: u64 = 25;
 /// The part of the time of one evaluation, and the least and largest number of its scenes.
-const EVALUATION: f64 = 0.02;
+const EVALUATION: f64 = 0.04;
 const N_EVALUATED: [f64; 2] = [8.0, 96.0];
 /// The part of the time of all evaluations between steps, and the least and largest number of them.
 const EVALUATIONS: f64 = 0.05;
@@ -196,14 +197,13 @@ impl<'a> Choice<'a> {
     }
 
     /// The scales that have the least error after so many steps at the first learning rate, and of the learning rates
-    /// that with these scales; these cannot be told apart without steps.
+    /// that with these scales; the first of both without steps.
     fn best_after(&mut self, steps: u64) -> Result<(Scales, f64), Error> {
         let Within { scales, learning_rates, .. } = self.within;
         let own = [Scales::default()];
         let scales = if self.from.start.is_some() { scales } else { &own[..] };
-        let learning_rates = &learning_rates[..if steps == 0 { 1 } else { learning_rates.len() }];
         let mut best = (scales[0], learning_rates[0]);
-        if scales.len() * learning_rates.len() == 1 {
+        if steps == 0 || scales.len() * learning_rates.len() == 1 {
             return Ok(best);
         }
         let mut least_m = self.tried(best, steps)?;
@@ -222,10 +222,7 @@ impl<'a> Choice<'a> {
 
     /// The error after a trial, which is written down; infinite if there is none.
     fn tried(&mut self, (scales, learning_rate): (Scales, f64), steps: u64) -> Result<f64, Error> {
-        let scene_error_m = match (scales, steps) {
-            (Scales::Checkpoint, 0) => self.began_m,
-            _ => self.error_after(scales, learning_rate, steps)?,
-        };
+        let scene_error_m = self.error_after(scales, learning_rate, steps)?;
         self.tried.push(Tried { scales, learning_rate, steps, scene_error_m });
         Ok(scene_error_m.unwrap_or(f64::INFINITY))
     }

@@ -69,6 +69,8 @@ fn exit_codes_tell_whose_fault_it_is() {
         assert!(outcome.stderr.contains("/dev/zero is neither a file nor a folder"), "{}", outcome.stderr);
     }
 
+    let outcome = djinn(&["report", "--from", "src", "--output", &workspace.arg("page")]).expect(1);
+    assert!(outcome.stderr.contains("src has no results of a run to report on"), "{}", outcome.stderr);
     for output in ["Cargo.toml", "Cargo.toml/below", "/dev/null"] {
         let outcome = djinn(&["report", "--from", "output", "--output", output]).expect(1);
         assert!(outcome.stderr.contains("is not a folder"), "{}", outcome.stderr);

@@ -13,6 +13,8 @@ use crate::scene::Scene;
 /// Spacing of the tried accelerations, m/s², and times, seconds.
 const SPACING_MPS2: f64 = 0.5;
 const SPACING_S: f64 = 0.25;
+/// The least headway of drivers who are in no hurry, seconds: recorded cut-ins, simulated and real, begin at 0.27 s.
+const LEAST_HEADWAY_S: f64 = 0.25;
 /// The smallest gap, and by how much a corner of a box that is turned enters the path before its side, meters.
 const LEAST_GAP_M: f64 = 0.3;
 const CORNER_M: f64 = 0.2;
@@ -146,7 +148,8 @@ impl CutIn {
         }
         // The ego must get there before the scene ends.
         let left_s = self.max_delay_s.min(pair.horizon_s - TO_SPARE_S - time_s);
-        if !(LEAST_GAP_M..own_mps * left_s).contains(&gap_m) {
+        let least_m = LEAST_GAP_M.max(LEAST_HEADWAY_S / self.hurry * own_mps);
+        if !(least_m..own_mps * left_s).contains(&gap_m) {
             return Some(None);
         }
         let aside_m = (then.offset_m + pair.their_offset_m - pair.own_offset_m).abs();

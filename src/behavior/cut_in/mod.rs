@@ -116,7 +116,8 @@ pub struct CutIn {
     pub min_shift_m: f64,
     /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
-    /// In templates, the other moves over this many times as fast as drivers do at most. Default 1.
+    /// In templates and aims, the other moves over this many times as fast as drivers do at most, and at a headway of
+    /// at least 0.25 s over it. Default 1.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub hurry: f64,
 }

@@ -22,7 +22,7 @@ impl Metric for PreventableRate {
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let (ego, other) = (group.asked.track("ego")?, group.asked.track("other")?);
         group.recorded.has_future().then_some(())?;
-        group.mean_over_samples(|sample| {
+        group.mean_over_whole(|sample| {
             let (replay, other) = (CarefulReplay::of(sample, sample.track_idx(ego)?)?, sample.track_idx(other)?);
             replay.intrudes(other).then(|| f64::from(u8::from(replay.contact().is_none())))
         })

@@ -55,7 +55,7 @@ impl Metric for PairMetric {
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
         let [(_, first), (_, second), ..] = &**group.asked else { return None };
-        group.mean_over_samples(|sample| {
+        group.mean_over_whole(|sample| {
             let pair = [sample.track_idx(first)?, sample.track_idx(second)?];
             self.of(&PairCriticality::of(sample, pair)?)
         })

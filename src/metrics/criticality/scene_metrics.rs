@@ -28,7 +28,7 @@ impl Metric for SceneMetric {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        group.mean_over_samples(|sample| {
+        group.mean_over_whole(|sample| {
             let worst = SceneCriticality::of(sample)?;
             match self {
                 Self::MinTtc => worst.min_ttc_s,

@@ -1,10 +1,10 @@
 //! The limits of a valid scenario.
 
-use super::Check;
+use super::{Check, DrivenArea};
 use crate::scene::Dataset;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The limits of a valid scenario. Exceeding a limit is a violation; checks can be skipped by name.
 ///
@@ -55,13 +55,19 @@ pub struct ValidityConfig {
     #[schemars(range(min = 0.0))]
     pub offroad_slack_m: f64,
     /// If more than this share of the states of recorded vehicles lies off the road, or more than this share of the
-    /// recorded scenes has a departure from it, the map of the place lacks parts of the road: departures are not judged
-    /// there, and every table says so. Default 0.03; 1 to judge them by any map.
+    /// recorded scenes has a departure from it, the map of the place lacks parts of the road. Departures are then
+    /// judged by its lanes and the area where recorded vehicles drive; not at all where that of one half of the
+    /// recordings does not hold the other half as well as that. Every table says so. Default 0.03; 1 to judge them by
+    /// any map.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_recorded_offroad: f64,
     /// Places where departures are not judged, in addition to those that `max_recorded_offroad` excludes.
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub places_without_road: BTreeSet<String>,
+    /// Where recorded vehicles drive, which is road beside the lanes, by place.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(skip)]
+    pub driven_areas: BTreeMap<String, DrivenArea>,
     /// Whether requested agents may collide with each other, whatever the requested behavior; if it is `collision`,
     /// they always may. Default false.
     pub asked_may_collide: bool,
@@ -84,6 +90,7 @@ impl Default for ValidityConfig {
             offroad_slack_m: 0.3,
             max_recorded_offroad: 0.03,
             places_without_road: BTreeSet::new(),
+            driven_areas: BTreeMap::new(),
             asked_may_collide: false,
         }
     }

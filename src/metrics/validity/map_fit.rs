@@ -1,7 +1,7 @@
 //! Does the map of a place show the whole road? Measured by the positions of recorded vehicles.
 
-use super::{Check, Judged, ValidityConfig, offroad};
-use crate::metrics::road::Road;
+use super::check::exceeds;
+use super::{Check, DrivenArea, Judged, ValidityConfig, offroad};
 use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 
@@ -23,19 +23,21 @@ pub struct MapFit {
 
 impl MapFit {
     /// The counts of a recorded scene: every fifth state of its vehicles, and whether it passes the check of
-    /// departures.
+    /// departures, with the driven areas that the configuration has.
     pub fn of(scene: &Scene, config: &ValidityConfig) -> Self {
         let judged = Judged::future_of(scene, Roles::none());
-        let road = Road::new(&scene.lanes);
-        let vehicles = (0..scene.tracks.len()).filter(|agent_idx| judged.is_vehicle(*agent_idx));
-        let states = vehicles.flat_map(|agent_idx| scene.tracks[agent_idx].trajectory.valid());
+        let off_road_m = offroad::off_road_m(scene, config);
+        let states = vehicles(&judged).flat_map(|agent_idx| scene.tracks[agent_idx].trajectory.valid());
         let positions: Vec<_> =
             states.filter(|(timestep, _)| timestep % STRIDE == 0).map(|(_, s)| s.position).collect();
         Self {
             n_scenes: 1,
             n_scenes_leaving: u64::from(offroad::worst(&judged, config).is_some()),
             n_states: positions.len() as u64,
-            n_states_off: positions.iter().filter(|position| !road.holds(**position)).count() as u64,
+            n_states_off: positions
+                .iter()
+                .filter(|position| exceeds(off_road_m(**position), config.offroad_slack_m))
+                .count() as u64,
         }
     }
 
@@ -59,16 +61,31 @@ impl MapFit {
     }
 }
 
+/// The agents that move like vehicles.
+fn vehicles<'a>(judged: &'a Judged<'_>) -> impl Iterator<Item = usize> + 'a {
+    (0..judged.scene.tracks.len()).filter(|agent_idx| judged.is_vehicle(*agent_idx))
+}
+
+impl DrivenArea {
+    /// The area with the ways of the vehicles of a recorded scene.
+    #[must_use]
+    pub fn with_vehicles_of(self, scene: &Scene) -> Self {
+        self.with(scene, vehicles(&Judged::future_of(scene, Roles::none())))
+    }
+}
+
 impl Judged<'_> {
     /// The checks that are not made for the scene: those that the configuration skips, those of motion if the dataset
-    /// does not allow them, and that of departures from the road if there is no map, or the map lacks parts of the
-    /// road.
+    /// does not allow them, and that of departures from the road if there is no map, or neither the map nor recorded
+    /// vehicles show the whole road.
     pub fn not_checked(&self, config: &ValidityConfig) -> Vec<Check> {
         let is_made = |check: Check| match check {
             _ if config.skip.contains(&check) => false,
             Check::Collision => true,
             Check::Offroad => {
-                !self.scene.lanes.is_empty() && !config.places_without_road.contains(&self.scene.source.place)
+                let place = &self.scene.source.place;
+                let has_road = !config.places_without_road.contains(place) || config.driven_areas.contains_key(place);
+                !self.scene.lanes.is_empty() && has_road
             }
             _ => config.checks_motion_of(self.scene.source.dataset),
         };

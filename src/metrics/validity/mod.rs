@@ -12,6 +12,7 @@ mod check;
 mod collision;
 mod config;
 mod deserted;
+mod driven_area;
 mod fit;
 mod map_fit;
 mod motion;
@@ -24,6 +25,7 @@ mod validity_rate;
 
 pub use check::{Check, Violation};
 pub use config::ValidityConfig;
+pub use driven_area::DrivenArea;
 pub use fit::LocalFit;
 pub use map_fit::MapFit;
 pub use validity_rate::ValidityRate;

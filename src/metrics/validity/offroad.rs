@@ -2,7 +2,22 @@
 
 use super::check::exceeds;
 use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
+use crate::geometry::Vec2;
 use crate::metrics::road::Road;
+use crate::scene::Scene;
+
+/// The distance of positions in a scene from its lanes and from where recorded vehicles drive at its place, meters.
+pub(super) fn off_road_m<'a>(scene: &'a Scene, config: &'a ValidityConfig) -> impl Fn(Vec2) -> f64 + 'a {
+    let road = Road::new(&scene.lanes);
+    let area = config.driven_areas.get(&scene.source.place);
+    move |position| {
+        let off_m = road.distance_m(position);
+        match area {
+            Some(area) if off_m > 0.0 => off_m.min(area.distance_m(scene.world_from_scene.point(position))),
+            _ => off_m,
+        }
+    }
+}
 
 /// The farthest departure of the center of a vehicle that is on the road at present. Scenes without lanes are not
 /// checked.
@@ -11,10 +26,9 @@ pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Viol
     if scene.lanes.is_empty() {
         return None;
     }
-    let road = Road::new(&scene.lanes);
-    let outside_m = |agent_idx: usize, timestep: usize| {
-        scene.state(agent_idx, timestep).map(|state| road.distance_m(state.position))
-    };
+    let off_road_m = off_road_m(scene, config);
+    let outside_m =
+        |agent_idx: usize, timestep: usize| scene.state(agent_idx, timestep).map(|state| off_road_m(state.position));
     let mut worst = None;
     for agent_idx in judged.generated_agents().filter(|agent_idx| judged.is_vehicle(*agent_idx)) {
         let starts_on_road = outside_m(agent_idx, scene.current_timestep())

@@ -8,8 +8,8 @@ use crate::coverage::CoverageTally;
 use crate::engine::shards::{Division, Gathering, Sharded, Shards};
 use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::evaluate::{
-    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MeasuredShard, Measurer, Shard,
-    ShardFigures, TrackPool, for_maps, left_out_by_sweep, map_fits, metric_docs, of_requests,
+    EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MapFits, MeasuredShard, Measurer, Shard,
+    ShardFigures, TrackPool, left_out_by_sweep, metric_docs, of_requests,
 };
 use crate::generate::{Aim, GenerateConfig};
 use crate::nn::Compute;
@@ -51,7 +51,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        22
+        23
     }
 
     fn check(&self) -> Result<()> {
@@ -101,7 +101,7 @@ impl Stage for Evaluate<'_> {
 #[derive(Serialize, Deserialize)]
 struct EvaluationPlan {
     /// How well the maps of places fit their recordings.
-    maps: Vec<MapFitRow>,
+    maps: MapFits,
 }
 
 impl Sharded for Evaluate<'_> {
@@ -134,7 +134,7 @@ impl Sharded for Evaluate<'_> {
             shards.look_up::<()>(idx)?;
         }
         shards.check_whole()?;
-        maps.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
+        maps.rows.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
         let places: BTreeSet<&str> = store.index().iter().map(|entry| entry.place).collect();
         let named = self.config.validity.places_without_road.iter();
         for place in named.filter(|place| !places.contains(place.as_str())) {
@@ -177,7 +177,7 @@ impl Sharded for Evaluate<'_> {
         corpus.write_metrics(found.rows_of_corpus()?)?;
         write_coverage(&path(COVERAGE), found.coverage.clone())?;
         let n_accepted_scenes = found.n_accepted_scenes;
-        let mut summary = EvaluationSummary { maps: maps.clone(), ..found.remove_rows()? };
+        let mut summary = EvaluationSummary { maps: maps.rows.clone(), ..found.remove_rows()? };
         summary.gates.extend(of_requests(&config.gates, &read_requests(&self.layout.samples)?));
         corpus.finish(&self.notes(&summary)?)?;
         write_json_atomically(&path(METRICS_SUMMARY), &summary)?;
@@ -204,7 +204,7 @@ struct EvaluationReady {
     samples: SampleManifest,
     behaviors: Vec<Box<dyn Behavior>>,
     /// How well the maps of places fit their recordings.
-    maps: Vec<MapFitRow>,
+    maps: MapFits,
     /// The section, with the places whose maps do not allow the check of departures.
     config: EvaluateConfig,
 }
@@ -214,11 +214,11 @@ impl Evaluate<'_> {
     fn ready(&self, plan: Option<EvaluationPlan>) -> Result<EvaluationReady> {
         self.check()?;
         let store = SceneStore::open_all(&self.layout.scene_folders())?;
-        let maps = plan.map_or_else(|| map_fits(&store, &self.config.validity), |plan| Ok(plan.maps))?;
+        let maps = plan.map_or_else(|| MapFits::of(&store, &self.config.validity), |plan| Ok(plan.maps))?;
         Ok(EvaluationReady {
             samples: SampleManifest::read(&self.layout.samples)?,
             behaviors: self.mine.build()?,
-            config: EvaluateConfig { validity: for_maps(&self.config.validity, &maps), ..self.config.clone() },
+            config: EvaluateConfig { validity: maps.limits(&self.config.validity), ..self.config.clone() },
             store,
             maps,
         })

@@ -57,7 +57,7 @@ impl Stage for Rates<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {

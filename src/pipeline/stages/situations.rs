@@ -2,7 +2,7 @@
 
 use super::closed_loops::ClosedLoops;
 use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
-use crate::evaluate::{for_maps, map_fits};
+use crate::evaluate::MapFits;
 use crate::generate::Futures;
 use crate::ingest::IngestConfig;
 use crate::metrics::ValidityConfig;
@@ -28,7 +28,7 @@ impl Stage for Situations<'_> {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn check(&self) -> Result<()> {
@@ -60,7 +60,7 @@ impl Whole for Situations<'_> {
         let positions = self.loops.starts(&store)?;
         let model = self.loops.model(context)?;
         let futures = Futures::new(&model, self.loops.seed, &context.compute.device)?;
-        let validity = for_maps(&self.validity, &map_fits(&store, &self.validity)?);
+        let validity = MapFits::of(&store, &self.validity)?.limits(&self.validity);
         let dataset = store.index().get(positions[0]).dataset;
         let as_usual = IngestConfig { seed: self.loops.seed, ..IngestConfig::new(dataset, Vec::new()) };
         let ingest =

@@ -4,7 +4,7 @@
 
 use super::training_scenes::OpenedScenes;
 use crate::engine::{Result, Stopwatch};
-use crate::evaluate::{for_maps, map_fits};
+use crate::evaluate::MapFits;
 use crate::generate::Futures;
 use crate::ingest::IngestConfig;
 use crate::metrics::ValidityConfig;
@@ -103,7 +103,7 @@ impl ValidLoops {
         };
         let futures = Futures::new(model, job.seed.0, &job.compute.device)?;
         let validity = ValidityConfig::default();
-        let validity = for_maps(&validity, &map_fits(store, &validity)?);
+        let validity = MapFits::of(store, &validity)?.limits(&validity);
         let ingest = IngestConfig::new(store.index().get(*first).dataset, Vec::new());
         let new = NewScenes { config: &config, futures: &futures, store, validity: &validity, ingest: &ingest };
         for position in &positions {

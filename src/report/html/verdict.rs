@@ -106,12 +106,18 @@ fn maps(rows: &[MapFitRow]) -> Markup {
         }
     };
     let body = html! {
-        @for MapFitRow { place, fit, allows_offroad } in rows {
+        @for MapFitRow { place, fit, allows_offroad, with_driven_area } in rows {
             tr {
                 th scope="row" { (place) }
                 td class="n" { (share(fit.n_states_off, fit.n_states)) }
                 td class="n" { (share(fit.n_scenes_leaving, fit.n_scenes)) small { " of " (count(fit.n_scenes)) } }
-                td { @if *allows_offroad { "checked" } @else { "the map does not allow it" } }
+                td {
+                    @match (*allows_offroad, *with_driven_area) {
+                        (true, _) => "checked",
+                        (_, true) => "checked by lanes and where recorded vehicles drive",
+                        _ => "the map does not allow it",
+                    }
+                }
             }
         }
     };
@@ -121,7 +127,8 @@ fn maps(rows: &[MapFitRow]) -> Markup {
             "Where more of the recorded vehicles' states lie off the lanes, or more recorded scenes hold a departure, \
              than "
             code { "evaluate.validity.max_recorded_offroad" }
-            " says, the map lacks road that people drive on: the check is not made there."
+            " says, the map lacks road that people drive on. The check is then made by its lanes and the area where \
+             recorded vehicles drive, if that of half of the recordings holds the other half. Recordings cannot leave it."
         }
     }
 }

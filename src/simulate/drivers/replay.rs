@@ -1,6 +1,6 @@
 //! Drivers that do not react: the scenario's own states, and a constant speed; and the model, which is sampled.
 
-use super::idm::acceleration;
+use super::Idm;
 use super::way::{advanced, ego};
 use crate::scene::State;
 use crate::simulate::driver::{Driver, Failed};
@@ -10,7 +10,7 @@ use crate::simulate::{Situation, World};
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::simulate) struct Model;
 
-/// The ego as in the scenario; after its end, along its route at the last speed, or as fast as bends allow.
+/// The ego as in the scenario; after its end, as the intelligent driver.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Log;
 
@@ -44,10 +44,7 @@ impl Driver for Log {
                 let velocity = (*position - ego(situation, world)?.position) * (1.0 / situation.scene.dt_s);
                 Ok(State { position: *position, heading_rad: *heading_rad, velocity })
             }
-            None => {
-                let state = ego(situation, world)?;
-                Ok(advanced(situation, &state, acceleration(situation, &state, std::iter::empty()).min(0.0)))
-            }
+            None => Idm.next(situation, world, None),
         }
     }
 

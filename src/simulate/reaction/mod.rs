@@ -1,15 +1,18 @@
 //! Corrects sampled futures before they are driven: agents brake that would drive into another, those that have waited
-//! for long go on, pedestrians walk on across the road, and vehicles keep to their lanes.
+//! for long go on, pedestrians walk on across the road, and vehicles keep to their lanes and change their acceleration
+//! smoothly.
 //!
 //! The model was trained on ordinary traffic. Behind an ego that stops, most of its futures swerve or drive on through
 //! it, and hardly any of them stops. Most corrections keep the path of the future, and change when an agent is where.
 
 mod braking;
+mod easing;
 mod moving_off;
 mod straying;
 mod walking;
 
 pub(super) use braking::brake;
+pub(super) use easing::ease;
 pub(super) use moving_off::go_on;
 pub(super) use straying::keep_to_lanes;
 pub(super) use walking::walk_on;

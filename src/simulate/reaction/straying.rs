@@ -1,14 +1,15 @@
 //! Slow vehicles are rare in recordings of fast roads. After an event that has slowed them down, the model turns many
-//! of them across the road.
+//! of them across the road; some of those that have changed lanes it drives on over the edge.
 
 use super::{at_stations, future, replace, stations};
 use crate::behavior::kept_lane::way_on;
 use crate::geometry::{Polyline, Vec2};
 use crate::scene::{Scene, State};
+use crate::simulate::rollout::OFF_ROAD_SLACK_M;
 use crate::simulate::situation::Situation;
 
 /// A vehicle that heads along a lane within the first angle and comes to head across all lanes around it by more than
-/// the second, radians, has strayed. Every few timesteps are looked at.
+/// the second, radians, has strayed, as has one that leaves the road. Every few timesteps are looked at.
 const ALONG_RAD: f64 = 0.2;
 const ACROSS_RAD: f64 = 0.4;
 const STRIDE: usize = 3;
@@ -16,10 +17,14 @@ const STRIDE: usize = 3;
 /// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene.
 pub(in crate::simulate) fn keep_to_lanes(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
     let is_along = |state: &State, most_rad: f64| situation.across_lanes_rad(state).is_none_or(|rad| rad <= most_rad);
+    let is_off = |state: &State| situation.off_road_m(state).is_some_and(|off_m| off_m > OFF_ROAD_SLACK_M);
     for agent_idx in agents.iter().copied().filter(|idx| situation.scene.tracks[*idx].class.is_motorized()) {
         let own = future(scene, agent_idx);
-        let strays = own.first().is_some_and(|now| is_along(now, ALONG_RAD))
-            && own.iter().rev().step_by(STRIDE).any(|state| !is_along(state, ACROSS_RAD));
+        let strays = own.first().is_some_and(|now| {
+            let later = || own.iter().rev().step_by(STRIDE);
+            is_along(now, ALONG_RAD) && later().any(|then| !is_along(then, ACROSS_RAD))
+                || !is_off(now) && later().any(is_off)
+        });
         if !strays {
             continue;
         }

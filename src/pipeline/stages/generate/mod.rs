@@ -17,7 +17,7 @@ use super::models::needed_models;
 use super::with_precision;
 use crate::diffusion::Edm;
 use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
-use crate::evaluate::{for_maps, map_fits};
+use crate::evaluate::MapFits;
 use crate::generate::{self, GenerateConfig, Pool, ResolvedGeneration};
 use crate::ingest::Horizon;
 use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
@@ -64,7 +64,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        26
+        27
     }
 
     fn check(&self) -> Result<()> {
@@ -145,7 +145,7 @@ impl Generate<'_> {
     /// [`Self::judging_settings`] as in the evaluation: departures are judged only where maps allow it.
     fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
         let settings = self.judging_settings();
-        let validity = for_maps(&settings.validity, &map_fits(store, &settings.validity)?);
+        let validity = MapFits::of(store, &settings.validity)?.limits(&settings.validity);
         Ok(MetricSettings { validity })
     }
 

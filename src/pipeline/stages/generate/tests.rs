@@ -56,7 +56,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
     writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
     writer.finish(&json!({ "rejects": {} })).unwrap();
     let store = SceneStore::open(dir.path()).unwrap();
-    let of_evaluation = for_maps(&ValidityConfig::default(), &map_fits(&store, &ValidityConfig::default()).unwrap());
+    let of_evaluation = MapFits::of(&store, &ValidityConfig::default()).unwrap().limits(&ValidityConfig::default());
     assert!(of_evaluation.places_without_road.contains("PIT"), "its map is at random");
 
     let settings_with = |limits: &str, validity: &ValidityConfig| {

@@ -3,7 +3,7 @@
 mod drawings;
 mod gather;
 
-use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
+use crate::engine::{Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::{FIGURES, Layout, REPORT};
 use crate::report::{ReportConfig, figures, render};
@@ -51,6 +51,12 @@ impl Stage for Report<'_> {
     }
 
     fn check(&self) -> Result<()> {
+        if self.parts.is_empty() {
+            let folder = self.layout.scenes.parent().unwrap_or(&self.layout.scenes).display();
+            let message = format_args!("{folder} has no results of a run to report on");
+            return Err(Failure::input_message(message)
+                .with_hint("name the folder of a run, such as output/quickstart/main; `djinn run` prints it"));
+        }
         Ok(())
     }
 

@@ -1,0 +1,84 @@
+//! A sampled future may begin with another acceleration than the one that its vehicle has: after an event that the
+//! model would not have driven, more often than not. Nobody lets go of a pedal within a tenth of a second.
+
+use super::{at_stations, future, replace, stations};
+use crate::scene::{Scene, State};
+use crate::simulate::situation::Situation;
+
+/// How fast the acceleration changes, m/s³: about the largest jerk of passengers' comfort (8.37, nuPlan).
+const EASED_MPS3: f64 = 8.0;
+/// Accelerations are of so many steps before and after the present.
+const N_STEPS: usize = 3;
+
+/// Lets the acceleration of those of `agents` that are vehicles pass smoothly into that of the future of this scene: on
+/// their path, and a little slower or faster from then on.
+pub(in crate::simulate) fn ease(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
+    let present = scene.current_timestep();
+    for agent_idx in agents.iter().copied().filter(|idx| situation.scene.tracks[*idx].class.is_motorized()) {
+        let since = present.saturating_sub(N_STEPS)..=present;
+        let past: Vec<State> = since.filter_map(|t| scene.state(agent_idx, t).copied()).collect();
+        let own = future(scene, agent_idx);
+        if past.len() == N_STEPS + 1
+            && own.len() > N_STEPS
+            && let Some(eased) = eased(&past, &own, scene.dt_s)
+        {
+            replace(scene, agent_idx, &eased);
+        }
+    }
+}
+
+/// The states from the present on, with a speed and an acceleration that begin with those of the `past`; the acceleration
+/// comes to be theirs. `None` if it does not change faster than drivers let it.
+fn eased(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
+    let step_mps = |states: &[State], i: usize| states[i + 1].position.distance(states[i].position) / dt_s;
+    let mps2 = |states: &[State]| (step_mps(states, N_STEPS - 1) - step_mps(states, 0)) / ((N_STEPS - 1) as f64 * dt_s);
+    let more_mps2 = mps2(past) - mps2(own);
+    let takes_s = more_mps2.abs() / EASED_MPS3;
+    if takes_s <= dt_s {
+        return None;
+    }
+    let on_way = stations(own);
+    let mut more_mps = step_mps(past, N_STEPS - 1) + mps2(own) * dt_s - step_mps(own, 0);
+    let (mut station_m, mut elapsed_s) = (0.0, 0.0);
+    let then = on_way.windows(2).map(|pair| {
+        more_mps += more_mps2 * (1.0 - elapsed_s / takes_s).max(0.0) * dt_s;
+        elapsed_s += dt_s;
+        let moved_m = (pair[1] - pair[0] + more_mps * dt_s).max(0.0);
+        // Who stands has nothing left to lose.
+        more_mps = (moved_m - (pair[1] - pair[0])) / dt_s;
+        station_m += moved_m;
+        station_m
+    });
+    Some(at_stations(own, &on_way, then, dt_s))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{DT_S, steady};
+    use super::*;
+    use crate::geometry::Vec2;
+
+    #[test]
+    fn a_pedal_is_let_go_as_drivers_do() {
+        // Braking with 6 m/s² until the present, at 10 m/s, from where the future holds its speed.
+        let before = |n: usize| State {
+            position: Vec2::new(-(10.0 + 0.3 * n as f64) * DT_S * n as f64, 0.0),
+            ..steady(0.0, 10.0)[0]
+        };
+        let past: Vec<State> = (0..=N_STEPS).rev().map(before).collect();
+        let found = eased(&past, &steady(0.0, 10.0), DT_S).unwrap();
+        // It takes 0.75 s, in which 6 x 0.75 / 2 m/s are lost.
+        assert!((found[30].speed_mps() - 7.75).abs() < 0.02, "{}", found[30].speed_mps());
+        let all: Vec<Vec2> = past[..N_STEPS].iter().chain(&found).map(|state| state.position).collect();
+        let mps: Vec<f64> = all.windows(2).map(|pair| pair[1].distance(pair[0]) / DT_S).collect();
+        let mps2: Vec<f64> = mps.windows(2).map(|pair| (pair[1] - pair[0]) / DT_S).collect();
+        assert!(mps2.windows(2).all(|pair| (pair[1] - pair[0]).abs() < EASED_MPS3 * DT_S + 0.01), "{mps2:?}");
+        assert!((mps2[0] + 6.0).abs() < 0.01 && mps2[20].abs() < 1e-9);
+        // Half of a timestep's worth is nothing to ease, and who stands stays.
+        assert_eq!(eased(&steady(-3.0 * DT_S * 10.0, 10.0)[..=N_STEPS], &steady(0.0, 10.0), DT_S), None);
+        let stands: Vec<State> =
+            steady(0.0, 10.0).iter().map(|state| State { position: Vec2::ZERO, ..*state }).collect();
+        let stopping = eased(&past, &stands, DT_S).unwrap();
+        assert!(stopping.windows(2).all(|pair| pair[1].position.x >= pair[0].position.x));
+    }
+}
