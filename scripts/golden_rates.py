@@ -84,11 +84,30 @@ def profile_interval(y, at, shape, scale, dispersion=1.0, n_shapes=4001):
     return low, np.exp(optimize.brentq(drop, max(estimate, -39.9), -1e-9))
 
 
+def tail_dispersion(y, at, shape, scale, clusters, n_quantiles=200_000):
+    """By how much the variance of the log of the survival at `at` grows if exceedances of a cluster are alike, from numerical slopes."""
+    def slopes(of, step=1e-5):
+        return np.array([of(shape + step, scale) - of(shape - step, scale), of(shape, scale * np.exp(step)) - of(shape, scale * np.exp(-step))]) / (2 * step)
+
+    def scores(y):
+        return slopes(lambda shape, scale: stats.genpareto.logpdf(y, shape, scale=scale))
+
+    # The expected information, over quantiles of the fitted distribution.
+    of_all = scores(stats.genpareto.ppf((np.arange(n_quantiles) + 0.5) / n_quantiles, shape, scale=scale))
+    added = slopes(lambda shape, scale: stats.genpareto.logsf(at, shape, scale=scale)) @ np.linalg.solve(of_all @ of_all.T, scores(y))
+    added -= added.mean()
+    sums = np.bincount(clusters, added)
+    return max(1.0, (sums**2).sum() / (added**2).sum() * len(sums) / (len(sums) - 1))
+
+
 def tail(name, shape, n, levels, rng):
     y = stats.genpareto.rvs(shape, scale=1.5, size=n, random_state=rng).round(4) + 1e-4
     found = fitted(y)
     rows = [[at, phi, stats.genpareto.sf(at, found[0], scale=found[1]), *profile_interval(y, at, *found, phi)] for at in levels for phi in (1.0, 3.5)]
-    return {"name": name, "exceedances": list(y), "fit": found, "anderson_darling": anderson_darling(y, *found), "survival": rows}
+    # Exceedances that follow each other are alike.
+    y = np.concatenate([np.sort(y[: n // 2]), y[n // 2 :]])
+    clustered = [[at, k, tail_dispersion(y, at, *found, np.arange(n) * k // n)] for at in levels for k in (4, 15)]
+    return {"name": name, "exceedances": list(y), "clustered": clustered, "fit": found, "anderson_darling": anderson_darling(y, *found), "survival": rows}
 
 
 def critical(shape, n=200, n_samples=4000):

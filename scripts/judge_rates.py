@@ -7,7 +7,8 @@
 
 `gather` simulates recordings of ten minutes, mines them, keeps for each its exposure and its events, every one once, and
 removes the recordings; stop it at any time, and go on. It counts on its own, without djinn's counting. `judge` draws hours
-out of all of them, estimates rates from these alone, and tells how often the interval holds the rate of all hours; `tails` does so for extrapolated ones.
+out of all of them, estimates rates from these alone, and tells how often the interval holds the rate of all hours; `tails`
+does so for extrapolated ones, and `known` for draws from known distributions.
 """
 
 import argparse
@@ -19,6 +20,7 @@ import sys
 import tempfile
 
 import numpy as np
+from scipy import special, stats
 
 RUNS_PER_BATCH, DT_S, N_TIMESTEPS = 6, 0.1, 120
 # Views of one event begin within so many frames after another view of it ends.
@@ -108,8 +110,6 @@ def events(path):
 
 def judge(options):
     """Prints a table: how often intervals from draws hold the rate of all hours."""
-    from scipy import stats
-
     rng = np.random.default_rng(options.seed)
     n_runs = round(options.hours * 6)
     print(f"| place | of | in {options.hours:g} h | dispersion | holds | as if independent |\n|---|---|---:|---:|---:|---:|")
@@ -124,7 +124,7 @@ def judge(options):
             truth = n.sum() / km.sum()
             # Runs are drawn with replacement: the rate of all of them is then exactly that of the draws.
             drawn = [rng.integers(0, len(runs), n_runs) for _ in range(options.draws)]
-            held = [[low <= truth <= high for low, high in (interval(stats, n[i], km[i], True), interval(stats, n[i], km[i], False))] for i in drawn]
+            held = [[low <= truth <= high for low, high in (interval(n[i], km[i], True), interval(n[i], km[i], False))] for i in drawn]
             share, plain = np.mean(held, axis=0)
             all_held.append((share, plain))
             print(f"| {place} | {name} | {n.mean() * n_runs:.1f} | {dispersion(n, km):.1f} | {100 * share:.0f} % | {100 * plain:.0f} % |")
@@ -157,7 +157,7 @@ def dispersion(n, exposure):
     return max(1.0, float(((n - expected) ** 2 / expected).sum() / (len(n) - 1))) if n.sum() else 1.0
 
 
-def interval(stats, n, exposure, is_clustered):
+def interval(n, exposure, is_clustered):
     """As src/statistics/clustered.rs defines it."""
     scale = dispersion(n, exposure) if is_clustered else 1.0
     alike = n.sum() / scale
@@ -174,59 +174,103 @@ def tails(options):
     """Prints a table: how often extrapolated intervals hold the rate of a level that is expected in a third of the draws."""
     rng = np.random.default_rng(options.seed)
     n_runs = round(options.hours * 6)
-    print("| place | severity | level | given | holds | median width, times |\n|---|---|---:|---:|---:|---:|")
+    print(HEAD.format("place and severity", "level"))
     for place in sorted({path.name.rsplit("_", 2)[0] for path in options.folder.glob("*.json")}):
         runs = [run for path in sorted(options.folder.glob(f"{place}_*.json")) for run in json.loads(path.read_text())]
         km = np.array([run["vehicle_km"] for run in runs]) / 1000
+        print(f"{place}: {len(runs) / 6:.0f} h", file=sys.stderr)
         for behavior, parameter, sign in SEVERITIES:
             found = [np.array([sign * event[3][parameter] for event in run["events"] if event[0] == behavior and parameter in event[3]]) for run in runs]
             severities = np.sort(np.concatenate(found))[::-1]
             n_beyond = round(len(runs) / n_runs / 3)
-            if len(severities) < 100 or n_beyond < 2:
+            if len(severities) < 100 or n_beyond < 1:
                 continue
             level = (severities[n_beyond - 1] + severities[n_beyond]) / 2
-            truth = n_beyond / km.sum()
-            given = []
-            for _ in range(options.draws):
-                drawn = rng.integers(0, len(runs), n_runs)
-                if sum((found[i] > level).sum() for i in drawn) < 3:
-                    given.append(tail_interval([found[i] for i in drawn], km[drawn], level))
-            intervals = np.array([interval for interval in given if interval is not None])
-            holds = np.mean((intervals[:, 0] <= truth) & (truth <= intervals[:, 1])) if len(intervals) else np.nan
-            width = np.median(intervals[:, 1] / intervals[:, 0]) if len(intervals) else np.nan
-            print(f"| {place} | {behavior} {parameter} | {sign * level:.2f} | {len(intervals)} of {len(given)} | {100 * holds:.0f} % | {width:.0f} |", flush=True)
+            draws = (rng.integers(0, len(runs), n_runs) for _ in range(options.draws))
+            draws = (([found[i] for i in drawn], km[drawn]) for drawn in draws)
+            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", len(severities) * n_runs / len(runs), draws, level, n_beyond / km.sum()))
+
+
+# Distributions of severities: the value that is exceeded with a probability.
+KNOWN = [("exponential", lambda p: -np.log(p)), ("generalized Pareto, shape -0.3", lambda p: (1 - p**0.3) / 0.3),
+         ("generalized Pareto, shape 0.2", lambda p: (p**-0.2 - 1) / 0.2), ("half normal", lambda p: special.ndtri(1 - p / 2)),
+         ("lognormal", lambda p: np.exp(-0.6 * special.ndtri(p)))]  # fmt: skip
+
+
+def known(options):
+    """Prints the table of `tails` for draws of 30 recordings from known distributions, with clusters of two kinds."""
+    rng = np.random.default_rng(options.seed)
+    print(HEAD.format("distribution", "dispersion, scales differ by"))
+    for n, phi, spread in ((300, 1, 0), (300, 3, 0.15), (1500, 5, 0), (1500, 5, 0.15)):
+        for name, quantile in KNOWN:
+            def recordings(n_recordings):
+                counts = rng.poisson(n / 30 if phi == 1 else rng.gamma(n / 30 / (phi - 1), phi - 1, n_recordings), n_recordings)
+                return [np.exp(spread * rng.normal()) * quantile(1 - rng.random(count)) for count in counts]
+
+            severities = np.sort(np.concatenate(recordings(30 * 1000)))[::-1]
+            draws = ((recordings(30), np.ones(30)) for _ in range(options.draws))
+            print(row(name, f"{phi}, {spread:.0%}", n, draws, severities[333], 1 / 90), flush=True)
+
+
+HEAD = "| {} | {} | in a draw | given | holds | median width, times | refused: rare, wide, no fit |\n|---|---|---:|---:|---:|---:|---|"
+
+
+def row(name, detail, n, draws, level, truth):
+    """A row of a table: of the draws with fewer than three events beyond the level."""
+    found = [tail_interval(*draw, level) for draw in draws if sum((each > level).sum() for each in draw[0]) < 3]
+    given = np.array([each for each in found if not isinstance(each, str)]).reshape(-1, 2)
+    holds, width = np.mean((given[:, 0] <= truth) & (truth <= given[:, 1])), np.median(given[:, 1] / given[:, 0])
+    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in ("rare", "wide", "no fit"))
+    return f"| {name} | {detail} | {n:.0f} | {len(given)} of {len(found)} | {100 * holds:.0f} % | {width:.0f} | {refused} |"
 
 
 def tail_interval(found, exposure, level):
-    """As src/rates/tail.rs defines it; `None` where no rate is given."""
+    """As src/rates/tail.rs defines it; why no rate is given where none is."""
     import golden_rates
-    from scipy import stats
 
-    severities = np.sort(np.concatenate(found))[::-1]
-    for share in (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
-        n = int(share * len(severities))
-        if n >= len(severities) or severities[n] >= level:
-            continue
-        threshold = severities[n]
-        y = severities[severities > threshold] - threshold
-        if len(y) < 30:
+    together, recording = np.concatenate(found), np.repeat(np.arange(len(found)), [len(each) for each in found])
+    severities = np.sort(together)[::-1]
+    for share in (1.0, 0.7, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
+        threshold = severities[min(int(share * len(severities)), len(severities) - 1)]
+        is_beyond = together > threshold
+        y = together[is_beyond] - threshold
+        if threshold >= level or len(y) < 30:
             continue
         shape, scale = golden_rates.quick_fit(y)
         critical = np.interp(shape, np.arange(-0.5, 1.01, 0.25), CRITICAL)
         if not -0.499 < shape < 0.999 or golden_rates.anderson_darling(y, shape, scale) >= critical:
             continue
         at = level - threshold
+        counts = np.bincount(recording[is_beyond], minlength=len(found))
         survival = stats.genpareto.sf(at, shape, scale=scale)
-        if len(y) * survival * 10 < 1:
-            return None
-        counts = np.array([(each > threshold).sum() for each in found])
-        low, high = golden_rates.profile_interval(y, at, shape, scale, dispersion(counts, exposure), 301)
+        # No dispersion can be told of a level that the fitted tail does not reach.
+        phi = golden_rates.tail_dispersion(y, at, shape, scale, recording[is_beyond], 2_000) if survival else 1.0
+        low, high = profile_interval(y, at, phi)
         rate = counts.sum() / exposure.sum()
-        ends = interval(stats, counts, exposure, True)
-        with np.errstate(divide="ignore"):
-            down, up = (np.hypot(np.log(end / rate), np.log(of / survival)) for end, of in zip(ends, (low, high)))
-        return None if down + up > np.log(100) else (rate * survival * np.exp(-down), rate * survival * np.exp(up))
-    return None
+        ends = interval(counts, exposure, True)
+        if survival == 0:
+            low, high = 0, high * np.hypot(ends[1] - rate, rate)
+        else:
+            with np.errstate(divide="ignore"):
+                down, up = (np.hypot(np.log(end / rate), np.log(of / survival)) for end, of in zip(ends, (low, high)))
+            low, high = rate * survival * np.exp(-down), rate * survival * np.exp(up)
+        if high * exposure.sum() * 10 < 1:
+            return "rare"
+        return "wide" if high > 100 * low else (low, high)
+    return "no fit"
+
+
+def profile_interval(y, at, phi):
+    """As scripts/golden_rates.py defines it, but on a grid, and by sums that depend on the ratio of shape and scale alone."""
+    ratios = np.unique(np.concatenate([np.geomspace(1e-9, 1, 250) - 1, -np.geomspace(1e-4, 0.1, 40), [0], np.geomspace(1e-4, 3e3, 250)])) / y.max()
+    sums = np.log1p(np.maximum(ratios[:, None] * y, 1e-12 - 1)).sum(1)
+    per_ratio = np.divide(sums, ratios, out=np.full_like(sums, y.sum()), where=ratios != 0)
+    shapes, ln_p = np.linspace(-0.5, 1, 76)[:, None] + 1e-9, -np.geomspace(40, 1e-3, 400)
+    scales = shapes * at / np.expm1(-shapes * ln_p)
+    each = -len(y) * np.log(scales) - np.interp(shapes / scales, ratios, sums) - np.interp(shapes / scales, ratios, per_ratio) / scales
+    profile = np.where(shapes / scales * y.max() > -1, each, -np.inf).max(0)
+    inside = np.flatnonzero(profile.max() - profile < phi * stats.chi2.ppf(0.95, 1) / 2)
+    return np.exp(ln_p[inside[0]]) if inside[0] else 0.0, np.exp(ln_p[inside[-1]])
 
 
 # From tests/golden/rates.json.
@@ -244,10 +288,11 @@ def main():
     task.add_argument("--first", type=float, default=0.0, help="where to begin, for a second process beside the first")
     task.add_argument("--seed", type=int, default=1)
     task.add_argument("--djinn", default="djinn")
-    for name, run in (("judge", judge), ("tails", tails)):
+    for name, run in (("judge", judge), ("tails", tails), ("known", known)):
         task = tasks.add_parser(name)
         task.set_defaults(run=run)
-        task.add_argument("folder", type=pathlib.Path)
+        if run is not known:
+            task.add_argument("folder", type=pathlib.Path)
         task.add_argument("--draws", type=int, default=400)
         task.add_argument("--hours", type=float, default=5.0, help="of a draw (default: 5)")
         task.add_argument("--seed", type=int, default=1)

@@ -126,7 +126,8 @@ impl RecordedTraffic {
         let known: Vec<(usize, f64)> =
             self.found(all).filter_map(|(recording, parameters)| Some((recording, severity(parameters)?))).collect();
         let rates = || {
-            let tail = level.tail(&known.iter().map(|(_, severity)| *severity).collect::<Vec<_>>())?;
+            let of_clusters = known.iter().map(|(recording, severity)| (self.clusters[*recording], *severity));
+            let tail = level.tail(&of_clusters.collect::<Vec<_>>())?;
             let beyond = known.iter().filter(|(_, severity)| *severity > tail.threshold);
             let counts = self.counts(all, beyond.map(|(recording, _)| *recording));
             let of =

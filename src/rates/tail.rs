@@ -13,8 +13,9 @@ const SEVERITIES: [(&str, bool); 7] = [
     ("max_deceleration_mps2", true),
     ("mean_deceleration_mps2", true),
 ];
-/// The shares of events that thresholds to try let pass, the lowest threshold first.
-const SHARES: [f64; 7] = [0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1];
+/// The shares of events that thresholds to try let pass, the lowest threshold first: the least severe event, where the
+/// definition of the behavior cuts the tail already.
+const SHARES: [f64; 9] = [1.0, 0.7, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1];
 /// A threshold is passed by at least so many events.
 const LEAST_EVENTS: usize = 30;
 /// No rate is given of what is expected less than once in so many times what was recorded.
@@ -43,6 +44,8 @@ pub(super) struct Tail {
     /// The severity beyond which it was fitted.
     pub(super) threshold: f64,
     fitted: Pareto,
+    /// The recordings of the events that it was fitted to.
+    clusters: Vec<usize>,
 }
 
 impl Level {
@@ -50,7 +53,11 @@ impl Level {
     pub(super) fn of(within: &Within) -> Option<Self> {
         let (parameter, [from, to]) = within.0.first_key_value().filter(|_| within.0.len() == 1)?;
         let (_, is_larger) = SEVERITIES.into_iter().find(|(name, _)| name == parameter)?;
-        let (sign, severity, end) = if is_larger { (1.0, *from, *to) } else { (-1.0, -to, -from) };
+        // The others are times, of which none is negative.
+        let (sign, severity, end) = match is_larger {
+            true => (1.0, *from, *to),
+            false => (-1.0, -to, if *from > 0.0 { -from } else { f64::INFINITY }),
+        };
         Some(Self { parameter: parameter.clone(), sign, severity, end })
     }
 
@@ -59,28 +66,31 @@ impl Level {
         self.sign * value
     }
 
-    /// The tail of recorded severities: beyond the lowest threshold of those tried at which a generalized Pareto
-    /// distribution is not rejected.
+    /// The tail of recorded severities, each with its cluster: beyond the lowest threshold of those tried at which a
+    /// generalized Pareto distribution is not rejected.
     ///
     /// # Errors
     /// Why there is none, in words.
-    pub(super) fn tail(&self, severities: &[f64]) -> Result<Tail, &'static str> {
+    pub(super) fn tail(&self, severities: &[(usize, f64)]) -> Result<Tail, &'static str> {
         let mut sorted = severities.to_vec();
-        sorted.sort_by(|a, b| b.total_cmp(a));
-        if sorted.first().is_some_and(|most| *most > self.end) {
+        sorted.sort_by(|(_, a), (_, b)| b.total_cmp(a));
+        if sorted.first().is_some_and(|(_, most)| *most > self.end) {
             return Err("more severe events than those of the bucket were recorded");
         }
         let mut is_tried = false;
         for share in SHARES {
-            let n = (share * sorted.len() as f64) as usize;
-            let Some(threshold) = sorted.get(n).filter(|threshold| **threshold < self.severity) else { continue };
-            let beyond: Vec<f64> = sorted.iter().map(|x| x - threshold).filter(|y| *y > 0.0).collect();
+            let n = ((share * sorted.len() as f64) as usize).min(sorted.len().saturating_sub(1));
+            let Some((_, threshold)) = sorted.get(n).filter(|(_, threshold)| *threshold < self.severity) else {
+                continue;
+            };
+            let (clusters, beyond): (Vec<usize>, Vec<f64>) =
+                sorted.iter().map(|(cluster, x)| (*cluster, x - threshold)).filter(|(_, y)| *y > 0.0).unzip();
             if beyond.len() < LEAST_EVENTS {
                 continue;
             }
             is_tried = true;
             if let Some(fitted) = Pareto::fit(beyond).filter(Pareto::is_good) {
-                return Ok(Tail { threshold: *threshold, fitted });
+                return Ok(Tail { threshold: *threshold, fitted, clusters });
             }
         }
         Err(match is_tried {
@@ -100,16 +110,16 @@ impl Level {
         n_beyond: u64,
         beyond: ClusteredRate,
     ) -> Result<(f64, Interval), &'static str> {
-        let survival =
-            |severity: f64| tail.fitted.survival(severity - tail.threshold, beyond.dispersion.unwrap_or(1.0));
-        let (share, of_share) = survival(self.severity);
-        if survival(self.end).0 > LARGEST_REST * share {
+        let Tail { threshold, fitted, clusters } = tail;
+        let at = self.severity - threshold;
+        let (share, of_share) = fitted.survival(at, fitted.dispersion(at, clusters));
+        if fitted.survival(self.end - threshold, 1.0).0 > LARGEST_REST * share {
             return Err("the tail goes on beyond the far end of the bucket");
         }
-        if n_beyond as f64 * share * TIMES_RECORDED < 1.0 {
+        let found = Estimate::new(beyond.rate, beyond.interval).times(Estimate::new(share, of_share));
+        if n_beyond as f64 / beyond.rate * found.interval.high * TIMES_RECORDED < 1.0 {
             return Err("expected less than once in ten times what was recorded");
         }
-        let found = Estimate::new(beyond.rate, beyond.interval).times(Estimate::new(share, of_share));
         if found.span() > WIDEST {
             return Err("the interval would span more than a factor of 100");
         }

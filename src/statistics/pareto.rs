@@ -4,6 +4,7 @@
 //! distribution below (Pickands 1975; Coles 2001, section 4.2).
 
 use super::Interval;
+use std::collections::BTreeMap;
 
 /// Shapes for which maximum likelihood is regular (Smith 1985), and above which nothing is fitted.
 const SHAPES: [f64; 2] = [-0.5, 1.0];
@@ -44,9 +45,38 @@ impl Pareto {
         is_inside.then_some(Self { shape, scale, exceedances })
     }
 
+    /// How many times the variance of independent exceedances the logarithm of the survival at `y` has, at least 1,
+    /// where those of one cluster are alike: exceedance `i` is of `clusters[i]`. What each adds to the estimate, its
+    /// score by the expected information (Smith 1985), is summed within clusters (Chandler and Bate 2007). Exceedances
+    /// that come together, but are not alike, tell as much as others.
+    pub fn dispersion(&self, y: f64, clusters: &[usize]) -> f64 {
+        // Slopes by the shape and by the logarithm of the scale; the limit of shape 0 is approached.
+        let shape = if self.shape.abs() < 1e-4 { 1e-4 } else { self.shape };
+        let slopes = |y: f64| {
+            let z = y / self.scale;
+            let inner = (1.0 + shape * z).max(1e-9);
+            [inner.ln() / (shape * shape) - z / (shape * inner), z / inner]
+        };
+        let [by_shape, by_scale] = slopes(y);
+        let factors = [(1.0 + shape) * by_shape - by_scale, 2.0 * by_scale - by_shape];
+        let added = |y: &f64| {
+            // The log density is 1 + ξ times the log survival, less ln σ.
+            let [by_shape, by_scale] = slopes(*y);
+            let score = [(1.0 + shape) * by_shape + ln_survival(*y, shape, self.scale), (1.0 + shape) * by_scale - 1.0];
+            factors[0] * score[0] + factors[1] * score[1]
+        };
+        let added: Vec<f64> = self.exceedances.iter().map(added).collect();
+        let mean = added.iter().sum::<f64>() / added.len() as f64;
+        let mut sums: BTreeMap<usize, f64> = BTreeMap::new();
+        added.iter().zip(clusters).for_each(|(added, cluster)| *sums.entry(*cluster).or_default() += added - mean);
+        let together: f64 = sums.values().map(|sum| sum * sum).sum();
+        let alone: f64 = added.iter().map(|added| (added - mean).powi(2)).sum();
+        let n = sums.len() as f64;
+        if sums.len() > 1 { (together / alone * n / (n - 1.0)).max(1.0) } else { 1.0 }
+    }
+
     /// The probability that an exceedance is above `y`, with its profile-likelihood interval (Coles 2001, section
-    /// 4.3.3). Exceedances that come in clusters tell as much as that many divided by their `dispersion`, by which the
-    /// log likelihood is divided (Chandler and Bate 2007).
+    /// 4.3.3), whose log likelihood is divided by the [`dispersion`](Self::dispersion).
     pub fn survival(&self, y: f64, dispersion: f64) -> (f64, Interval) {
         let best = log_likelihood(&self.exceedances, self.shape, self.scale);
         let ln_estimate = ln_survival(y, self.shape, self.scale).max(LEAST_LN_SURVIVAL);
@@ -169,12 +199,15 @@ mod tests {
         anderson_darling: f64,
         /// Where, the dispersion, survival, and the ends of its interval.
         survival: Vec<[f64; 5]>,
+        /// Where, the number of clusters of exceedances that follow each other, and the dispersion.
+        clustered: Vec<(f64, usize, f64)>,
     }
 
     #[test]
     fn fits_and_intervals_are_those_of_scipy() {
         let cases: Vec<Case> = serde_json::from_value(crate::statistics::golden()["tails"].clone()).unwrap();
         for case in cases {
+            let n = case.exceedances.len();
             let fitted = Pareto::fit(case.exceedances).unwrap();
             let close = |a: f64, b: f64| (a - b).abs() <= 2e-3 * b.abs() + 1e-9;
             assert!((fitted.shape - case.fit[0]).abs() < 1e-3 && close(fitted.scale, case.fit[1]), "{}", case.name);
@@ -183,6 +216,11 @@ mod tests {
                 let (found, interval) = fitted.survival(y, dispersion);
                 let all = close(found, survival) && close(interval.low, low) && close(interval.high, high);
                 assert!(all, "{} at {y}: {found}, {interval:?}", case.name);
+            }
+            for (y, n_clusters, dispersion) in case.clustered {
+                let clusters: Vec<usize> = (0..n).map(|i| i * n_clusters / n).collect();
+                let found = fitted.dispersion(y, &clusters);
+                assert!((found / dispersion - 1.0).abs() < 0.01, "{} at {y}: {found}, not {dispersion}", case.name);
             }
         }
         assert_eq!(Pareto::fit(vec![1.0]), None);

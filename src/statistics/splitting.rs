@@ -121,14 +121,20 @@ mod tests {
     fn a_walk_hits_as_often_as_a_gambler_whatever_the_levels_and_varies_less() {
         // The gambler's ruin: from 0, `top` comes before -1 with probability (r - 1) / (r^(top + 1) - 1), r = (1 -
         // p)/p; by Wald, steps up are p times all steps, of which there are (1 - hit (top + 1)) / (1 - 2 p).
-        let (top, p) = (18, 0.4_f64);
+        let (top, p) = (20, 0.4_f64);
         let r = (1.0 - p) / p;
         let hit = (r - 1.0) / (r.powi(top + 1) - 1.0);
-        assert!((1e-4..3e-4).contains(&hit));
+        assert!((1e-4..1.1e-4).contains(&hit));
         let ups = p * (1.0 - hit * f64::from(top + 1)) / (1.0 - 2.0 * p);
-        for (severities, n_copies) in
-            [(&[2.0, 5.0, 8.0, 11.0, 14.0][..], 3), (&[4.0, 4.5, 9.0, 14.0], 4), (&[1.0, 16.0], 7), (&[6.0, 12.0], 10)]
-        {
+        // At equal variance, the first two sets of levels take a sixteenth of the steps, the others 0.09, 0.27 and 0.09,
+        // by the variances and steps of the walk from level to level.
+        for (severities, n_copies, at_most) in [
+            (&[3.0, 6.0, 9.0, 12.0, 15.0, 18.0][..], 3, 0.1),
+            (&[4.0, 8.0, 12.0, 16.0], 4, 0.1),
+            (&[4.0, 4.5, 9.0, 14.0], 4, 0.15),
+            (&[1.0, 16.0], 7, 0.4),
+            (&[6.0, 12.0], 10, 0.15),
+        ] {
             let n = 20_000;
             let [mean, mean_ups, variance, n_steps] = estimates(n, Levels { severities, n_copies }, (top, p));
             let error = (variance / n as f64).sqrt();
@@ -137,7 +143,7 @@ mod tests {
             // For the same number of steps as walks that are not split, whose hits vary by hit (1 - hit).
             let per_step = variance * n_steps / n as f64;
             let plain = hit * (1.0 - hit) * (1.0 - hit * f64::from(top + 1)) / (1.0 - 2.0 * p);
-            assert!(per_step < 0.7 * plain, "{severities:?}: {per_step} against {plain}");
+            assert!(per_step < at_most * plain, "{severities:?}: {per_step} against {plain}");
         }
     }
 

@@ -224,6 +224,7 @@ fn what_is_left_out_is_said_where_nothing_is_left() {
         (car.replace("<x>5</x>", "<x>1e300</x>"), "obstacle 7 on line 1: lies at (1e300, 0)"),
         (car.replace("<length>4.4", "<length>nan"), "1 obstacles left out: a.xml: obstacle 7 on line 1"),
         (car.replace("<exact>45</exact>", "<exact>1e9</exact>"), "has time 1000000000,"),
+        (car.replace("<exact>45</exact>", "<exact>-5</exact>"), "has time -5, expected a whole number from 0 to"),
     ] {
         let error = read(&scenario(&(lanelet(1, 0.0, "") + &bad))).unwrap_err().to_string();
         assert!(error.contains("no_obstacles") && error.contains(expected), "{error}");

@@ -46,6 +46,10 @@ fn by_lane<'g>(graph: &'g LaneGraph, road: &str, lane: &str) -> Vec<&'g Lane> {
 fn lanes_lie_where_widths_put_them_and_run_with_traffic() {
     let (graph, report) = read(&road("1", "junction='-1'", STRAIGHT, &two_way()));
     assert_eq!((graph.lanes().len(), report.n_lanelets, report.n_not_drivable), (3, 4, 1));
+    assert!(report.warnings.is_empty(), "{report:?}");
+    let (_, other) = read(&road("1", "", STRAIGHT, &two_way().replace("sidewalk", "Driving")));
+    let said = &other.warnings["lanes_of_other_types"];
+    assert_eq!((said.count, said.examples[0].contains("has type \"Driving\"")), (1, true), "{said:?}");
     let [against, inner, outer] = ["1", "-1", "-2"].map(|lane| by_lane(&graph, "1", lane)[0]);
     let rounded = |point: Vec2| ((point.x * 1e3).round() / 1e3, (point.y * 1e3).round() / 1e3);
     let ends = |lane: &Lane| [lane.centerline.0[0], *lane.centerline.0.last().unwrap()].map(rounded);

@@ -270,27 +270,3 @@ fn tables_that_cannot_be_read_are_rejects() {
     let found = units(&tables, SMALL, &[("a.csv", &whole)]);
     assert!(matches!(&found[..], [Err(Reject { reason: "no_track_file", .. })]), "{found:?}");
 }
-
-#[test]
-fn endless_lines_are_refused_in_bounded_memory() {
-    let config = config("");
-    let tables = Tables::new(&config).unwrap();
-    let good = table(&rows());
-    let cases: [(&str, u8, &str); 3] = [
-        ("", b'i', "a.csv: line 1 is longer than 64 KiB"),
-        ("id,t,x,y,c\n\"truck", 0, "a.csv: line 2 is longer than 64 KiB"),
-        (&good, 0, " is longer than 64 KiB"),
-    ];
-    for (begin, byte, expected) in cases {
-        let mut reader = tables.part_reader(SMALL);
-        let mut endless = std::io::BufReader::new(std::io::Read::chain(begin.as_bytes(), std::io::repeat(byte)));
-        let entry = Entry { path: "a.csv".to_owned(), container: "in".into(), size: None };
-        let mut found = Vec::new();
-        let mut emit = |unit: Result<RawUnit, Reject>| {
-            found.push(unit.map(|unit| unit.bytes.len()));
-            ControlFlow::Continue(())
-        };
-        assert!(reader.read(&entry, &mut endless, &mut emit).unwrap().is_continue());
-        assert!(matches!(&found[..], [Err(reject)] if reject.detail.contains(expected)), "{found:?}");
-    }
-}

@@ -94,7 +94,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        14
+        15
     }
 
     fn check(&self) -> Result<()> {

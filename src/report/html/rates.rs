@@ -31,9 +31,10 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         @if !others.is_empty() { details { summary { "By place" } (table("Rates at each place", &others)) } }
         @if !model.calibration.is_empty() { (calibration(model)) }
         p class="note" {
-            "Where several recordings were made, the interval allows for events that come in clusters. Where nothing \
-            was found, the upper end is what that still allows. Extrapolated rates (hollow) are those of the tail of \
-            less severe events, and only given where that can be defended."
+            "Rates of recorded events are counted; the interval, which holds the true rate 19 times of 20, allows for \
+            events that come in clusters if there are several recordings. Where nothing was found, only the upper end \
+            is known: what that still allows. Extrapolated rates (hollow) follow from less severe events: take them \
+            for orders of magnitude. Where a row says why it is not extrapolated, no rate is claimed."
         }
     };
     Some(Section::new("rates", "How often it happens", body))

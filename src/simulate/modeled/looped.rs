@@ -48,9 +48,10 @@ struct Loop<'a> {
     futures: &'a Futures<'a>,
     driver: &'a RefCell<&'a mut Box<dyn Driver>>,
     severity: Severity,
-    /// Timesteps of a plan, and the last timestep.
+    /// Timesteps of a plan, the last timestep, and the first at which no event that counts can begin any more.
     n_plan: usize,
     last: usize,
+    until: usize,
     world: World,
     most: f64,
     end: Option<End>,
@@ -78,7 +79,8 @@ impl Process for Loop<'_> {
         (self.world, self.end) = drive_on(situation, self.world.clone(), driver, futures, n_steps)?;
         let of = (!driver.is_model()).then_some(situation.ego_idx);
         let at = |timestep: usize| self.severity.at(situation, &self.world, of, timestep);
-        let severity = (now + 1..=self.world.now()).map(at).fold(f64::NEG_INFINITY, f64::max);
+        // Copies that begin later only cost.
+        let severity = (now + 1..(self.world.now() + 1).min(self.until)).map(at).fold(f64::NEG_INFINITY, f64::max);
         self.most = self.most.max(severity);
         Ok(Some(severity))
     }
@@ -103,6 +105,7 @@ impl Common<'_> {
             severity: config.severity,
             n_plan,
             last: scene.current_timestep() + n_steps,
+            until: scene.n_history + self.n_counted(scene.dt_s, driver.borrow().is_model()),
             world: start.situation.start(futures.seed()).with_tracks(scene.tracks.len()),
             most: f64::NEG_INFINITY,
             end: None,
@@ -124,14 +127,18 @@ impl Common<'_> {
         Ok(Looped { counted, n_futures, passed })
     }
 
+    /// The timesteps of a loop in which events count, if they begin then; failures of a driver count to the end.
+    fn n_counted(&self, dt_s: f64, is_of_model: bool) -> usize {
+        let to_complete_s = if is_of_model { TO_COMPLETE_S } else { 0.0 };
+        ((self.config.horizon_s - to_complete_s) / dt_s).round() as usize
+    }
+
     /// Adds an end: its time, its way, and the events that begin after the present and long enough before the horizon;
     /// of a driver that is not the model, its own way and whether it failed.
     fn count(&self, start: &Start, world: &World, of_driver: Option<Outcome>, weight: f64, counted: &mut ModeledLoop) {
         let (scene, ego_idx) = (&start.situation.scene, start.situation.ego_idx);
-        let to_complete_s = if of_driver.is_none() { TO_COMPLETE_S } else { 0.0 };
-        let n_counted = ((self.config.horizon_s - to_complete_s) / scene.dt_s).round() as usize;
         let from = scene.n_history;
-        let until = (from + n_counted).min(world.n_timesteps());
+        let until = (from + self.n_counted(scene.dt_s, of_driver.is_none())).min(world.n_timesteps());
         counted.observed_h += weight * (until - from) as f64 * scene.dt_s / 3600.0;
         let is_counted = |idx: &usize| match of_driver {
             Some(_) => *idx == ego_idx,
