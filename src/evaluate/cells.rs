@@ -231,7 +231,7 @@ mod tests {
         let sampled = record(2.0, true, false, recorded());
         let mut driven = sampled.clone();
         let scene = &mut driven.scenario.scene;
-        // Later the first car stops within a tenth of a second with the second one close behind, and a third one arrives.
+        // Later the first car stops within a tenth of a second, the second one close behind, and a third one arrives.
         let last = scene.n_timesteps - 1;
         let stands = State { velocity: Vec2::ZERO, ..*scene.state(0, last).unwrap() };
         let along = Vec2::from_angle(stands.heading_rad);

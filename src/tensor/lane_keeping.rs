@@ -24,8 +24,8 @@ const KEPT_M: f64 = 0.25;
 const CRUISE_M: f64 = 0.3;
 /// Lanes that turn by more are bends, in which the middle of a vehicle does not keep its offset, radians.
 const STRAIGHT_RAD: f64 = 0.1;
-/// Within this distance of a corner of its line, meters, a vehicle rounds it off; after the present, it begins to within
-/// this many timesteps.
+/// Within this distance of a corner of its line, meters, a vehicle rounds it off; after the present, it begins to
+/// within this many timesteps.
 const ROUNDED_M: f64 = 3.0;
 const N_ROUNDED: usize = 5;
 /// A lane is an agent's if it is at most this far away, meters, and turned by this much, radians.
@@ -247,7 +247,7 @@ mod tests {
             let expected = on_lane + Vec2::from_angle(direction_rad + FRAC_PI_2) * rounded(N_OBSERVED - 1);
             match t < N_OBSERVED {
                 true => assert_eq!(found, *sampled),
-                // Where the lane turns, the corner is rounded off, and the offset along it accurate to millimeters only.
+                // Where the lane turns, the corner is rounded off, and the offset along it accurate to millimeters.
                 false => assert!(found.position.distance(expected) < 0.014, "{t}: {found:?}"),
             }
             let near_corner_m = (t as f64 - 20.5).abs();
