@@ -12,7 +12,7 @@ pub mod archive;
 mod argoverse1;
 mod argoverse2;
 mod assemble;
-mod assumed_bounds;
+pub(crate) mod assumed_bounds;
 mod batches;
 mod commonroad;
 mod config;

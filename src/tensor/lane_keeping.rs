@@ -247,7 +247,7 @@ mod tests {
             let expected = on_lane + Vec2::from_angle(direction_rad + FRAC_PI_2) * rounded(N_OBSERVED - 1);
             match t < N_OBSERVED {
                 true => assert_eq!(found, *sampled),
-                // Where the lane turns, the corner is rounded off, and the offset accurate to millimeters only.
+                // Where the lane turns, the corner is rounded off, and the offset along it accurate to millimeters.
                 false => assert!(found.position.distance(expected) < 0.014, "{t}: {found:?}"),
             }
             let near_corner_m = (t as f64 - 20.5).abs();
