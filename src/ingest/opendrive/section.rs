@@ -147,7 +147,7 @@ fn lane(element: &Element, id: i64, faults: &mut Faults<'_>) -> Result<RoadLane,
     }
     let kind = element.attribute("type").unwrap_or_default().to_owned();
     if !DRIVABLE.split(' ').chain(NOT_DRIVABLE.split(' ')).any(|listed| listed == kind) {
-        faults.tell("lanes_of_other_types", unlisted(element, "type", &kind, "such as driving; it is left out"));
+        faults.tell("lanes_of_other_types", unlisted(element, "type", &kind, "one such as driving; it is left out"));
     }
     Ok(RoadLane {
         id,
