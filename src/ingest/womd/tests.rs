@@ -255,7 +255,11 @@ fn what_cannot_be_read_is_named() {
     assert!((scene.tracks[0].extent.expect("the size before").length_m - 4.09).abs() < 1e-6);
     let lanes = scene.own_map.expect("lanes");
     let Lane { left_neighbor, attributes, .. } = lanes.get(LaneId(2)).expect("a lane");
-    assert_eq!((*left_neighbor, attributes.tags["left_neighbors"].as_str()), (None, "4:0-1/1-2"), "lane 4 is not there");
+    assert_eq!(
+        (*left_neighbor, attributes.tags["left_neighbors"].as_str()),
+        (None, "4:0-1/1-2"),
+        "lane 4 is not there"
+    );
     assert_eq!(attributes.tags[LaneAttributes::LIGHT], "stop:1-39;go:40-90");
     let mut short = scenario();
     short.timestamps_seconds.truncate(61);
