@@ -205,6 +205,7 @@ def crc(data):
 
 
 def main(folder, out):
+    check(womd.masked_crc(b"") == 0xA282EAD8, "the CRC of nothing")
     check(womd.masked_crc(b"123456789") == ((0xE3069283 >> 15 | 0xE3069283 << 17) + 0xA282EAD8) % 2**32, "the CRC")
     corpus, out = reader.Corpus(folder), pathlib.Path(out)
     n_states = same_numbers(corpus, folder)

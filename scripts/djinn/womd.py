@@ -135,5 +135,5 @@ def masked_crc(data, n_lanes=1024):
     total = np.uint32(0)
     for lane in lanes:
         total = np.bitwise_xor.reduce(moved[(total >> np.arange(32, dtype=np.uint32) & 1).astype(bool)]) ^ lane
-    crc = int(total) ^ 0xFFFFFFFF
+    crc = int(total) ^ 0xFFFFFFFF ^ 0xFFFFFFFF >> 8 * len(data)  # Of fewer bytes, the rest of the initial ones.
     return ((crc >> 15 | crc << 17) + 0xA282EAD8) % 2**32

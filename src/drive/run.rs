@@ -65,7 +65,8 @@ pub fn drive_corpus(
     folder.commit()?;
     if kept.n_found() > 0 {
         progress.warn(&format!(
-            "{} scenarios were not driven again: an interrupted drive with the same settings had done so",
+            "{} scenarios were not driven again: an interrupted drive with the same settings had done so; if what the \
+             planner reads has changed since, drive to another --out",
             kept.n_found()
         ));
     }

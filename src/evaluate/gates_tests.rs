@@ -4,8 +4,7 @@ use super::gate_config::GatesConfig;
 use super::gates::{check, of_requests};
 use super::summary::EvaluationSummary;
 use super::{DistinguishabilityRow, GateResult, SamplingRow, ValidityRow};
-use crate::behavior::BehaviorConfig;
-use crate::generate::{GenerateConfig, RequestSummary};
+use crate::generate::RequestSummary;
 use crate::metrics::{Group, MetricRow, SeriesKey};
 use crate::scene::GuidanceLevel;
 use serde_json::json;
@@ -157,20 +156,6 @@ fn the_strongest_guidance_must_find_more_than_strength_0() {
     continued.sampling[0].behavior = None;
     let (met, text) = only(gate, &continued);
     assert!(!met && text.ends_with("no sweep requests a behavior at several strengths"), "{text}");
-}
-
-#[test]
-fn gates_that_the_sweeps_leave_nothing_to_judge_by_are_refused() {
-    let raises = |strengths: &str| {
-        let generate = format!("[[sweeps]]\nname = 's'\nn_scenes = 1\nbehavior = 'cut_in'\nstrengths = {strengths}");
-        let generate: GenerateConfig = toml::from_str(&generate).expect("readable");
-        let behaviors = [BehaviorConfig::from_id("cut_in").expect("known").build()];
-        let generated = generate.resolve(&behaviors).expect("possible");
-        gates("guidance_raises_rate = true").check_generated(&generated).err().map(|error| error.to_string())
-    };
-    assert_eq!(raises("[0.0, 10.0]"), None);
-    assert!(raises("[5.0, 10.0]").expect("no zero").contains("sweep s has no strength 0"));
-    assert!(raises("[0.0]").expect("one strength").contains("no sweep requests a behavior at several strengths"));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! At which places do maps and recordings show enough of the road to judge departures from it?
 
 use super::error::Result;
+use crate::ingest::NO_PLACE;
 use crate::metrics::{DrivenArea, MapFit, ValidityConfig};
 use crate::scene::SituationKind;
 use crate::store::SceneStore;
@@ -39,10 +40,11 @@ impl MapFitRow {
     /// A warning about a place where departures are not judged; `None` if they are.
     pub fn caution(&self) -> Option<String> {
         let Self { place, fit, allows_offroad, with_driven_area } = self;
+        let of = if place == NO_PLACE { "recordings without a place" } else { place };
         let percent = |n: u64, of: u64| format!("{:.1} %", 100.0 * n as f64 / of.max(1) as f64);
         (!allows_offroad && !with_driven_area).then(|| {
             format!(
-                "The map of {place} does not allow to judge who leaves the road: {} of the states of recorded vehicles \
+                "The map of {of} does not allow to judge who leaves the road: {} of the states of recorded vehicles \
                  lie off its lanes, and in {} of {} recorded scenes vehicles leave them. The check offroad is not made \
                  there.",
                 percent(fit.n_states_off, fit.n_states),

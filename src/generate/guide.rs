@@ -1,26 +1,19 @@
 //! Guides the denoiser of a batch with the settings of its sweep: by the classifier and the objectives, nested.
 
 use super::pairs::slots;
-use super::{
-    Cell, ClassifierInput, ClassifierScope, Diffusion, Error, Generator, ObserveConfig, ResolvedSweep, SelectConfig,
-};
+use super::{Cell, ClassifierScope, Diffusion, Error, Generator, ResolvedSweep, SelectConfig};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
-    AgentSelector, ClassifierGuidance, ClassifierPotential, CleanGuidedDenoiser, CleanPotential, ContextRow,
-    EstimatePotential, GuidanceConfig, GuidedDenoiser, MaskChange, NoCollision, ObjectiveConfig,
-    ObjectiveGuidanceConfig, ObjectiveSum, SceneContext, StayOnRoad,
+    AgentSelector, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, GuidanceConfig, GuidedDenoiser, NoCollision,
+    ObjectiveConfig, ObjectiveGuidanceConfig, ObjectiveSum, SceneContext, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Scene};
-use crate::tensor::{FutureValidity, SceneBatch, SceneView};
+use crate::scene::{GuidanceLevel, GuidanceTag, Scene};
+use crate::tensor::SceneBatch;
 use candle_core::{DType, Tensor};
 use std::collections::BTreeSet;
 use std::ops::Range;
-
-/// The noise level at which a classifier sees clean estimates: low enough to preserve a maneuver, but within its
-/// training range.
-const ESTIMATE_SIGMA: f64 = 0.1;
 
 /// The kind and value of each objective, for one sample.
 pub(super) type Wishes = Vec<(&'static str, f64)>;
@@ -55,12 +48,6 @@ pub(super) struct Guided<'a> {
     pub(super) samples: Range<usize>,
     /// The places whose maps lack parts of the road.
     pub(super) places_without_road: &'a BTreeSet<String>,
-}
-
-/// Scenes as the classifier was trained on them, and the change of coordinates from the sampled states.
-struct Classified {
-    batch: SceneBatch,
-    change: MaskChange,
 }
 
 impl Guided<'_> {
@@ -130,119 +117,51 @@ impl<'g> Generator<'g> {
         sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
     ) -> Result<T, Error> {
         let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
-        let asked = &diffusion.guidance;
-        let classifier = self.guiding_classifier(sweep, strength);
-        let shown = classifier.map(|_| self.classified_batch(guided)).transpose()?.flatten();
-        let guidance = match classifier {
-            Some(classifier) => Some(classifier_guidance(guided, classifier, shown.as_ref().map(|s| &s.batch))?),
-            None => None,
+        let Some(classifier) = self.guiding_classifier(sweep, strength) else {
+            return guided_by_objectives(guided, inner, sample);
         };
-        let of_estimate = guidance.as_ref().map(|guidance| EstimatePotential {
-            guidance,
-            change: shown.as_ref().map(|shown| &shown.change),
-            sigma: ESTIMATE_SIGMA,
-        });
-        let of_noisy =
-            guidance.as_ref().map(|guidance| GuidedDenoiser { inner, guidance, strength, config: asked.gate });
-        let of_estimate = of_estimate.as_ref().map(|potential| self.by_classifier(guided, inner, potential));
-        let inner: &dyn Denoiser = match (asked.classifier_input, &of_noisy, &of_estimate) {
-            (ClassifierInput::NoisyStates, Some(denoiser), _) => denoiser,
-            (ClassifierInput::CleanEstimate, _, Some(denoiser)) => denoiser,
-            _ => inner,
+        let agents: Vec<(usize, usize)> =
+            guided.agents.iter().flat_map(|agents| std::iter::repeat_n(*agents, guided.samples.len())).collect();
+        let guidance = ClassifierGuidance {
+            classifier: &classifier.network,
+            pairs: classifier.spec.features(guided.repeated, &slots(guided.repeated, &agents)?)?,
+            potential: diffusion.guidance.classifier_potential,
         };
-        self.guided_by_objectives(guided, inner, sample)
-    }
-
-    /// Guides with only the objectives of the sweep and the rules of traffic.
-    fn guided_by_objectives<T>(
-        &self,
-        guided: &Guided<'_>,
-        inner: &dyn Denoiser,
-        sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
-    ) -> Result<T, Error> {
-        let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
-        let (asked, validity_strength) = (&diffusion.guidance, diffusion.validity_strength);
-        let has_objectives = strength != 0.0 && !asked.objectives.is_empty();
-        if !has_objectives && validity_strength == 0.0 {
-            return sample(inner);
-        }
-        let context = guided.objective_context()?;
-        let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
-        let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(sweep));
-        let rules = sum(&rules);
-        let wishing = self.on_estimates(guided, inner, &wished);
-        let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
-        if validity_strength == 0.0 {
-            return sample(inner);
-        }
-        sample(&CleanGuidedDenoiser {
-            inner,
-            potential: &rules,
-            strength: validity_strength,
-            gate: GuidanceConfig::default(),
-            config: ObjectiveGuidanceConfig::default(),
-            modes: guided.repeated.surroundings.as_ref(),
-        })
-    }
-
-    /// `inner`, guided by a potential of clean estimates with the settings of the sweep.
-    fn on_estimates<'a>(
-        &self,
-        Guided { diffusion, level, repeated, .. }: &Guided<'a>,
-        inner: &'a dyn Denoiser,
-        potential: &'a dyn CleanPotential,
-    ) -> CleanGuidedDenoiser<'a> {
-        CleanGuidedDenoiser {
-            inner,
-            potential,
-            strength: level.strength,
-            gate: diffusion.guidance.gate,
-            config: diffusion.guidance.objective_guidance,
-            modes: repeated.surroundings.as_ref(),
-        }
-    }
-
-    /// [`Self::on_estimates`] by a classifier's potential: damping assumes a best value, which log odds do not have.
-    fn by_classifier<'a>(
-        &self,
-        guided: &Guided<'a>,
-        inner: &'a dyn Denoiser,
-        potential: &'a dyn CleanPotential,
-    ) -> CleanGuidedDenoiser<'a> {
-        let mut denoiser = self.on_estimates(guided, inner, potential);
-        denoiser.config.damped &= guided.diffusion.guidance.classifier_potential == ClassifierPotential::LogProbability;
-        denoiser
-    }
-
-    /// The scenes as the classifier was trained on them, with only their histories observed, if the sweep observes
-    /// other states.
-    fn classified_batch(&self, guided: &Guided<'_>) -> Result<Option<Classified>, Error> {
-        if guided.sweep.observe == ObserveConfig::default() {
-            return Ok(None);
-        }
-        let masks: Vec<ObservationMask> = (guided.cells.iter())
-            .map(|(_, scene)| ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history))
-            .collect();
-        let views: Vec<SceneView<'_>> = (guided.cells.iter().zip(guided.agents).zip(&masks))
-            .map(|(((_, scene), agents), mask)| SceneView { scene, ego_idx: agents.0, mask })
-            .collect();
-        let batch = self.collator.collate(&views, FutureValidity::Everything, self.device)?;
-        let batch = batch.repeated(guided.samples.len())?;
-        let change = MaskChange::new(&batch, guided.repeated)?;
-        Ok(Some(Classified { batch, change }))
+        let config = diffusion.guidance.gate;
+        let inner = GuidedDenoiser { inner, guidance: &guidance, strength, config };
+        guided_by_objectives(guided, &inner, sample)
     }
 }
 
-/// The guidance of `classifier` over the states of `batch`, or over the sampled ones without it.
-fn classifier_guidance<'a>(
+/// Guides with only the objectives of the sweep and the rules of traffic.
+fn guided_by_objectives<T>(
     guided: &Guided<'_>,
-    classifier: &'a TrainedClassifier,
-    batch: Option<&SceneBatch>,
-) -> Result<ClassifierGuidance<'a>, Error> {
-    let batch = batch.unwrap_or(guided.repeated);
-    let agents: Vec<(usize, usize)> =
-        guided.agents.iter().flat_map(|agents| std::iter::repeat_n(*agents, guided.samples.len())).collect();
-    let pairs = classifier.spec.features(batch, &slots(batch, &agents)?)?;
-    let potential = guided.diffusion.guidance.classifier_potential;
-    Ok(ClassifierGuidance { classifier: &classifier.network, pairs, potential })
+    inner: &dyn Denoiser,
+    sample: impl FnOnce(&dyn Denoiser) -> Result<T, Error>,
+) -> Result<T, Error> {
+    let Guided { sweep, diffusion, level: GuidanceLevel { strength, .. }, .. } = *guided;
+    let (asked, validity_strength) = (&diffusion.guidance, diffusion.validity_strength);
+    let has_objectives = strength != 0.0 && !asked.objectives.is_empty();
+    if !has_objectives && validity_strength == 0.0 {
+        return sample(inner);
+    }
+    let context = guided.objective_context()?;
+    let sum = |objectives| ObjectiveSum { objectives, batch: guided.repeated, context: &context };
+    let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(sweep));
+    let rules = sum(&rules);
+    let modes = guided.repeated.surroundings.as_ref();
+    let (gate, config) = (asked.gate, asked.objective_guidance);
+    let wishing = CleanGuidedDenoiser { inner, potential: &wished, strength, gate, config, modes };
+    let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
+    if validity_strength == 0.0 {
+        return sample(inner);
+    }
+    sample(&CleanGuidedDenoiser {
+        inner,
+        potential: &rules,
+        strength: validity_strength,
+        gate: GuidanceConfig::default(),
+        config: ObjectiveGuidanceConfig::default(),
+        modes,
+    })
 }

@@ -57,8 +57,5 @@ pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, ShardOutput};
 pub use sample_limit::{Limit, LimitRange};
 pub use select::SelectConfig;
-pub use sweep::{
-    Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
-    SweepModel,
-};
+pub use sweep::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
 pub use verify::{Verification, requested_events, verify};

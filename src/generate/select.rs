@@ -309,33 +309,10 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_named() {
-        for (toml, what) in [
-            ("best = 2", "best is 2, but needs metrics"),
-            ("by = ['min_ade_m']", "number of samples to keep"),
-            ("", "best is missing, and so is limits"),
-            ("limits = { min_aed_m = 1.0 }", "limits.min_aed_m is not a metric"),
-            ("limits = { mfd_m = 1.0 }", "limits.mfd_m is 1, but neither direction is better"),
-            ("limits = { pair_min_ttc_s = [3, 2] }", "limits.pair_min_ttc_s is empty: at least 3"),
-            ("best = 1\nby = ['pair_pet_s']", "by.0 is pair_pet_s, which cannot rank"),
-        ] {
-            let why = select(toml).validate(&[], true).unwrap_err().to_string();
-            assert!(why.contains(what), "{why}");
-        }
-        select("limits = { collision_rate = 0.0, mfd_m = [0, 9] }").validate(&[], true).unwrap();
-        let close = select("limits = { pair_min_ttc_s = { at_most = 2 }, scene_min_ttc_s = { at_least = 0.1 } }");
-        close.validate(&[], true).unwrap();
-        assert!(close.validate(&[], false).unwrap_err().message.contains("needs a requested pair"));
+    fn objectives_of_the_sweep_may_limit_and_rank() {
         let by_wish = select("best = 1\nby = ['objectives']\nlimits = { goal = -1.0 }");
         by_wish.validate(&["goal"], false).unwrap();
         assert!(by_wish.names_objectives());
-        assert!(
-            by_wish
-                .validate(&["stay_on_road"], false)
-                .unwrap_err()
-                .message
-                .contains("objectives here: objectives, stay_on_road")
-        );
-        assert!(by_wish.validate(&[], false).unwrap_err().message.contains("no objectives"));
+        select("limits = { collision_rate = 0.0, mfd_m = [0, 9] }").validate(&[], true).unwrap();
     }
 }

@@ -164,29 +164,6 @@ fn samples_that_are_no_numbers_are_rejected_by_name() {
 }
 
 #[test]
-fn configurations_that_make_no_sense_are_refused() {
-    let refusal = |toml: &str| match toml::from_str::<GenerateConfig>(toml) {
-        Ok(config) => config.resolve(&drift()).unwrap_err().to_string(),
-        Err(error) => error.to_string(),
-    };
-    let sweep = |rest: &str| format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\n{rest}");
-    for (toml, part) in [
-        (String::new(), "sweeps is empty"),
-        (sweep("strengths = [1.0]"), "strengths are guided, which needs a behavior"),
-        (sweep("n_samples = 0"), "n_samples is 0"),
-        (sweep("behavior = 'drift'\nstrengths = [nan]"), "sweeps.0.strengths.0 is NaN"),
-        (sweep(&sweep("")), "the name of another sweep"),
-        (sweep("").replace("'a'", "'recorded'"), "sweeps.0.name is \"recorded\", which tables call other traffic"),
-        (sweep("strenghts = [1.0]"), "strenghts"),
-        (format!("batch_size = 0\n{}", sweep("")), "batch_size is 0"),
-        (sweep("model = 'distilled'"), "expects a denoiser that predicts means"),
-    ] {
-        let message = refusal(&toml);
-        assert!(message.contains(part), "{message}");
-    }
-}
-
-#[test]
 fn models_must_fit_each_other_and_the_sweeps() {
     let refusal = |toml: &str, classifiers: &[TrainedClassifier]| {
         let (denoiser, behaviors) = (denoiser(0), drift());

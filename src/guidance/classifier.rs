@@ -15,8 +15,7 @@ pub enum ClassifierPotential {
     /// ln p, whose gradient is that of the conditional distribution (paper, section 5.2).
     #[default]
     LogProbability,
-    /// ln p / (1 - p), which has no best value: `guidance.max_shift` and the strength limit it, and steps on clean
-    /// estimates are not damped.
+    /// ln p / (1 - p), which has no best value: `guidance.max_shift` and the strength limit it.
     LogOdds,
 }
 

@@ -1,9 +1,9 @@
-//! The center lines of ways that lead on from the lane beside an agent, and of oncoming ones.
+//! The center lines of ways that lead on from the lane beside an agent.
 
 use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
 use crate::scene::{Lane, LaneGraph, LaneId};
 use std::collections::BTreeSet;
-use std::f64::consts::{FRAC_PI_4, FRAC_PI_8, PI};
+use std::f64::consts::{FRAC_PI_4, FRAC_PI_8};
 use std::sync::Arc;
 
 /// An agent is in a lane whose center line is within half a wide lane of it, meters, and whose direction is within this
@@ -41,53 +41,15 @@ impl LaneWays {
         Self { lanes: Arc::clone(lanes), row_from_scene: *row_from_scene }
     }
 
-    /// Whether the scene has no lanes.
-    pub(super) fn is_empty(&self) -> bool {
-        self.lanes.is_empty()
-    }
-
-    /// The lines, in the row's frame, that lead on from the lanes that an agent at `pose` is in.
-    pub(super) fn ahead(&self, pose: WayPose) -> Vec<Polyline> {
-        let own = self.own(self.in_scene(pose));
-        self.in_row(own.into_iter().flat_map(|lane| self.lines(lane.id)).collect())
-    }
-
     /// The lines, in the row's frame, of the lanes beside those that an agent at `pose` is in, on its left (`side` > 0)
     /// or right: lanes that the map names as neighbors, and parallel ones that do not join.
     pub(super) fn beside(&self, pose: WayPose, side: f64) -> Vec<Polyline> {
-        self.in_row(self.beside_in_scene(self.in_scene(pose), side))
-    }
-
-    /// The lines, in the row's frame, of the oncoming lanes beside an agent at `pose`, each in the agent's direction.
-    pub(super) fn oncoming(&self, pose: WayPose) -> Vec<Polyline> {
-        let pose = self.in_scene(pose);
-        let toward = WayPose { heading_rad: pose.heading_rad + PI, ..pose };
-        let is_beside = |lane: &&Lane| {
-            passes(lane, toward, PARALLEL_RAD).is_some_and(|offset_m| BESIDE_M.contains(&offset_m.abs()))
-        };
-        let oncoming = self.lanes.lanes().iter().filter(is_beside);
-        self.in_row(oncoming.filter_map(|lane| self.line_against(lane)).collect())
-    }
-
-    fn in_scene(&self, pose: WayPose) -> WayPose {
         let scene_from_row = self.row_from_scene.inverse();
-        WayPose { position: scene_from_row.point(pose.position), heading_rad: scene_from_row.heading(pose.heading_rad) }
-    }
-
-    fn in_row(&self, mut lines: Vec<Polyline>) -> Vec<Polyline> {
+        let heading_rad = scene_from_row.heading(pose.heading_rad);
+        let pose = WayPose { position: scene_from_row.point(pose.position), heading_rad };
+        let mut lines = self.beside_in_scene(pose, side);
         lines.iter_mut().flat_map(|line| &mut line.0).for_each(|point| *point = self.row_from_scene.point(*point));
         lines
-    }
-
-    /// The line against a lane and those that lead to it; if several lead there, the first of the map.
-    fn line_against(&self, lane: &Lane) -> Option<Polyline> {
-        let (mut points, mut last, mut added_m) = (Vec::new(), Some(lane), 0.0);
-        while let Some(lane) = last.filter(|_| added_m < AHEAD_M) {
-            points.extend(lane.centerline.0.iter().rev());
-            added_m += lane.centerline.length_m().max(MIN_SPACING_M);
-            last = lane.predecessors.first().and_then(|id| self.lanes.get(*id));
-        }
-        carried_on(points.into_iter())
     }
 
     /// [`Self::beside`] in the scene's frame.
@@ -188,11 +150,6 @@ mod tests {
         assert_eq!(left.len(), 1);
         assert!(left[0].0.iter().all(|point| (point.y - 3.5).abs() < 1e-9));
         assert!(beside(-1.0).is_empty());
-        // The oncoming lane, against its direction.
-        let oncoming = ways().oncoming(pose(20.0, 0.2));
-        assert_eq!(oncoming.len(), 1);
-        assert!(oncoming[0].0.iter().all(|point| (point.y - 3.4).abs() < 1e-9));
-        assert!(oncoming[0].0.windows(2).all(|pair| pair[0].x < pair[1].x));
         // In another frame the same line, moved.
         let moved = Transform2::from_pose(Vec2::new(3.0, -2.0), 1.0);
         let own = WayPose { position: moved.point(Vec2::new(20.0, 0.2)), heading_rad: moved.heading(0.05) };

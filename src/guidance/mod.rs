@@ -11,7 +11,6 @@ mod agent_selector;
 mod classifier;
 mod classifier_free;
 mod clean_guided_denoiser;
-mod estimate_potential;
 mod forward_denoiser;
 mod guided_denoiser;
 mod lane_ways;
@@ -25,19 +24,17 @@ mod scene_tests;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
-mod turning_way;
 
 pub use agent_selector::AgentSelector;
 pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
 pub use clean_guided_denoiser::{CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum};
-pub use estimate_potential::EstimatePotential;
 pub use forward_denoiser::ForwardDenoiser;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;
 pub use objectives::{
-    AccelerationLimit, Collision, CrossAhead, CutIn, HardBrake, LaneChange, NoCollision, ObjectiveConfig,
-    ObjectiveKind, SceneObjective, Side, SlipLimit, StayOnRoad, Turn, WrongWay,
+    AccelerationLimit, Collision, CutIn, HardBrake, LaneChange, NoCollision, ObjectiveConfig, ObjectiveKind,
+    SceneObjective, Side, SlipLimit, StayOnRoad,
 };
 pub use scene_context::{ContextRow, SceneContext, Target};
 

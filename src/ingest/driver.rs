@@ -37,26 +37,36 @@ pub struct IngestBatch {
     pub report: IngestReport,
 }
 
+/// What earlier batches hold.
+#[derive(Debug, Clone, Default)]
+pub struct Done {
+    /// Their merged reports.
+    pub report: IngestReport,
+    /// [`Scene::identity`] of each of their scenes.
+    pub scenes: BTreeSet<u128>,
+}
+
 /// Reads the recordings of `config.inputs` and passes their scenes to `sink`, batch after batch, in a thread of its
 /// own.
 ///
 /// Batches, scenes and reports depend on the inputs and the configuration only, not on threads. To resume, pass the
-/// merged reports of the stored batches as `done`: their units are skipped without being parsed. Returns the report on
-/// everything, including `done`.
+/// stored batches as `done`: their units are skipped without being parsed. Returns the report on everything, including
+/// `done`. A scene that comes again is rejected; the first one stays.
 ///
 /// # Errors
 /// An input that cannot be read, a missing or damaged map, no scenes at all, or a failing sink. A damaged recording
 /// among many is not an error: it is counted as a reject.
 pub fn ingest(
     config: &IngestConfig,
-    done: Option<&IngestReport>,
+    done: Option<Done>,
     progress: &dyn Progress,
     sink: &mut (dyn FnMut(IngestBatch) -> Result<(), BoxError> + Send),
 ) -> Result<IngestReport, Error> {
     config.validate()?;
     let source = super::source_of(config)?;
     let source = &*source;
-    let mut total = done.cloned().unwrap_or_default();
+    let Done { report: mut total, scenes } = done.unwrap_or_default();
+    let mut seen = Seen { scenes, maps: BTreeSet::new() };
     let places = &Places::of(config);
     let maps = MapCatalog::read(config, source, places, progress)?;
     if config.limit.is_some_and(|limit| total.n_scenes >= limit) {
@@ -67,14 +77,14 @@ pub fn ingest(
     progress.advance(total.n_scenes);
     let parser = UnitParser { config, source, maps: &maps, places };
     // Units are read, parsed and stored at the same time; only parsing uses all threads.
-    let seen = std::thread::scope(|scope| {
+    let files = std::thread::scope(|scope| {
         // Reading waits for the parser: recordings are large, and another batch would only take memory.
         let (unit_sender, units) = mpsc::sync_channel(0);
         let unit_sender = BatchSender::new(unit_sender, total.n_units);
         let reader = scope.spawn(|| read_batches(config, source, places, unit_sender));
         let (scene_sender, batches) = mpsc::sync_channel(1);
         let storer = scope.spawn(move || batches.into_iter().try_for_each(sink));
-        let parsed = parser.parse_all(units, &mut total, progress, &scene_sender);
+        let parsed = parser.parse_all(units, &mut total, &mut seen, progress, &scene_sender);
         drop(scene_sender);
         // The error of storing came first.
         storer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)).map_err(Error::Sink)?;
@@ -87,11 +97,11 @@ pub fn ingest(
         let first = rejects.examples.first().map_or("", String::as_str);
         progress.warn(&format!("{} rejected as {reason}, the first: {first}", rejects.count));
     }
-    total.warnings().for_each(|warning| progress.warn(&warning));
+    total.warnings().chain(total.agents_left_out()).for_each(|warning| progress.warn(&warning));
     // These were announced when the maps were read. No batch has them: which one would depends on what was done before.
     maps.findings.into_iter().for_each(|finding| total.count_warning(finding));
     if total.n_scenes == 0 {
-        let none = || Error::NoScenes { files: seen.summary(config), report: Box::new(total) };
+        let none = || Error::NoScenes { files: files.summary(config, source.pattern()), report: Box::new(total) };
         return Err(places.error().unwrap_or_else(none));
     }
     if config.limit.is_none_or(|limit| total.n_scenes < limit) {
@@ -109,21 +119,28 @@ struct SeenFiles {
 }
 
 impl SeenFiles {
-    fn summary(&self, config: &IngestConfig) -> String {
+    fn summary(&self, config: &IngestConfig, pattern: &str) -> String {
         let inputs: Vec<String> = config.inputs.iter().map(|input| input.display().to_string()).collect();
         let example = self.example_of_others.as_ref().map_or(String::new(), |path| format!(", such as {path}"));
-        let pattern = |table: &TableMapping| format!("`{}` (ingest.table.files), as ", table.files);
+        let named = match &config.table {
+            Some(TableMapping { files, .. }) => format!("`{files}` (ingest.table.files)"),
+            None => format!("`{pattern}`"),
+        };
+        let is_table =
+            |path: &String| [".csv", ".parquet"].iter().any(|end| path.trim_end_matches(".gz").ends_with(end));
         let to_convert = match config.table {
-            Some(_) if self.n_recordings == 0 => {
-                "; configs/README.md says what to convert first, such as SUMO's XML by its xml2csv.py"
+            Some(_) if self.n_recordings > 0 => "",
+            Some(_) if self.example_of_others.as_ref().is_some_and(is_table) => {
+                "; name the tables in ingest.table.files"
             }
-            _ => "",
+            Some(_) => "; configs/README.md says what to convert first, such as SUMO's XML by its xml2csv.py",
+            None => "",
         };
         format!(
-            "{} has {} files named like {}{} recordings of the chosen splits and {} other files{example}{to_convert}",
+            "{} has {} files named like {} recordings of the chosen splits, {named}, and {} other files{example}\
+             {to_convert}",
             inputs.join(", "),
             self.n_recordings,
-            config.table.as_ref().map(pattern).unwrap_or_default(),
             config.dataset.name(),
             self.n_others
         )
@@ -143,7 +160,7 @@ fn read_batches(
         let is_recording = source.is_recording(path);
         let seen = &mut *seen.borrow_mut();
         if is_recording {
-            seen.n_recordings += 1;
+            seen.n_recordings += u64::from(!source.is_companion(path));
         } else {
             seen.n_others += 1;
             seen.example_of_others.get_or_insert_with(|| path.to_owned());
@@ -238,6 +255,14 @@ enum UnitOutcome {
     MissingMap(MapId, String),
 }
 
+/// What came so far.
+struct Seen {
+    /// [`Scene::identity`] of each scene.
+    scenes: BTreeSet<u128>,
+    /// The maps handed out.
+    maps: BTreeSet<MapId>,
+}
+
 struct UnitParser<'a> {
     config: &'a IngestConfig,
     source: &'a dyn RecordingSource,
@@ -252,17 +277,17 @@ impl UnitParser<'_> {
         &self,
         units: mpsc::Receiver<Result<Batch, Error>>,
         total: &mut IngestReport,
+        seen: &mut Seen,
         progress: &dyn Progress,
         sender: &mpsc::SyncSender<IngestBatch>,
     ) -> Result<(), Error> {
         let limit = self.config.limit;
-        let mut handed_out = BTreeSet::new();
         for units in units {
             let mut pending = self.parse_units(units?);
             while !pending.is_empty() {
                 let room = limit.map(|limit| limit - total.n_scenes);
                 let n_next = pending.len().min(MAX_SCENES);
-                let batch = self.make_scenes(pending.drain(..n_next).collect(), room, &mut handed_out)?;
+                let batch = self.make_scenes(pending.drain(..n_next).collect(), room, seen)?;
                 total.merge(&batch.report);
                 progress.advance(batch.report.n_scenes);
                 if total.n_rejects() > 0 {
@@ -311,12 +336,7 @@ impl UnitParser<'_> {
     }
 
     /// Makes scenes in parallel and collects the first `room` of them in order.
-    fn make_scenes(
-        &self,
-        pending: Vec<Pending<'_>>,
-        room: Option<u64>,
-        handed_out: &mut BTreeSet<MapId>,
-    ) -> Result<IngestBatch, Error> {
+    fn make_scenes(&self, pending: Vec<Pending<'_>>, room: Option<u64>, seen: &mut Seen) -> Result<IngestBatch, Error> {
         let outcomes: Vec<(Option<u64>, UnitOutcome)> =
             pending.into_par_iter().map(|pending| (pending.n_unit_bytes, (pending.make)())).collect();
         let mut missing: BTreeMap<MapId, String> = BTreeMap::new();
@@ -347,9 +367,13 @@ impl UnitParser<'_> {
                     findings.into_iter().for_each(|finding| collected.report.count_warning(finding));
                 }
                 UnitOutcome::MissingMap(..) => {}
+                UnitOutcome::Kept { scene, .. } if !seen.scenes.insert(scene.identity()) => {
+                    let detail = format!("{}: scene {} was read before; the first stays", scene.source.file, scene.id);
+                    collected.report.count_reject(&Reject { reason: "scene_repeated", detail });
+                }
                 UnitOutcome::Kept { scene, counts, own_map } => {
                     collected.report.merge(&counts);
-                    self.hand_out_map(&scene, own_map, handed_out, &mut collected.maps);
+                    self.hand_out_map(&scene, own_map, &mut seen.maps, &mut collected.maps);
                     collected.scenes.push(*scene);
                 }
             }
@@ -366,9 +390,9 @@ impl UnitParser<'_> {
         if !self.config.wants_split(scene.source.split) {
             return UnitOutcome::Unwanted(OTHER_SPLITS, findings);
         }
-        if let Some(flaw) = flaw_of(&scene.source.place) {
+        if let Some((reason, flaw)) = flaw_of(&scene.source.place, &scene.source.case_id) {
             let detail = format!("{}: {flaw}", scene.source.file);
-            return UnitOutcome::Rejected(Reject { reason: "bad_place", detail }, findings);
+            return UnitOutcome::Rejected(Reject { reason, detail }, findings);
         }
         name_blank_place(&mut scene);
         self.places.note(Some(&scene.source.place));

@@ -32,6 +32,8 @@ struct ClassFacts {
     size_m: Option<[f64; 2]>,
     /// The 5th, 50th and 95th percentile of speeds, m/s.
     speeds_mps: [f64; 3],
+    /// The 95th percentile of accelerations, m/s²: noise of positions shows in it.
+    acceleration_mps2: f64,
     /// Median angle between heading and motion of moving agents, degrees.
     slip_deg: Option<f64>,
 }
@@ -73,15 +75,21 @@ impl Display for Explanation {
         }
         writeln!(
             f,
-            "\n{:<22} {:>7}  {:>13}  {:>24}  {:>12}",
-            "class", "tracks", "median size", "speed 5, 50, 95 %", "off heading"
+            "\n{:<22} {:>7}  {:>13}  {:>24}  {:>17}  {:>12}",
+            "class", "tracks", "median size", "speed 5, 50, 95 %", "acceleration 95 %", "off heading"
         )?;
-        for ClassFacts { class, n_tracks, size_m, speeds_mps: [low, middle, high], slip_deg } in &self.classes {
+        for facts in &self.classes {
+            let ClassFacts { class, n_tracks, size_m, speeds_mps: [low, middle, high], slip_deg, .. } = facts;
+            let acceleration = format!("{:.1} m/s2", facts.acceleration_mps2);
             let size =
                 size_m.map_or_else(|| "none".to_owned(), |[length, width]| format!("{length:.1} x {width:.1} m"));
             let slip = slip_deg.map_or_else(|| "stands".to_owned(), |slip| format!("{slip:.1} deg"));
             let speeds = format!("{low:.1}, {middle:.1}, {high:.1} m/s");
-            writeln!(f, "{:<22} {n_tracks:>7}  {size:>13}  {speeds:>24}  {slip:>12}", class.name())?;
+            writeln!(
+                f,
+                "{:<22} {n_tracks:>7}  {size:>13}  {speeds:>24}  {acceleration:>17}  {slip:>12}",
+                class.name()
+            )?;
         }
         Ok(())
     }
@@ -167,6 +175,12 @@ fn classes(scenes: &[Scene]) -> Vec<ClassFacts> {
         let speeds = sorted(all.iter().map(|state| state.velocity.norm()).collect());
         let moving = all.iter().filter(|state| state.velocity.norm() > MOVING_MPS);
         let slips = moving.map(|state| angle_difference(state.velocity.angle(), state.heading_rad).abs().to_degrees());
+        let accelerations = tracks.iter().flat_map(|(scene, track)| {
+            let velocities: Vec<Option<Vec2>> =
+                track.trajectory.entries().iter().map(|state| state.map(|state| state.velocity)).collect();
+            let gains = velocities.windows(2).filter_map(|pair| Some((pair[1]? - pair[0]?).norm()));
+            gains.map(|gain_mps| gain_mps / scene.dt_s).collect::<Vec<f64>>()
+        });
         // A track is in many windows of its recording.
         let names: BTreeSet<_> =
             tracks.iter().map(|(scene, track)| (&scene.source.file, &scene.source.case_id, &track.id)).collect();
@@ -175,6 +189,7 @@ fn classes(scenes: &[Scene]) -> Vec<ClassFacts> {
             n_tracks: names.len(),
             size_m: median(lengths).zip(median(widths)).map(|(length, width)| [length, width]),
             speeds_mps: [0.05, 0.5, 0.95].map(|share| quantile(&speeds, share).unwrap_or_default()),
+            acceleration_mps2: quantile(&sorted(accelerations.collect()), 0.95).unwrap_or_default(),
             slip_deg: median(slips.collect()),
         }
     };
@@ -205,7 +220,11 @@ mod tests {
         assert!(text.contains("y from 0.0 to 3.5 m"), "{text}");
         let row = text.lines().find(|line| line.starts_with("vehicle")).unwrap();
         assert!(
-            row.contains(" 2 ") && row.contains("0.0, ") && row.contains(", 10.0 m/s") && row.contains("0.0 deg"),
+            row.contains(" 2 ")
+                && row.contains("0.0, ")
+                && row.contains(", 10.0 m/s")
+                && row.contains(" 0.0 m/s2")
+                && row.contains("0.0 deg"),
             "{row}"
         );
         assert!(text.contains("100 % of moving vehicles are within 2 m") && !text.contains("doubt"), "{text}");

@@ -56,9 +56,10 @@ mod xml_tree;
 
 pub use assemble::assemble_window;
 pub use config::{IngestConfig, MapsConfig};
-pub use driver::{IngestBatch, ingest};
+pub use driver::{Done, IngestBatch, ingest};
 pub use error::{BoxError, Error};
 pub use explanation::Explanation;
+pub use places::NO_PLACE;
 pub use projection::GeoPoint;
 pub use raw::{Companion, Finding, HeadingGap, RawScene, RawUnit, Reject, UnitSplit, map_id};
 pub use report::{IngestReport, RejectCount};

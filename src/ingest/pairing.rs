@@ -146,7 +146,10 @@ impl UnitReader for PairReader<'_> {
         let PairNames { companions, alone: (reason, advice), .. } = self.names;
         for (_, unit) in alone {
             let companion = companions.unwrap_or_default().replacen('*', &unit.case_id, 1);
-            let reject = unit.reject(reason, format!("{companion} is not in the same folder{advice}"));
+            let reject = unit.reject(
+                reason,
+                format!("{companion} is not among the inputs in the same folder{advice}: give both files, or it"),
+            );
             if emit(Err(reject)).is_break() {
                 return Ok(ControlFlow::Break(()));
             }

@@ -47,8 +47,8 @@ impl<'a> Places<'a> {
     }
 }
 
-/// What recordings without a place are said to be of, as files of a corpus without rows.
-const NO_PLACE: &str = "none";
+/// The place of recordings that name none.
+pub const NO_PLACE: &str = "none";
 
 /// Calls a place without a name so that corpora can have a folder for it.
 pub(super) fn name_blank_place(scene: &mut RawScene) {
@@ -58,18 +58,19 @@ pub(super) fn name_blank_place(scene: &mut RawScene) {
     }
 }
 
-/// The reason why a place cannot be stored, if any: a folder of a corpus with its name can have at most 255 bytes, and
-/// all characters but letters and digits take three of them.
-pub(super) fn flaw_of(place: &str) -> Option<String> {
+/// The reason why a scene cannot be stored by its place and its name in the dataset, and in words, if any: a folder of a
+/// corpus with the name of the place can have at most 255 bytes, and all characters but letters and digits take three.
+pub(super) fn flaw_of(place: &str, case_id: &str) -> Option<(&'static str, String)> {
     const MAX_BYTES: usize = 240;
-    let n_bytes: usize = place.bytes().map(|byte| if byte.is_ascii_alphanumeric() { 1 } else { 3 }).sum();
-    match place.chars().find(|c| c.is_control()) {
-        Some(c) => Some(format!("its place has the control character {}, expected a name", c.escape_default())),
-        None if n_bytes > MAX_BYTES => {
-            Some(format!("its place has {} bytes, expected a name of at most {}", place.len(), MAX_BYTES / 3))
+    for (reason, what, name) in [("bad_place", "place", place), ("bad_id", "id", case_id)] {
+        if let Some(c) = name.chars().find(|c| c.is_control()) {
+            let detail = format!("its {what} has the control character {}, expected a name", c.escape_default());
+            return Some((reason, detail));
         }
-        None => None,
     }
+    let n_bytes: usize = place.bytes().map(|byte| if byte.is_ascii_alphanumeric() { 1 } else { 3 }).sum();
+    let detail = || format!("its place has {} bytes, expected a name of at most {}", place.len(), MAX_BYTES / 3);
+    (n_bytes > MAX_BYTES).then(|| ("bad_place", detail()))
 }
 
 fn listed<'s>(places: impl Iterator<Item = &'s String>) -> String {

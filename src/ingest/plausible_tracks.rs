@@ -12,6 +12,8 @@ const FAST_MPS: f64 = 5.0;
 const MIN_FAST_STEPS: usize = 5;
 /// Headings are off if they differ from the motion by more than this, radians.
 const MAX_SLIP_RAD: f64 = std::f64::consts::FRAC_PI_4;
+/// Headings of vehicles that hardly move are added up over fewer turns than this, and degrees mostly are more radians.
+const MAX_ADDED_UP_RAD: f64 = 5.0 * TAU;
 /// The limit for headings beyond a full turn, which are degrees or were added up, radians.
 const MAX_SLIP_BEYOND_TURN_RAD: f64 = 0.15;
 /// No vehicle is faster than this, m/s, nor with the noise and the uneven times of some datasets.
@@ -102,11 +104,11 @@ fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.
     let max_speed_mps = if facts.has_uneven_times { MAX_NOISY_SPEED_MPS } else { MAX_SPEED_MPS };
     let (mut n_steps, mut n_fast, mut n_off, mut n_off_beyond) = (0, 0, 0, 0);
     let (mut moved_m, mut recorded_m) = (0.0, 0.0);
-    let (mut off, mut beyond, mut jump) = (None, None, None);
+    let (mut off, mut beyond, mut jump) = (None, None::<f64>, None);
     let mut before: Option<(usize, &State)> = None;
     for (timestep, state) in track.trajectory.valid() {
-        if state.heading_rad.abs() > TAU {
-            beyond.get_or_insert(state.heading_rad);
+        if state.heading_rad.abs() > f64::max(TAU, beyond.map_or(0.0, f64::abs)) {
+            beyond = Some(state.heading_rad);
         }
         let Some((timestep_before, from)) = before.replace((timestep, state)) else { continue };
         let (step, step_s) = (state.position - from.position, (timestep - timestep_before) as f64 * dt_s);
@@ -132,8 +134,12 @@ fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.
     let (beyond, off) = match (beyond, off) {
         _ if !facts.has_headings => (None, None),
         // Headings that were added up agree with the motion.
-        (Some(heading_rad), _) if !is_judged || 2 * n_off_beyond > n_fast => {
-            (verdict(Some(format!("has a heading of {heading_rad:.1}, expected radians"))), None)
+        (Some(heading_rad), _) if (!is_judged && heading_rad.abs() > MAX_ADDED_UP_RAD) || 2 * n_off_beyond > n_fast => {
+            let figures = format!(
+                "has a heading of {heading_rad:.1}, expected radians: is it in degrees, as ingest.table.heading = \
+                 \"degrees\" reads them?"
+            );
+            (verdict(Some(figures)), None)
         }
         (_, Some((heading_rad, motion_rad))) if is_judged && 2 * n_off > n_fast => {
             let figures = format!("has a heading of {heading_rad:.2} rad and moves along {motion_rad:.2} rad");
@@ -250,7 +256,12 @@ mod tests {
         let pixels = |_: usize, state: &mut State| state.position = state.position * 12.0;
         let jumps = |timestep: usize, state: &mut State| state.position.x += if timestep > 9 { 500.0 } else { 0.0 };
         let cases: [(&Change, &str, &str, &str); 3] = [
-            (&degrees, "tracks_with_headings_beyond_a_turn", "implausible_headings", "100.0, expected radians"),
+            (
+                &degrees,
+                "tracks_with_headings_beyond_a_turn",
+                "implausible_headings",
+                "100.0, expected radians: is it in",
+            ),
             (
                 &pixels,
                 "tracks_that_jump_against_their_velocities",

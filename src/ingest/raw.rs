@@ -69,6 +69,8 @@ pub struct SeenTrack {
     pub changes: Vec<(f64, Change)>,
     /// The times of rows that are out of place.
     pub jumps_s: Vec<f64>,
+    /// The times of rows to which it leaps, and goes on from there.
+    pub leaps_s: Vec<f64>,
     /// Where it pointed while it stood for long, each until a time, both as in the rows: seconds, and radians from x
     /// to y.
     pub stood_rad: Vec<(f64, f64)>,

@@ -96,6 +96,18 @@ impl IngestReport {
         })
     }
 
+    /// The agents that scenes lack although they are there at present, in a sentence; `None` without any.
+    pub(super) fn agents_left_out(&self) -> Option<String> {
+        let counts = [
+            ("agents_over_cap", "over the cap of ingest.max_agents"),
+            ("agents_static", "static"),
+            ("agents_of_unknown_type", "of unknown type"),
+        ];
+        let one = |(key, what)| self.dropped.get(key).map(|n| format!("{n} {what}"));
+        let found: Vec<String> = counts.into_iter().filter_map(one).collect();
+        (!found.is_empty()).then(|| format!("agents left out of scenes: {}", found.join(", ")))
+    }
+
     /// Counts `n` things left out.
     pub fn count_dropped(&mut self, what: &str, n: u64) {
         add(&mut self.dropped, what, n);
@@ -165,5 +177,11 @@ mod tests {
     fn the_summary_names_the_first_example() {
         let summary = with_rejects(0..2).summary();
         assert!(summary.contains("2 rejected as non_finite (first: file0.csv:2: x is NaN)"), "{summary}");
+        let mut report = with_rejects(0..1);
+        report.count_dropped("agents_static", 2);
+        report.count_dropped("agents_absent", 9);
+        let expected = "agents left out of scenes: 3 over the cap of ingest.max_agents, 2 static";
+        assert_eq!(report.agents_left_out().as_deref(), Some(expected));
+        assert_eq!(IngestReport::default().agents_left_out(), None);
     }
 }

@@ -18,6 +18,11 @@ pub trait RecordingSource: Sync {
     /// includes. Called before the entry is read, so that others are skipped cheaply.
     fn is_recording(&self, path: &str) -> bool;
 
+    /// The names of such files, for messages; empty if the configuration says them.
+    fn pattern(&self) -> &'static str {
+        ""
+    }
+
     /// Whether such a file belongs to a recording in another one. Companions of different recordings may be alike.
     fn is_companion(&self, _path: &str) -> bool {
         false

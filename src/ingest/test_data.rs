@@ -1,4 +1,4 @@
-//! Finds the development data for the tests that use it, and damages files.
+//! Finds the development data for the tests that use it.
 
 use std::path::PathBuf;
 
@@ -16,20 +16,4 @@ pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
         return None;
     }
     Some(path)
-}
-
-/// The bytes with some damage: at each place (taken modulo the length), a byte is exchanged, then some are removed.
-/// Every seventh length cuts off the rest.
-pub(crate) fn damaged(bytes: &[u8], damages: &[(usize, u8, usize)]) -> Vec<u8> {
-    let mut bytes = bytes.to_vec();
-    for (place, byte, n_removed) in damages {
-        if bytes.is_empty() {
-            break;
-        }
-        let at = place % bytes.len();
-        bytes[at] = *byte;
-        let end = if n_removed % 7 == 6 { bytes.len() } else { bytes.len().min(at + 1 + n_removed % 7) };
-        bytes.drain(at + 1..end);
-    }
-    bytes
 }

@@ -44,7 +44,12 @@ impl Recording {
         }
         let n_windows = (n_frames - n_timesteps as i64).div_euclid(stride) + 1;
         if n_windows <= 0 {
-            return rejected(self.unit.reject("recording_too_short", horizon.too_long_for(n_frames, "frames")));
+            let in_units = match self.dataset {
+                Dataset::Table => "; are ingest.table.time_unit_s and frame_rate_hz right?",
+                _ => "",
+            };
+            let detail = horizon.too_long_for(n_frames, "frames") + in_units;
+            return rejected(self.unit.reject("recording_too_short", detail));
         }
 
         let n_holdout_frames = (config.holdout_share * n_frames as f64).round() as i64;

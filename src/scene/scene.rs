@@ -1,7 +1,7 @@
 //! A recorded traffic scene.
 
 use super::{Dataset, LaneGraph, MapId, SceneId, State, Track, TrackId, Trajectory};
-use crate::geometry::Transform2;
+use crate::geometry::{Transform2, Vec2};
 use crate::settings::named;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -97,6 +97,18 @@ impl Scene {
     /// The last observed timestep, t_obs - 1: the present.
     pub const fn current_timestep(&self) -> usize {
         self.n_history.saturating_sub(1)
+    }
+
+    /// A hash of its name and its frame, by which the same scene is recognized if it is recorded twice; other scenes of
+    /// its name have another frame.
+    pub fn identity(&self) -> u128 {
+        let Transform2 { translation: Vec2 { x, y }, rotation_rad } = self.world_from_scene;
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(self.id.0.as_bytes());
+        [x, y, rotation_rad].iter().for_each(|number| _ = hasher.update(&number.to_le_bytes()));
+        let mut first = [0; 16];
+        first.copy_from_slice(&hasher.finalize().as_bytes()[..16]);
+        u128::from_le_bytes(first)
     }
 
     /// The ego track.

@@ -80,10 +80,10 @@ pub enum Error {
         /// What is wrong, and what was expected.
         detail: String,
     },
-    /// A scene that was added twice.
+    /// Two scenes of one name.
     #[error(
-        "scene {id} was read twice, {}; check whether the inputs overlap, such as a folder and the archive it was \
-         unpacked from", from_both(.files)
+        "two scenes that differ are called {id}, {}; give only the recording that is right, or each a name of its own",
+        from_both(.files)
     )]
     DuplicateScene {
         /// The scene.
@@ -152,7 +152,7 @@ impl From<files::Error> for Error {
 
 /// Files are named within their inputs, and two inputs may have files of the same name.
 fn from_both([one, other]: &[String; 2]) -> String {
-    if one == other { format!("from {one} in two of the inputs") } else { format!("from {one} and from {other}") }
+    if one == other { format!("both from files called {one}") } else { format!("from {one} and from {other}") }
 }
 
 fn what_to_name(inside: Option<&Path>) -> String {

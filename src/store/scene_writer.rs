@@ -5,7 +5,7 @@ use super::ipc_file::{IpcFile, MappedTable};
 use super::maps::MapTable;
 use super::scene_manifest::{MANIFEST_FILE, MapsEntry, SceneManifest, ShardEntry, ShardSidecar};
 use super::tables::columns::Columns;
-use super::tables::{lane, scene};
+use super::tables::{lane, scene, scene_header};
 use super::{Error, Result};
 use crate::files::{FileStamp, remove_if_present};
 use crate::scene::{LaneGraph, MapId, Scene};
@@ -74,8 +74,8 @@ impl SceneWriter {
         }
         let mut known_scenes = BTreeSet::new();
         for sidecar in &finished {
-            for_each_scene(dir, &sidecar.shard, |id, _| {
-                known_scenes.insert(hash_of(id));
+            for_each_scene(dir, &sidecar.shard, |scene| {
+                known_scenes.insert(hash_of(&scene.id.0));
             })?;
         }
         let last = finished.last().cloned();
@@ -90,6 +90,18 @@ impl SceneWriter {
             known_scenes,
         };
         Ok((writer, last))
+    }
+
+    /// [`Scene::identity`] of each scene of the finished shards.
+    ///
+    /// # Errors
+    /// When a shard cannot be read.
+    pub fn identities(&self) -> Result<BTreeSet<u128>> {
+        let mut found = BTreeSet::new();
+        for shard in &self.shards {
+            for_each_scene(&self.dir, shard, |scene| _ = found.insert(scene.identity()))?;
+        }
+        Ok(found)
     }
 
     /// Limits shards to this many scenes.
@@ -177,9 +189,9 @@ impl SceneWriter {
     fn file_of(&self, hash: u128) -> Result<String> {
         let mut found = self.current.files.get(&hash).cloned();
         for shard in &self.shards {
-            for_each_scene(&self.dir, shard, |id, file| {
-                if hash_of(id) == hash {
-                    found = Some(file.to_owned());
+            for_each_scene(&self.dir, shard, |scene| {
+                if hash_of(&scene.id.0) == hash {
+                    found = Some(scene.source.file);
                 }
             })?;
         }
@@ -220,14 +232,14 @@ impl SceneWriter {
     }
 }
 
-/// Calls `visit` with the id and the recording of every scene of a shard.
-fn for_each_scene(dir: &Path, shard: &ShardEntry, mut visit: impl FnMut(&str, &str)) -> Result<()> {
+/// Calls `visit` with every scene of a shard, without its tracks and lanes.
+fn for_each_scene(dir: &Path, shard: &ShardEntry, mut visit: impl FnMut(Scene)) -> Result<()> {
     let path = dir.join(&shard.file);
     for batch in MappedTable::open(&path, &scene::schema(), &shard.stamp)?.batches() {
         let batch = batch?;
         let columns = Columns::of_batch(&batch, &path);
         for row in 0..batch.num_rows() {
-            visit(columns.text("scene_id", row)?, columns.text("file", row)?);
+            visit(scene_header::decode(&columns, row)?.scene);
         }
     }
     Ok(())

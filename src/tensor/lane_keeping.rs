@@ -24,6 +24,10 @@ const KEPT_M: f64 = 0.25;
 const CRUISE_M: f64 = 0.3;
 /// Lanes that turn by more are bends, in which the middle of a vehicle does not keep its offset, radians.
 const STRAIGHT_RAD: f64 = 0.1;
+/// Within this distance of a corner of its line, meters, a vehicle rounds it off; after the present, it begins to within
+/// this many timesteps.
+const ROUNDED_M: f64 = 3.0;
+const N_ROUNDED: usize = 5;
 /// A lane is an agent's if it is at most this far away, meters, and turned by this much, radians.
 const MAX_OFFSET_M: f64 = 2.5;
 const MAX_TURN_RAD: f64 = 0.5;
@@ -123,9 +127,19 @@ impl LaneKeeper {
                 None => *at,
             };
             let (Some(at), Some(state)) = (at, &mut entries[*t]) else { continue };
+            let at = self.rounded(at, ((t + 1 - first) as f64 / N_ROUNDED as f64).min(1.0));
             state.position = at.point + Vec2::from_angle(at.heading_rad + FRAC_PI_2) * self.offset_m;
             state.heading_rad = wrap_angle(self.heading_rad + turn(&at));
         }
+    }
+
+    /// A place on the line, moved by this part toward a way on which corners are rounded off.
+    fn rounded(&self, at: Projection, part: f64) -> Projection {
+        let [before, after] = [-ROUNDED_M, ROUNDED_M].map(|by_m| self.line.point_at(at.station_m + by_m));
+        let Some((before, after)) = before.zip(after) else { return at };
+        let turn_rad = angle_difference((after - before).angle(), at.heading_rad);
+        let middle = (before + after) * 0.25 + at.point * 0.5;
+        Projection { point: at.point.lerp(middle, part), heading_rad: at.heading_rad + turn_rad * part, ..at }
     }
 }
 
@@ -233,10 +247,15 @@ mod tests {
             let expected = on_lane + Vec2::from_angle(direction_rad + FRAC_PI_2) * rounded(N_OBSERVED - 1);
             match t < N_OBSERVED {
                 true => assert_eq!(found, *sampled),
-                // Where the lane turns, the offset along it is accurate to millimeters only.
-                false => assert!(found.position.distance(expected) < 6e-3, "{t}: {found:?}"),
+                // Where the lane turns, the corner is rounded off, and the offset along it accurate to millimeters only.
+                false => assert!(found.position.distance(expected) < 0.014, "{t}: {found:?}"),
             }
-            assert!((found.heading_rad - direction_rad).abs() < 1e-12, "{t}");
+            let near_corner_m = (t as f64 - 20.5).abs();
+            let turned = (t as f64 - 20.5 + ROUNDED_M).clamp(0.0, 2.0 * ROUNDED_M) / (2.0 * ROUNDED_M);
+            match near_corner_m < ROUNDED_M {
+                true => assert!((found.heading_rad - 0.01 * turned).abs() < 1e-4, "{t}: {}", found.heading_rad),
+                false => assert!((found.heading_rad - direction_rad).abs() < 1e-12, "{t}"),
+            }
         }
     }
 

@@ -230,7 +230,9 @@ impl<'a> Choice<'a> {
     fn error_after(&mut self, scales: Scales, learning_rate: f64, steps: u64) -> Result<Option<f64>, Error> {
         let (time, job, fit) = (self.time, self.from.job, &self.from.training.common.fit);
         let settings = self.settings(scales, self.n_eval_scenes);
+        let mut n_held_out = 0;
         let ((error_m, step_s), _) = self.from.with_task(&settings, |params, task| {
+            n_held_out = task.draws.held_out.len();
             let from_s = time.elapsed_s();
             match take_steps(&schedule(fit, steps, learning_rate), params, task, job) {
                 Err(Error::Diverged { .. }) => return Ok((None, None)),
@@ -240,6 +242,7 @@ impl<'a> Choice<'a> {
             Ok((task.scene_error_m()?, Some(step_s)))
         })?;
         self.step_s = step_s.filter(|_| steps > 0).unwrap_or(self.step_s);
+        self.n_eval_scenes = self.n_eval_scenes.min(n_held_out.max(1));
         Ok(error_m)
     }
 

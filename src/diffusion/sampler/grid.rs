@@ -75,16 +75,4 @@ mod tests {
         let above = grid.schedule(&Edm::default(), 4.0);
         assert!(above.len() == 4 && above.windows(2).all(|pair| pair[0] > pair[1]), "{above:?}");
     }
-
-    #[test]
-    fn what_is_no_grid_is_refused_by_name() {
-        let message = |grid| sampler(grid).validate().unwrap_err().to_string();
-        assert!(
-            message(StepGrid { sigma_max: Some(0.0), ..StepGrid::default() })
-                .contains("grid.sigma_max is 0, expected more than 0 and at most 1000000")
-        );
-        let upside_down = StepGrid { sigma_max: Some(0.001), ..StepGrid::default() };
-        assert!(message(upside_down).contains("grid.sigma_max is 0.001, expected more than sigma_min, 0.002"));
-        assert!(sampler(StepGrid { sigma_max: Some(20.0), ..StepGrid::default() }).validate().is_ok());
-    }
 }

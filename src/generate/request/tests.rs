@@ -143,45 +143,6 @@ fn arms_become_sweeps_at_each_strength() {
 }
 
 #[test]
-fn requests_that_make_no_sense_are_refused_by_name() {
-    let refusal = |more: &str| resolve(&request(more)).unwrap_err();
-    let arms = "arms = ['plain']";
-    for (more, part) in [
-        (format!("{arms}\nper_bucket = 2\nbudget = {{}}"), "budget is empty"),
-        (format!("{arms}\nbudget = {{ n_samples = 3 }}"), "either per_bucket or n_total"),
-        (format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap = [0, 3] }}"), "similar: gap_m"),
-        (format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nwhere = {{ gap_m = [5, 3] }}"), "not a range"),
-        (
-            format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}\nlimits = {{ colision_rate = 0.0 }}"),
-            "not a metric",
-        ),
-        (
-            format!("{arms}\nn_total = 2\nbudget = {{ n_samples = 3 }}\nweights = {{ gap_m = [1] }}"),
-            "1 entries for 2 parts",
-        ),
-        (
-            format!("{arms}\nn_total = 2\nbudget = {{ n_samples = 3 }}\nweights = {{ ttc_s = [1] }}"),
-            "not among the buckets",
-        ),
-        ("arms = ['plane']\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "unknown arm \"plane\""),
-        ("arms = []\nper_bucket = 2\nbudget = { n_samples = 3 }".to_owned(), "arms is empty"),
-    ] {
-        let why = refusal(&more);
-        assert!(why.contains(part) && why.contains("requests.0 (tight)"), "{why}");
-    }
-    let unknown = request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}")).replace("cut_in", "cut_on");
-    assert!(resolve(&unknown).unwrap_err().contains("known: cut_in"));
-    let with_arm = |more: &str| {
-        let arm = format!("[[arms]]\nname = 'other'\n{more}\n");
-        resolve(&format!("{arm}{}", request(&format!("{arms}\nper_bucket = 2\nbudget = {{ n_samples = 3 }}"))))
-            .unwrap_err()
-    };
-    assert!(with_arm("n_scenes = 3").contains("generate.arms.3.n_scenes is 3, but cannot be set in an arm"));
-    assert!(with_arm("behavior = 'cut_in'").contains("generate.arms.3.behavior is \"cut_in\", but"));
-    assert!(with_arm("model = 'baseline'").contains("generate.arms.3.model is \"baseline\""));
-}
-
-#[test]
 fn the_first_round_tries_every_arm_on_the_same_cells_with_the_same_noise() {
     let request = tight("per_bucket = 5\nbudget = { n_samples = 600 }");
     let (rounds, _, _) = fulfil(&request, &pool(30), 1, world);

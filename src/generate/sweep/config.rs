@@ -18,7 +18,6 @@ const OF_DIFFUSION: &[&str] = &[
     "strengths",
     "guidance",
     "classifier_scope",
-    "classifier_input",
     "classifier_potential",
     "objectives",
     "validity_strength",
@@ -65,11 +64,6 @@ pub struct SweepConfig {
     /// Which agents the classifier of the behavior judges.
     #[serde(default)]
     pub classifier_scope: ClassifierScope,
-    /// The input of the classifier of the behavior. Clean estimates are needed if more than the history is observed
-    /// (`observe`): the classifier was not trained on noisy states under other masks. `objective_guidance` says how the
-    /// gradient at an estimate becomes a shift.
-    #[serde(default)]
-    pub classifier_input: ClassifierInput,
     /// The output of the classifier to maximize: log p or log odds.
     #[serde(default, skip_serializing_if = "ClassifierPotential::is_default")]
     pub classifier_potential: ClassifierPotential,
@@ -177,17 +171,6 @@ pub enum ClassifierScope {
     Pair,
     /// None: only objectives guide. Pairs are chosen and verified as with `pair`.
     None,
-}
-
-/// The input of the classifier of a behavior.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ClassifierInput {
-    /// The diffused states of the pair with their noise, at every noise level (paper, section 5.2).
-    #[default]
-    NoisyStates,
-    /// The denoiser's estimate of the pair's future, as objectives see it.
-    CleanEstimate,
 }
 
 /// Which events guided samples aim at.

@@ -7,6 +7,6 @@ mod resolve;
 mod resolved;
 mod settings;
 
-pub use config::{Aim, ClassifierInput, ClassifierScope, SampledModel, SweepConfig};
+pub use config::{Aim, ClassifierScope, SampledModel, SweepConfig};
 pub(super) use resolve::mined;
 pub use resolved::{Diffusion, ResolvedSweep, SweepGuidance, SweepModel};

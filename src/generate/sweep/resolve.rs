@@ -1,16 +1,12 @@
 //! Can a sweep be sampled as written? The only place that checks it and fills in defaults.
 
-use super::{
-    Aim, ClassifierInput, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance,
-    SweepModel,
-};
+use super::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerKind;
 use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
 use crate::guidance::ObjectiveConfig;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
-use crate::tensor::MaskTask;
 
 /// The context that the parts of a sweep must agree with.
 struct Purpose<'a> {
@@ -194,7 +190,6 @@ impl SweepConfig {
             guidance: SweepGuidance {
                 gate: self.guidance,
                 classifier_scope: self.classifier_scope,
-                classifier_input: self.classifier_input,
                 classifier_potential: self.classifier_potential,
                 objectives: self.objectives.iter().map(ObjectiveConfig::spelled_out).collect(),
                 objective_guidance: self.objective_guidance,
@@ -259,24 +254,13 @@ impl Diffusion {
             let (key, kind) = (format!("objectives.{i}"), objective.kind());
             objective.validate(roles).map_err(|why| Issue::new(key, format_args!("({kind}): {why}")))?;
         }
-        if classifies { check_classified_mask(observe, guidance.classifier_input) } else { Ok(()) }
+        if classifies && *observe != ObserveConfig::default() {
+            return Err(Issue::new(
+                "observe",
+                "is set, but the classifier knows only observe = \"predictive\"; remove it, or set classifier_scope = \
+                 \"none\" and objectives",
+            ));
+        }
+        Ok(())
     }
-}
-
-/// Refuses observation masks under which a classifier cannot guide.
-fn check_classified_mask(observe: &ObserveConfig, input: ClassifierInput) -> Result {
-    // The states that rules hide are known only once the rules are applied to a scene.
-    if let ObserveConfig::Task(task @ (MaskTask::Windowed | MaskTask::Upsampling | MaskTask::Imputation)) = observe {
-        let why =
-            format_args!("is \"{}\", but a classifier guides by the histories, which observe must show", task.name());
-        return Err(Issue::new("observe", why));
-    }
-    if *observe != ObserveConfig::default() && input == ClassifierInput::NoisyStates {
-        return Err(Issue::new(
-            "classifier_input",
-            "is \"noisy_states\", which a classifier can read only with observe = \"predictive\"; other masks need \
-             classifier_input = \"clean_estimate\"",
-        ));
-    }
-    Ok(())
 }

@@ -1,6 +1,6 @@
 //! A sweep that can be sampled: complete, and without contradictions.
 
-use super::{Aim, ClassifierInput, ClassifierScope};
+use super::{Aim, ClassifierScope};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{
@@ -57,8 +57,6 @@ pub struct SweepGuidance {
     pub gate: GuidanceConfig,
     /// Which agents the classifier of the behavior judges.
     pub classifier_scope: ClassifierScope,
-    /// The states that the classifier sees.
-    pub classifier_input: ClassifierInput,
     /// The classifier output to maximize.
     pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.

@@ -39,7 +39,8 @@ impl Diffusion {
             settings["strength"] = json!(level.strength);
             settings["guidance"] = json!(guidance.gate);
             settings["classifier_scope"] = json!(guidance.classifier_scope);
-            settings["classifier_input"] = json!(guidance.classifier_input);
+            // The only input, named so that ids of scenarios stay what they were.
+            settings["classifier_input"] = json!("noisy_states");
             if !guidance.classifier_potential.is_default() {
                 settings["classifier_potential"] = json!(guidance.classifier_potential);
             }

@@ -1,4 +1,4 @@
-//! Do the forms of guidance act together, and under other masks than that of the history?
+//! Do the forms of guidance act together?
 
 use super::*;
 use crate::scenario::ScenarioRecord;
@@ -52,54 +52,6 @@ fn classifier_objectives_and_wanted_states_act_together() {
     let refused = config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{GOALS} [0.0, 0.7] }}"));
     let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
     assert!(why.contains("classifier_free.weights has 2 values and strengths has 2"), "{why}");
-}
-
-#[test]
-fn a_classifier_guides_under_other_masks_by_clean_estimates() {
-    let run = |rest: &str| generate(&config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{rest}")));
-    for observe in ["'goal_conditioned'", "[{ agents = 'all', times = 'history' }, { agents = 'ego', times = 'all' }]"]
-    {
-        let records = run(&format!("observe = {observe}\nclassifier_input = 'clean_estimate'"));
-        assert_eq!(kinds(&records), ["classifier:drift", "none"]);
-        assert!(apart_m(&at(&records, 0.0, 0.0), &at(&records, 3.0, 0.0)) > 1e-3, "{observe}");
-        // Observed states stay under any guidance.
-        for (unguided, guided) in at(&records, 0.0, 0.0).iter().zip(at(&records, 3.0, 0.0)) {
-            assert_eq!(unguided.scenario.observed, guided.scenario.observed);
-            for (agent_idx, track) in guided.scenario.scene.tracks.iter().enumerate() {
-                for (timestep, state) in track.trajectory.valid() {
-                    if guided.scenario.observed.is_observed(agent_idx, timestep) {
-                        let other = unguided.scenario.scene.state(agent_idx, timestep).unwrap();
-                        assert_eq!(state.position, other.position);
-                    }
-                }
-            }
-        }
-    }
-    // Under the mask of the history both inputs are possible, and differ.
-    let (noisy, clean) = (run(""), run("classifier_input = 'clean_estimate'"));
-    assert_eq!(apart_m(&at(&noisy, 0.0, 0.0), &at(&clean, 0.0, 0.0)), 0.0);
-    assert!(apart_m(&at(&noisy, 3.0, 0.0), &at(&clean, 3.0, 0.0)) > 1e-3);
-}
-
-#[test]
-fn masks_that_a_classifier_cannot_see_through_are_refused() {
-    for (rest, part) in [
-        ("observe = 'goal_conditioned'", "need classifier_input = \"clean_estimate\""),
-        ("observe = 'windowed'\nclassifier_input = 'clean_estimate'", "which observe must show"),
-        (
-            "observe = [{ agents = 'all', times = { seconds = { from_s = -0.2, to_s = 0.0 } } }]\n\
-             classifier_input = 'clean_estimate'",
-            "unobserved at timestep 0 of its history",
-        ),
-    ] {
-        let config = config(&format!("{GUIDED}strengths = [3.0]\n{rest}"));
-        let sampled = with_generator_result(&config, |generator| {
-            let plan = generator.plan(&index(12))?;
-            generator.generate(&plan.shards[0], &Silent)
-        });
-        let why = sampled.unwrap_err().to_string();
-        assert!(why.contains(part), "{why}");
-    }
 }
 
 #[test]

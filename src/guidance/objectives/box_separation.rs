@@ -1,6 +1,6 @@
 //! The separation of two boxes: the separating-axis theorem, made smooth.
 
-use super::pairs::{Agents, Pairs};
+use super::pairs::Pairs;
 use candle_core::{D, Result, Tensor};
 
 /// Width over which the largest of the four separations goes over into the next, meters.
@@ -15,11 +15,7 @@ const ROUNDING: f64 = 0.01;
 /// The largest of the four is taken as β (ln Σ exp(gₖ / β) - ln 4) with β = 0.1 m, and |z| as √(z² + r²): smooth, and
 /// at most 0.2 m less than the exact separation for boxes of vehicles, never more than 0.02 m above it.
 pub(super) fn separation_m(pairs: &Pairs) -> Result<Tensor> {
-    separation_between_m(&pairs.first, &pairs.second)
-}
-
-/// [`separation_m`] between places of one agent and of another, at times that may differ.
-pub(super) fn separation_between_m(one: &Agents, other: &Agents) -> Result<Tensor> {
+    let Pairs { first: one, second: other, .. } = pairs;
     let of = |states: &Tensor, dim: usize| states.narrow(D::Minus1, dim, 1)?.squeeze(D::Minus1);
     let between = (&other.states - &one.states)?;
     let (dx, dy, turn) = (of(&between, 0)?, of(&between, 1)?, of(&between, 2)?);

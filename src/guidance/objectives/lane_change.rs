@@ -3,7 +3,6 @@
 use super::motion::{nothing, penalty, unhurried};
 use super::one_agent::{OneAgent, SIDE};
 use super::{AgentSelector, SceneContext, SceneObjective, Side, Whose};
-use crate::geometry::Polyline;
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -45,32 +44,20 @@ impl SceneObjective for LaneChange {
 
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         let asked = OneAgent::gather(states, context, agents)?;
-        let line = |row: usize| asked.line_beside(context, row, self.side);
-        settled(states, context, &asked, line, [SETTLED_S, WITHIN_M, TOLERANCE_M, MOST_ACROSS_MPS])
+        let (n_rows, _, n_timesteps, _) = states.dims4()?;
+        let n_settled = (SETTLED_S / context.dt_s).round().max(1.0) as usize;
+        let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
+        if n_settled == 0 {
+            return nothing(states);
+        }
+        let lines: Vec<_> = (0..n_rows).map(|row| asked.line_beside(context, row, self.side)).collect();
+        let frame = asked.across(&lines)?;
+        let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
+        let aside_m = (last(&frame.across_m)?.abs()? - WITHIN_M)?.relu()?;
+        let counts = last(&asked.counts)?;
+        let costs = (penalty(&aside_m, TOLERANCE_M)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
+        (costs + unhurried(&frame.across_m, &asked.counts, MOST_ACROSS_MPS, context.dt_s)?)? * frame.has_line
     }
-}
-
-/// The log potential of being within some meters of a line over the last seconds, and of moving there with at most some
-/// speed, (B): see [`LaneChange`]. 0 in rows without a line.
-pub(super) fn settled(
-    states: &Tensor,
-    context: &SceneContext,
-    asked: &OneAgent,
-    line: impl Fn(usize) -> Option<Polyline>,
-    [settled_s, within_m, tolerance_m, most_mps]: [f64; 4],
-) -> Result<Tensor> {
-    let (n_rows, _, n_timesteps, _) = states.dims4()?;
-    let n_settled = (settled_s / context.dt_s).round().max(1.0) as usize;
-    let n_settled = n_settled.min(n_timesteps.saturating_sub(context.n_history));
-    if n_settled == 0 {
-        return nothing(states);
-    }
-    let frame = asked.across(&(0..n_rows).map(line).collect::<Vec<_>>())?;
-    let last = |tensor: &Tensor| tensor.narrow(1, n_timesteps - n_settled, n_settled);
-    let aside_m = (last(&frame.across_m)?.abs()? - within_m)?.relu()?;
-    let counts = last(&asked.counts)?;
-    let costs = (penalty(&aside_m, tolerance_m)? * &counts)?.sum(1)?.div(&(counts.sum(1)? + 1e-6)?)?;
-    (costs + unhurried(&frame.across_m, &asked.counts, most_mps, context.dt_s)?)? * frame.has_line
 }
 
 #[cfg(test)]

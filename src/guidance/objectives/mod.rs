@@ -13,10 +13,8 @@ mod acceleration_limit;
 mod approach;
 mod box_separation;
 mod collision;
-mod cross_ahead;
 mod cut_in;
 mod driven_paths;
-mod encroachment;
 mod hard_brake;
 mod lane_change;
 mod motion;
@@ -29,12 +27,9 @@ mod stay_on_road;
 mod testing;
 #[cfg(test)]
 mod tests;
-mod turn;
-mod wrong_way;
 
 pub use acceleration_limit::AccelerationLimit;
 pub use collision::Collision;
-pub use cross_ahead::CrossAhead;
 pub use cut_in::CutIn;
 pub use hard_brake::HardBrake;
 pub use lane_change::LaneChange;
@@ -42,8 +37,6 @@ pub(super) use motion::nothing;
 pub use no_collision::NoCollision;
 pub use slip_limit::SlipLimit;
 pub use stay_on_road::StayOnRoad;
-pub use turn::Turn;
-pub use wrong_way::WrongWay;
 
 use super::{AgentSelector, SceneContext};
 use crate::settings::{self, Issue};
@@ -150,14 +143,8 @@ objectives! {
     HardBrake = "hard_brake",
     /// Drive into each other.
     Collision = "collision",
-    /// Cross the way of another shortly before it gets there.
-    CrossAhead = "cross_ahead",
     /// Move over to the lane beside one's own.
     LaneChange = "lane_change",
-    /// Turn to the left or right.
-    Turn = "turn",
-    /// Drive in the oncoming lane.
-    WrongWay = "wrong_way",
 }
 
 /// Why an objective cannot work.

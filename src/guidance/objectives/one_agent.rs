@@ -5,7 +5,6 @@ use super::{AgentSelector, SceneContext, Side};
 use crate::geometry::{Polyline, Vec2};
 use crate::guidance::lane_ways::WayPose;
 use candle_core::{D, DType, Result, Tensor};
-use std::ops::Range;
 
 /// The parameter for the side to which an agent goes, as events report it: +1 left, -1 right.
 pub(super) const SIDE: &str = "side";
@@ -46,51 +45,6 @@ impl OneAgent {
         WayPose { position: self.position(row, self.present), heading_rad }
     }
 
-    /// The heading with which it is first seen, radians.
-    pub(super) fn first_heading_rad(&self, row: usize) -> Option<f64> {
-        let (first, _) = self.span(row)?;
-        Some(self.at[3 * (row * self.n_timesteps + first) + 2])
-    }
-
-    /// Its speed at present, m/s: that of the last two states up to then. `None` if it has no state at present.
-    pub(super) fn present_speed_mps(&self, row: usize, dt_s: f64) -> Option<f64> {
-        let is_seen = |timestep: usize| self.is_valid[row * self.n_timesteps + timestep] > 0.0;
-        let before = self.present.checked_sub(1).filter(|before| is_seen(*before) && is_seen(self.present));
-        match before {
-            Some(before) => Some(self.position(row, before).distance(self.position(row, self.present)) / dt_s),
-            None => is_seen(self.present).then_some(0.0),
-        }
-    }
-
-    /// The timesteps after the present.
-    pub(super) fn future(&self) -> Range<usize> {
-        self.present + 1..self.n_timesteps
-    }
-
-    /// The distances that it drives from one timestep to the next after the present, meters; 0 if it is absent.
-    pub(super) fn steps_m(&self, row: usize) -> Vec<f64> {
-        let is_there = |t: usize| self.is_valid[row * self.n_timesteps + t] > 0.0;
-        let step_m = |t: usize| match is_there(t - 1) && is_there(t) {
-            true => self.position(row, t - 1).distance(self.position(row, t)),
-            false => 0.0,
-        };
-        self.future().map(step_m).collect()
-    }
-
-    /// Places (B, F, 2) and headings (B, F) at the timesteps after the present, and which of them count (B, F).
-    pub(super) fn futures(&self) -> Result<(Tensor, Tensor, Tensor)> {
-        let Range { start, end } = self.future();
-        let states = self.states.narrow(1, start, end - start)?;
-        let headings = states.narrow(D::Minus1, 2, 1)?.squeeze(D::Minus1)?;
-        Ok((states.narrow(D::Minus1, 0, 2)?, headings, self.counts.narrow(1, start, end - start)?))
-    }
-
-    /// The first and the last timestep at which it has a state.
-    fn span(&self, row: usize) -> Option<(usize, usize)> {
-        let own = &self.is_valid[row * self.n_timesteps..(row + 1) * self.n_timesteps];
-        own.iter().position(|valid| *valid > 0.0).zip(own.iter().rposition(|valid| *valid > 0.0))
-    }
-
     /// The center line of a lane beside the agent's own on the `configured` side, or on that of the target, or on
     /// either: the line nearest to the agent's last observed place.
     pub(super) fn line_beside(&self, context: &SceneContext, row: usize, configured: Option<Side>) -> Option<Polyline> {
@@ -100,17 +54,8 @@ impl OneAgent {
             (None, None) => vec![1.0, -1.0],
         };
         let lines = sides.into_iter().flat_map(|side| context.ways[row].beside(self.pose(row), side));
-        self.nearest(row, lines)
-    }
-
-    /// The center line of an oncoming lane beside the agent's own, in the agent's direction: the line nearest to the
-    /// agent's last observed place.
-    pub(super) fn oncoming_line(&self, context: &SceneContext, row: usize) -> Option<Polyline> {
-        self.nearest(row, context.ways[row].oncoming(self.pose(row)).into_iter())
-    }
-
-    fn nearest(&self, row: usize, lines: impl Iterator<Item = Polyline>) -> Option<Polyline> {
-        let end = self.position(row, self.span(row)?.1);
+        let own = &self.is_valid[row * self.n_timesteps..(row + 1) * self.n_timesteps];
+        let end = self.position(row, own.iter().rposition(|valid| *valid > 0.0)?);
         let aside_m = |line: &Polyline| line.project(end).map_or(f64::INFINITY, |place| place.offset_m.abs());
         lines.min_by(|a, b| aside_m(a).total_cmp(&aside_m(b)))
     }

@@ -39,17 +39,6 @@ impl Agents {
         let (valid, latent) = (of(&context.valid)?, of(&context.latent)?);
         Ok(Self { states: of(states)?, extent_m: of(&context.extent_m)?.to_dtype(states.dtype())?, valid, latent })
     }
-
-    /// The agents in `len` timesteps from `start` on.
-    pub(super) fn during(&self, start: usize, len: usize) -> Result<Self> {
-        let narrow = |tensor: &Tensor| tensor.narrow(1, start, len);
-        Ok(Self {
-            states: narrow(&self.states)?,
-            extent_m: self.extent_m.clone(),
-            valid: narrow(&self.valid)?,
-            latent: narrow(&self.latent)?,
-        })
-    }
 }
 
 /// The agents between which pairs are looked for.
@@ -104,7 +93,8 @@ impl Pairs {
             })
         };
         let (first, second) = (agents(&first)?, agents(&second)?);
-        let (both_valid, counts) = (both_valid(&first, &second)?, counts(&first, &second)?);
+        let both_valid = (&first.valid * &second.valid)?;
+        let counts = (&both_valid * first.latent.maximum(&second.latent)?)?;
         Ok(Some(Self { first, second, counts, both_valid, rows, n_rows }))
     }
 
@@ -153,14 +143,4 @@ impl Pairs {
     pub(super) fn sum_over_rows(&self, values: &Tensor) -> Result<Tensor> {
         Tensor::zeros(self.n_rows, values.dtype(), values.device())?.index_add(&self.rows, values, 0)
     }
-}
-
-/// 1 if both have a state, (P, T).
-fn both_valid(first: &Agents, second: &Agents) -> Result<Tensor> {
-    &first.valid * &second.valid
-}
-
-/// 1 if both have a state, one of which is generated, (P, T).
-pub(super) fn counts(first: &Agents, second: &Agents) -> Result<Tensor> {
-    both_valid(first, second)? * first.latent.maximum(&second.latent)?
 }

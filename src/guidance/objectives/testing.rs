@@ -107,11 +107,6 @@ pub(super) fn two_lanes() -> LaneWays {
     ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)]), (2, vec![(-50.0, 3.5), (100.0, 3.5)])])
 }
 
-/// A lane along x with its center line at y = 0, and an oncoming one at y = 3.5 m.
-pub(super) fn two_way_street() -> LaneWays {
-    ways(vec![(1, vec![(-50.0, 0.0), (100.0, 0.0)]), (2, vec![(100.0, 3.5), (-50.0, 3.5)])])
-}
-
 fn ways(lanes: Vec<(i64, Vec<(f64, f64)>)>) -> LaneWays {
     let lane = |(id, points): (i64, Vec<(f64, f64)>)| {
         let centerline = Polyline(points.into_iter().map(|(x, y)| Vec2::new(x, y)).collect());

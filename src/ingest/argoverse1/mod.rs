@@ -46,6 +46,10 @@ impl RecordingSource for Argoverse1<'_> {
         path.ends_with(".csv") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
     }
 
+    fn pattern(&self) -> &'static str {
+        "*.csv"
+    }
+
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
         Box::new(PairReader::new(PairNames::single("*.csv")))
     }

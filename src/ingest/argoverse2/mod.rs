@@ -45,6 +45,10 @@ impl RecordingSource for Argoverse2<'_> {
         self.names().part_of(path).is_some_and(|(_, part)| part == PairPart::Companion)
     }
 
+    fn pattern(&self) -> &'static str {
+        "scenario_*.parquet"
+    }
+
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
         Box::new(PairReader::new(self.names()))
     }

@@ -49,6 +49,10 @@ impl RecordingSource for CommonRoad<'_> {
         path.ends_with(".xml") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
     }
 
+    fn pattern(&self) -> &'static str {
+        "*.xml"
+    }
+
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
         Box::new(PairReader::new(PairNames::single("*.xml")))
     }

@@ -104,8 +104,8 @@ fn obstacle(element: &Element, is_static: bool, vicinity: Vicinity) -> Result<Ob
 
 fn observation(element: &Element, vicinity: Vicinity) -> Result<Observation, Malformed> {
     let time = element.number(&["time", "exact"])?;
-    if time.fract() != 0.0 || time.abs() > MAX_TIME_STEPS as f64 {
-        return Err(format!("has time {}, expected a whole number up to {MAX_TIME_STEPS}", in_words(time)).into());
+    if time.fract() != 0.0 || !(0.0..=MAX_TIME_STEPS as f64).contains(&time) {
+        return Err(format!("has time {}, expected a whole number from 0 to {MAX_TIME_STEPS}", in_words(time)).into());
     }
     // Positions that are areas are predictions, not recordings.
     let position =

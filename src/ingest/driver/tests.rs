@@ -41,13 +41,28 @@ fn config(path: &Path) -> IngestConfig {
     IngestConfig::new(Dataset::Argoverse1, vec![path.to_owned()])
 }
 
-fn run(config: &IngestConfig, done: Option<&IngestReport>) -> Result<(Vec<IngestBatch>, IngestReport), Error> {
+fn run(config: &IngestConfig, done: Option<Done>) -> Result<(Vec<IngestBatch>, IngestReport), Error> {
     let mut batches = Vec::new();
     let report = ingest(config, done, &Silent, &mut |batch| {
         batches.push(batch);
         Ok(())
     })?;
     Ok((batches, report))
+}
+
+fn done(batches: &[IngestBatch]) -> Option<Done> {
+    let mut done = Done { scenes: scenes(batches).iter().map(Scene::identity).collect(), ..Done::default() };
+    batches.iter().for_each(|batch| done.report.merge(&batch.report));
+    Some(done)
+}
+
+/// Packs a file of a folder as another one of it.
+fn pack(folder: &Path, from: &str, to: &str) {
+    let mut packed = GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    packed.write_all(&fs_err::read(folder.join(from)).expect("there")).expect("memory");
+    let to = folder.join(to);
+    fs_err::create_dir_all(to.parent().expect("a folder")).expect("writable");
+    fs_err::write(to, packed.finish().expect("memory")).expect("writable");
 }
 
 fn scenes(batches: &[IngestBatch]) -> Vec<Scene> {
@@ -77,13 +92,16 @@ fn scenes_come_in_order_with_their_map_once() {
 #[test]
 fn resuming_continues_with_the_same_batches() {
     let folder = folder(130);
+    // The same scene once more, far behind.
+    pack(folder.path(), "train/data/0005.csv", "train/more/0005.csv.gz");
     for limit in [None, Some(100)] {
         let config = IngestConfig { limit, ..config(folder.path()) };
         let (batches, report) = run(&config, None).expect("whole");
-        let (resumed, resumed_report) = run(&config, Some(&batches[0].report)).expect("whole");
+        let (resumed, resumed_report) = run(&config, done(&batches[..1])).expect("whole");
         assert_eq!(scenes(&resumed), scenes(&batches[1..]));
         assert_eq!(resumed_report, report);
-        let (nothing, _) = run(&config, Some(&report)).expect("all was done");
+        assert_eq!(report.rejects.get("scene_repeated").map(|found| found.count), limit.is_none().then_some(1));
+        let (nothing, _) = run(&config, done(&batches)).expect("all was done");
         assert!(nothing.iter().all(|batch| batch.scenes.is_empty()));
     }
 }
@@ -165,6 +183,12 @@ fn copies_of_recordings_are_rejected() {
     assert_eq!((repeated.count, report.n_units), (2, 6), "{report:?}");
     let told = "train/data/0001 - Kopie.csv: has the same bytes as train/data/0001.csv";
     assert_eq!(repeated.examples[0], told);
+    // Packed, its bytes are others, and its scene is the same.
+    pack(folder.path(), "train/data/0001.csv", "train/data/0001.csv.gz");
+    let (_, report) = run(&config(folder.path()), None).expect("the others are whole");
+    assert_eq!((report.rejects["scene_repeated"].count, report.n_scenes), (1, 4), "{report:?}");
+    let told = "train/data/0001.csv: scene argoverse1/train/PIT/0001 was read before; the first stays";
+    assert_eq!(report.rejects["scene_repeated"].examples, [told]);
 }
 
 #[test]
@@ -185,7 +209,7 @@ fn what_is_not_read_is_counted_once() {
     let lanes = &report.warnings["broken_lanes"];
     assert_eq!(lanes.count, 1);
     assert!(lanes.examples[0].ends_with("vector_map.xml: way 6: refers to missing node 9"), "{lanes:?}");
-    assert_eq!(run(&config, Some(&batches[0].report)).expect("whole").1, report);
+    assert_eq!(run(&config, done(&batches[..1])).expect("whole").1, report);
     // Archives that are only among the maps are not recordings.
     let maps = tempfile::tempdir().expect("a temporary folder");
     fs_err::write(maps.path().join("more.rar"), "x").expect("writable");
@@ -228,7 +252,7 @@ fn no_scenes_is_an_error_that_says_what_was_seen() {
     assert!(text.contains("3 rejected as bad_header (first: train/data/0000.csv:1: no column"), "{text}");
     assert!(text.contains("3 files named like argoverse1 recordings") && text.contains("3 units read"), "{text}");
     let text = message(&IngestConfig { splits: vec![crate::scene::Split::Val], ..config(folder.path()) });
-    assert!(text.contains("0 files named like"), "{text}");
+    assert!(text.contains("0 files named like argoverse1 recordings of the chosen splits, `*.csv`, and "), "{text}");
 }
 
 #[test]
@@ -260,8 +284,11 @@ fn places_that_name_no_folder_are_rejected() {
     let (_, report) = run(&without, None).expect("the other is whole");
     let expected = "train/data/0001.csv: its place has 199 bytes, expected a name of at most 80";
     assert_eq!(report.rejects["bad_place"].examples, [expected]);
-    assert_eq!(flaw_of("a\u{1b}b").as_deref(), Some("its place has the control character \\u{1b}, expected a name"));
-    assert_eq!(flaw_of(&"a".repeat(240)), None);
+    for (place, id, reason, what) in [("a\u{1b}b", "1", "bad_place", "place"), ("b", "1\u{1b}", "bad_id", "id")] {
+        let detail = format!("its {what} has the control character \\u{{1b}}, expected a name");
+        assert_eq!(flaw_of(place, id), Some((reason, detail)));
+    }
+    assert_eq!(flaw_of(&"a".repeat(240), "1"), None);
 }
 
 #[test]

@@ -82,6 +82,10 @@ impl RecordingSource for Interaction<'_> {
         TrackFile::of_path(path).and_then(|file| file.recording).is_some_and(|part| part.is_pedestrians)
     }
 
+    fn pattern(&self) -> &'static str {
+        "*.csv"
+    }
+
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {
         Box::new(units::TableReader::new(self))
     }

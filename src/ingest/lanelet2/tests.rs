@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::geometry::Polyline;
-use crate::ingest::test_data::{damaged, test_data};
+use crate::ingest::test_data::test_data;
 use crate::scene::{LaneDuty, LaneId};
 
 /// Two lanes side by side, 10 m long and 4 m wide; the right one (1) continues in a third (3). Way 12 between the lanes
@@ -402,23 +402,6 @@ fn a_real_map_with_true_coordinates_is_read() {
     assert!(graph.lanes().iter().any(|lane| lane.attributes.has_traffic_control));
     let n_connected = graph.lanes().iter().filter(|lane| !lane.successors.is_empty()).count();
     assert!(n_connected > 250, "{n_connected}");
-}
-
-proptest::proptest! {
-    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(300))]
-
-    #[test]
-    fn damaged_maps_never_panic(
-        damages in proptest::collection::vec((0..3000usize, proptest::prelude::any::<u8>(), 0..40usize), 1..6),
-    ) {
-        let text = osm(&[&nodes(), WAYS, RELATIONS].concat());
-        if let Ok((graph, _)) = read_map(&mut damaged(text.as_bytes(), &damages).as_slice(), "maps/test.osm") {
-            for lane in graph.lanes() {
-                let points = lane.centerline.0.iter().chain(&lane.left.0).chain(&lane.right.0);
-                assert!(points.into_iter().all(|point| point.is_finite()));
-            }
-        }
-    }
 }
 
 #[test]

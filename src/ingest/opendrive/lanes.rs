@@ -11,6 +11,7 @@ use crate::ingest::error::Malformed;
 use crate::ingest::map_report::MapReport;
 use crate::ingest::vicinity::Vicinity;
 use crate::scene::{Lane, LaneAttributes, TurnDirection};
+use crate::settings::in_words;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_6;
 
@@ -77,7 +78,7 @@ impl Lanes<'_> {
             };
             let length_m = edges.as_ref().map_or(0.0, |edges| edges.middle().length_m());
             if length_m <= MAX_SHORT_M {
-                let detail = format!("is {length_m:.1e} m long; the lanes before and behind it are connected");
+                let detail = format!("is {} m long; the lanes before and behind it are connected", in_words(length_m));
                 warn("lanes_without_length", &detail);
                 self.short.insert(key(lane));
                 continue;

@@ -25,6 +25,23 @@ const DRIVABLE: [&str; 14] = [
     "mwyExit",
 ];
 
+/// Types of lanes on which certainly none do; those of other types are named.
+const NOT_DRIVABLE: [&str; 13] = [
+    "shoulder",
+    "border",
+    "stop",
+    "none",
+    "restricted",
+    "parking",
+    "median",
+    "biking",
+    "sidewalk",
+    "walking",
+    "curb",
+    "tram",
+    "rail",
+];
+
 /// A stretch of a road with the same lanes.
 #[derive(Debug)]
 pub(super) struct Section {
@@ -159,6 +176,9 @@ fn lane(element: &Element, id: i64, faults: &mut Faults<'_>) -> Result<RoadLane,
         faults.tell("broken_directions", unlisted(element, "direction", direction, "standard, reversed or both"));
     }
     let kind = element.attribute("type").unwrap_or_default().to_owned();
+    if !DRIVABLE.into_iter().chain(NOT_DRIVABLE).any(|listed| listed == kind) {
+        faults.tell("lanes_of_other_types", unlisted(element, "type", &kind, "such as driving; it is left out"));
+    }
     Ok(RoadLane {
         id,
         is_reversed: direction == "reversed",

@@ -46,6 +46,10 @@ fn by_lane<'g>(graph: &'g LaneGraph, road: &str, lane: &str) -> Vec<&'g Lane> {
 fn lanes_lie_where_widths_put_them_and_run_with_traffic() {
     let (graph, report) = read(&road("1", "junction='-1'", STRAIGHT, &two_way()));
     assert_eq!((graph.lanes().len(), report.n_lanelets, report.n_not_drivable), (3, 4, 1));
+    assert!(report.warnings.is_empty(), "{report:?}");
+    let (_, other) = read(&road("1", "", STRAIGHT, &two_way().replace("sidewalk", "Driving")));
+    let said = &other.warnings["lanes_of_other_types"];
+    assert_eq!((said.count, said.examples[0].contains("has type \"Driving\"")), (1, true), "{said:?}");
     let [against, inner, outer] = ["1", "-1", "-2"].map(|lane| by_lane(&graph, "1", lane)[0]);
     let rounded = |point: Vec2| ((point.x * 1e3).round() / 1e3, (point.y * 1e3).round() / 1e3);
     let ends = |lane: &Lane| [lane.centerline.0[0], *lane.centerline.0.last().unwrap()].map(rounded);
@@ -164,50 +168,4 @@ fn sections_roads_and_junctions_connect_lanes() {
     assert_eq!(successors("1", "1"), [vec![], vec!["1:1".to_owned()]]);
     let turn = by_lane(&graph, "3", "-1")[0];
     assert_eq!((turn.attributes.turn, turn.attributes.is_intersection), (TurnDirection::Left, true));
-}
-
-#[test]
-fn broken_parts_are_reported_and_the_rest_is_read() {
-    let good = road("1", "", STRAIGHT, &two_way());
-    for (bad, expected) in [
-        (good.replace("<line/>", "<helix/>"), "road 1 on line 1: <geometry> holds <helix>"),
-        (good.replace("length='100' >", "length='1e9' >"), "road 1 on line 1: is 1000000000 m long"),
-        (good.replace("id='-1'", "id='one'"), "<lane> on line 1 has id \"one\", expected a whole number"),
-        (
-            good.replace("id='-2'", "id='-1'"),
-            "road 1 on line 1: has lane -1 twice in a section; it and the lanes beyond",
-        ),
-        (good.replace("a='2'", "a='NaN'"), "road 1 on line 1: lane -2 on line 1 has no width where it begins; it and"),
-        (good.replace("<width sOffset='0' a='2'", "<width sOffset='0' a='2'/><width sOffset='9' a='x'"), "has a \"x\""),
-        (good.replace("length='100' >", ">"), "road 1 on line 1: <road> on line 1 has no length, expected a number"),
-        (
-            good.replace("</lanes>", "<laneSection s='100.01'/></lanes>"),
-            "road 1 on line 1: has lanes from 100.01 m on, but is",
-        ),
-        (
-            good.replace("<link></link>", "<link><successor/></link>"),
-            "road 1 on line 1: <successor> on line 1 has id \"\"",
-        ),
-        (road("1", "", "", &two_way()), "road 1 on line 1: has no geometry"),
-        (
-            "<junction id='7'><connection incomingRoad='1' connectingRoad='2'><laneLink from='x'/></connection>
-             </junction>"
-                .to_owned(),
-            "junction 7 on line 1: <laneLink> on line 1 has from \"x\"",
-        ),
-        ("<header><offset x='3' y='0'/></header>".to_owned(), ""),
-    ] {
-        let other = good.replace("id='1' length", "id='9' length");
-        let (graph, report) = read(&(bad + &other));
-        let found = format!("{:?}", report.findings("a.xodr"));
-        assert!(found.contains(&expected.replace('"', "\\\"")) && !by_lane(&graph, "9", "-1").is_empty(), "{found}");
-    }
-    for (text, expected) in [
-        ("<OpenDRIVE/>", "has no vehicle lane on 0 roads"),
-        ("<osm/>", "begins with <osm>, expected <OpenDRIVE>"),
-        ("<OpenDRIVE>", "ends within <OpenDRIVE>"),
-    ] {
-        let error = read_map(&mut text.as_bytes(), "a.xodr").unwrap_err().to_string();
-        assert!(error.contains("a.xodr") && error.contains(expected), "{error}");
-    }
 }

@@ -78,7 +78,8 @@ impl Rows<'_> {
             if is_same_time && self.position(pair[0]).distance(self.position(pair[1])) > SAME_M {
                 let detail = format!(
                     "track {id} is at two positions at one time; if the table has several recordings, name the column \
-                     that distinguishes them in ingest.table.columns.recording"
+                     that distinguishes them in ingest.table.columns.recording; if times are rounded, name that of \
+                     frames instead, in columns.frame"
                 );
                 return Err(self.reject("duplicate_time", pair[1], &detail));
             }
@@ -118,6 +119,19 @@ impl Rows<'_> {
             left_out.row(reject, self.is_own(self.time_s(*row) - clock.start_s));
         }
         rows.retain(|row| !is_jump(*row));
+        let is_leap = |row: u32| seen.leaps_s.binary_search_by(|at_s| at_s.total_cmp(&self.time_s(row))).is_ok();
+        for pair in rows.windows(2).filter(|_| !seen.leaps_s.is_empty()).filter(|pair| is_leap(pair[1])) {
+            let [(from, from_s), (to, to_s)] = [pair[0], pair[1]].map(|row| (self.position(row), self.time_s(row)));
+            let detail = format!(
+                "{}, {}: track {id} moves {:.1} m within {:.2} s, off its way, and goes on from there; it is kept, as \
+                 simulators change lanes in one step",
+                self.file,
+                self.table.place_of(pair[1] as usize),
+                from.distance(to),
+                to_s - from_s
+            );
+            left_out.note("rows_off_the_motion_before", usize::from(self.is_own(to_s - clock.start_s)), &detail);
+        }
         Ok(rows)
     }
 

@@ -33,7 +33,8 @@ pub struct TableMapping {
     #[serde(default = "one")]
     #[schemars(range(min = 1e-9, max = 1e3))]
     pub time_unit_s: f64,
-    /// The unit of positions and sizes, meters: 0.3048 where they are in feet.
+    /// The unit of positions and sizes, meters: 0.3048 where they are in feet; of sizes alone where positions are in
+    /// degrees. Where sizes are in another unit than positions, convert them first.
     #[serde(default = "one")]
     #[schemars(range(min = 1e-6, max = 1e6))]
     pub length_unit_m: f64,

@@ -29,11 +29,13 @@ mod parts;
 mod parts_tests;
 mod resample;
 mod rows;
+mod sizes;
 mod table_rows;
 #[cfg(test)]
 mod tests;
 mod timed_rows;
 mod tracks;
+mod turns;
 
 pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 pub(super) use owners::Change;

@@ -14,12 +14,16 @@ const MAX_ACCELERATION_MPS2: f64 = 10.0;
 const MAX_ERROR_M: f64 = 4.0;
 /// Times without rows up to this are usual, seconds.
 const USUAL_GAP_S: f64 = 1.0;
-/// Over longer times, what an agent has driven until then tells how far it comes, seconds.
+/// Over longer times, motion does not tell where an agent is, seconds.
 const SHORT_S: f64 = 0.5;
 /// An id that was not seen for longer is another agent's: datasets count anew in each recording, seconds, and times the
 /// longest gap that is filled in, and the usual time between rows.
 const LOST_S: f64 = 60.0;
 const LOST_GAPS: f64 = 10.0;
+/// An agent that is farther than this from where its motion leads leaps, meters; after a single row out of place it is
+/// back this near.
+const MAX_LEAP_M: f64 = 2.0;
+const BACK_M: f64 = 0.5;
 /// Sizes of one agent differ by less, meters.
 const MAX_OFF_SIZE_M: f64 = 0.5;
 
@@ -55,10 +59,14 @@ pub(super) struct Owners {
     n_rows: usize,
     begun_s: f64,
     fastest_mps: f64,
+    /// Its last velocity, m/s, and the seconds over which it is taken, if they are few.
+    motion: Option<(Vec2, f64)>,
     /// From when on the id is that of another agent, in the unit of rows, seconds.
     changes: Vec<(f64, Change)>,
     /// Rows that are out of place.
     jumps_s: Vec<f64>,
+    /// Rows to which the agent leaps, and goes on from there.
+    leaps_s: Vec<f64>,
     standing: Standing,
     long_stands: LongStands,
 }
@@ -91,26 +99,50 @@ impl Owners {
             return self.pass_to(seen, change);
         }
         let fastest_mps = if self.n_rows > 1 { self.fastest_mps } else { MAX_SPEED_MPS };
-        if is_reached(&last, &seen, fastest_mps) {
-            self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
+        let is_near = is_reached(&last, &seen, fastest_mps);
+        let off_m = self.off_m(&last, &seen);
+        let goes_on = is_near && off_m.is_none_or(|off_m| off_m <= MAX_LEAP_M);
+        let Some(other) = self.suspect.take() else {
+            if goes_on {
+                return self.accept(seen);
+            }
+            self.suspect = Some(seen);
+            return;
+        };
+        let leaps = is_reached(&last, &other, fastest_mps);
+        if goes_on && (!leaps || off_m.is_some_and(|off_m| off_m <= BACK_M)) {
+            self.jumps_s.push(other.time_s);
             return self.accept(seen);
         }
-        match self.suspect.replace(seen) {
-            Some(other) if other.time_s < seen.time_s && is_reached(&other, &seen, MAX_SPEED_MPS) => {
-                self.suspect = None;
-                if self.n_rows == 1 && self.changes.is_empty() {
-                    // The first row is the one out of place.
-                    self.jumps_s.push(last.time_s);
-                    self.last = None;
-                    self.n_rows = 0;
-                    self.accept(other);
-                } else {
-                    self.pass_to(other, Change::Place);
-                }
-                self.accept(seen);
-            }
-            other => self.jumps_s.extend(other.map(|other| other.time_s)),
+        if leaps {
+            self.leaps_s.push(other.time_s);
+            self.accept(other);
+            self.motion = None;
+            return self.see(seen, max_gap_s);
         }
+        if other.time_s < seen.time_s && is_reached(&other, &seen, MAX_SPEED_MPS) {
+            if self.n_rows == 1 && self.changes.is_empty() {
+                // The first row is the one out of place.
+                self.jumps_s.push(last.time_s);
+                self.last = None;
+                self.n_rows = 0;
+                self.accept(other);
+            } else {
+                self.pass_to(other, Change::Place);
+            }
+            return self.accept(seen);
+        }
+        self.jumps_s.push(other.time_s);
+        self.suspect = Some(seen);
+    }
+
+    /// How far a row is from where the motion leads, meters, beyond what an agent can speed up; `None` if the motion is
+    /// not known.
+    fn off_m(&self, last: &Seen, seen: &Seen) -> Option<f64> {
+        let gap_s = seen.time_s - last.time_s;
+        let (velocity, over_s) = self.motion.filter(|_| gap_s <= SHORT_S)?;
+        let gained_m = MAX_ACCELERATION_MPS2 * gap_s * gap_s.max(over_s);
+        Some(seen.position.distance(last.position + velocity * gap_s) - gained_m)
     }
 
     /// Whether the present agent is not the one that has the id after this gap.
@@ -129,9 +161,9 @@ impl Owners {
 
     /// What is known of the track with this number, in a recording that begins at `start_s`.
     pub(super) fn seen_track(self, number: usize, start_s: f64) -> SeenTrack {
-        let Self { changes, jumps_s, standing, long_stands, .. } = self;
+        let Self { changes, jumps_s, leaps_s, standing, long_stands, .. } = self;
         let parked_s = standing.parked_s(start_s);
-        SeenTrack { number, parked_s, changes, jumps_s, stood_rad: long_stands.into_headings() }
+        SeenTrack { number, parked_s, changes, jumps_s, leaps_s, stood_rad: long_stands.into_headings() }
     }
 
     fn pass_to(&mut self, seen: Seen, change: Change) {
@@ -142,9 +174,11 @@ impl Owners {
     }
 
     fn accept(&mut self, seen: Seen) {
+        self.motion = None;
         if let Some(last) = self.last {
-            let gap_s = seen.time_s - last.time_s;
-            self.fastest_mps = self.fastest_mps.max(seen.position.distance(last.position) / gap_s.max(0.1));
+            let (step, gap_s) = (seen.position - last.position, seen.time_s - last.time_s);
+            self.fastest_mps = self.fastest_mps.max(step.norm() / gap_s.max(0.1));
+            self.motion = (gap_s <= SHORT_S).then(|| (step * (1.0 / gap_s), gap_s));
         }
         if self.n_rows == 0 {
             self.begun_s = seen.time_s;
@@ -168,10 +202,7 @@ fn change(last: &Seen, seen: &Seen) -> Option<Change> {
 
 fn is_reached(from: &Seen, to: &Seen, fastest_mps: f64) -> bool {
     let gap_s = to.time_s - from.time_s;
-    let speed_mps = match gap_s > SHORT_S {
-        true => MAX_SPEED_MPS.min(fastest_mps + MAX_ACCELERATION_MPS2 * gap_s),
-        false => MAX_SPEED_MPS,
-    };
+    let speed_mps = MAX_SPEED_MPS.min(fastest_mps + MAX_ACCELERATION_MPS2 * gap_s);
     from.position.distance(to.position) <= speed_mps * gap_s + MAX_ERROR_M
 }
 
@@ -202,6 +233,7 @@ mod tests {
             ((2.0, 20.0, 4.5, Vehicle), None),
             ((2.0, 23.0, 4.5, Vehicle), None),
             ((2.0, 20.0, 12.0, Bus), None),
+            ((2.0, 25.0, 4.5, Vehicle), Some(Change::Place)),
             ((2.0, 60.0, 4.5, Vehicle), Some(Change::Place)),
             ((2.8, 28.0, 4.5, Vehicle), None),
             ((2.8, 68.0, 4.5, Vehicle), Some(Change::Place)),

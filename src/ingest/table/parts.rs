@@ -4,8 +4,8 @@
 //! its footer), then for the rows of its parts, as many parts at a time as memory allows. If rows are by ascending
 //! time, as simulators and fleets write them, one more time suffices, as long as no more than [`Sizes::n_at_a_time`]
 //! recordings of a file are in progress at a time; if they are by track, each time yields a few parts. Scenes are those
-//! of the table read as a whole, except for a heading that is not recorded and held for longer than [`LEAD_S`]; class
-//! and size of an agent are those of its first row in the part.
+//! of the table read as a whole, except for a heading that is not recorded, or cannot be, for longer than [`LEAD_S`];
+//! class and size of an agent are those of most of its rows in the part.
 
 use super::columns::PARQUET;
 use super::mapping::TableMapping;

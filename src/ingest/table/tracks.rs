@@ -1,17 +1,16 @@
 //! The tracks of a table: the states of each agent from its rows, at the frames of scenes.
 
-use super::columns::Table;
 use super::headings::{Chords, headings};
 use super::left_out::LeftOut;
 use super::mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use super::resample::{TimedState, resampled};
 use super::rows::{Group, Rows};
-use crate::geometry::Vec2;
+use crate::geometry::{Vec2, wrap_angle};
 use crate::ingest::raw::SeenTrack;
 use crate::ingest::recorded_track::{DT_S, HeadingSource, Observation, RecordedTrack};
 use crate::ingest::windows::Recording;
 use crate::ingest::{RawUnit, Reject};
-use crate::scene::{AgentClass, Dataset, Extent, State, TrackId, velocity_at};
+use crate::scene::{Dataset, Extent, State, TrackId, velocity_at};
 
 /// Frames are numbered by the times of the recording unless these are further than this from 0, as times of day are,
 /// seconds.
@@ -19,13 +18,16 @@ const MAX_START_S: f64 = 1e6;
 /// The longest recording, seconds; see [`windows`](crate::ingest::windows).
 pub(super) const MAX_RECORDING_S: f64 = 1e5;
 /// The largest agent, meters.
-const MAX_SIZE_M: f64 = 1e3;
+pub(super) const MAX_SIZE_M: f64 = 1e3;
 /// Rows of a track that are usually further apart than this do not show its motion, seconds.
 const MAX_USUAL_S: f64 = 1.0;
 /// This many rows of a track in a part show their usual distance in time.
 const N_ROWS_OF_PART: usize = 20;
-/// A recording in which no agent moves as far as this is not in meters.
+/// If this share of the frames of tracks has no state, there are no scenes.
+const MIN_FILLED_SHARE: f64 = 0.9;
+/// A recording that is not too short in which no agent moves as far as this is not in meters.
 const MAX_AT_REST_M: f64 = 0.5;
+const N_STATES_AT_REST: usize = 10;
 
 /// The recordings of a file, in the order of their first rows, or why one cannot be read.
 pub(super) fn recordings(mut unit: RawUnit, mapping: &TableMapping) -> Vec<Result<Recording, Reject>> {
@@ -68,13 +70,18 @@ impl Rows<'_> {
             }
         }
         let away_m = tracks.iter().map(farthest_m).fold(0.0, f64::max);
-        let is_at_rest = self.part.is_none() && !tracks.is_empty() && away_m < MAX_AT_REST_M;
+        let is_long = tracks.iter().any(|track| track.states.len() > N_STATES_AT_REST);
+        let is_at_rest = self.part.is_none() && is_long && away_m < MAX_AT_REST_M;
         let at_rest = format!(
             "{}: nobody is ever more than {away_m:.4} m from where it begins; are positions in meters, by \
              ingest.table.length_unit_m, and not in degrees, which need ingest.table.origin?",
             self.file
         );
         left_out.note("recordings_at_rest", usize::from(is_at_rest), &at_rest);
+        // Once for a table in parts.
+        if self.part.as_ref().is_none_or(|part| part.windows.start == 0) {
+            self.judge_classes(&tracks, &mut left_out);
+        }
         Ok(Recording { dataset: Dataset::Table, unit, tracks, findings: left_out.findings()? })
     }
 
@@ -115,10 +122,11 @@ impl Rows<'_> {
         clock: Clock,
         left_out: &mut LeftOut,
     ) -> Result<Option<RecordedTrack>, Reject> {
-        let class = self.class(id, rows[0])?;
-        let extent = self.extent(id, rows)?;
-        let states: Vec<TimedState> = rows.iter().map(|row| self.state(*row, extent, clock.start_s)).collect();
-        self.count_other_classes(id, rows, clock, left_out);
+        let class = self.class(id, rows, clock, left_out)?;
+        let extent = self.extent(id, rows, clock, left_out)?;
+        let mut states: Vec<TimedState> = rows.iter().map(|row| self.state(*row, extent, clock.start_s)).collect();
+        let chords = Chords::of(class, extent, self.mapping.position);
+        self.blank_headings((id, class, chords), rows, &mut states, left_out);
         let gaps = Gaps::of(&states, self.mapping.max_gap_s, |time_s| self.is_own(time_s));
         // At the ends of a part there may be few rows, on either side of a gap.
         let is_enough = self.part.is_none() || states.len() > N_ROWS_OF_PART;
@@ -132,11 +140,26 @@ impl Rows<'_> {
         }
         left_out.note("gaps_filled", gaps.n_filled, &format!("{}: gaps within tracks are filled in", self.file));
         let resampled = resampled(&states, self.mapping.max_gap_s);
+        let lasts_s = states.last().map_or(0.0, |last| last.time_s - states[0].time_s);
+        let is_open = (resampled.len() as f64) < MIN_FILLED_SHARE * lasts_s / DT_S;
+        if is_enough && is_open && gaps.usual_s > self.mapping.max_gap_s + 1e-4 {
+            let detail = format!(
+                "the rows of track {id} are {0:.3} s apart, and nothing between them is filled in: set \
+                 ingest.table.max_gap_s, {1}, to more than {0:.3}",
+                gaps.usual_s, self.mapping.max_gap_s
+            );
+            return Err(self.reject("implausible_times", rows[0], &detail));
+        }
+        // Radians are passed on as they are: they may be degrees.
+        let heading = |heading_rad: f64| match self.mapping.heading {
+            HeadingUnit::Radians => heading_rad,
+            HeadingUnit::Degrees | HeadingUnit::CompassDegrees => wrap_angle(heading_rad),
+        };
         let observation = |(frame, state): &(i64, TimedState)| Observation {
             frame: *frame,
             position: state.position,
             velocity: Vec2::ZERO,
-            heading_rad: state.heading_rad,
+            heading_rad: state.heading_rad.map(heading),
         };
         let mut observations: Vec<Observation> = resampled.iter().map(observation).collect();
         // Scenes derive velocities anew, those of the past from the past alone; these are for states without neighbors.
@@ -147,7 +170,6 @@ impl Rows<'_> {
         if observations.is_empty() {
             return Ok(None);
         }
-        let chords = Chords::of(class, extent, self.mapping.position);
         let mut headings = headings(&observations, class, chords);
         let is_unknown = |(_, source): &(f64, HeadingSource)| *source == HeadingSource::Unknown;
         if chords.is_wheeled
@@ -208,76 +230,6 @@ impl Rows<'_> {
             heading_rad = heading_rad.map(|heading_rad| -heading_rad);
         }
         TimedState { time_s: self.time_s(row) - start_s, position, heading_rad }
-    }
-
-    /// The class of a track, by one of its rows or the table of tracks.
-    fn class(&self, id: &str, row: u32) -> Result<AgentClass, Reject> {
-        let row = row as usize;
-        let name = self.mapping.columns.class.as_deref();
-        let Some(name) = name else { return Ok(self.mapping.class) };
-        let of_row = |table: &Table, row: usize| {
-            table.text(Some(name)).map(|texts| texts.different[texts.of_row[row] as usize].clone())
-        };
-        let (found, file, place) = match (of_row(&self.table, row), &self.of_tracks) {
-            (Some(found), _) => (found, self.file.clone(), self.table.place_of(row)),
-            (None, Some(of_tracks)) => {
-                let row = of_tracks.row_of(id)?;
-                let found = of_row(&of_tracks.table, row).unwrap_or_default();
-                (found, of_tracks.file.clone(), of_tracks.table.place_of(row))
-            }
-            (None, None) => (String::new(), self.file.clone(), self.table.place_of(row)),
-        };
-        self.mapping.class_of(&found).ok_or_else(|| Reject {
-            reason: "unknown_class",
-            detail: format!(
-                "{file}, {place}: column {name} is \"{found}\", which ingest.table.classes does not list; add it, as \
-                 one of {}",
-                AgentClass::ALL.map(AgentClass::name).join(", ")
-            ),
-        })
-    }
-
-    /// Counts the rows whose class is not that of the first row of their agent.
-    fn count_other_classes(&self, id: &str, rows: &[u32], clock: Clock, left_out: &mut LeftOut) {
-        let Some(classes) = self.table.text(self.mapping.columns.class.as_deref()) else { return };
-        let class_of = |row: u32| classes.of_row[row as usize];
-        let is_own = |row: u32| self.is_own(self.time_s(row) - clock.start_s);
-        let others = rows.iter().filter(|row| class_of(**row) != class_of(rows[0]) && is_own(**row));
-        let (n, Some(row)) = (others.clone().count(), others.clone().next()) else { return };
-        let [found, taken] = [*row, rows[0]].map(|row| &classes.different[class_of(row) as usize]);
-        let place = self.table.place_of(*row as usize);
-        let detail =
-            format!("{}: {place}: track {id} is \"{found}\", having been \"{taken}\", which is taken", self.file);
-        left_out.note("rows_of_another_class", n, &detail);
-    }
-
-    /// The size of a track: of its first row with one, or of the table of tracks.
-    fn extent(&self, id: &str, rows: &[u32]) -> Result<Option<Extent>, Reject> {
-        let TableColumns { length, width, .. } = &self.mapping.columns;
-        let Some((length, width)) = length.as_deref().zip(width.as_deref()) else { return Ok(None) };
-        let size = |table: &Table, name: &str, row: usize| {
-            let size_m = table.number(Some(name))?[row] * self.mapping.length_unit_m;
-            (size_m != 0.0 && size_m.is_finite()).then_some(size_m)
-        };
-        let of = |table: &Table, row: usize| size(table, length, row).zip(size(table, width, row));
-        let found: Vec<(f64, f64)> = match &self.of_tracks {
-            Some(of_tracks) if self.table.number(Some(length)).is_none() => {
-                of(&of_tracks.table, of_tracks.row_of(id)?).into_iter().collect()
-            }
-            _ => rows.iter().filter_map(|row| of(&self.table, *row as usize)).collect(),
-        };
-        let is_possible =
-            |(length_m, width_m): &&(f64, f64)| length_m.max(*width_m) <= MAX_SIZE_M && length_m.min(*width_m) >= 0.0;
-        match (found.iter().find(is_possible), found.first()) {
-            (None, Some((length_m, width_m))) => {
-                let detail = format!(
-                    "track {id} is {length_m} by {width_m} m in length and width, expected 0 to {MAX_SIZE_M}; is \
-                     ingest.table.length_unit_m right?"
-                );
-                Err(self.reject("out_of_range", rows[0], &detail))
-            }
-            (found, _) => Ok(found.map(|(length_m, width_m)| Extent { length_m: *length_m, width_m: *width_m })),
-        }
     }
 }
 

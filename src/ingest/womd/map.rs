@@ -53,16 +53,12 @@ struct Surroundings {
     lights: BTreeMap<i64, Vec<(usize, i32)>>,
 }
 
-/// The lanes, with the lights from a timestep of the scenario on, and a report on those that are left out.
-pub(super) fn read(scenario: &Scenario, first_step: usize) -> (LaneGraph, MapReport) {
+/// The lanes, with the lights from a timestep of the scenario on, and a report on what is left out, also of `scenario`.
+pub(super) fn read(scenario: &mut Scenario, first_step: usize) -> (LaneGraph, MapReport) {
     let mut report = MapReport::default();
+    leave_out_dangling(scenario, &mut report);
     let around = Surroundings::of(scenario, first_step);
-    let lanes = || {
-        scenario.map_features.iter().filter_map(|feature| match &feature.feature_data {
-            Some(FeatureData::Lane(lane)) => Some((feature.id, &**lane)),
-            _ => None,
-        })
-    };
+    let lanes = || lanes_of(scenario);
     let vicinity = Vicinity::of(|| lanes().filter_map(|(_, lane)| lane.polyline.first().map(point)));
     let (mut read, mut ids) = (Vec::new(), BTreeSet::new());
     for (id, lane) in lanes() {
@@ -80,6 +76,52 @@ pub(super) fn read(scenario: &Scenario, first_step: usize) -> (LaneGraph, MapRep
     crosswalks::tag(&mut read, scenario, vicinity, &mut report);
     report.n_lanes = read.len() as u64;
     (connect_one_way(read), report)
+}
+
+fn lanes_of(scenario: &Scenario) -> impl Iterator<Item = (i64, &LaneCenter)> {
+    scenario.map_features.iter().filter_map(|feature| match &feature.feature_data {
+        Some(FeatureData::Lane(lane)) => Some((feature.id, &**lane)),
+        _ => None,
+    })
+}
+
+/// Leaves out neighbors and boundaries from and to points that lanes do not have, and lights of lanes that are not there.
+fn leave_out_dangling(scenario: &mut Scenario, report: &mut MapReport) {
+    let n_points: BTreeMap<i64, usize> = lanes_of(scenario).map(|(id, lane)| (id, lane.polyline.len())).collect();
+    let mut keep = |lane: i64, what: &str, id: i64, ends: &[(i32, i32, usize)]| {
+        let is_part = |(start, end, n): &(i32, i32, usize)| (0..=*end).contains(start) && (*end as usize) < *n;
+        let is_kept = ends.iter().all(is_part);
+        if !is_kept {
+            let detail = format!("lane {lane}: {what} {id} is beside points that are not there");
+            report.warn("indices_out_of_range", detail);
+        }
+        is_kept
+    };
+    for feature in &mut scenario.map_features {
+        let Some(FeatureData::Lane(lane)) = &mut feature.feature_data else { continue };
+        let n = lane.polyline.len();
+        for neighbors in [&mut lane.left_neighbors, &mut lane.right_neighbors] {
+            neighbors.retain(|of| {
+                let own = (of.self_start_index, of.self_end_index, n);
+                let n_there = n_points.get(&of.feature_id);
+                let there = n_there.map(|n| (of.neighbor_start_index, of.neighbor_end_index, *n));
+                keep(feature.id, "neighbor", of.feature_id, &[own, there.unwrap_or(own)])
+            });
+        }
+        for boundaries in [&mut lane.left_boundaries, &mut lane.right_boundaries] {
+            boundaries.retain(|of| {
+                keep(feature.id, "boundary", of.boundary_feature_id, &[(of.lane_start_index, of.lane_end_index, n)])
+            });
+        }
+    }
+    let mut unknown = BTreeSet::new();
+    for at in &mut scenario.dynamic_map_states {
+        let (known, others): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut at.lane_states).into_iter().partition(|light| n_points.contains_key(&light.lane));
+        unknown.extend(others.iter().map(|light| light.lane));
+        at.lane_states = known;
+    }
+    unknown.into_iter().for_each(|lane| report.warn("lights_of_unknown_lanes", format!("lane {lane}")));
 }
 
 impl Surroundings {
@@ -173,9 +215,7 @@ impl Surroundings {
         let mut is_assumed = vec![true; points.len()];
         for BoundarySegment { lane_start_index, lane_end_index, boundary_feature_id, .. } in boundaries {
             let Some(path) = self.lines.get(boundary_feature_id) else { continue };
-            let [start, end] = [*lane_start_index, lane_end_index.saturating_add(1)];
-            let [start, end] = [start, end].map(|index| usize::try_from(index).unwrap_or(0).min(points.len()));
-            for idx in start..end {
+            for idx in *lane_start_index as usize..=*lane_end_index as usize {
                 let Some(nearest) = path.project(center.0[idx]) else { break };
                 let to_side = nearest.point - center.0[idx];
                 let is_on_side = (points[idx] - center.0[idx]).dot(to_side) > 0.0;

@@ -1,6 +1,7 @@
 //! Waymo Open Motion: `Scenario` protos, some hundred of them in a TFRecord.
 //!
-//! Records are read one after the other, and each is a unit. The ego is the vehicle that recorded them.
+//! Records are read one after the other, and each is a unit. The ego is the vehicle that recorded them; those without
+//! it are rejected.
 
 mod crosswalks;
 mod map;
@@ -18,9 +19,9 @@ use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
 use super::files::{file_name, split_of_entry};
-use super::raw::{RawScene, RawUnit, Reject, UnitSplit, map_id};
+use super::raw::{Finding, RawScene, RawUnit, Reject, UnitSplit, map_id};
 use super::source::{EmitUnit, Horizon, PendingScene, RecordingSource, UnitReader};
-use crate::scene::{Dataset, SceneId, Split};
+use crate::scene::{AgentClass, Dataset, SceneId, Split, Track, TrackRole};
 use prost::Message;
 use std::io::BufRead;
 use std::ops::{ControlFlow, Range};
@@ -29,8 +30,9 @@ use std::sync::Arc;
 /// The length of recordings: 1.1 s of past and 8 s of future at 10 Hz.
 const RECORDED: Horizon = Horizon { n_history: 11, n_future: 80 };
 const DT_S: f64 = 0.1;
-/// The largest distance of a timestamp from an even one, seconds.
+/// The largest distance of a timestamp from an even one, seconds, and one that published scenarios do not reach.
 const MAX_UNEVEN_S: f64 = 0.05;
+const USUAL_UNEVEN_S: f64 = 0.025;
 
 /// A record of a TFRecord with this scenario.
 pub(crate) fn record(scenario: &Scenario) -> Vec<u8> {
@@ -50,7 +52,7 @@ impl<'a> Womd<'a> {
 
     fn scene(&self, unit: &RawUnit) -> Result<RawScene, Reject> {
         let reject = |reason, detail: String| unit.reject(reason, format!("{}: {detail}", unit.case_id));
-        let scenario = Scenario::decode(unit.bytes.as_slice()).map_err(|error| match unit.bytes.first() {
+        let mut scenario = Scenario::decode(unit.bytes.as_slice()).map_err(|error| match unit.bytes.first() {
             // Its features come first, which no scenario has in such a field.
             Some(0x0a) => reject("not_a_scenario", "is a tf.Example; the files of `scenario` are read".to_owned()),
             _ => reject("not_a_scenario", error.to_string()),
@@ -62,7 +64,21 @@ impl<'a> Womd<'a> {
         }
         let steps = self.timesteps(&scenario, split).map_err(|(reason, detail)| reject(reason, detail))?;
         let (tracks, mut findings) = tracks::read(&scenario, &steps, self.horizon.n_history);
-        let map = self.config.wants_maps().then(|| map::read(&scenario, steps.start));
+        let is_ego = |track: &&Track| track.role == TrackRole::Recorder && track.class == AgentClass::Vehicle;
+        let states = tracks.iter().find(is_ego).map(|track| &track.trajectory);
+        let Some(states) = states.filter(|states| states.is_valid(self.horizon.n_history.saturating_sub(1))) else {
+            let found = scenario.sdc_track_index.map_or("missing".to_owned(), |index| index.to_string());
+            let detail = "expected that of the vehicle that records, which is there at present";
+            return Err(reject("no_recorder", format!("sdc_track_index is {found}, {detail}")));
+        };
+        if states.n_valid() < steps.len() {
+            let detail = format!("the recorder is there at {} of {} timesteps", states.n_valid(), steps.len());
+            findings.push(Finding { what: "recorders_absent_at_times", n: 1, detail });
+        }
+        if let Some(detail) = uneven(&scenario, &steps, USUAL_UNEVEN_S) {
+            findings.push(Finding { what: "uneven_times", n: 1, detail: format!("{detail}; taken as that") });
+        }
+        let map = self.config.wants_maps().then(|| map::read(&mut scenario, steps.start));
         let at = format!("{}: {}", unit.file, unit.case_id);
         findings.iter_mut().for_each(|finding| finding.detail = format!("{at}: {}", finding.detail));
         findings.extend(map.iter().flat_map(|(_, report)| report.findings(&at)));
@@ -100,19 +116,26 @@ impl<'a> Womd<'a> {
         let is_cut = end == n_recorded && matches!(split, Split::Test | Split::Unsplit);
         if end < n_history || (end + n_future > n_recorded && !is_cut) {
             let (n_after, expected) = (n_recorded - end, format!("{n_history} and {n_future}"));
-            let detail = format!("has {end} timesteps up to the present and {n_after} after it, expected {expected}");
+            let detail = format!(
+                "has {end} timesteps up to the present and {n_after} after it, expected {expected}: set \
+                 ingest.n_history and ingest.n_future for shorter scenes"
+            );
             return Err(("wrong_timestamp_count", detail));
         }
         let steps = end - n_history..n_recorded.min(end + n_future);
-        let is_even = |step: &usize| (times_s[*step] - times_s[0] - *step as f64 * DT_S).abs() <= MAX_UNEVEN_S;
-        match steps.clone().find(|step| !is_even(step)) {
-            Some(step) => {
-                let after_s = times_s[step] - times_s[0];
-                Err(("uneven_times", format!("timestep {step} is {after_s:.3} s after the first, expected 10 Hz")))
-            }
+        match uneven(scenario, &steps, MAX_UNEVEN_S) {
+            Some(detail) => Err(("uneven_times", detail)),
             None => Ok(steps),
         }
     }
+}
+
+/// The first of these timesteps that is further than this from an even time, in words.
+fn uneven(Scenario { timestamps_seconds: times_s, .. }: &Scenario, steps: &Range<usize>, max_s: f64) -> Option<String> {
+    let is_even = |step: &usize| (times_s[*step] - times_s[0] - *step as f64 * DT_S).abs() <= max_s;
+    let step = steps.clone().find(|step| !is_even(step))?;
+    let after_s = times_s[step] - times_s[0];
+    Some(format!("timestep {step} is {after_s:.3} s after the first, expected 10 Hz"))
 }
 
 impl RecordingSource for Womd<'_> {
@@ -123,6 +146,10 @@ impl RecordingSource for Womd<'_> {
     fn is_recording(&self, path: &str) -> bool {
         let is_wanted = |(split, _)| self.config.wants_split(split);
         file_name(path).contains(".tfrecord") && set_of(path).is_none_or(is_wanted)
+    }
+
+    fn pattern(&self) -> &'static str {
+        "*.tfrecord*"
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {

@@ -8,11 +8,10 @@ use super::messages::{
 use super::tfrecord::{Records, framed, masked_crc};
 use super::*;
 use crate::geometry::{Polyline, Vec2};
-use crate::ingest::test_data::{damaged, test_data};
+use crate::ingest::test_data::test_data;
 use crate::ingest::{IngestReport, MapsConfig, ingest};
 use crate::progress::Silent;
-use crate::scene::{AgentClass, Lane, LaneId, Scene, TrackRole};
-use proptest::prelude::*;
+use crate::scene::{Lane, LaneAttributes, LaneId, Scene};
 
 fn read(bytes: &[u8]) -> Vec<(u64, Result<String, &'static str>)> {
     let text = |content: Vec<u8>| String::from_utf8_lossy(&content).into_owned();
@@ -65,7 +64,7 @@ fn splits_and_sets_are_named_as_in_the_dataset() {
 
 /// A car that drives along x at 10 m/s, as the one that records, and a lane with a line on its left.
 fn scenario() -> Scenario {
-    let state = |step: i32| ObjectState {
+    let state = |id: i32, step: i32| ObjectState {
         center_x: f64::from(step),
         center_y: 5.0,
         length: 4.0 + step as f32 / 100.0,
@@ -73,11 +72,11 @@ fn scenario() -> Scenario {
         heading: 4.0 * std::f32::consts::PI,
         velocity_x: 10.0,
         velocity_y: 0.0,
-        valid: step != 3,
+        valid: step != 3 || id == 31,
     };
-    let track = |id| Track { id, object_type: 1, states: (0..91).map(state).collect() };
+    let track = |id| Track { id, object_type: 1, states: (0..91).map(|step| state(id, step)).collect() };
     let line = |y: f64, xs: &[f64]| xs.iter().map(|x| MapPoint { x: *x, y }).collect::<Vec<_>>();
-    let bound = BoundarySegment { lane_start_index: 1, lane_end_index: 99, boundary_feature_id: 7, boundary_type: 2 };
+    let bound = BoundarySegment { lane_start_index: 1, lane_end_index: 3, boundary_feature_id: 7, boundary_type: 2 };
     let beside = |feature_id, self_end_index| LaneNeighbor {
         feature_id,
         self_start_index: 0,
@@ -174,7 +173,7 @@ fn lanes_have_sides_neighbors_and_controls() {
     let expected = [
         ("boundaries", "assumed:3.8_m_wide at 5 of 8 points"),
         ("crosswalk:9", "40,3 44.5,3 44.5,8 40,8"),
-        ("left_boundaries", "7:1-99/solid_single_white"),
+        ("left_boundaries", "7:1-3/solid_single_white"),
         ("left_neighbors", "4:0-1/1-2;3:0-2/1-2"),
         ("speed_limit_mps", "11.176"),
         ("traffic_light", "stop:0-39;go:40-90"),
@@ -202,7 +201,7 @@ fn lanes_have_sides_neighbors_and_controls() {
 #[test]
 fn what_cannot_be_read_is_named() {
     type Change = fn(&mut Scenario);
-    let cases: [(Change, Split, &str); 9] = [
+    let cases: [(Change, Split, &str); 14] = [
         (|of| of.current_time_index = None, Split::Val, "wrong_timestamp_count"),
         (|of| of.current_time_index = Some(91), Split::Val, "wrong_timestamp_count"),
         (|of| of.current_time_index = Some(9), Split::Val, "wrong_timestamp_count"),
@@ -212,6 +211,11 @@ fn what_cannot_be_read_is_named() {
         (|of| of.timestamps_seconds[50] += 0.07, Split::Val, "uneven_times"),
         (|of| of.scenario_id.clear(), Split::Val, "not_a_scenario"),
         (|of| of.tracks[1].states.truncate(40), Split::Val, ""),
+        (|of| of.sdc_track_index = None, Split::Val, "no_recorder"),
+        (|of| of.sdc_track_index = Some(-1), Split::Val, "no_recorder"),
+        (|of| of.sdc_track_index = Some(999), Split::Val, "no_recorder"),
+        (|of| of.tracks[1].object_type = 2, Split::Val, "no_recorder"),
+        (|of| of.tracks[1].states[10].valid = false, Split::Val, "no_recorder"),
     ];
     for (i, (change, split, expected)) in cases.into_iter().enumerate() {
         let mut scenario = scenario();
@@ -230,6 +234,34 @@ fn what_cannot_be_read_is_named() {
     let found: Vec<&str> = scene.findings.iter().map(|finding| finding.what).collect();
     assert_eq!(found, ["states_left_out", "tracks_of_repeated_ids", "broken_lanes"]);
     assert!(scene.findings.iter().all(|finding| finding.detail.starts_with("x.tfrecord: record at byte 7: ")));
+    let mut odd = scenario();
+    odd.timestamps_seconds[50] += 0.03;
+    odd.tracks[0].states[10].length = 4000.0;
+    odd.tracks[1].states.truncate(50);
+    odd.dynamic_map_states[0].lane_states[0].lane = 77;
+    let Some(FeatureData::Lane(lane)) = &mut odd.map_features[0].feature_data else { panic!("a lane") };
+    (lane.left_neighbors[1].neighbor_start_index, lane.left_boundaries[0].lane_end_index) = (-5, 4);
+    let scene = parsed(&odd, Split::Val, &config()).expect("its recorder is there");
+    let prefix = "x.tfrecord: record at byte 7: ";
+    let found: Vec<_> = scene.findings.iter().map(|of| (of.what, of.n, of.detail.trim_start_matches(prefix))).collect();
+    let beside = |what: &str| format!("lane 2: {what} is beside points that are not there");
+    let expected = [
+        ("sizes_left_out", 1, "track 30 at timestep 10 is 4000 by 1.75 m, expected 0.001 to 1000 m"),
+        ("recorders_absent_at_times", 1, "the recorder is there at 50 of 91 timesteps"),
+        ("uneven_times", 1, "timestep 50 is 5.030 s after the first, expected 10 Hz; taken as that"),
+        ("indices_out_of_range", 2, &format!("{}; {}", beside("neighbor 3"), beside("boundary 7"))),
+        ("lights_of_unknown_lanes", 1, "lane 77"),
+    ];
+    assert_eq!(found, expected);
+    assert!((scene.tracks[0].extent.expect("the size before").length_m - 4.09).abs() < 1e-6);
+    let lanes = scene.own_map.expect("lanes");
+    let Lane { left_neighbor, attributes, .. } = lanes.get(LaneId(2)).expect("a lane");
+    assert_eq!((*left_neighbor, attributes.tags["left_neighbors"].as_str()), (Some(LaneId(4)), "4:0-1/1-2"));
+    assert_eq!(attributes.tags[LaneAttributes::LIGHT], "stop:1-39;go:40-90");
+    let mut short = scenario();
+    short.timestamps_seconds.truncate(61);
+    let detail = parsed(&short, Split::Val, &config()).expect_err("too short").detail;
+    assert!(detail.ends_with("set ingest.n_history and ingest.n_future for shorter scenes"), "{detail}");
     let unit = RawUnit { bytes: vec![0x0a, 1, 0], case_id: "record at byte 0".to_owned(), ..RawUnit::default() };
     let reject = Womd::new(&config()).expect("defaults").scene(&unit).expect_err("no scenario");
     assert_eq!(reject.detail, ": record at byte 0: is a tf.Example; the files of `scenario` are read");
@@ -266,13 +298,4 @@ fn the_two_public_scenarios_are_read() {
     // 83 and 257 tracks, of which 50 and 84 are there at present, and 198 and 114 lanes, one of them a point.
     let expected = [(50, "2406".to_owned(), 197), (64, "2893".to_owned(), 114)];
     assert_eq!(scenes.iter().map(counts).collect::<Vec<_>>(), expected);
-}
-
-proptest! {
-    #[test]
-    fn damage_does_no_harm(damages in prop::collection::vec((any::<usize>(), any::<u8>(), 0..14_usize), 1..6)) {
-        let bytes = damaged(&scenario().encode_to_vec(), &damages);
-        let unit = RawUnit { bytes, split: UnitSplit::All(Split::Train), ..RawUnit::default() };
-        _ = Womd::new(&config()).expect("defaults").scene(&unit);
-    }
 }

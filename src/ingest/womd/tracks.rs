@@ -7,10 +7,14 @@ use crate::scene::{AgentClass, Extent, State, Track, TrackId, TrackRole, Traject
 use std::collections::BTreeSet;
 use std::ops::Range;
 
+/// Sizes beyond these limits are errors of the recording, meters.
+const MIN_SIZE_M: f64 = 1e-3;
+const MAX_SIZE_M: f64 = 1e3;
+
 /// The tracks in some timesteps of the scenario, `n_history` of which are observed, and doubts about them.
 pub(super) fn read(scenario: &Scenario, steps: &Range<usize>, n_history: usize) -> (Vec<Track>, Vec<Finding>) {
     let scored: BTreeSet<i32> = scenario.tracks_to_predict.iter().map(|of| of.track_index).collect();
-    let (mut ids, mut broken, mut repeated) = (BTreeSet::new(), Vec::new(), Vec::new());
+    let (mut ids, mut broken, mut sizeless, mut repeated) = (BTreeSet::new(), Vec::new(), Vec::new(), Vec::new());
     let mut tracks = Vec::with_capacity(scenario.tracks.len());
     for (idx, track) in (0_i32..).zip(&scenario.tracks) {
         if !ids.insert(track.id) {
@@ -28,9 +32,15 @@ pub(super) fn read(scenario: &Scenario, steps: &Range<usize>, n_history: usize) 
             if states[timestep].is_none() {
                 broken.push(format!("track {} at timestep {timestep} has numbers that are not finite", track.id));
             }
+            let size = size(recorded);
+            if size.is_none() {
+                let ObjectState { length, width, .. } = recorded;
+                let range = format!("expected {MIN_SIZE_M} to {MAX_SIZE_M} m");
+                sizeless.push(format!("track {} at timestep {timestep} is {length} by {width} m, {range}", track.id));
+            }
             // Of sizes that vary, the last observed one.
             if timestep < n_history || extent.is_none() {
-                extent = size(recorded).or(extent);
+                extent = size.or(extent);
             }
         }
         let role = if scenario.sdc_track_index == Some(idx) {
@@ -49,7 +59,11 @@ pub(super) fn read(scenario: &Scenario, steps: &Range<usize>, n_history: usize) 
         let n = found.len() as u64;
         found.into_iter().next().map(|detail| Finding { what, n, detail })
     };
-    let findings = [finding("states_left_out", broken), finding("tracks_of_repeated_ids", repeated)];
+    let findings = [
+        finding("states_left_out", broken),
+        finding("sizes_left_out", sizeless),
+        finding("tracks_of_repeated_ids", repeated),
+    ];
     (tracks, findings.into_iter().flatten().collect())
 }
 
@@ -66,7 +80,7 @@ fn state(recorded: &ObjectState) -> Option<State> {
 
 fn size(recorded: &ObjectState) -> Option<Extent> {
     let (length_m, width_m) = (f64::from(recorded.length), f64::from(recorded.width));
-    let is_size = |m: f64| m > 0.0 && m.is_finite();
+    let is_size = |m: f64| (MIN_SIZE_M..=MAX_SIZE_M).contains(&m);
     (is_size(length_m) && is_size(width_m)).then_some(Extent { length_m, width_m })
 }
 

@@ -101,18 +101,6 @@ fn rounds_too_small_for_the_workers_are_told() {
     assert!(said("", 1).is_empty() && said("shards_per_round = 28\n", 7).is_empty());
 }
 
-#[test]
-fn settings_that_would_break_a_script_apart_are_refused() {
-    for (setting, expected) in [
-        ("partition = 'a b'", "cluster.partition is \"a b\", expected one word"),
-        ("lines = [\"x\\ny\"]", "cluster.lines.0 is"),
-        ("workers = 0", "cluster.workers is 0"),
-    ] {
-        let error = parse(None, &format!("[cluster]\n{setting}\n"), &[]).unwrap_err().to_string();
-        assert!(error.contains(expected), "{error}");
-    }
-}
-
 /// Runs the script of the workers with a program that ends in this way, and returns the exit code and what was queued
 /// again.
 #[cfg(unix)]

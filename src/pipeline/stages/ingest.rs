@@ -2,7 +2,7 @@
 
 use crate::cloud::Recordings;
 use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
-use crate::ingest::{IngestBatch, IngestConfig, IngestReport, ingest};
+use crate::ingest::{Done, IngestBatch, IngestConfig, IngestReport, ingest};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::SCENES;
 use crate::store::SceneWriter;
@@ -63,11 +63,13 @@ impl Whole for Ingest<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         let dir = context.root.join(SCENES);
         let (mut writer, finished) = SceneWriter::resume(&dir)?;
-        let done: Option<IngestReport> =
+        let report: Option<IngestReport> =
             finished.map(|shard| serde_json::from_value(shard.report)).transpose().map_err(anyhow::Error::from)?;
-        let mut total = done.clone().unwrap_or_default();
+        let mut total = report.clone().unwrap_or_default();
+        let scenes = writer.identities()?;
+        let done = report.map(|report| Done { report, scenes });
         let config = IngestConfig { seed: self.seed, ..on_disk(self.config)? };
-        let report = ingest(&config, done.as_ref(), context.progress, &mut |batch: IngestBatch| {
+        let report = ingest(&config, done, context.progress, &mut |batch: IngestBatch| {
             total.merge(&batch.report);
             let so_far = serde_json::to_value(&total)?;
             Ok(writer.write_batch(&batch.scenes, &batch.maps, batch.units_done, &so_far)?)

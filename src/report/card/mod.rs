@@ -170,7 +170,7 @@ pub struct Sample<'a> {
 
 impl SceneCard {
     /// Draws `recorded` and, overlaid, `samples` of its future with `roles` highlighted; the view follows the tracks
-    /// with roles, or the ego if there are none.
+    /// with roles, or the ego if there are none. A recording alone, without roles, is in view with all of its tracks.
     pub fn new(
         (id, title): (String, String),
         key: CardKey,
@@ -180,9 +180,10 @@ impl SceneCard {
         roles: &Roles,
     ) -> Self {
         let ego = Roles::from_iter([("ego".to_owned(), recorded.ego().id.clone())]);
+        let (is_alone, given) = (samples.is_empty(), roles);
         let roles = if roles.is_empty() { &ego } else { roles };
         let scenes: Vec<&Scene> = std::iter::once(recorded).chain(samples.iter().map(|sample| sample.scene)).collect();
-        let view = ViewRect::around(&scenes, roles);
+        let view = ViewRect::around(&scenes, if is_alone { given } else { roles });
         let lanes = DrawnLane::all(recorded, &view);
         let panel = |title: String, is_recorded: bool, samples: Vec<DrawnSample>| ScenePanel {
             title,

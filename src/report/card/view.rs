@@ -18,11 +18,11 @@ pub struct ViewRect {
 }
 
 impl ViewRect {
-    /// The view around the tracks of `roles` in all of `scenes`, which share a frame.
+    /// The view around the tracks of `roles` in all of `scenes`, which share a frame; around all tracks without roles.
     pub(super) fn around(scenes: &[&Scene], roles: &Roles) -> Self {
         let mut points: Vec<Vec2> = Vec::new();
         for track in scenes.iter().flat_map(|scene| &scene.tracks) {
-            if roles.role_of(&track.id).is_some() {
+            if roles.is_empty() || roles.role_of(&track.id).is_some() {
                 points.extend(track.trajectory.valid().map(|(_, state)| state.position).filter(|p| p.is_finite()));
             }
         }
@@ -82,7 +82,7 @@ mod tests {
         assert_eq!((view.min, view.max), ([-9.0, -10.0], [103.0, 10.0]));
         assert!(view.contains(50.0, 5.0) && !view.contains(400.0, 0.0));
         assert!(view.touches(&[[-50.0, 0.0], [200.0, 0.0]]) && !view.touches(&[[-50.0, 11.0], [200.0, 12.0]]));
-        let nobody = ViewRect::around(&[&scene], Roles::none());
-        assert_eq!(nobody.size(), [60.0, 20.0]);
+        let all = ViewRect::around(&[&scene], &Roles::default());
+        assert_eq!((all.min, all.max), ([-9.0, -10.0], [409.0, 10.0]));
     }
 }

@@ -80,7 +80,8 @@ fn got(model: &ReportModel) -> Markup {
             }
         }
         @if let Some(hardness) = model.hardness.filter(|_| n_accepted > 0) {
-            p { "in " strong { (count(hardness.n_situations)) } " situations"
+            p { "in " strong { (count(hardness.n_situations)) }
+                @if hardness.n_situations == 1 { " situation" } @else { " situations" }
                 @if let Some((n_critical, n_without)) = hardness.n_critical.zip(hardness.n_without_ttc) {
                     "; " strong { (count(n_critical)) } " have a time to collision below 1.5 s, "
                     strong { (count(n_without)) } " have none"

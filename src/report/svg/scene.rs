@@ -9,6 +9,8 @@ use maud::{Markup, html};
 const GHOST_INTERVAL_S: f64 = 1.0;
 /// Timesteps between the dots that mark observed states.
 const DOT_STEPS: usize = 3;
+/// The length of the arrows of a recording that is drawn alone, however large the view, pixels.
+const ARROW: f64 = 26.0;
 /// Length of the bar of a light, meters.
 const LIGHT_M: f64 = 2.8;
 /// Color of recorded agents without a role.
@@ -42,6 +44,11 @@ pub(in crate::report) fn scene_panel(card: &SceneCard, panel: &ScenePanel, roles
                 @if let Some(Some(now)) = agent.states.get(present) {
                     @let given = panel.is_recorded || agent.observed.get(present).copied().unwrap_or(false);
                     (footprint(agent, *now, if given { "now" } else { "now made" }, pen.color(agent)))
+                }
+            }
+            @if card.panels.len() == 1 && panel.is_recorded {
+                @for [x, y, heading] in first.iter().filter_map(|agent| *agent.states.get(present)?) {
+                    path class="arrow" d=(arrow([x, y], heading, ARROW * unit)) {}
                 }
             }
             @for agent in first.iter().filter(|agent| agent.role.is_some()) {
@@ -177,6 +184,15 @@ fn dots(points: &[[f64; 2]]) -> String {
     marked.map(|[x, y]| format!("M{} {}h0", coordinate(*x), coordinate(-y))).collect()
 }
 
+/// An arrow of this length along a heading.
+fn arrow([x, y]: [f64; 2], heading: f64, length: f64) -> String {
+    let ahead = |along: f64, across: f64| {
+        let (sin, cos) = heading.sin_cos();
+        [x + length * (along * cos - across * sin), y + length * (along * sin + across * cos)]
+    };
+    line(&[[x, y], ahead(1.0, 0.0)]) + &line(&[ahead(0.7, 0.2), ahead(1.0, 0.0), ahead(0.7, -0.2)])
+}
+
 /// The agent's box with a notch at its front.
 fn footprint(agent: &DrawnAgent, [x, y, heading]: [f64; 3], class: &str, color: &str) -> Markup {
     let (half_length, half_width) = (agent.length_m / 2.0, agent.width_m / 2.0);
@@ -221,6 +237,13 @@ fn scale_bar(card: &SceneCard, unit: f64) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn arrows_point_along_headings() {
+        // North is up.
+        let up = arrow([1.0, 2.0], std::f64::consts::FRAC_PI_2, 10.0);
+        assert_eq!(up, "M1 -2L1 -12M-1 -9L1 -12L3 -9");
+    }
 
     #[test]
     fn a_light_is_a_bar_across_the_beginning_of_its_lane() {

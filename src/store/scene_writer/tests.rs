@@ -152,6 +152,11 @@ fn a_scene_that_comes_twice_is_refused_even_after_an_interruption() {
         assert!(is_said, "{error}");
         assert!(error.to_string().contains("from train/data/1.csv and from day2/again.csv"), "{error}");
     }
+    let (writer, _) = SceneWriter::resume(dir.path()).unwrap();
+    assert_eq!(writer.identities().unwrap(), scenes.iter().map(Scene::identity).collect());
+    let mut moved = scenes[1].clone();
+    moved.world_from_scene.translation.x += 1.0;
+    assert_ne!(moved.identity(), scenes[1].identity());
 }
 
 #[test]

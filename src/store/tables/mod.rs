@@ -21,7 +21,7 @@ pub(crate) mod sample;
 pub(crate) mod scenario;
 pub(crate) mod scene;
 mod scene_derived;
-mod scene_header;
+pub(crate) mod scene_header;
 pub(crate) mod scene_tracks;
 mod state_rows;
 pub(crate) mod tag;

@@ -58,7 +58,7 @@ pub(super) const TARGETS: &[Target] = &[
             let config = IngestConfig::new(Dataset::Table, vec![folder.to_owned()]);
             let config =
                 IngestConfig { table, maps: MapsConfig::None, n_history: Some(2), n_future: Some(3), ..config };
-            ingest(&config, None, &Silent, &mut |_| Ok(())).is_ok()
+            is_ingested(&config)
         },
     },
     Target { name: "zip", seeds: zipped, read: |folder, bytes| entries(folder, "input.zip", bytes) },
@@ -66,7 +66,12 @@ pub(super) const TARGETS: &[Target] = &[
     Target {
         name: "lanelet2_map",
         seeds: |_| ["osm", "osm_xy"].map(|kind| fixture(&format!("{RECORDED}/maps/FIX_Intersection.{kind}"))).to_vec(),
-        read: |_, mut bytes| lanelet2::read_map(&mut bytes, "input.osm").is_ok(),
+        read: |_, mut bytes| {
+            let Ok((graph, _)) = lanelet2::read_map(&mut bytes, "input.osm") else { return false };
+            let lines = graph.lanes().iter().flat_map(|lane| [&lane.centerline, &lane.left, &lane.right]);
+            assert!(lines.flat_map(|line| &line.0).all(|point| point.is_finite()));
+            true
+        },
     },
     Target {
         name: "argoverse1_tracks",
@@ -218,8 +223,21 @@ fn record(content: &[u8]) -> Vec<u8> {
 
 /// Whether the folder's recordings give a scene.
 fn ingested(dataset: Dataset, folder: &Path, maps: MapsConfig) -> bool {
-    let config = IngestConfig { maps, ..IngestConfig::new(dataset, vec![folder.to_owned()]) };
-    ingest(&config, None, &Silent, &mut |_| Ok(())).is_ok()
+    is_ingested(&IngestConfig { maps, ..IngestConfig::new(dataset, vec![folder.to_owned()]) })
+}
+
+/// Whether there is a scene. Whatever is read is finite, and as long as its scene.
+fn is_ingested(config: &IngestConfig) -> bool {
+    let read = ingest(config, None, &Silent, &mut |batch| {
+        for scene in batch.scenes {
+            for track in &scene.tracks {
+                assert_eq!(track.trajectory.n_timesteps(), scene.n_timesteps);
+                assert!(track.trajectory.valid().all(|(_, state)| state.is_finite()));
+            }
+        }
+        Ok(())
+    });
+    read.is_ok()
 }
 
 fn interaction(folder: &Path, files: &[(&str, &[u8])]) -> bool {
@@ -234,7 +252,7 @@ fn interaction(folder: &Path, files: &[(&str, &[u8])]) -> bool {
         window_stride: 1,
         ..IngestConfig::new(Dataset::Interaction, vec![root])
     };
-    ingest(&config, None, &Silent, &mut |_| Ok(())).is_ok()
+    is_ingested(&config)
 }
 
 /// Tables of cases: in order, scattered, and of a test set.

@@ -1,7 +1,6 @@
 //! Damaged tables: the damaged part is rejected, and everything else is read.
 
 use super::*;
-use crate::ingest::test_data;
 
 #[test]
 fn a_flaw_costs_its_case_and_no_other() {
@@ -64,36 +63,4 @@ fn a_file_that_breaks_off_is_a_reject() {
     assert_eq!(outcomes[outcomes.len() - 2..], ["unreadable", "interaction/val/SIM_B/1"]);
     assert!(outcomes[..outcomes.len() - 2].iter().all(|id| id.starts_with("interaction/val/SIM_A/")));
     assert!(scenes[outcomes.len() - 2].as_ref().unwrap_err().detail.starts_with("SIM_A_val.csv"));
-}
-
-proptest::proptest! {
-    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(200))]
-
-    #[test]
-    fn damaged_tables_never_panic(
-        is_recording: bool,
-        damages in proptest::collection::vec((0..6000usize, proptest::prelude::any::<u8>(), 0..40usize), 1..6),
-    ) {
-        let cases: String = (1..4).map(|case| car(&format!("{case}.0,"), 7, 1..=40)).collect();
-        let (name, text) = if is_recording {
-            ("SIM_A/vehicle_tracks_000.csv", [V1_1, &car("", 1, 1..=100), &car("", 2, 20..=60)].concat())
-        } else {
-            ("SIM_A_val.csv", [V1_2, &cases].concat())
-        };
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join(name);
-        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
-        fs_err::write(&path, test_data::damaged(text.as_bytes(), &damages)).unwrap();
-        let config = config(folder.path());
-        if let Ok(units) = read_units(&config) {
-            let source = Interaction::new(&config);
-            for unit in units.into_iter().flatten() {
-                for scene in parse(&source, unit).into_iter().flatten() {
-                    let states = || scene.tracks.iter().flat_map(|track| track.trajectory.valid());
-                    assert!(states().all(|(_, state)| state.is_finite()));
-                    assert!(scene.tracks.iter().all(|track| track.trajectory.n_timesteps() == scene.n_timesteps));
-                }
-            }
-        }
-    }
 }
