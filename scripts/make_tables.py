@@ -18,7 +18,6 @@ TABLES = {
     "models/measure": ("models/measure", [3], False, "measure_models"),
     "models/measure_held_out": ("models/measure", [3], True, "measure_models"),
     "behaviors/arms": ("behaviors/arms", [1, 2], False, "compare_arms"),
-    "behaviors/arms_pushed": ("behaviors/arms_pushed", [1, 2], False, "compare_arms"),
 }
 PIPELINES = pathlib.Path(__file__).parent.parent / "pipelines"
 

@@ -26,3 +26,23 @@ pub trait Progress: Sync {
 pub struct Silent;
 
 impl Progress for Silent {}
+
+/// Keeps warnings.
+#[cfg(test)]
+#[derive(Default)]
+pub(crate) struct Heard(std::sync::Mutex<Vec<String>>);
+
+#[cfg(test)]
+impl Heard {
+    /// The warnings until now.
+    pub(crate) fn take(&self) -> Vec<String> {
+        std::mem::take(&mut *self.0.lock().unwrap())
+    }
+}
+
+#[cfg(test)]
+impl Progress for Heard {
+    fn warn(&self, message: &str) {
+        self.0.lock().unwrap().push(message.to_owned());
+    }
+}

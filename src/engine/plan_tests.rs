@@ -8,13 +8,12 @@ use super::shards::Makers;
 use super::testing::{KINDS, kind};
 use super::{Blame, Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::files::write_atomically;
-use crate::progress::Progress;
+use crate::progress::Heard;
 use crate::store::read_json;
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::Write;
 use std::path::Path;
-use std::sync::Mutex;
 
 /// A stage that writes its text and its inputs into a file.
 struct Toy<'a> {
@@ -95,23 +94,6 @@ struct Pipeline<'a> {
     /// The second stage.
     kind: &'static StageKind,
     heard: Heard,
-}
-
-/// Keeps warnings.
-#[derive(Default)]
-struct Heard(Mutex<Vec<String>>);
-
-impl Heard {
-    /// The messages until now.
-    fn take(&self) -> String {
-        std::mem::take(&mut *self.0.lock().unwrap()).join("\n")
-    }
-}
-
-impl Progress for Heard {
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
 }
 
 impl Pipeline<'_> {
@@ -225,10 +207,10 @@ fn models_trained_on_what_came_out_differently_are_kept_with_a_warning() {
         pipeline.redo = vec![kind("ingest")];
         assert_eq!(pipeline.run().1, [kind("ingest")]);
         let warning = "train_denoiser is kept, but ingest, which it read, has written other bytes since";
-        assert!(pipeline.heard.take().contains(warning));
+        assert!(pipeline.heard.take().concat().contains(warning));
         pipeline.redo = vec![];
         assert!(pipeline.run().1.is_empty());
-        assert!(pipeline.heard.take().contains(warning), "it stays true until somebody trains it again");
+        assert!(pipeline.heard.take().concat().contains(warning), "it stays true until somebody trains it again");
         pipeline.redo = vec![kind("train_denoiser")];
         assert_eq!(pipeline.run().1, [kind("train_denoiser")]);
         pipeline.redo = vec![];

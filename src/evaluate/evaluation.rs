@@ -17,9 +17,9 @@ use crate::coverage::{CoverageRow, CoverageTally};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, MetricRow};
 use crate::rates::{Calibration, ModeledRates, RecordedTraffic};
-use crate::scenario::{Assessment, ScenarioRecord};
+use crate::scenario::{Assessment, ScenarioRecord, VerdictRow};
 use crate::scene::{Scene, SceneId};
-use crate::store::{self, VerdictWriter};
+use crate::store::{self, TableWriter};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -82,7 +82,7 @@ pub struct Evaluation<'a> {
     config: &'a EvaluateConfig,
     docs: Vec<MetricDoc>,
     verdicts: Verdicts<'a>,
-    verdict_table: VerdictWriter,
+    verdict_table: TableWriter<VerdictRow>,
     validity: ValidityTable,
     rows: MetricRows,
     realism: RealismTable,
@@ -108,7 +108,7 @@ impl<'a> Evaluation<'a> {
             rows: MetricRows::create(docs.clone(), files.scratch)?,
             docs,
             verdicts: Verdicts::new(config),
-            verdict_table: VerdictWriter::create(files.verdicts)?,
+            verdict_table: TableWriter::create(files.verdicts)?,
             validity: ValidityTable::default(),
             realism: RealismTable::default(),
             sampling: SamplingTally::default(),

@@ -21,10 +21,6 @@ pub struct GatesConfig {
     /// Smallest share of valid scenarios of any sweep at any strength, 0 to 1.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_validity_rate: Option<f64>,
-    /// Largest share of pairs, one recorded and one generated track of any sweep at any strength, of which a classifier
-    /// that sees all features picks the generated one, .5 to 1. 0.5 is indistinguishable.
-    #[schemars(range(min = 0.5, max = 1.0))]
-    pub max_distinguishability: Option<f64>,
     /// Smallest share of the scenarios that a request wants, of each request, 0 to 1: 1 means that all are filled.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub min_filled: Option<f64>,

@@ -1,6 +1,5 @@
 //! Do the results meet the gates?
 
-use super::distinguishability::DistinguishabilityRow;
 use super::gate_config::GatesConfig;
 use super::measures::BEHAVIOR_RATE;
 use super::summary::{EvaluationSummary, GateResult};
@@ -21,9 +20,6 @@ pub(super) fn check(gates: &GatesConfig, found: &EvaluationSummary) -> Vec<GateR
     let measured = Measured::of(found);
     if let Some(bound) = gates.min_validity_rate {
         results.extend(measured.validity_rate(bound));
-    }
-    if let Some(bound) = gates.max_distinguishability {
-        results.extend(measured.distinguishability(bound));
     }
     if let Some(bound) = gates.max_rate_factor {
         results.extend(rate_factor(bound, found.calibration.as_deref()));
@@ -55,8 +51,6 @@ struct Measured<'a> {
     /// The sweeps that request a behavior.
     asking: Vec<&'a str>,
     means: Vec<&'a MetricRow>,
-    /// The performance of classifiers with all features against recorded tracks.
-    told: Vec<&'a DistinguishabilityRow>,
 }
 
 impl<'a> Measured<'a> {
@@ -66,7 +60,6 @@ impl<'a> Measured<'a> {
         Self {
             generated: everywhere.map(|row| row.series()).collect(),
             asking: asking.map(|row| row.sweep.as_str()).collect(),
-            told: found.distinguishability.iter().filter(|row| row.is_overall()).collect(),
             means: found.aggregates.iter().filter(|row| row.place.is_empty()).collect(),
         }
     }
@@ -83,21 +76,6 @@ impl<'a> Measured<'a> {
             match self.mean(metric, series) {
                 Some(found) => judged(gate, found >= bound, format!("at least {bound} required, {found:.4} found")),
                 None => not_judged(gate, format_args!("{metric} is undefined for all its scenes")),
-            }
-        };
-        or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())
-    }
-
-    /// A result for each series.
-    fn distinguishability(&self, bound: f64) -> Vec<GateResult> {
-        let name = "max_distinguishability";
-        let of_series = |series: &SeriesKey| {
-            let gate = format!("{name} ({}, {})", series.sweep, series.level);
-            match self.told.iter().find(|row| row.series() == *series) {
-                Some(DistinguishabilityRow { auc, .. }) => {
-                    judged(gate, *auc <= bound, format!("at most {bound} allowed, {auc:.4} found"))
-                }
-                None => not_judged(gate, "it has too few tracks or scenes to learn from"),
             }
         };
         or_not_judged(name, "there are no scenarios to judge", self.generated.iter().map(of_series).collect())

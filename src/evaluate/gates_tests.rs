@@ -3,7 +3,7 @@
 use super::gate_config::GatesConfig;
 use super::gates::{check, of_requests};
 use super::summary::EvaluationSummary;
-use super::{DistinguishabilityRow, GateResult, SamplingRow, ValidityRow};
+use super::{GateResult, SamplingRow, ValidityRow};
 use crate::generate::RequestSummary;
 use crate::metrics::{Group, MetricRow, SeriesKey};
 use crate::scene::GuidanceLevel;
@@ -172,35 +172,4 @@ fn every_request_must_be_filled_as_far_as_is_asked() {
     let requests = [request("all", 10), request("most", 9)];
     let met = |gate: &str| of_requests(&gates(gate), &requests).iter().map(|gate| gate.met).collect::<Vec<_>>();
     assert_eq!([met("min_filled = 1.0"), met("min_filled = 0.9"), met("")], [vec![true, false], vec![true; 2], vec![]]);
-}
-
-#[test]
-fn every_series_must_look_recorded_by_all_features() {
-    let row = |series: SeriesKey, features: &str, place: &str, auc| DistinguishabilityRow {
-        group: series.group,
-        sweep: series.sweep,
-        level: series.level,
-        place: place.to_owned(),
-        class: String::new(),
-        features: features.to_owned(),
-        n_tracks: 100,
-        auc,
-        low: auc,
-        high: auc,
-    };
-    let told = |auc| EvaluationSummary {
-        distinguishability: vec![
-            row(unguided(), "all", "", auc),
-            row(unguided(), "seam", "", 0.99),
-            row(unguided(), "all", "X", 0.99),
-        ],
-        ..found(&[unguided()], &[])
-    };
-    for (auc, met) in [(0.7, true), (0.75, true), (0.76, false)] {
-        assert_eq!(only("max_distinguishability = 0.75", &told(auc)).0, met, "{auc}");
-    }
-    let (met, said) = only("max_distinguishability = 0.75", &found(&[unguided()], &[]));
-    assert!(!met && said.contains("cannot be judged: it has too few tracks"), "{said}");
-    let (met, said) = only("max_distinguishability = 0.75", &found(&[], &[]));
-    assert!(!met && said.contains("no scenarios to judge"), "{said}");
 }

@@ -33,6 +33,7 @@ pub struct MapFitRow {
     /// Whether departures from the road are judged by it.
     pub allows_offroad: bool,
     /// If not, whether they are judged by it and by where recorded vehicles drive.
+    #[serde(default)]
     pub with_driven_area: bool,
 }
 

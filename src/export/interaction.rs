@@ -168,9 +168,8 @@ fn row(case_id: &str, name: &str, frame: usize, track: &Track, state: &State, ma
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::testing::{self, add_all, read};
-    use crate::ingest::{IngestConfig, MapsConfig, ingest};
-    use crate::progress::Silent;
+    use crate::export::testing::{self, add_all, assert_same_states, read};
+    use crate::ingest::{IngestConfig, MapsConfig, scenes_of};
     use crate::scene::{Dataset, TrackId};
 
     fn written(scenes: &[Scene]) -> (tempfile::TempDir, Vec<std::result::Result<Written, &'static str>>) {
@@ -232,12 +231,7 @@ mod tests {
             maps: MapsConfig::None,
             ..IngestConfig::new(Dataset::Interaction, vec![dir.path().to_owned()])
         };
-        let mut found = Vec::new();
-        let collected = &mut |batch: crate::ingest::IngestBatch| {
-            found.extend(batch.scenes);
-            Ok(())
-        };
-        ingest(&config, None, &Silent, collected).unwrap();
+        let (found, _) = scenes_of(&config).unwrap();
         assert_eq!(found.len(), 1);
         let read = &found[0];
         assert_eq!((read.source.place.as_str(), read.source.split), ("Test", scene.source.split));
@@ -245,17 +239,7 @@ mod tests {
         for (agent_idx, track) in scene.tracks.iter().enumerate() {
             let same = read.track_idx(&track.id).unwrap();
             assert_eq!(read.tracks[same].extent, track.extent);
-            for timestep in 0..scene.n_timesteps {
-                let in_world = |scene: &Scene, agent_idx: usize, timestep: usize| {
-                    scene.state(agent_idx, timestep).map(|state| state.transformed(&scene.world_from_scene))
-                };
-                let (ours, theirs) = (in_world(&scene, agent_idx, timestep), in_world(read, same, timestep + 6));
-                assert_eq!(ours.is_some(), theirs.is_some(), "{} at {timestep}", track.id);
-                let Some((ours, theirs)) = ours.zip(theirs) else { continue };
-                assert!(ours.position.distance(theirs.position) < 2e-6);
-                assert!(ours.velocity.distance(theirs.velocity) < 2e-6);
-                assert!(crate::geometry::wrap_angle(ours.heading_rad - theirs.heading_rad).abs() < 2e-6);
-            }
+            assert_same_states((&scene, agent_idx), (read, same), 6, [2e-6; 2]);
         }
     }
 }

@@ -1,10 +1,8 @@
 //! The left and right boundaries of lanes, also for maps with only centerlines.
 
 use crate::geometry::{Polyline, Vec2};
+use crate::ingest::assumed_bounds::{ASSUMED_LANE_WIDTH_M, beside};
 use crate::scene::Lane;
-
-/// Half the width of a lane without boundaries, meters: the official reader of Argoverse 1 assumes 3.8 m for all.
-const NOMINAL_HALF_WIDTH_M: f64 = 1.9;
 
 /// The boundaries of a lane in driving direction, with at least two points and some length each.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,8 +22,8 @@ impl LaneBounds {
         }
         let center = distinct(&lane.centerline);
         (center.0.len() >= 2).then(|| Self {
-            left: beside(&center, NOMINAL_HALF_WIDTH_M),
-            right: beside(&center, -NOMINAL_HALF_WIDTH_M),
+            left: beside(&center.0, ASSUMED_LANE_WIDTH_M / 2.0),
+            right: beside(&center.0, -ASSUMED_LANE_WIDTH_M / 2.0),
             is_nominal: true,
         })
     }
@@ -71,20 +69,6 @@ fn distinct(line: &Polyline) -> Polyline {
     let mut points = line.0.clone();
     points.dedup_by(|later, earlier| later.distance(*earlier) < 1e-9);
     Polyline(points)
-}
-
-/// The line `offset_m` to the left of `line`, point by point; its points must differ from one to the next.
-fn beside(line: &Polyline, offset_m: f64) -> Polyline {
-    let direction = |from: usize| (line.0[from + 1] - line.0[from]).angle();
-    let last = line.0.len() - 1;
-    let point = |i: usize| {
-        let (before, after) = (direction(i.max(1) - 1), direction(i.min(last - 1)));
-        let sum = Vec2::from_angle(before) + Vec2::from_angle(after);
-        // At a reversal there is no direction between the two.
-        let along = if sum.norm() > 1e-6 { sum * (1.0 / sum.norm()) } else { Vec2::from_angle(after) };
-        line.0[i] + Vec2::new(-along.y, along.x) * offset_m
-    };
-    Polyline((0..=last).map(point).collect())
 }
 
 #[cfg(test)]

@@ -2,9 +2,8 @@
 
 use super::{ExportOutcome, Exporter, Item, Written};
 use crate::behavior::{BehaviorEvent, EventLabel};
-use crate::geometry::{Polyline, Transform2, Vec2};
-use crate::ingest::{IngestConfig, ingest};
-use crate::progress::Silent;
+use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
+use crate::ingest::{IngestConfig, scenes_of};
 use crate::scenario::ScenarioRecord;
 use crate::scene::testing::{Drive, scene as straight_scene, without_states};
 use crate::scene::{
@@ -121,14 +120,29 @@ pub(super) fn womd_scenes(path: &Path, [n_history, n_future]: [usize; 2]) -> Vec
         map_radius_m: 1e6,
         ..IngestConfig::new(Dataset::Womd, vec![path.to_owned()])
     };
-    let mut scenes = Vec::new();
-    let report = ingest(&config, None, &Silent, &mut |batch| {
-        scenes.extend(batch.scenes);
-        Ok(())
-    });
-    let report = report.unwrap();
+    let (scenes, report) = scenes_of(&config).unwrap();
     assert!(report.n_rejects() == 0 && report.warnings.is_empty(), "{:?} {:?}", report.rejects, report.warnings);
     scenes
+}
+
+/// Fails unless a track that was read back has the same states in the world, `later` timesteps later, up to rounding:
+/// of positions and headings, and of velocities.
+pub(super) fn assert_same_states(
+    (own, agent_idx): (&Scene, usize),
+    (read, read_idx): (&Scene, usize),
+    later: isize,
+    [rounding, rounding_mps]: [f64; 2],
+) {
+    let of = |scene: &Scene, agent_idx: usize| scene.tracks[agent_idx].trajectory.transformed(&scene.world_from_scene);
+    let (own, read) = (of(own, agent_idx), of(read, read_idx));
+    for timestep in 0..own.n_timesteps() {
+        let Some(then) = timestep.checked_add_signed(later) else { continue };
+        let (a, b) = (own.get(timestep), read.get(then));
+        assert_eq!(a.is_some(), b.is_some(), "track {agent_idx} at {timestep}");
+        let Some((a, b)) = a.zip(b) else { continue };
+        assert!(a.position.distance(b.position) < rounding && a.velocity.distance(b.velocity) < rounding_mps);
+        assert!(angle_difference(a.heading_rad, b.heading_rad).abs() < rounding, "{a:?}, {b:?}");
+    }
 }
 
 /// The content of a written file.

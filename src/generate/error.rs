@@ -20,27 +20,6 @@ pub enum Error {
         /// The behavior.
         behavior: String,
     },
-    /// A classifier was not trained for the denoiser.
-    #[error("the classifier for {behavior} was trained with a different {what} than the denoiser; retrain it")]
-    Mismatch {
-        /// The behavior.
-        behavior: String,
-        /// The part that differs.
-        what: &'static str,
-    },
-    /// A scene has a different length than the denoiser's training scenes.
-    #[error(
-        "scene {scene_id} has {found} timesteps, but the denoiser was trained on {expected}; ingest scenes of that \
-         length"
-    )]
-    SceneShape {
-        /// The scene.
-        scene_id: SceneId,
-        /// Its history, whole length and step.
-        found: String,
-        /// The values of the denoiser's training scenes.
-        expected: String,
-    },
     /// No scene fits the configuration.
     #[error("{of}: none of the {n_considered} scenes in the chosen splits and places is suitable{hint}")]
     NoScenes {
@@ -51,9 +30,6 @@ pub enum Error {
         /// A remedy.
         hint: &'static str,
     },
-    /// No situation can fulfill any request, and there are no sweeps.
-    #[error("nothing can be generated: {0}")]
-    Unmet(String),
     /// No pair can reach any bucket of a request.
     #[error(
         "request {request}: none of {n_pairs} pairs in {n_scenes} scenes can reach any of its buckets, given their \

@@ -114,11 +114,11 @@ impl<'a> Generator<'a> {
             let shape = |n_history: usize, n_timesteps: usize, dt_s: f64| {
                 format!("{n_history} + {} (of {dt_s} s)", n_timesteps.saturating_sub(n_history))
             };
-            return Err(Error::SceneShape {
-                scene_id: scene_id.clone(),
-                found: shape(scene.n_history, scene.n_timesteps, scene.dt_s),
-                expected: shape(spec.n_history, spec.n_timesteps, spec.dt_s),
-            });
+            return Err(Error::Config(format!(
+                "scene {scene_id} has {} timesteps, but the denoiser was trained on {}; ingest scenes of that length",
+                shape(scene.n_history, scene.n_timesteps, scene.dt_s),
+                shape(spec.n_history, spec.n_timesteps, spec.dt_s)
+            )));
         }
         Ok(scene)
     }
@@ -191,7 +191,10 @@ impl<'a> Generator<'a> {
             };
         };
         let (own, denoiser) = (&classifier.spec, self.spec());
-        let differs = |what| Err(Error::Mismatch { behavior: behavior.clone(), what });
+        let differs = |what: &str| {
+            let trained = format!("the classifier for {behavior} was trained with a different {what}");
+            Err(Error::Config(format!("{trained} than the denoiser; retrain it")))
+        };
         if own.edm != denoiser.edm {
             return differs("diffusion");
         }

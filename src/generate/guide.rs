@@ -6,7 +6,7 @@ use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
     AgentSelector, ClassifierGuidance, CleanGuidedDenoiser, ContextRow, GuidanceConfig, GuidedDenoiser, NoCollision,
-    ObjectiveConfig, ObjectiveGuidanceConfig, ObjectiveSum, SceneContext, StayOnRoad,
+    ObjectiveConfig, ObjectiveSum, SceneContext, StayOnRoad,
 };
 use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, Scene};
@@ -150,18 +150,11 @@ fn guided_by_objectives<T>(
     let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(sweep));
     let rules = sum(&rules);
     let modes = guided.repeated.surroundings.as_ref();
-    let (gate, config) = (asked.gate, asked.objective_guidance);
-    let wishing = CleanGuidedDenoiser { inner, potential: &wished, strength, gate, config, modes };
+    let wishing = CleanGuidedDenoiser { inner, potential: &wished, strength, gate: asked.gate, modes };
     let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
     if validity_strength == 0.0 {
         return sample(inner);
     }
-    sample(&CleanGuidedDenoiser {
-        inner,
-        potential: &rules,
-        strength: validity_strength,
-        gate: GuidanceConfig::default(),
-        config: ObjectiveGuidanceConfig::default(),
-        modes,
-    })
+    let (strength, gate) = (validity_strength, GuidanceConfig::default());
+    sample(&CleanGuidedDenoiser { inner, potential: &rules, strength, gate, modes })
 }

@@ -7,8 +7,6 @@ use crate::diffusion::{Denoiser, SIGMA_DATA, rows_like, sigma_rows};
 use crate::nn::ops::mode_filter;
 use crate::tensor::{SceneBatch, Surroundings};
 use candle_core::{Error, Result, Tensor, Var};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// A log potential of clean samples.
 pub trait CleanPotential {
@@ -47,25 +45,6 @@ impl CleanPotential for ObjectiveSum<'_> {
     }
 }
 
-/// How objectives on clean estimates become a shift.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct ObjectiveGuidanceConfig {
-    /// Whether steps are shortened where the potential is strongly curved. Without it, a strong objective overshoots:
-    /// steps are then limited by `guidance.max_shift` alone.
-    pub damped: bool,
-    /// Gradient steps at each evaluation of the denoiser; more steps follow curved objectives, such as boxes that must
-    /// not overlap, more closely.
-    #[schemars(range(min = 1, max = 1_000))]
-    pub inner_steps: usize,
-}
-
-impl Default for ObjectiveGuidanceConfig {
-    fn default() -> Self {
-        Self { damped: true, inner_steps: 1 }
-    }
-}
-
 /// D'(x; σ) = D(x; σ) + α C(σ) ∇J(x₀) at x₀ = D(x; σ), with C the covariance of x₀ given x.
 ///
 /// The objective is a likelihood p(y | x₀) ∝ exp(J(x₀)) of the *clean* sample. Sampling needs the noisy one, p(y | x) =
@@ -78,11 +57,8 @@ impl Default for ObjectiveGuidanceConfig {
 /// to timestep, so it is pushed along its motion: aside without a jolt.
 ///
 /// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer D + α C ∇J / (1 + α
-/// k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, the factor 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it without
-/// knowing k and c (`damped`); it supposes J ≤ 0 with 0 as the best. Further steps (`inner_steps`) go on from the
-/// shifted estimate u toward the fixed point u = D + α C ∇J(u), the mode of the tilted posterior; they are damped by
-/// the largest curvature met so far, which they also learn from how the gradient changed (the secant condition, as in
-/// Barzilai and Borwein 1988).
+/// k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, so the factor 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it
+/// without knowing k and c; it supposes J ≤ 0 with 0 as the best.
 pub struct CleanGuidedDenoiser<'a> {
     /// The denoiser that is guided; it may be guided otherwise already.
     pub inner: &'a dyn Denoiser,
@@ -92,8 +68,6 @@ pub struct CleanGuidedDenoiser<'a> {
     pub strength: f64,
     /// When guidance acts and how far it may go.
     pub gate: GuidanceConfig,
-    /// How potentials become shifts.
-    pub config: ObjectiveGuidanceConfig,
     /// The modes of clean samples, where they are known; without them, entries are independent, of variance σ_data².
     pub modes: Option<&'a Surroundings>,
 }
@@ -151,44 +125,6 @@ impl CleanGuidedDenoiser<'_> {
     }
 }
 
-/// The curvature of the potential, row by row: α C (-∂²J) along the steps that were taken, the largest so far.
-struct Bends {
-    strengths: Vec<f64>,
-    largest: Vec<f64>,
-    /// Shift and C ∇J of the last step.
-    last: Option<(Tensor, Tensor)>,
-}
-
-impl Bends {
-    fn new(strengths: Vec<f64>) -> Self {
-        Self { largest: vec![0.0; strengths.len()], strengths, last: None }
-    }
-
-    fn update(&mut self, potential: &[f64], gradient: &Tensor, push: &Tensor, shift: &Tensor) -> Result<()> {
-        let along_gradient = row_products(gradient, push)?;
-        for (row, product) in along_gradient.iter().enumerate() {
-            self.raise(row, self.strengths[row] * product / (2.0 * potential[row].abs()));
-        }
-        if let Some((last_shift, last_push)) = &self.last {
-            let (moved, slowed) = ((shift - last_shift)?, (last_push - push)?);
-            let (squares, products) = (row_products(&slowed, &slowed)?, row_products(&slowed, &moved)?);
-            for (row, (square, product)) in squares.iter().zip(products).enumerate() {
-                self.raise(row, self.strengths[row] * square / product);
-            }
-        }
-        self.last = Some((shift.clone(), push.clone()));
-        Ok(())
-    }
-
-    /// Curvatures that are undefined, such as 0 / 0 where the potential is at its best, or have the wrong sign change
-    /// nothing.
-    fn raise(&mut self, row: usize, bend: f64) {
-        if bend.is_finite() && bend > self.largest[row] {
-            self.largest[row] = bend;
-        }
-    }
-}
-
 /// The scalar product of each row of `a` (B, …) with that of `b`.
 fn row_products(a: &Tensor, b: &Tensor) -> Result<Vec<f64>> {
     sigma_rows(&(a * b)?.flatten_from(1)?.sum(1)?)
@@ -203,20 +139,16 @@ impl Denoiser for CleanGuidedDenoiser<'_> {
         }
         let estimate = self.estimate(x, sigma)?;
         let x0_hat = estimate.x0_hat();
-        let strength_rows = rows_like(strengths.clone(), x)?;
-        let mut shift = x0_hat.zeros_like()?;
-        let mut bends = Bends::new(strengths);
-        for _ in 0..self.config.inner_steps {
-            let (potential, gradient) = self.gradient(&(&x0_hat + &shift)?)?;
-            let push = estimate.times_covariance(&gradient)?;
-            let mut step = (push.broadcast_mul(&strength_rows)? - &shift)?;
-            if self.config.damped {
-                bends.update(&potential, &gradient, &push, &shift)?;
-                let factors = bends.largest.iter().map(|bend| 1.0 / (1.0 + bend));
-                step = step.broadcast_mul(&rows_like(factors.collect(), x)?)?;
-            }
-            shift = (shift + step)?;
-        }
+        let (potential, gradient) = self.gradient(&x0_hat)?;
+        let push = estimate.times_covariance(&gradient)?;
+        let products = row_products(&gradient, &push)?;
+        let damping = |row: usize| {
+            let bend = strengths[row] * products[row] / (2.0 * potential[row].abs());
+            // It is undefined where the potential is at its best.
+            if bend.is_finite() && bend > 0.0 { 1.0 / (1.0 + bend) } else { 1.0 }
+        };
+        let damping = rows_like((0..strengths.len()).map(damping).collect(), x)?;
+        let shift = push.broadcast_mul(&rows_like(strengths, x)?)?.broadcast_mul(&damping)?;
         x0_hat + limit_norm(&shift, self.gate.max_shift)?
     }
 }

@@ -28,7 +28,7 @@ mod tests;
 pub use agent_selector::AgentSelector;
 pub use classifier::{ClassifierGuidance, ClassifierPotential};
 pub use classifier_free::{BranchChange, ClassifierFreeDenoiser};
-pub use clean_guided_denoiser::{CleanGuidedDenoiser, CleanPotential, ObjectiveGuidanceConfig, ObjectiveSum};
+pub use clean_guided_denoiser::{CleanGuidedDenoiser, CleanPotential, ObjectiveSum};
 pub use forward_denoiser::ForwardDenoiser;
 pub use guided_denoiser::{GuidanceConfig, GuidedDenoiser, log_potential_gradient};
 pub use mask_change::MaskChange;

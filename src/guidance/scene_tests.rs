@@ -68,7 +68,6 @@ fn objectives_with_nothing_to_say_change_nothing() {
         potential: &potential,
         strength: 1.0,
         gate: GuidanceConfig::UNRESTRICTED,
-        config: ObjectiveGuidanceConfig::default(),
         modes: None,
     };
     let x = NoiseSource::new(vec![Seed(1)]).draw_like(&batch.x0).unwrap();

@@ -199,19 +199,8 @@ fn are_alike(one: &LaneGraph, other: &LaneGraph) -> bool {
 mod tests {
     use super::*;
     use crate::ingest::interaction::Interaction;
-    use crate::progress::Silent;
+    use crate::progress::{Heard, Silent};
     use crate::scene::Dataset;
-    use std::sync::Mutex;
-
-    /// Keeps the messages to the user.
-    #[derive(Default)]
-    struct Told(Mutex<Vec<String>>);
-
-    impl Progress for Told {
-        fn warn(&self, message: &str) {
-            self.0.lock().unwrap().push(message.to_owned());
-        }
-    }
 
     #[test]
     fn different_maps_of_one_place_are_named() {
@@ -220,9 +209,9 @@ mod tests {
         let xy = fs_err::read_to_string(format!("{source}_xy")).unwrap();
         let config = IngestConfig::new(Dataset::Interaction, vec![folder.path().to_owned()]);
         let told = || {
-            let told = Told::default();
+            let told = Heard::default();
             MapCatalog::read(&config, &Interaction::new(&config), &Places::of(&config), &told).unwrap();
-            told.0.into_inner().unwrap()
+            told.take()
         };
         for folder in [folder.path().join("maps"), folder.path().join("archive")] {
             fs_err::create_dir_all(folder).unwrap();

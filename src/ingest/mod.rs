@@ -12,9 +12,8 @@ pub mod archive;
 mod argoverse1;
 mod argoverse2;
 mod assemble;
-mod assumed_bounds;
+pub(crate) mod assumed_bounds;
 mod batches;
-mod cells;
 mod commonroad;
 mod config;
 mod copies;
@@ -66,7 +65,7 @@ pub use report::{IngestReport, RejectCount};
 pub use source::{EmitUnit, Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
 pub use table::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 #[cfg(test)]
-pub(crate) use test_data::test_data;
+pub(crate) use test_data::{scenes as scenes_of, test_data};
 
 use crate::scene::Dataset;
 

@@ -1,5 +1,8 @@
-//! Finds the development data for the tests that use it.
+//! Finds the development data for the tests that use it, and reads small recordings whole.
 
+use super::{Error, IngestConfig, IngestReport, ingest};
+use crate::progress::Silent;
+use crate::scene::Scene;
 use std::path::PathBuf;
 
 #[path = "../../tests/skipped.rs"]
@@ -16,4 +19,14 @@ pub(crate) fn test_data(relative: &str) -> Option<PathBuf> {
         return None;
     }
     Some(path)
+}
+
+/// All scenes of some recordings, and the report on them.
+pub(crate) fn scenes(config: &IngestConfig) -> Result<(Vec<Scene>, IngestReport), Error> {
+    let mut scenes = Vec::new();
+    let report = ingest(config, None, &Silent, &mut |batch| {
+        scenes.extend(batch.scenes);
+        Ok(())
+    })?;
+    Ok((scenes, report))
 }

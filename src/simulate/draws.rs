@@ -21,7 +21,7 @@ const N_DRAWS: usize = 4;
 impl Drive<'_> {
     /// The futures of everybody from now on, after agents of the event have given up plans that lead into the ego.
     /// Where a scenario is continued (`is_continued`), they follow their plan to its end, and if somebody drives into
-    /// another within `n_steps` or leaves the road, all are drawn again; if every draw is like that, they are the first.
+    /// another within `n_steps` or leaves the road, all are drawn again; if every draw is like that, the first stays.
     ///
     /// # Errors
     /// When the device fails; that the model cannot continue the scene is a result.

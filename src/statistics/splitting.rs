@@ -126,8 +126,8 @@ mod tests {
         let hit = (r - 1.0) / (r.powi(top + 1) - 1.0);
         assert!((1e-4..1.1e-4).contains(&hit));
         let ups = p * (1.0 - hit * f64::from(top + 1)) / (1.0 - 2.0 * p);
-        // At equal variance, the first two sets of levels take a sixteenth of the steps, the others 0.09, 0.27 and 0.09,
-        // by the variances and steps of the walk from level to level.
+        // At equal variance, the first two sets of levels take a sixteenth of the steps, the others 0.09, 0.27 and
+        // 0.09, by the variances and steps of the walk from level to level.
         for (severities, n_copies, at_most) in [
             (&[3.0, 6.0, 9.0, 12.0, 15.0, 18.0][..], 3, 0.1),
             (&[4.0, 8.0, 12.0, 16.0], 4, 0.1),

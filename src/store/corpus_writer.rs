@@ -5,9 +5,10 @@ use super::corpus_manifest::{CorpusManifest, CorpusNotes};
 use super::corpus_sink::CorpusSink;
 use super::fingerprint::{Fingerprint, fingerprint};
 use super::parquet_file::{self, ParquetFile};
+use super::row_file::ROWS_PER_BATCH;
 use super::tables::scenario::ScenarioRows;
-use super::tables::{recording, sample, track};
-use super::{Error, MapSource, Result, metrics};
+use super::tables::{metric, recording, sample, track};
+use super::{Error, MapSource, Result};
 use crate::files::remove_if_present;
 use crate::metrics::MetricRow;
 use crate::scenario::ScenarioRecord;
@@ -100,8 +101,12 @@ impl<'m> CorpusWriter<'m> {
         let is_left_out = |row: &MetricRow| {
             row.scenario_id.as_ref().is_some_and(|id| !scenario_ids.contains(&fingerprint(id.as_bytes())))
         };
-        let rows = rows.into_iter().filter(|row| !row.as_ref().is_ok_and(is_left_out));
-        metrics::batches(rows).try_for_each(|batch| sink.write(CorpusTable::Metrics, &partition, &batch?))
+        let mut rows = rows.into_iter().filter(|row| !row.as_ref().is_ok_and(is_left_out)).peekable();
+        while rows.peek().is_some() {
+            let batch: Vec<MetricRow> = rows.by_ref().take(ROWS_PER_BATCH).collect::<Result<_>>()?;
+            sink.write(CorpusTable::Metrics, &partition, &metric::encode(&batch)?)?;
+        }
+        Ok(())
     }
 
     /// Finishes the tables, and writes the card and the manifest.

@@ -74,7 +74,7 @@ pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result
 /// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
 /// not such a table or an event is damaged; errors of the file system.
 pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<BehaviorEvent>> + use<>> {
-    row_file::read(path, &event::schema(), event::decode)
+    row_file::stream(path, &event::schema(), event::decode)
 }
 
 #[cfg(test)]
@@ -85,7 +85,7 @@ mod tests {
     use crate::scene::SceneId;
     use crate::store::parquet_file;
     use crate::store::testing::event;
-    use crate::store::{Error, write_metrics};
+    use crate::store::{Error, write_table};
     use std::collections::BTreeSet;
 
     fn write_events(path: &Path, events: &[BehaviorEvent]) -> Result<FileStamp> {
@@ -191,7 +191,7 @@ mod tests {
     fn other_and_damaged_files_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("events.parquet");
-        write_metrics(&path, Vec::<Result<MetricRow>>::new()).unwrap();
+        write_table(&path, Vec::<Result<MetricRow>>::new()).unwrap();
         let error = read_all(&path).unwrap_err();
         assert!(matches!(&error, Error::SchemaVersion { found, .. } if found == "metric.v1"), "{error}");
         write_events(&path, &events()).unwrap();

@@ -28,8 +28,8 @@ pub struct SceneWriter {
     shards: Vec<ShardEntry>,
     current: OpenShard,
     known_maps: BTreeSet<String>,
-    /// Hashes of the ids of all scenes so far.
-    known_scenes: BTreeSet<u128>,
+    /// The recordings of all scenes so far, by hashes of their ids.
+    known_scenes: BTreeMap<u128, String>,
     units_done: u64,
     report: Value,
 }
@@ -38,8 +38,6 @@ pub struct SceneWriter {
 #[derive(Default)]
 struct OpenShard {
     scenes: Option<IpcFile>,
-    /// The recordings of its scenes, by the hashes of their ids.
-    files: BTreeMap<u128, String>,
     n_scenes: u64,
     n_agents: u64,
     maps: Option<IpcFile>,
@@ -72,10 +70,10 @@ impl SceneWriter {
                 known_maps.push(&path, batch?)?;
             }
         }
-        let mut known_scenes = BTreeSet::new();
+        let mut known_scenes = BTreeMap::new();
         for sidecar in &finished {
             for_each_scene(dir, &sidecar.shard, |scene| {
-                known_scenes.insert(hash_of(&scene.id.0));
+                known_scenes.insert(hash_of(&scene.id.0), scene.source.file);
             })?;
         }
         let last = finished.last().cloned();
@@ -130,12 +128,9 @@ impl SceneWriter {
             return Err(Error::invalid(&scene.id, "its map was not added before it"));
         }
         for Scene { id, source, .. } in scenes {
-            let hash = hash_of(&id.0);
-            if !self.known_scenes.insert(hash) {
-                let files = [self.file_of(hash)?, source.file.clone()];
-                return Err(Error::DuplicateScene { id: id.to_string(), files });
+            if let Some(earlier) = self.known_scenes.insert(hash_of(&id.0), source.file.clone()) {
+                return Err(Error::DuplicateScene { id: id.to_string(), files: [earlier, source.file.clone()] });
             }
-            self.current.files.insert(hash, source.file.clone());
         }
         if !scenes.is_empty() {
             let path = self.path_of("scenes", "arrow");
@@ -185,24 +180,10 @@ impl SceneWriter {
         scene.lanes.is_empty() || scene.map_id.as_ref().is_some_and(|id| self.known_maps.contains(&id.0))
     }
 
-    /// The recording of an added scene.
-    fn file_of(&self, hash: u128) -> Result<String> {
-        let mut found = self.current.files.get(&hash).cloned();
-        for shard in &self.shards {
-            for_each_scene(&self.dir, shard, |scene| {
-                if hash_of(&scene.id.0) == hash {
-                    found = Some(scene.source.file);
-                }
-            })?;
-        }
-        Ok(found.unwrap_or_default())
-    }
-
     /// Gives the shard's files their names, the sidecar last. Maps without scenes are dropped; they can only come after
     /// the last scene.
     fn finish_shard(&mut self) -> Result<()> {
-        let OpenShard { scenes, files: _, n_scenes, n_agents, maps, n_maps, n_lanes } =
-            std::mem::take(&mut self.current);
+        let OpenShard { scenes, n_scenes, n_agents, maps, n_maps, n_lanes } = std::mem::take(&mut self.current);
         let Some(scenes) = scenes else { return Ok(()) };
         let maps = match maps {
             Some(maps) => {

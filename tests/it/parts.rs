@@ -64,20 +64,20 @@ fn parts_wait_for_each_other_and_refuse_what_does_not_fit() {
     rewrite(&dir.join("parts.json"), "program", "other");
     says(
         work(&[]).expect(1),
-        &["program: the plan's is other, ", "0 finished shards of 7: plan again with --part plan --redo generate"],
+        &["program: the plan's is other, ", "0 finished shards of 6: plan again with --part plan --redo generate"],
     );
     fs_err::write(dir.join("parts.json"), identity).unwrap();
     assert_same(&before, &files(dir));
 
     // Shards that nobody has sampled may still come; those that are given up will not.
-    says(part(&workspace, "out", "seal", &[]).expect(75), &["7 of 7 shards are missing: samples-00000, "]);
+    says(part(&workspace, "out", "seal", &[]).expect(75), &["6 of 6 shards are missing: samples-00000, "]);
     for number in 1..=10 {
         fs_err::write(dir.join(format!("samples-00002.try-{number}")), "").unwrap();
     }
     says(work(&[]).expect(0), &["giving up shard 2: 10 workers died in it"]);
     says(
         part(&workspace, "out", "seal", &[]).expect(2),
-        &["1 of 7 shards were given up: samples-00002", "remove the marks"],
+        &["1 of 6 shards were given up: samples-00002", "remove the marks"],
     );
 
     // A worker that is signaled to stop leaves no mark, and says that it goes on.

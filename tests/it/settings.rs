@@ -8,6 +8,7 @@ mod ranges;
 use crate::support::{SMALL_PIPELINE, Workspace};
 use djinn::pipeline::config::parse;
 use ranges::{Case, cases};
+use rayon::prelude::*;
 
 /// Settings, and what the message must contain.
 type Row<'a> = (Vec<&'a str>, Vec<&'a str>);
@@ -40,13 +41,7 @@ fn expect_refusals(rows: &[Row<'_>]) {
             false => Some(format!("{settings:?}\n  wanted {words:?}\n  exit code {}: {found}", outcome.code)),
         }
     };
-    let wrong: Vec<String> = std::thread::scope(|scope| {
-        let parts: Vec<_> = rows
-            .chunks(rows.len().div_ceil(4))
-            .map(|part| scope.spawn(|| part.iter().filter_map(check).collect::<Vec<_>>()))
-            .collect();
-        parts.into_iter().flat_map(|part| part.join().unwrap()).collect()
-    });
+    let wrong: Vec<String> = rows.par_iter().filter_map(check).collect();
     assert!(wrong.is_empty(), "{} of {} settings:\n{}", wrong.len(), rows.len(), wrong.join("\n"));
     assert!(!workspace.path("out").exists());
 }
@@ -82,13 +77,7 @@ fn every_stated_bound_is_kept_and_named() {
         }
         wrong
     };
-    let wrong: Vec<String> = std::thread::scope(|scope| {
-        let parts: Vec<_> = cases
-            .chunks(cases.len().div_ceil(4))
-            .map(|part| scope.spawn(|| part.iter().flat_map(check).collect::<Vec<_>>()))
-            .collect();
-        parts.into_iter().flat_map(|part| part.join().unwrap()).collect()
-    });
+    let wrong: Vec<String> = cases.par_iter().flat_map_iter(check).collect();
     assert!(wrong.is_empty(), "{} settings of {} numbers:\n{}", wrong.len(), cases.len(), wrong.join("\n"));
 }
 

@@ -103,7 +103,7 @@ fn a_folder_that_holds_anything_stays_as_it_is() {
 fn lists_name_everything_with_a_line() {
     for (what, n_least, name, line) in [
         ("behaviors", 14, "left_turn", "an agent turns left by at least 60 degrees, as at an intersection"),
-        ("objectives", 11, "slip_limit", "Keep the heading along the motion"),
+        ("objectives", 8, "slip_limit", "Keep the heading along the motion"),
         ("datasets", 6, "commonroad", "Scenarios in CommonRoad's XML, recorded or generated"),
         (
             "formats",

@@ -10,13 +10,12 @@ use crate::engine::testing::{KINDS, kind};
 use crate::engine::{ComputeChoice, Failure, Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::files::write_atomically;
 use crate::nn::Compute;
-use crate::progress::Progress;
+use crate::progress::{Heard, Progress};
 use crate::store::{read_record, write_record};
 use serde_json::Value;
 use std::cell::RefCell;
 use std::io::Write;
 use std::path::Path;
-use std::sync::Mutex;
 
 /// Writes three shards, unless it breaks off before the last one, and joins them.
 struct Toy {
@@ -74,23 +73,13 @@ impl Sharded for Toy {
     }
 }
 
-/// Keeps warnings.
-#[derive(Default)]
-struct Heard(Mutex<Vec<String>>);
-
-impl Progress for Heard {
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
-}
-
 /// Runs the toy alone. Returns the shards that it made, its outcome and the warnings.
 fn run_alone(root: &Path, breaks_off: bool) -> (Vec<usize>, Result<()>, String) {
     let (toy, heard) = (Toy { breaks_off, made: RefCell::default() }, Heard::default());
     let folder = RunFolder::open(root, &KINDS).unwrap();
     let planned = plan(root, &KINDS, vec![Box::new(&toy)], &[]).unwrap();
     let outcome = run_stages(&folder, None, (ComputeChoice::default(), Makers::Alone), planned, &heard).map(drop);
-    let warnings = heard.0.lock().unwrap().join("\n");
+    let warnings = heard.take().join("\n");
     (toy.made.take(), outcome, warnings)
 }
 

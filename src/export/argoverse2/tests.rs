@@ -2,7 +2,7 @@
 //! back?
 
 use super::*;
-use crate::export::testing::{self, add_all, read};
+use crate::export::testing::{self, add_all, assert_same_states, read};
 use crate::geometry::Transform2;
 use crate::ingest::{IngestBatch, IngestConfig, ingest};
 use crate::progress::Silent;
@@ -137,15 +137,8 @@ fn our_own_reader_finds_the_same_states_and_lanes() {
     assert_eq!((found.len(), read.source.case_id.as_str(), read.ego().id.0.as_str()), (1, "0a1b0", "1"));
     assert_eq!((read.n_timesteps, read.n_history, read.source.place.as_str()), (110, 50, "austin"));
     for id in ["1", "2"].map(TrackId::from) {
-        let of =
-            |scene: &Scene| scene.tracks[scene.track_idx(&id).unwrap()].trajectory.transformed(&scene.world_from_scene);
-        let (ours, theirs) = (of(&scene), of(read));
-        for timestep in 0..110 {
-            assert_eq!(ours.is_valid(timestep), theirs.is_valid(timestep), "{id} at {timestep}");
-            let Some((a, b)) = ours.get(timestep).zip(theirs.get(timestep)) else { continue };
-            assert!(a.position.distance(b.position) < 1e-9 && a.velocity.distance(b.velocity) < 1e-9);
-            assert!((a.heading_rad - b.heading_rad).abs() < 1e-9);
-        }
+        let [own, again] = [&scene, read].map(|scene| (scene, scene.track_idx(&id).unwrap()));
+        assert_same_states(own, again, 0, [1e-9; 2]);
     }
     let lanes = scene.lanes.transformed(&scene.world_from_scene);
     assert_eq!(maps.len(), 1);

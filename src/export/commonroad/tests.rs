@@ -1,10 +1,9 @@
 //! CommonRoad: do the numbers in the files follow from a scene by hand?
 
 use super::*;
-use crate::export::testing::{self, Node, add_all};
-use crate::geometry::{Polyline, wrap_angle};
-use crate::ingest::{self, IngestBatch, IngestConfig};
-use crate::progress::Silent;
+use crate::export::testing::{self, Node, add_all, assert_same_states};
+use crate::geometry::Polyline;
+use crate::ingest::{IngestConfig, scenes_of};
 use crate::scene::testing::without_states;
 use crate::scene::{AgentClass, Dataset, Lane, LaneGraph, Scene, Trajectory};
 use std::sync::Arc;
@@ -143,18 +142,12 @@ fn what_is_exported_can_be_ingested_again() {
     let dir = tempfile::tempdir().unwrap();
     let written = add_all(Box::new(CommonRoad::new(dir.path(), EgoMotion::Replayed)), std::slice::from_ref(&scene));
     let tracks = &written[0].as_ref().unwrap().tracks;
-    let present = scene.current_timestep();
     let config = IngestConfig {
         n_history: Some(1),
         n_future: Some(scene.n_timesteps - scene.n_history),
         ..IngestConfig::new(Dataset::CommonRoad, vec![dir.path().to_owned()])
     };
-    let mut scenes = Vec::new();
-    let mut keep = |batch: IngestBatch| {
-        scenes.extend(batch.scenes);
-        Ok(())
-    };
-    ingest::ingest(&config, None, &Silent, &mut keep).unwrap();
+    let (scenes, _) = scenes_of(&config).unwrap();
     let [again] = scenes.as_slice() else { panic!("{} scenes", scenes.len()) };
     for (idx, track) in scene.tracks.iter().enumerate() {
         let name = tracks[idx].as_ref().unwrap();
@@ -163,12 +156,7 @@ fn what_is_exported_can_be_ingested_again() {
             (again.tracks[found].class, again.tracks[found].extent),
             (track.class, Some(track.extent_or_nominal()))
         );
-        for timestep in present..scene.n_timesteps {
-            let world = |of: &Scene, idx: usize, at| of.state(idx, at).map(|at| at.transformed(&of.world_from_scene));
-            let (was, is) = (world(&scene, idx, timestep).unwrap(), world(again, found, timestep - present).unwrap());
-            let off = (was.position - is.position).norm().max((was.velocity - is.velocity).norm());
-            assert!(off < 1e-6 && wrap_angle(was.heading_rad - is.heading_rad).abs() < 1e-6, "{was:?}, {is:?}");
-        }
+        assert_same_states((&scene, idx), (again, found), -(scene.current_timestep() as isize), [1e-6; 2]);
     }
     assert_eq!(again.lanes.lanes().len(), scene.lanes.lanes().len());
 }

@@ -2,7 +2,7 @@
 //! `scripts/check_exports.py` reads them with the dataset's own package.
 
 use super::*;
-use crate::export::testing::{self, add_all, womd_scenes};
+use crate::export::testing::{self, add_all, assert_same_states, womd_scenes};
 use crate::geometry::{Polyline, Vec2};
 use crate::ingest::womd::messages::{BoundarySegment, FeatureData, LaneNeighbor};
 use crate::scene::{Lane, LaneGraph, LaneId, SituationKind};
@@ -120,20 +120,11 @@ fn our_own_reader_finds_the_same_scenes() {
     let read = womd_scenes(dir.path(), [11, 80]);
     for (ours, theirs) in scenes.iter().zip(&read) {
         assert_eq!((ours.tracks.len(), ours.n_timesteps, &ours.ego().id), (theirs.tracks.len(), 91, &theirs.ego().id));
-        for track in &ours.tracks {
-            let other = &theirs.tracks[theirs.track_idx(&track.id).unwrap()];
+        for (agent_idx, track) in ours.tracks.iter().enumerate() {
+            let other_idx = theirs.track_idx(&track.id).unwrap();
+            let other = &theirs.tracks[other_idx];
             assert_eq!((track.class, track.extent), (other.class, other.extent));
-            let worlds = (
-                track.trajectory.transformed(&ours.world_from_scene),
-                &other.trajectory.transformed(&theirs.world_from_scene),
-            );
-            for timestep in 0..91 {
-                let (a, b) = (worlds.0.get(timestep), worlds.1.get(timestep));
-                assert_eq!(a.is_some(), b.is_some(), "{} at {timestep}", track.id);
-                let Some((a, b)) = a.zip(b) else { continue };
-                assert!(a.position.distance(b.position) < 1e-6 && a.velocity.distance(b.velocity) < 1e-4);
-                assert!(crate::geometry::angle_difference(a.heading_rad, b.heading_rad).abs() < 1e-6);
-            }
+            assert_same_states((ours, agent_idx), (theirs, other_idx), 0, [1e-6, 1e-4]);
         }
         let [own, other] = [ours, theirs].map(|scene| scene.lanes.transformed(&scene.world_from_scene));
         assert_eq!(own.lanes().len(), other.lanes().len());

@@ -4,7 +4,7 @@ use crate::diffusion::SamplerConfig;
 use crate::generate::{
     ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig, SweepRollout,
 };
-use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig};
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,6 @@ const OF_DIFFUSION: &[&str] = &[
     "classifier_potential",
     "objectives",
     "validity_strength",
-    "objective_guidance",
     "classifier_free",
     "edit",
     "template",
@@ -75,9 +74,6 @@ pub struct SweepConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1e6))]
     pub validity_strength: Option<f64>,
-    /// How objectives become shifts of the clean estimate.
-    #[serde(default)]
-    pub objective_guidance: ObjectiveGuidanceConfig,
     /// Which agents are to show the behavior.
     #[serde(default)]
     pub pairs: PairSelectionConfig,

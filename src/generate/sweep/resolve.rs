@@ -192,7 +192,6 @@ impl SweepConfig {
                 classifier_scope: self.classifier_scope,
                 classifier_potential: self.classifier_potential,
                 objectives: self.objectives.iter().map(ObjectiveConfig::spelled_out).collect(),
-                objective_guidance: self.objective_guidance,
             },
             classifier_free: self.classifier_free.clone(),
             edit: self.edit.clone(),

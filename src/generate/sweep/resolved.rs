@@ -6,7 +6,7 @@ use crate::diffusion::{Edm, SamplerConfig};
 use crate::generate::{
     ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig, SweepRollout,
 };
-use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig, ObjectiveGuidanceConfig};
+use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig};
 use crate::model::Distillation;
 use crate::scene::{GuidanceLevel, Scene};
 use std::borrow::Cow;
@@ -61,8 +61,6 @@ pub struct SweepGuidance {
     pub classifier_potential: ClassifierPotential,
     /// Objectives for the trajectories, in addition to a behavior or instead of one.
     pub objectives: Vec<ObjectiveConfig>,
-    /// How objectives become shifts of the clean estimate.
-    pub objective_guidance: ObjectiveGuidanceConfig,
 }
 
 /// How a denoiser is sampled.

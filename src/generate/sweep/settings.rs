@@ -39,13 +39,13 @@ impl Diffusion {
             settings["strength"] = json!(level.strength);
             settings["guidance"] = json!(guidance.gate);
             settings["classifier_scope"] = json!(guidance.classifier_scope);
-            // The only input, named so that ids of scenarios stay what they were.
+            // The only ways, named so that ids of scenarios stay what they were.
             settings["classifier_input"] = json!("noisy_states");
+            settings["objective_guidance"] = json!({ "damped": true, "inner_steps": 1 });
             if !guidance.classifier_potential.is_default() {
                 settings["classifier_potential"] = json!(guidance.classifier_potential);
             }
             settings["objectives"] = json!(guidance.objectives);
-            settings["objective_guidance"] = json!(guidance.objective_guidance);
         }
         if let Some(config) = self.classifier_free.as_ref().filter(|_| level.weight != 0.0) {
             let mut classifier_free = json!(config);

@@ -1,8 +1,8 @@
 //! Scenarios of both versions, whole and broken.
 
+use crate::ingest::test_data::scenes;
 use crate::ingest::xml_tree::Element;
-use crate::ingest::{Error, IngestConfig, IngestReport, ingest};
-use crate::progress::Silent;
+use crate::ingest::{Error, IngestConfig, IngestReport};
 use crate::scene::{AgentClass, Dataset, LaneId, Scene, TurnDirection};
 use fs_err as fs;
 use std::fmt::Write as _;
@@ -56,13 +56,7 @@ fn whole() -> String {
 fn read(text: &str) -> Result<(Vec<Scene>, IngestReport), Error> {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("a.xml"), text).unwrap();
-    let config = IngestConfig::new(Dataset::CommonRoad, vec![folder.path().to_owned()]);
-    let mut scenes = Vec::new();
-    let report = ingest(&config, None, &Silent, &mut |batch| {
-        scenes.extend(batch.scenes);
-        Ok(())
-    })?;
-    Ok((scenes, report))
+    scenes(&IngestConfig::new(Dataset::CommonRoad, vec![folder.path().to_owned()]))
 }
 
 #[test]

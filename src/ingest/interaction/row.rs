@@ -4,7 +4,7 @@ use super::cases::without_point;
 use super::columns::TrackColumns;
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
-use crate::ingest::cells::split_cells;
+use crate::ingest::csv_rows::split_cells;
 use crate::ingest::decimal;
 use crate::ingest::quotes::printable;
 use crate::scene::Extent;

@@ -7,40 +7,10 @@ use crate::ingest::error::Malformed;
 use crate::ingest::xml_tree::Element;
 use std::collections::BTreeSet;
 
-/// Types of lanes on which motor vehicles drive.
-const DRIVABLE: [&str; 14] = [
-    "driving",
-    "entry",
-    "exit",
-    "onRamp",
-    "offRamp",
-    "connectingRamp",
-    "slipLane",
-    "bidirectional",
-    "bus",
-    "taxi",
-    "HOV",
-    "roadWorks",
-    "mwyEntry",
-    "mwyExit",
-];
-
-/// Types of lanes on which certainly none do; those of other types are named.
-const NOT_DRIVABLE: [&str; 13] = [
-    "shoulder",
-    "border",
-    "stop",
-    "none",
-    "restricted",
-    "parking",
-    "median",
-    "biking",
-    "sidewalk",
-    "walking",
-    "curb",
-    "tram",
-    "rail",
-];
+/// Types of lanes on which motor vehicles drive, and on which certainly none do; others are named.
+const DRIVABLE: &str = "driving entry exit onRamp offRamp connectingRamp slipLane bidirectional bus taxi HOV roadWorks \
+                        mwyEntry mwyExit";
+const NOT_DRIVABLE: &str = "shoulder border stop none restricted parking median biking sidewalk walking curb tram rail";
 
 /// A stretch of a road with the same lanes.
 #[derive(Debug)]
@@ -85,7 +55,7 @@ pub(super) struct RoadLane {
 
 impl RoadLane {
     pub(super) fn is_drivable(&self) -> bool {
-        DRIVABLE.contains(&self.kind.as_str())
+        DRIVABLE.split(' ').any(|listed| listed == self.kind)
     }
 }
 
@@ -176,8 +146,8 @@ fn lane(element: &Element, id: i64, faults: &mut Faults<'_>) -> Result<RoadLane,
         faults.tell("broken_directions", unlisted(element, "direction", direction, "standard, reversed or both"));
     }
     let kind = element.attribute("type").unwrap_or_default().to_owned();
-    if !DRIVABLE.into_iter().chain(NOT_DRIVABLE).any(|listed| listed == kind) {
-        faults.tell("lanes_of_other_types", unlisted(element, "type", &kind, "such as driving; it is left out"));
+    if !DRIVABLE.split(' ').chain(NOT_DRIVABLE.split(' ')).any(|listed| listed == kind) {
+        faults.tell("lanes_of_other_types", unlisted(element, "type", &kind, "one such as driving; it is left out"));
     }
     Ok(RoadLane {
         id,

@@ -2,8 +2,7 @@
 
 use super::*;
 use crate::geometry::{Vec2, angle_difference};
-use crate::ingest::{IngestReport, ingest};
-use crate::progress::Silent;
+use crate::ingest::test_data::scenes as read;
 use crate::scene::{AgentClass, Scene, Track};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,15 +19,6 @@ fn config(folder: &Path, mapping: &str) -> IngestConfig {
         maps: crate::ingest::MapsConfig::None,
         ..IngestConfig::new(Dataset::Table, vec![folder.to_owned()])
     }
-}
-
-fn read(config: &IngestConfig) -> Result<(Vec<Scene>, IngestReport), Error> {
-    let mut scenes = Vec::new();
-    let report = ingest(config, None, &Silent, &mut |batch| {
-        scenes.extend(batch.scenes);
-        Ok(())
-    })?;
-    Ok((scenes, report))
 }
 
 /// The reasons of all rejects, with their first examples.

@@ -85,7 +85,7 @@ fn lanes_of(scenario: &Scenario) -> impl Iterator<Item = (i64, &LaneCenter)> {
     })
 }
 
-/// Leaves out neighbors and boundaries from and to points that lanes do not have, and lights of lanes that are not there.
+/// Leaves out neighbors and boundaries from and to points that lanes do not have, and lights of lanes that are none.
 fn leave_out_dangling(scenario: &mut Scenario, report: &mut MapReport) {
     let n_points: BTreeMap<i64, usize> = lanes_of(scenario).map(|(id, lane)| (id, lane.polyline.len())).collect();
     let mut keep = |lane: i64, what: &str, id: i64, ends: &[(i32, i32, usize)]| {

@@ -8,9 +8,8 @@ use super::messages::{
 use super::tfrecord::{Records, framed, masked_crc};
 use super::*;
 use crate::geometry::{Polyline, Vec2};
-use crate::ingest::test_data::test_data;
-use crate::ingest::{IngestReport, MapsConfig, ingest};
-use crate::progress::Silent;
+use crate::ingest::MapsConfig;
+use crate::ingest::test_data::{scenes, test_data};
 use crate::scene::{Lane, LaneAttributes, LaneId, Scene};
 
 fn read(bytes: &[u8]) -> Vec<(u64, Result<String, &'static str>)> {
@@ -256,7 +255,11 @@ fn what_cannot_be_read_is_named() {
     assert!((scene.tracks[0].extent.expect("the size before").length_m - 4.09).abs() < 1e-6);
     let lanes = scene.own_map.expect("lanes");
     let Lane { left_neighbor, attributes, .. } = lanes.get(LaneId(2)).expect("a lane");
-    assert_eq!((*left_neighbor, attributes.tags["left_neighbors"].as_str()), (Some(LaneId(4)), "4:0-1/1-2"));
+    assert_eq!(
+        (*left_neighbor, attributes.tags["left_neighbors"].as_str()),
+        (None, "4:0-1/1-2"),
+        "lane 4 is not there"
+    );
     assert_eq!(attributes.tags[LaneAttributes::LIGHT], "stop:1-39;go:40-90");
     let mut short = scenario();
     short.timestamps_seconds.truncate(61);
@@ -269,19 +272,10 @@ fn what_cannot_be_read_is_named() {
     assert!(Womd::new(&longer).err().expect("too long").to_string().starts_with("ingest.n_future: is 81, but womd"));
 }
 
-fn ingested(path: std::path::PathBuf) -> (Vec<Scene>, IngestReport) {
-    let mut scenes = Vec::new();
-    let config = IngestConfig::new(Dataset::Womd, vec![path]);
-    let report = ingest(&config, None, &Silent, &mut |batch| {
-        scenes.extend(batch.scenes);
-        Ok(())
-    });
-    (scenes, report.expect("whole"))
-}
-
 #[test]
 fn folders_of_shards_are_read() {
-    let (scenes, report) = ingested("tests/fixtures/recordings/womd".into());
+    let (scenes, report) =
+        scenes(&IngestConfig::new(Dataset::Womd, vec!["tests/fixtures/recordings/womd".into()])).expect("whole");
     let by: Vec<(&str, u64)> = report.scenes_by.iter().map(|(key, n)| (key.as_str(), *n)).collect();
     assert_eq!((by, report.n_rejects()), (vec![("test/none", 1), ("train/none", 2), ("val/none", 1)], 0));
     assert_eq!(scenes.iter().map(|scene| scene.n_timesteps).collect::<Vec<_>>(), [11, 91, 91, 91]);
@@ -292,7 +286,7 @@ fn folders_of_shards_are_read() {
 #[test]
 fn the_two_public_scenarios_are_read() {
     let Some(path) = test_data("samples/womd") else { return };
-    let (scenes, report) = ingested(path);
+    let (scenes, report) = scenes(&IngestConfig::new(Dataset::Womd, vec![path])).expect("whole");
     assert_eq!(report.rejects.keys().collect::<Vec<_>>(), ["not_a_scenario"], "the tf.Example");
     let counts = |scene: &Scene| (scene.tracks.len(), scene.ego().id.0.clone(), scene.lanes.lanes().len());
     // 83 and 257 tracks, of which 50 and 84 are there at present, and 198 and 114 lanes, one of them a point.

@@ -6,7 +6,6 @@
 mod checkpoint;
 mod events;
 mod folders;
-mod rates;
 mod requests;
 
 use crate::engine::{Failure, Result};
@@ -27,7 +26,7 @@ pub struct Description {
 type Describer = fn(&Path) -> Result<Option<Description>>;
 
 /// Every describer, in the order in which they are tried.
-const DESCRIBERS: [Describer; 9] = [
+const DESCRIBERS: [Describer; 7] = [
     folders::run,
     folders::scenes,
     folders::samples,
@@ -35,8 +34,6 @@ const DESCRIBERS: [Describer; 9] = [
     folders::model,
     checkpoint::describe,
     events::describe,
-    rates::describe,
-    rates::exposure,
 ];
 
 /// Describes the content of the file or folder at `path`.
@@ -51,8 +48,7 @@ pub fn inspect(path: &Path) -> Result<Description> {
         }
     }
     Err(Failure::input_message(format_args!("{} is nothing that can be inspected", path.display())).with_hint(
-        "known: run folders, scene stores, event tables, rates, checkpoints, samples and corpora; SQL and jq read \
-                 the rest",
+        "known: run folders, scene stores, event tables, checkpoints, samples and corpora; SQL and jq read the rest",
     ))
 }
 

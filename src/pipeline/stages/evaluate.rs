@@ -20,8 +20,8 @@ use crate::pipeline::layout::{
 use crate::progress::Progress;
 use crate::rates::RecordedTraffic;
 use crate::store::{
-    AIMS_AT_HARD_EVENTS, CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, read_tags,
-    stream_events, write_binary_atomically, write_coverage, write_json_atomically, write_metrics,
+    AIMS_AT_HARD_EVENTS, CorpusNotes, CorpusWriter, SceneStore, read_binary, read_recorded_traffic, read_table,
+    stream_events, write_binary_atomically, write_json_atomically, write_table,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -173,9 +173,9 @@ impl Sharded for Evaluate<'_> {
         }
         context.progress.finish();
         let found = evaluation.finish()?;
-        write_metrics(&path(METRICS), found.all_rows()?)?;
+        write_table(&path(METRICS), found.all_rows()?)?;
         corpus.write_metrics(found.rows_of_corpus()?)?;
-        write_coverage(&path(COVERAGE), found.coverage.clone())?;
+        write_table(&path(COVERAGE), found.coverage.iter().cloned().map(Ok))?;
         let n_accepted_scenes = found.n_accepted_scenes;
         let mut summary = EvaluationSummary { maps: maps.rows.clone(), ..found.remove_rows()? };
         summary.gates.extend(of_requests(&config.gates, &read_requests(&self.layout.samples)?));
@@ -234,7 +234,7 @@ impl Evaluate<'_> {
     fn recorded_coverage(&self, ready: &EvaluationReady, traffic: Option<&RecordedTraffic>) -> Result<CoverageTally> {
         let [tags, occurrences] = [TAGS, OCCURRENCES].map(|name| self.layout.events.with_file_name(name));
         let recordings = traffic.filter(|_| tags.exists()).map_or(&[][..], RecordedTraffic::recordings);
-        let scenes = if recordings.is_empty() { Vec::new() } else { read_tags(&tags)? };
+        let scenes = if recordings.is_empty() { Vec::new() } else { read_table(&tags)? };
         let behaviors: Vec<&str> = ready.behaviors.iter().map(|behavior| behavior.id()).collect();
         let buckets = self.mine.rates.iter().map(|bucket| (bucket.behavior.clone(), bucket.within.clone()));
         let mut tally = CoverageTally::new(&behaviors, &buckets.collect::<Vec<_>>(), recordings, scenes.into_iter());

@@ -10,9 +10,7 @@ use crate::pipeline::layout::{EVENTS, EXPOSURE, Layout, MINE_SUMMARY, OCCURRENCE
 use crate::progress::Progress;
 use crate::rates::{ExposureRow, ExposureTally, Numbered, OccurrenceTally, SceneExposure, Within};
 use crate::settings::Issue;
-use crate::store::{
-    EventWriter, SceneStore, read_recorded_traffic, write_exposure, write_json_atomically, write_rates, write_tags,
-};
+use crate::store::{EventWriter, SceneStore, read_recorded_traffic, write_json_atomically, write_table};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -166,11 +164,11 @@ impl Whole for Mine<'_> {
         context.progress.finish();
         warn_of_blind(&behaviors, [has_lanes, has_sizes].map(AtomicBool::into_inner), context.progress);
         writer.finish()?;
-        write_tags(&context.root.join(TAGS), tagged)?;
+        write_table(&context.root.join(TAGS), tagged.into_iter().map(Ok))?;
         let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| context.root.join(name));
-        write_exposure(&exposure, counting.finish()?)?;
+        write_table(&exposure, counting.finish()?.into_iter().map(Ok))?;
         let traffic = read_recorded_traffic(&exposure, &occurrences)?;
-        write_rates(&context.root.join(RATES), traffic.rates(&ids, &self.config.buckets()))?;
+        write_table(&context.root.join(RATES), traffic.rates(&ids, &self.config.buckets()).into_iter().map(Ok))?;
         let n_events = tally.n_events();
         let summary = tally.finish();
         write_json_atomically(&context.root.join(MINE_SUMMARY), &summary)?;

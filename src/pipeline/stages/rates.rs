@@ -9,7 +9,7 @@ use crate::pipeline::layout::{EXPOSURE, MODELED, MODELED_RATES, MODELED_SUMMARY,
 use crate::rates::{Calibration, ModeledRates, ModeledTraffic, RecordedTraffic};
 use crate::simulate::{LoopFigures, Modeling, RatesConfig};
 use crate::store::{
-    SceneStore, read_binary, read_recorded_traffic, write_binary_atomically, write_json_atomically, write_rates,
+    SceneStore, read_binary, read_recorded_traffic, write_binary_atomically, write_json_atomically, write_table,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -95,7 +95,7 @@ impl Whole for Rates<'_> {
         write_binary_atomically(&context.root.join(MODELED), FORMAT, &traffic)?;
         let ids: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();
         let rates = ModeledRates::new(traffic, &recorded, &ids);
-        write_rates(&context.root.join(MODELED_RATES), rates.rates(&self.mine.buckets()))?;
+        write_table(&context.root.join(MODELED_RATES), rates.rates(&self.mine.buckets()).into_iter().map(Ok))?;
         let calibration = rates.calibrations().to_vec();
         let judged = calibration.iter().filter(|one| one.is_judged());
         let [n_judged, n_met] = [judged.clone().count(), judged.filter(|one| one.is_met()).count()];

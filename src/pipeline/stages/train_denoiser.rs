@@ -151,18 +151,8 @@ fn won(statistics: &[FitStatistics]) -> Vec<Value> {
 mod tests {
     use super::*;
     use crate::nn::{Compute, read_checkpoint};
-    use crate::progress::Progress;
+    use crate::progress::Heard;
     use crate::seed::Seed;
-    use std::sync::Mutex;
-
-    #[derive(Default)]
-    struct Heard(Mutex<Vec<String>>);
-
-    impl Progress for Heard {
-        fn warn(&self, message: &str) {
-            self.0.lock().unwrap().push(message.to_owned());
-        }
-    }
 
     #[test]
     fn a_checkpoint_whose_loops_are_better_takes_the_place_of_what_was_trained() {
@@ -187,7 +177,7 @@ mod tests {
             let expected = if stays { &checkpoint.fingerprint } else { &trained.fingerprint };
             assert_eq!(&read(&file).fingerprint, expected);
             assert_eq!((&outcome.fingerprint, outcome.spec == checkpoint.metadata), (expected, stays));
-            let warnings = heard.0.into_inner().unwrap();
+            let warnings = heard.take();
             assert!(warnings.len() == usize::from(stays) && warnings.iter().all(|text| text.contains("39 %")));
         }
     }

@@ -128,7 +128,8 @@ fn maps(rows: &[MapFitRow]) -> Markup {
              than "
             code { "evaluate.validity.max_recorded_offroad" }
             " says, the map lacks road that people drive on. The check is then made by its lanes and the area where \
-             recorded vehicles drive, if that of half of the recordings holds the other half. Recordings cannot leave it."
+             recorded vehicles drive, if that of half of the recordings holds the other half. Recordings cannot leave \
+             it."
         }
     }
 }

@@ -155,8 +155,8 @@ mod tests {
     #[test]
     fn braking_builds_up_ends_and_keeps_the_way() {
         let braked = |own: &[State], mps2: f64, lasts_s: f64| super::braked(own, 0.0, Braking { mps2, lasts_s }, DT_S);
-        // From 10 m/s at 4 m/s², which the pedal reaches by 8 m/s³: 0.8 m/s less is lost, as if it began 0.2 s later, and
-        // it stands after 12.5 + 2.0 m. Speeds are means over the last timestep.
+        // From 10 m/s at 4 m/s², which the pedal reaches by 8 m/s³: 0.8 m/s less is lost, as if it began 0.2 s later,
+        // and it stands after 12.5 + 2.0 m. Speeds are means over the last timestep.
         let found = braked(&steady(0.0, 10.0), 4.0, 3.0);
         assert!((found[20].speed_mps() - 3.0).abs() < 0.05, "{}", found[20].speed_mps());
         assert!((found[30].position.x - 14.5).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);

@@ -27,8 +27,8 @@ pub(in crate::simulate) fn ease(situation: &Situation, scene: &mut Scene, agents
     }
 }
 
-/// The states from the present on, with a speed and an acceleration that begin with those of the `past`; the acceleration
-/// comes to be theirs. `None` if it does not change faster than drivers let it.
+/// The states from the present on, with a speed and an acceleration that begin with those of the `past`; the
+/// acceleration comes to be theirs. `None` if it does not change faster than drivers let it.
 fn eased(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
     let step_mps = |states: &[State], i: usize| states[i + 1].position.distance(states[i].position) / dt_s;
     let mps2 = |states: &[State]| (step_mps(states, N_STEPS - 1) - step_mps(states, 0)) / ((N_STEPS - 1) as f64 * dt_s);

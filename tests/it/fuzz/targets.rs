@@ -2,13 +2,14 @@
 
 use djinn::ingest::archive::visit_entries;
 use djinn::ingest::{IngestConfig, MapsConfig, ingest, lanelet2};
+use djinn::metrics::MetricRow;
 use djinn::model::{NetworkConfig, TrainedDenoiser};
 use djinn::nn::{Compute, Params};
 use djinn::pipeline::config::parse;
 use djinn::progress::Silent;
 use djinn::scene::Dataset;
 use djinn::seed::Seed;
-use djinn::store::{CorpusReader, FileStamp, SceneStore, SceneWriter, read_metrics};
+use djinn::store::{CorpusReader, FileStamp, SceneStore, SceneWriter, stream_table};
 use flate2::write::GzEncoder;
 use serde_json::Value;
 use std::io::Write;
@@ -143,7 +144,7 @@ pub(super) const TARGETS: &[Target] = &[
         name: "metrics_table",
         seeds: |_| vec![fixture(&format!("{CORPUS}/metrics.parquet"))],
         read: |folder, bytes| {
-            let rows = read_metrics(&write(folder, "metrics.parquet", bytes));
+            let rows = stream_table::<MetricRow>(&write(folder, "metrics.parquet", bytes));
             rows.is_ok_and(|mut rows| rows.all(|row| row.is_ok()))
         },
     },

@@ -2,8 +2,8 @@
 
 use super::sample_folder::{SampledWith, write_table};
 use super::{Generate, SampleSidecar};
-use crate::engine::Result;
-use crate::generate::{self, Generator, Plan, Pool, ResolvedGeneration, ShardOutput, ShardPlan};
+use crate::engine::{Failure, Result};
+use crate::generate::{Generator, Plan, Pool, ResolvedGeneration, ShardOutput, ShardPlan};
 use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
@@ -81,7 +81,7 @@ impl Ready<'_> {
         let pools: Vec<Pool> = self.resolved.requests.iter().map(pool).collect::<Result<_>>()?;
         let unmet: Vec<&str> = pools.iter().filter_map(|pool| pool.unmet.as_deref()).collect();
         if self.resolved.n_sweeps == 0 && !pools.is_empty() && unmet.len() == pools.len() {
-            return Err(generate::Error::Unmet(unmet.join("; ")).into());
+            return Err(Failure::input_message(format_args!("nothing can be generated: {}", unmet.join("; "))));
         }
         Ok(pools)
     }

@@ -6,7 +6,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::VERDICTS;
 use crate::pipeline::stages::SampleManifest;
 use crate::report::{Accepted, Drawings, Gallery};
-use crate::store::{SceneStore, read_metrics, read_verdicts, stream_events};
+use crate::store::{SceneStore, stream_events, stream_table};
 use std::path::PathBuf;
 
 /// Reads all samples once, shard by shard, draws the chosen ones, and compares motion and events.
@@ -22,8 +22,8 @@ pub(super) fn drawings(stage: &Report<'_>, manifest: &SampleManifest) -> Result<
         }
     }
     let events = stage.has(StageId::Mine).then(|| stream_events(&layout.events)).transpose()?;
-    let metrics = is_evaluated.then(|| read_metrics(&layout.metrics)).transpose()?;
-    let verdicts = is_evaluated.then(|| read_verdicts(&verdicts_of(stage))).transpose()?;
+    let metrics = is_evaluated.then(|| stream_table(&layout.metrics)).transpose()?;
+    let verdicts = is_evaluated.then(|| stream_table(&verdicts_of(stage))).transpose()?;
     Ok(gallery.finish(events, metrics.into_iter().flatten(), verdicts.into_iter().flatten())?)
 }
 
@@ -34,10 +34,10 @@ fn verdicts_of(stage: &Report<'_>) -> PathBuf {
 /// The accepted scenarios, and how hard they are.
 fn accepted(stage: &Report<'_>) -> Result<Accepted> {
     let mut accepted = Accepted::default();
-    for row in read_verdicts(&verdicts_of(stage))? {
+    for row in stream_table(&verdicts_of(stage))? {
         accepted.add_verdict(row?);
     }
-    for row in read_metrics(&stage.layout.metrics)? {
+    for row in stream_table(&stage.layout.metrics)? {
         accepted.add_metric(&row?);
     }
     Ok(accepted)

@@ -12,7 +12,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::{COVERAGE, METRICS_SUMMARY, MINE_SUMMARY, MODELED_RATES, MODELED_SUMMARY, RATES};
 use crate::pipeline::stages::{ModeledSummary, SampleManifest, checkpoint_file, read_requests};
 use crate::report::{Drawings, Fact, ReportModel, TrainingSummary, Warning, cautions};
-use crate::store::{CorpusManifest, SceneManifest, read_coverage, read_json, read_rates};
+use crate::store::{CorpusManifest, SceneManifest, read_json, read_table};
 use crate::train::{ClassifierReport, FitStatistics, map_warnings};
 use std::path::Path;
 
@@ -37,12 +37,12 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
         model.mining = Some(read_json(&stage.layout.events.with_file_name(MINE_SUMMARY)).blame_input()?);
         // Events alone may come from elsewhere.
         let rates = stage.layout.events.with_file_name(RATES);
-        model.rates = if rates.exists() { read_rates(&rates)? } else { Vec::new() };
+        model.rates = if rates.exists() { read_table(&rates)? } else { Vec::new() };
     }
     if stage.has(StageId::Rates) {
         let path = |name: &str| stage.layout.modeled.with_file_name(name);
         let summary: ModeledSummary = read_json(&path(MODELED_SUMMARY)).blame_input()?;
-        (model.calibration, model.modeled) = (summary.calibration, read_rates(&path(MODELED_RATES))?);
+        (model.calibration, model.modeled) = (summary.calibration, read_table(&path(MODELED_RATES))?);
     }
     if stage.has(StageId::TrainDenoiser) {
         add_denoiser(&mut model, &stage.layout.denoiser)?;
@@ -60,7 +60,7 @@ pub(super) fn model(stage: &Report<'_>) -> Result<ReportModel> {
         let path = stage.layout.metrics.with_file_name(METRICS_SUMMARY);
         add_evaluation(&mut model, read_json(&path).blame_input()?);
         let coverage = stage.layout.metrics.with_file_name(COVERAGE);
-        model.coverage = if coverage.exists() { read_coverage(&coverage)? } else { Vec::new() };
+        model.coverage = if coverage.exists() { read_table(&coverage)? } else { Vec::new() };
         let sources = CorpusManifest::read(&stage.layout.corpus)?.sources;
         model.facts.extend(sources.iter().map(|(dataset, terms)| Fact::new(format!("Terms of {dataset}"), terms)));
     }
