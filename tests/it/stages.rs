@@ -147,7 +147,7 @@ steps = 6
 batch_size = 2
 
 [generate]"#;
-    let guided = "behavior = \"cut_in\"\nn_scenes = 4\nn_samples = 2\nstrengths = [0.0, 2.0]";
+    let guided = "behavior = \"cut_in\"\nn_scenes = 3\nn_samples = 2\nstrengths = [0.0, 2.0]";
     assert!(after.contains(guided));
     let sweep = "model = \"baseline\"\nn_scenes = 3\nn_samples = 6";
     format!("{before}{section}{}", after.replace(guided, sweep).replace("name = \"cut_ins\"", "name = \"futures\""))

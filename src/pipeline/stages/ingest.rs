@@ -23,7 +23,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        13
+        14
     }
 
     fn check(&self) -> Result<()> {
