@@ -1,4 +1,5 @@
-//! Drivers that do not react: the scenario's own states, and a constant speed; and the model, which is sampled.
+//! Drivers that do not react: the scenario's own states, as long as there are any, and a constant speed; and the model,
+//! which is sampled.
 
 use super::Idm;
 use super::way::{advanced, ego};
