@@ -104,3 +104,28 @@ fn small_jumps_are_left_out_or_named_and_large_ones_end_a_track() {
         }
     }
 }
+
+#[test]
+fn gaps_are_filled_as_far_as_they_can_be_driven() {
+    // Half a second is missing, and the car goes on so far aside.
+    for (aside_m, what, ids) in
+        [(2.0, "gaps_filled", 1), (8.0, "ids_of_another_agent", 2), (12.0, "ids_of_another_agent", 2)]
+    {
+        let rows = |i: usize, t: f64, x: f64| match i {
+            0..45 => format!("1,{t},{x},0"),
+            _ => format!("1,{},{},{aside_m}", t + 0.4, x + 4.0),
+        };
+        let (found, scenes) = doubts(&drive("id,t,x,y", 90, rows), PLAIN);
+        assert_eq!(found.keys().collect::<Vec<_>>(), [what], "{found:?}");
+        assert!(
+            found[what].0 == 1 && (ids == 1 || found[what].1.contains("line 47: track 1 goes on as 1#2: no vehicle"))
+        );
+        let names: std::collections::BTreeSet<&str> =
+            scenes.iter().flat_map(|scene| &scene.tracks).map(|track| track.id.0.as_str()).collect();
+        assert_eq!(names.len(), ids, "{names:?}");
+        for track in scenes.iter().flat_map(|scene| &scene.tracks) {
+            let fastest_mps = track.trajectory.valid().map(|(_, state)| state.velocity.norm()).fold(0.0, f64::max);
+            assert!(fastest_mps < 13.0, "{aside_m}: {} at {fastest_mps} m/s", track.id);
+        }
+    }
+}
