@@ -129,3 +129,30 @@ fn gaps_are_filled_as_far_as_they_can_be_driven() {
         }
     }
 }
+
+#[test]
+fn a_course_of_0_at_rest_is_none() {
+    // North on a compass is 0, and so is the course of who never moves: on a lane to the west it points west.
+    let road = |y: f64| {
+        format!(
+            "<OpenDRIVE><road id='1' length='90'><planView><geometry s='0' x='60' y='{y}' hdg='3.141592653589793' \
+             length='90'><line/></geometry></planView><lanes><laneSection s='0'><right><lane id='-1' type='driving'>\
+             <width sOffset='0' a='3.5' b='0' c='0' d='0'/></lane></right></laneSection></lanes></road></OpenDRIVE>"
+        )
+    };
+    let row = |_: usize, t: f64, x: f64| format!("1,{t},{},0,270\n2,{t},9,0,0", 40.0 - x / 2.0);
+    let folder = file("a.csv", &drive("id,t,x,y,h", 60, row));
+    let mapping = "heading = 'compass_degrees'\nplace = 'm'
+        columns = { track = 'id', x = 'x', y = 'y', time = 't', heading = 'h' }";
+    for (y, toward_deg, kinds) in [(-1.75, 180.0, 1), (30.0, 90.0, 3)] {
+        fs_err::write(folder.path().join("m.xodr"), road(y)).unwrap();
+        let maps = crate::ingest::MapsConfig::Required;
+        let (scenes, report) = read(&IngestConfig { maps, ..config(folder.path(), mapping) }).unwrap();
+        assert!(report.warnings["headings_of_0_at_rest"].examples[0].contains("track 2 never moves"));
+        assert_eq!(report.warnings.len(), kinds, "{:?}", report.warnings);
+        for (_, state) in track(&scenes[0], "2").trajectory.valid() {
+            let heading_rad = state.transformed(&scenes[0].world_from_scene).heading_rad;
+            assert!(angle_difference(heading_rad, f64::to_radians(toward_deg)).abs() < 1e-9, "{y}: {heading_rad}");
+        }
+    }
+}
