@@ -107,7 +107,10 @@ impl Owners {
         }
         let fastest_mps = if self.n_rows > 1 { self.fastest_mps } else { MAX_SPEED_MPS };
         let is_near = is_reached(&last, &seen, fastest_mps);
-        let off_m = self.off_m(&seen, max_gap_s);
+        // Beyond the longest gap nothing is filled in.
+        let gap_ends_s = self.suspect.map_or(seen.time_s, |suspect| suspect.time_s);
+        let is_filled = gap_ends_s - last.time_s <= SHORT_S.max(max_gap_s) + 1e-4;
+        let off_m = if is_filled { self.off_m(&seen) } else { None };
         let longest_step_s = f64::max(GAP_S, 1.5 * self.usual_s()) + 1e-4;
         let most_m = if gap_s > longest_step_s { MAX_OFF_M } else { MAX_LEAP_M };
         let goes_on = is_near && off_m.is_none_or(|off_m| off_m <= most_m);
@@ -146,11 +149,11 @@ impl Owners {
     }
 
     /// How far a row is from where the motion leads, meters, beyond what an agent can speed up; `None` if the motion is
-    /// not known, or nothing will be filled in.
-    fn off_m(&self, seen: &Seen, max_gap_s: f64) -> Option<f64> {
+    /// not known.
+    fn off_m(&self, seen: &Seen) -> Option<f64> {
         let ((from_s, from), (last_s, last)) = (*self.recent.front()?, *self.recent.back()?);
         let (over_s, gap_s) = (last_s - from_s, seen.time_s - last_s);
-        if over_s <= 0.0 || gap_s > SHORT_S.max(max_gap_s) + 1e-4 {
+        if over_s <= 0.0 {
             return None;
         }
         // The velocity is that of half the time before.
@@ -195,7 +198,7 @@ impl Owners {
             let gap_s = seen.time_s - last.time_s;
             self.fastest_mps = self.fastest_mps.max(seen.position.distance(last.position) / gap_s.max(0.1));
         }
-        if self.last.is_none_or(|last| seen.time_s - last.time_s > SHORT_S) {
+        if self.last.is_none_or(|last| seen.time_s - last.time_s > SHORT_S + 1e-4) {
             self.recent.clear();
         }
         while self.recent.len() > 1 && seen.time_s - self.recent[0].0 > MOTION_S + 1e-4 {
