@@ -38,6 +38,9 @@ pub(super) struct ValidLoops {
     horizon_s: f64,
     /// The time that it took, seconds.
     pub(super) seconds: f64,
+    /// What is valid, once it is known.
+    #[serde(skip)]
+    limits: Option<ValidityConfig>,
 }
 
 /// Hears whether to stop, and shows nothing.
@@ -75,7 +78,7 @@ impl ValidLoops {
 
     /// Drives loops with another model from the same scenes.
     pub(super) fn again(&self, model: &TrainedDenoiser, scenes: &OpenedScenes, job: TrainJob<'_>) -> Result<Self> {
-        let mut loops = Self { horizon_s: self.horizon_s, ..Self::default() };
+        let mut loops = Self { horizon_s: self.horizon_s, limits: self.limits.clone(), ..Self::default() };
         let Some((store, held_out)) = scenes.held_out() else { return Ok(loops) };
         let is_driven = |position: &&usize| self.n_valid.contains_key(store.index().get(**position).id);
         let positions: Vec<usize> = held_out.iter().filter(is_driven).copied().collect();
@@ -102,8 +105,10 @@ impl ValidLoops {
             ..SituationsConfig::default()
         };
         let futures = Futures::new(model, job.seed.0, &job.compute.device)?;
-        let validity = ValidityConfig::default();
-        let validity = MapFits::of(store, &validity)?.limits(&validity);
+        let validity = match self.limits.take() {
+            Some(limits) => limits,
+            None => MapFits::of(store, &ValidityConfig::default())?.limits(&ValidityConfig::default()),
+        };
         let ingest = IngestConfig::new(store.index().get(*first).dataset, Vec::new());
         let new = NewScenes { config: &config, futures: &futures, store, validity: &validity, ingest: &ingest };
         for position in &positions {
@@ -117,6 +122,7 @@ impl ValidLoops {
             Ok(())
         })?;
         job.progress.finish();
+        self.limits = Some(validity);
         self.n_windows = (counts.n_scenes + counts.n_left_out) / counts.n_loops.max(1);
         Ok(())
     }
@@ -142,7 +148,7 @@ impl ValidLoops {
     #[cfg(test)]
     pub(super) fn made(n_valid: &[u64]) -> Self {
         let n_valid = n_valid.iter().enumerate().map(|(i, n)| (format!("scene {i}"), *n)).collect();
-        Self { n_valid, n_windows: 9, horizon_s: 30.0, seconds: 0.0 }
+        Self { n_valid, n_windows: 9, horizon_s: 30.0, ..Self::default() }
     }
 }
 
