@@ -6,7 +6,7 @@ use super::files::{file_name, is_archive};
 use crate::files::files_below;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Tables of few bytes may well be alike: they hold a header, or an agent.
@@ -71,13 +71,17 @@ fn hash_of_ends(path: &Path, size: u64) -> io::Result<u64> {
 }
 
 fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    let bytes = |path: &Path| {
-        let file = io::BufReader::new(fs_err::File::open(path)?);
-        Ok::<_, io::Error>(file.bytes().filter(|byte| !matches!(byte, Ok(b'\r'))))
-    };
-    let (mut a, mut b) = (bytes(a)?, bytes(b)?);
+    let open = |path: &Path| fs_err::File::open(path).map(io::BufReader::new);
+    let (mut a, mut b) = (open(a)?, open(b)?);
     loop {
-        match (a.next().transpose()?, b.next().transpose()?) {
+        let (left, right) = (a.fill_buf()?, b.fill_buf()?);
+        let n = left.iter().zip(right).take_while(|(left, right)| left == right).count();
+        a.consume(n);
+        b.consume(n);
+        if n > 0 {
+            continue;
+        }
+        match (next_byte(&mut a)?, next_byte(&mut b)?) {
             (None, None) => return Ok(true),
             (left, right) if left == right => {}
             // Blank lines at the end, unless more follows.
@@ -85,4 +89,8 @@ fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
             _ => return Ok(false),
         }
     }
+}
+
+fn next_byte(reader: &mut impl BufRead) -> io::Result<Option<u8>> {
+    reader.bytes().find(|byte| !matches!(byte, Ok(b'\r'))).transpose()
 }
