@@ -94,7 +94,7 @@ impl Default for PairSelectionConfig {
 #[serde(rename_all = "snake_case")]
 pub enum PairRanking {
     /// Those with the highest probability by the classifier, from their history; without a classifier, those that can
-    /// show the behavior with the least effort.
+    /// show the behavior with the least effort. Where hard events are aimed at, those that can show the hardest.
     #[default]
     Classifier,
     /// Those that can show it with the least effort, by the limits of driving; if that is undefined, the closest.

@@ -46,7 +46,11 @@ impl Generator<'_> {
             scene.track_idx(track).is_some_and(|idx| proximity_rank(scene, pair.agents.0, idx) < max_agents)
         };
         candidates.retain(|pair| pair.roles.tracks().all(|track| is_seen(pair, track)));
-        if let (PairRanking::Classifier, Some(classifier)) = (sweep.pairs.ranking, self.classifier(sweep)) {
+        // The classifier prefers what is likely, which is seldom hard.
+        let ranking = (sweep.pairs.ranking, self.classifier(sweep));
+        if let (PairRanking::Classifier, Some(classifier)) = ranking
+            && sweep.aim != Aim::Hard
+        {
             self.score(classifier, scene, &mut candidates)?;
         }
         // The sort is stable, and pairs come in the order of their tracks: equal scores keep a fixed order.

@@ -14,7 +14,10 @@ impl LaneChange {
             return Vec::new();
         }
         let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx, self.hurry).into_iter();
-        let ways = ways.filter(|way| way.has_room(scene, agent_idx, &[]));
+        let ways: Vec<MovingOver> = ways.filter(|way| way.has_room(scene, agent_idx, &[])).collect();
+        // Nobody slows down for a gap that is there anyway.
+        let is_free = [false, true].map(|left| ways.iter().any(|way| (way.side > 0.0) == left && !way.slows));
+        let ways = ways.into_iter().filter(|way| !(way.slows && is_free[usize::from(way.side > 0.0)]));
         let maneuver = |way: MovingOver| Maneuver {
             kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
             effort: way.effort,

@@ -21,8 +21,9 @@ const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
 const ROOM_S: f64 = 0.7;
 const ORDINARY_BRAKING_MPS2: f64 = 2.0;
 const CLEARANCE_M: f64 = 0.6;
-/// Accelerations along the lane, m/s².
+/// Accelerations along the lane, m/s², and how long they last, seconds.
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -0.6];
+const ALONG_S: f64 = 2.5;
 /// An agent that moves to the other side at present faster than this does not move over, m/s.
 const AWAY_MPS: f64 = 0.3;
 
@@ -30,6 +31,8 @@ const AWAY_MPS: f64 = 0.3;
 pub(super) struct MovingOver {
     /// The side: 1 for the left, -1 for the right.
     pub(super) side: f64,
+    /// Whether the agent slows down for it.
+    pub(super) slows: bool,
     /// When the center is midway between the lanes, seconds after the present.
     pub(super) midway_s: f64,
     /// The share of the limits of driving that it uses.
@@ -138,7 +141,7 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, manner:
     }
     for (along_mps2, rail) in ALONG_MPS2.iter().flat_map(|mps2| (0..driver.rails.len()).map(move |rail| (*mps2, rail)))
     {
-        let driven_m = driver.travel(rail, &Pace::steady(along_mps2)).driven_m;
+        let driven_m = driver.travel(rail, &Pace::steady(along_mps2).then(ALONG_S, 0.0)).driven_m;
         let on_own = driver.positions(rail, &driven_m);
         let on_target: Option<Vec<Vec2>> =
             on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
@@ -155,7 +158,7 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, manner:
             let positions = both.map(|(step, (own, there))| own.lerp(*there, share(step))).collect();
             let midway_s = begins_s + over.midway_s();
             let effort = effort(along_mps2).max(over.mps / manner.mps[1]);
-            found.push(MovingOver { side, midway_s, effort, positions });
+            found.push(MovingOver { side, slows: along_mps2 < 0.0, midway_s, effort, positions });
         }
     }
     found
@@ -171,6 +174,7 @@ mod tests {
         // At 10 m/s everywhere, a headway of .7 s is 7 m between bumpers.
         let way = |scene: &Scene| MovingOver {
             side: 1.0,
+            slows: false,
             midway_s: 1.0,
             effort: 0.5,
             positions: (0..=20)

@@ -64,7 +64,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        27
+        28
     }
 
     fn check(&self) -> Result<()> {
