@@ -5,11 +5,13 @@
     python scripts/compare_drives.py old new
 
 Prints CSV: in how many scenarios the second fails and the first does not, and the reverse; the same for a shorter time to collision,
-harder braking and a harder contact; and how likely a difference at least so large is by chance (sign test, two-sided).
+harder braking, a harder contact and, of drives with --bisect, a shorter delay of the others that is survived; and how likely a
+difference at least so large is by chance (sign test, two-sided).
 """
 
 import argparse
 import csv
+import json
 import math
 import pathlib
 import sys
@@ -20,6 +22,7 @@ WORSE = {
     "time to collision shorter by 0.1 s": (lambda row: -math.inf if row["ego_min_ttc_s"] is None else -row["ego_min_ttc_s"], 0.1),
     "brakes harder by 0.2 m/s2": (lambda row: row["max_braking_mps2"], 0.2),
     "contact harder by 0.2 m/s": (lambda row: row["contact_relative_mps"] or 0.0, 0.2),
+    "survives a shorter delay": (lambda row: -row["delay_s"], 0.05),
 }
 
 
@@ -27,9 +30,12 @@ def rows(folder):
     """The row of each scenario, of the driver that was asked for: the first one."""
     import pyarrow.parquet as pq
 
+    margins = json.loads((folder / "drive.json").read_text()).get("margins", {"scenarios": []})
+    # Who fails without any delay survives none.
+    delays_s = {margin["scenario_id"]: -1.0 if (s := margin["own"]["delay_s"]) is None else s for margin in margins["scenarios"]}
     found = {}
     for row in pq.read_table(folder / "drives.parquet").to_pylist():
-        found.setdefault(row["scenario_id"], row)
+        found.setdefault(row["scenario_id"], {**row, "delay_s": delays_s.get(row["scenario_id"], 0.0)})
     return found
 
 

@@ -99,9 +99,8 @@ impl CellSamples<'_> {
     pub(super) fn evaluate(&self, recorded: &Scene, measures: &Measures<'_>, judge: &Judge<'_>) -> CellFigures {
         let samples = self.scenes(recorded);
         let lasts_longer = |record: &&ScenarioRecord| record.scenario.scene.n_timesteps > samples[0].n_timesteps;
-        let whole: Option<Vec<Scene>> = (self.records.iter().any(lasts_longer))
-            .then(|| self.records.iter().map(|record| record.scenario.scene.clone()).collect());
-        let whole = whole.as_deref();
+        let whole: Vec<&Scene> = self.records.iter().map(|record| &record.scenario.scene).collect();
+        let whole = self.records.iter().any(lasts_longer).then_some(&whole[..]);
         let was_recorded = recorded.source.situation == SituationKind::Recorded;
         let with_references = self.with_references && was_recorded;
         let recorded = as_far_as_generated(recorded, &samples);
@@ -118,7 +117,7 @@ impl CellSamples<'_> {
         let evaluate = |group: &SampleGroup<'_>, mode_seed| measures.evaluate(group, requested, mode_seed);
         let asked = &first.scenario.provenance.guidance.roles;
         let asked_to_collide = first.asks_for_collision();
-        let figures = |samples: &[Scene], whole: Option<&[Scene]>| {
+        let figures = |samples: &[Scene], whole: Option<&[&Scene]>| {
             let alone = SampleGroup::equally_likely(&recorded, samples);
             evaluate(&SampleGroup { whole, asked, asked_to_collide, ..alone }, None)
         };
@@ -147,9 +146,7 @@ impl CellSamples<'_> {
             constant_velocity: reference(&baseline, by_baseline),
             together: [evaluate(&together, Some(self.mode_seed())), by_samples].concat(),
             alone: (samples.iter().enumerate())
-                .map(|(i, sample)| {
-                    [figures(one(sample), whole.map(|whole| one(&whole[i]))), undefined.clone()].concat()
-                })
+                .map(|(i, sample)| [figures(one(sample), whole.map(|whole| &whole[i..=i])), undefined.clone()].concat())
                 .collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: with_references

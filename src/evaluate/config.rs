@@ -77,7 +77,8 @@ impl EvaluateConfig {
     /// # Errors
     /// [`Error::Config`] with the key, its value and what was expected.
     pub fn validate(&self) -> Result<()> {
-        settings::check_ranges(self).map_err(|issue| Error::Config {
+        let validity = || self.validity.validate().map_err(|issue| issue.within("validity"));
+        settings::check_ranges(self).and_then(|()| validity()).map_err(|issue| Error::Config {
             message: issue.within("evaluate").to_string(),
             advice: "leave it out for its default".to_owned(),
         })

@@ -62,6 +62,18 @@ impl MapFits {
     /// # Errors
     /// When scenes cannot be read.
     pub fn of(store: &SceneStore, config: &ValidityConfig) -> Result<Self> {
+        Self::with_areas(store, config, true)
+    }
+
+    /// Of all places with lanes, without the driven areas: for those who do not judge departures.
+    ///
+    /// # Errors
+    /// When scenes cannot be read.
+    pub fn of_maps_alone(store: &SceneStore, config: &ValidityConfig) -> Result<Self> {
+        Self::with_areas(store, config, false)
+    }
+
+    fn with_areas(store: &SceneStore, config: &ValidityConfig, with_areas: bool) -> Result<Self> {
         let mut by_place: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         let recorded = store.index().iter().enumerate().filter(|(_, entry)| entry.situation == SituationKind::Recorded);
         for (idx, entry) in recorded {
@@ -71,7 +83,8 @@ impl MapFits {
         for (place, scenes) in by_place {
             let Some(fit) = fit(store, &spread(&scenes, SCENES_PER_PLACE), config)? else { continue };
             let allows_offroad = fit.allows_offroad(config);
-            let area = if allows_offroad { None } else { driven_area(store, place, &scenes, config)? };
+            let is_wanted = with_areas && !allows_offroad;
+            let area = if is_wanted { driven_area(store, place, &scenes, config)? } else { None };
             found.rows.push(MapFitRow {
                 place: place.to_owned(),
                 fit,
@@ -147,11 +160,21 @@ mod tests {
     use serde_json::json;
 
     fn fits(scenes: &[Scene], maps: &[(MapId, LaneGraph)], config: &ValidityConfig) -> MapFits {
+        let store = stored(scenes, maps);
+        let [fits, of_maps] = [MapFits::of, MapFits::of_maps_alone].map(|of| of(&store.1, config).unwrap());
+        // Without the areas, the same places lack road.
+        assert_eq!(of_maps.limits(config).places_without_road, fits.limits(config).places_without_road);
+        assert!(of_maps.driven.is_empty());
+        fits
+    }
+
+    fn stored(scenes: &[Scene], maps: &[(MapId, LaneGraph)]) -> (tempfile::TempDir, SceneStore) {
         let dir = tempfile::tempdir().unwrap();
         let (mut writer, _) = SceneWriter::resume(dir.path()).unwrap();
         writer.write_batch(scenes, maps, Some(0), &json!(0)).unwrap();
         writer.finish(&json!({ "rejects": {} })).unwrap();
-        MapFits::of(&SceneStore::open(dir.path()).unwrap(), config).unwrap()
+        let store = SceneStore::open(dir.path()).unwrap();
+        (dir, store)
     }
 
     #[test]

@@ -236,8 +236,8 @@ fn choose_agents(
     kept
 }
 
-/// Gives a standing track the direction of its lane; without a lane its headings stay 0 in the recording's frame, and
-/// it is false.
+/// Gives a standing track the direction of its lane; without a lane its headings stay, 0 in the recording's frame
+/// unless recorded so, and it is false.
 fn fill_headings(track: &mut Track, gap: HeadingGap, present: usize, map: Option<&LaneIndex>) -> bool {
     let observed = track.trajectory.valid().rev().find(|(timestep, _)| *timestep <= present);
     let Some((_, state)) = observed else { return false };
@@ -260,9 +260,11 @@ fn count_headings(raw: &RawScene, gap: HeadingGap, is_filled: bool, counts: &mut
         _ if is_filled => counts.count_assumed("headings_from_lanes", 1),
         None => counts.count_assumed("headings_unknown", 1),
         Some(_) => {
-            let (file, track) = (&raw.source.file, &raw.tracks[gap.track_idx].id);
+            let (file, Track { id, trajectory, .. }) = (&raw.source.file, &raw.tracks[gap.track_idx]);
+            let assumed_rad = trajectory.valid().next().map_or(0.0, |(_, state)| state.heading_rad);
             let detail = format!(
-                "{file}: scene {}: track {track} never moves, and no lane tells its heading; 0 is assumed",
+                "{file}: scene {}: track {id} never moves, and no lane tells its heading; {assumed_rad:.2} rad is \
+                 assumed",
                 raw.id
             );
             counts.count_warning(Finding { what: "headings_unknown", n: 1, detail });

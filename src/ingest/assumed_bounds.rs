@@ -12,7 +12,7 @@ pub(crate) fn beside(points: &[Vec2], offset_m: f64) -> Polyline {
         let arriving = i.checked_sub(1).map(|previous| direction(points[previous], points[i]));
         let leaving = points.get(i + 1).map(|next| direction(points[i], *next));
         let mean = arriving.unwrap_or(Vec2::ZERO) + leaving.unwrap_or(Vec2::ZERO);
-        points[i] + Vec2::from_angle(mean.angle() + std::f64::consts::FRAC_PI_2) * offset_m
+        points[i] + mean.unit().left() * offset_m
     });
     Polyline(shifted.collect())
 }

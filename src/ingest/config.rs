@@ -128,7 +128,7 @@ impl IngestConfig {
         self.maps == MapsConfig::Required
     }
 
-    /// Refuses values that cannot work for any dataset.
+    /// Refuses values that cannot work, whatever the inputs hold.
     pub fn validate(&self) -> Result<(), Error> {
         let refuse = |key, detail: &str| Err(Error::Config { key: String::from(key), detail: detail.to_owned() });
         if self.inputs.is_empty() {
@@ -142,7 +142,8 @@ impl IngestConfig {
             (Some(_), _) => return refuse("table", "is for dataset = \"table\" alone"),
             (None, _) => {}
         }
-        settings::check_ranges(self).map_err(|Issue { key, message }| Error::Config { key, detail: message })
+        settings::check_ranges(self).map_err(|Issue { key, message }| Error::Config { key, detail: message })?;
+        super::source_of(self).map(drop)
     }
 }
 

@@ -185,7 +185,7 @@ fn read_batches(
                 }
                 let reject = match (&entry.path, original) {
                     (path, _) if is_archive(path) => Some(passed_over(path, reader)),
-                    (_, Some((file, original))) => Some(same_bytes(entry, file, original)),
+                    (_, Some((file, original))) => Some(same_content(entry, file, original)),
                     (path, None) => is_copy(path).then(|| copy(path)),
                 };
                 let flow = match reject {
@@ -214,12 +214,13 @@ fn copied<'c>(entry: &Entry, copies: &'c BTreeMap<PathBuf, PathBuf>) -> Option<(
     [&entry.container, &itself, &packed].into_iter().find_map(|path| copies.get_key_value(path))
 }
 
-/// The reject for a file with the bytes of another one: its scenes would count twice.
-fn same_bytes(entry: &Entry, file: &Path, original: &Path) -> Reject {
+/// The reject for a file with the content of another one: its scenes would count twice.
+fn same_content(entry: &Entry, file: &Path, original: &Path) -> Reject {
     // Names without the folder of the input, as in other rejects.
     let folder: &Path = if file == entry.container { file.parent().unwrap_or(file) } else { &entry.container };
     let name = |path: &Path| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
-    Reject { reason: "recording_repeated", detail: format!("{}: has the same bytes as {}", name(file), name(original)) }
+    let detail = format!("{}: has the same content as {}", name(file), name(original));
+    Reject { reason: "recording_repeated", detail }
 }
 
 /// The reject for a file that is named as a copy of another: its scenes would count twice.

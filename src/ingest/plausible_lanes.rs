@@ -12,8 +12,8 @@ const MAX_WIDTH_M: f64 = 20.0;
 /// A centerline has at least this share of the length of the shorter bound, and the longer bound this share of the
 /// centerline's.
 const MIN_LENGTH_SHARE: f64 = 0.5;
-/// A line that turns by more than this between two segments doubles back, radians.
-const MAX_TURN_RAD: f64 = 170.0 / 180.0 * std::f64::consts::PI;
+/// A line that turns by more than the angle of this cosine, 170 degrees, between two segments doubles back.
+const COS_MAX_TURN: f64 = -0.984_807_753_012_208;
 /// Segments shorter than this may turn in any way, meters.
 const MIN_SEGMENT_M: f64 = 0.5;
 /// The tolerance for lines where lanes begin and end in a point, meters.
@@ -21,6 +21,8 @@ const SLACK_M: f64 = 0.3;
 /// The fewest points at which a lane is judged, and about the most: each is compared with all of the bounds.
 const MIN_POINTS: usize = 5;
 const MAX_POINTS: usize = 1000;
+/// Points closer than this to each other are not all judged, meters: some maps have one at every half a meter.
+const JUDGED_EVERY_M: f64 = 4.0;
 /// From this many points on, an index of a line saves more than it takes.
 const MIN_INDEXED_POINTS: usize = 32;
 
@@ -66,9 +68,12 @@ fn check_lines(lane: &Lane) -> Result<(), Flaw> {
 fn fold(line: &Polyline) -> Option<Vec2> {
     line.0.windows(3).find_map(|points| {
         let (arriving, leaving) = (points[1] - points[0], points[2] - points[1]);
-        let is_long = arriving.norm().min(leaving.norm()) >= MIN_SEGMENT_M;
-        let turn_rad = arriving.cross(leaving).atan2(arriving.dot(leaving)).abs();
-        (is_long && turn_rad > MAX_TURN_RAD).then_some(points[1])
+        let dot = arriving.dot(leaving);
+        let turns = dot < 0.0 && {
+            let (arriving_m, leaving_m) = (arriving.norm(), leaving.norm());
+            arriving_m.min(leaving_m) >= MIN_SEGMENT_M && dot < COS_MAX_TURN * arriving_m * leaving_m
+        };
+        turns.then_some(points[1])
     })
 }
 
@@ -77,7 +82,9 @@ fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
     let points = &resampled.as_ref().unwrap_or(&lane.centerline).0;
     let [on_left, on_right] = [&lane.left, &lane.right].map(projector);
     let (mut widths_m, mut n_on_wrong_side) = (Vec::with_capacity(points.len()), 0);
-    for (i, point) in points.iter().enumerate().step_by(points.len().div_ceil(MAX_POINTS)) {
+    let center_m = lane.centerline.length_m();
+    let n_judged = ((center_m / JUDGED_EVERY_M) as usize).clamp(MIN_POINTS, MAX_POINTS);
+    for (i, point) in points.iter().enumerate().step_by((points.len() / n_judged).max(1)) {
         let (Some(left), Some(right)) = (on_left(*point), on_right(*point)) else { return Ok(()) };
         let (to_left, to_right) = (left.point - *point, right.point - *point);
         let (left_m, right_m) = (to_left.norm(), to_right.norm());
@@ -98,7 +105,7 @@ fn check_bounds(lane: &Lane) -> Result<(), Flaw> {
     if n_on_wrong_side > widths_m.len() / 2 {
         return Err(("lanes_of_contradictory_lines", "its left bound is right of its right one".to_owned()));
     }
-    let [center_m, left_m, right_m] = [&lane.centerline, &lane.left, &lane.right].map(Polyline::length_m);
+    let [left_m, right_m] = [&lane.left, &lane.right].map(Polyline::length_m);
     let (shorter_m, longer_m) = (left_m.min(right_m), left_m.max(right_m));
     if center_m < MIN_LENGTH_SHARE * shorter_m || longer_m + MAX_WIDTH_M < MIN_LENGTH_SHARE * center_m {
         let detail = format!("its centerline has {center_m:.1} m, its bounds {left_m:.1} and {right_m:.1} m");

@@ -15,7 +15,7 @@ pub struct SampleGroup<'a> {
     /// The samples.
     pub samples: &'a [Scene],
     /// The samples to their end, if closed loops last longer than the recording: for figures of samples alone.
-    pub whole: Option<&'a [Scene]>,
+    pub whole: Option<&'a [&'a Scene]>,
     /// How likely each sample is, up to a common factor; `None` if they are equally likely, as plain draws are.
     pub probabilities: Option<&'a [f64]>,
     /// The requested agents as (role, track), in the order of roles; empty if there are none.
@@ -53,7 +53,10 @@ impl<'a> SampleGroup<'a> {
 
     /// The mean `figure` of the whole samples for which it is defined; `None` if there are none.
     pub(super) fn mean_over_whole(&self, figure: impl Fn(&Scene) -> Option<f64>) -> Option<f64> {
-        let figures: Vec<f64> = self.whole.unwrap_or(self.samples).iter().filter_map(figure).collect();
+        let figures: Vec<f64> = match self.whole {
+            Some(whole) => whole.iter().filter_map(|scene| figure(scene)).collect(),
+            None => self.samples.iter().filter_map(figure).collect(),
+        };
         (!figures.is_empty()).then(|| figures.iter().sum::<f64>() / figures.len() as f64)
     }
 

@@ -47,7 +47,7 @@ impl MetricSettings {
     /// # Errors
     /// Names its key below `evaluate`, its value and the expectation.
     pub fn validate(&self) -> settings::Result {
-        settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))
+        self.validity.validate().map_err(|issue| issue.within("validity"))
     }
 }
 

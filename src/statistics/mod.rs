@@ -3,14 +3,12 @@
 mod clustered;
 mod estimate;
 mod gamma;
-mod paired;
 mod pareto;
 mod splitting;
 mod wilson;
 
 pub use clustered::{ClusteredRate, clustered_rate, weighted_rate};
 pub use estimate::Estimate;
-pub use paired::exceeds_chance;
 pub use pareto::Pareto;
 pub use splitting::{Levels, Process, split};
 pub use wilson::wilson_interval;

@@ -159,20 +159,23 @@ fn copies_of_recordings_are_rejected() {
     assert_eq!((report.n_scenes, report.n_units), (3, 4));
     assert!(report.rejects["recording_repeated"].examples[0].starts_with("train/data/0001 (1).csv: "));
 
-    // Equal bytes are one recording, whatever it is called and wherever it lies; others of the same size are none.
+    // Equal content is one recording, whatever it is called, wherever it lies and however its lines end; others of the
+    // same size are none.
     let text = fs_err::read_to_string(file("0001.csv")).expect("text");
     fs_err::remove_file(file("0001 (1).csv")).expect("writable");
     let aside = folder.path().join("val/data/0001_copy.csv");
     fs_err::create_dir_all(aside.parent().expect("a folder")).expect("writable");
-    for path in [&file("0001 - Kopie.csv"), &aside] {
-        fs_err::write(path, &text).expect("writable");
+    let of_windows = text.replace('\n', "\r\n") + "\r\n\r\n";
+    for (path, text) in [(&file("0001 - Kopie.csv"), &text), (&file("0001_old.csv"), &of_windows), (&aside, &text)] {
+        fs_err::write(path, text).expect("writable");
     }
     fs_err::write(file("0009.csv"), text.replacen("2003.5", "2003.6", 1)).expect("writable");
     let (_, report) = run(&config(folder.path()), None).expect("the others are whole");
     let repeated = &report.rejects["recording_repeated"];
-    assert_eq!((repeated.count, report.n_units), (2, 6), "{report:?}");
-    let told = "train/data/0001 - Kopie.csv: has the same bytes as train/data/0001.csv";
-    assert_eq!(repeated.examples[0], told);
+    assert_eq!((repeated.count, report.n_units), (3, 7), "{report:?}");
+    for (told, name) in repeated.examples.iter().zip(["0001 - Kopie.csv", "0001_old.csv"]) {
+        assert_eq!(*told, format!("train/data/{name}: has the same content as train/data/0001.csv"));
+    }
     // Packed, its bytes are others, and its scene is the same.
     pack(folder.path(), "train/data/0001.csv", "train/data/0001.csv.gz");
     let (_, report) = run(&config(folder.path()), None).expect("the others are whole");

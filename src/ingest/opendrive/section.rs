@@ -7,11 +7,6 @@ use crate::ingest::error::Malformed;
 use crate::ingest::xml_tree::Element;
 use std::collections::BTreeSet;
 
-/// Types of lanes on which motor vehicles drive, and on which certainly none do; others are named.
-const DRIVABLE: &str = "driving entry exit onRamp offRamp connectingRamp slipLane bidirectional bus taxi HOV roadWorks \
-                        mwyEntry mwyExit";
-const NOT_DRIVABLE: &str = "shoulder border stop none restricted parking median biking sidewalk walking curb tram rail";
-
 /// A stretch of a road with the same lanes.
 #[derive(Debug)]
 pub(super) struct Section {
@@ -55,7 +50,18 @@ pub(super) struct RoadLane {
 
 impl RoadLane {
     pub(super) fn is_drivable(&self) -> bool {
-        DRIVABLE.split(' ').any(|listed| listed == self.kind)
+        is_drivable(&self.kind) == Some(true)
+    }
+}
+
+/// Whether motor vehicles drive on lanes of a type; `None` for those that are not listed.
+fn is_drivable(kind: &str) -> Option<bool> {
+    match kind {
+        "driving" | "entry" | "exit" | "onRamp" | "offRamp" | "connectingRamp" | "slipLane" | "bidirectional"
+        | "bus" | "taxi" | "HOV" | "roadWorks" | "mwyEntry" | "mwyExit" => Some(true),
+        "shoulder" | "border" | "stop" | "none" | "restricted" | "parking" | "median" | "biking" | "sidewalk"
+        | "walking" | "curb" | "tram" | "rail" => Some(false),
+        _ => None,
     }
 }
 
@@ -146,7 +152,7 @@ fn lane(element: &Element, id: i64, faults: &mut Faults<'_>) -> Result<RoadLane,
         faults.tell("broken_directions", unlisted(element, "direction", direction, "standard, reversed or both"));
     }
     let kind = element.attribute("type").unwrap_or_default().to_owned();
-    if !DRIVABLE.split(' ').chain(NOT_DRIVABLE.split(' ')).any(|listed| listed == kind) {
+    if is_drivable(&kind).is_none() {
         faults.tell("lanes_of_other_types", unlisted(element, "type", &kind, "one such as driving; it is left out"));
     }
     Ok(RoadLane {

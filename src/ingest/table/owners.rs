@@ -7,6 +7,7 @@ use crate::ingest::plausible_tracks::MAX_SPEED_MPS;
 use crate::ingest::raw::SeenTrack;
 use crate::ingest::standing::Standing;
 use crate::scene::AgentClass;
+use std::collections::VecDeque;
 
 /// No vehicle speeds up by more, m/s².
 const MAX_ACCELERATION_MPS2: f64 = 10.0;
@@ -14,8 +15,14 @@ const MAX_ACCELERATION_MPS2: f64 = 10.0;
 const MAX_ERROR_M: f64 = 4.0;
 /// Times without rows up to this are usual, seconds.
 const USUAL_GAP_S: f64 = 1.0;
-/// Over longer times, motion does not tell where an agent is, seconds.
+/// Rows that are farther apart show no motion, seconds.
 const SHORT_S: f64 = 0.5;
+/// The motion is that of this time, seconds: noise of positions weighs less in it than in a single step.
+const MOTION_S: f64 = 0.3;
+/// Where more than a row or two are missing, an agent is as near as this to where its motion leads, meters, and does not
+/// leap: what is filled in could have been driven.
+const GAP_S: f64 = 0.3;
+const MAX_OFF_M: f64 = 1.0;
 /// An id that was not seen for longer is another agent's: datasets count anew in each recording, seconds, and times the
 /// longest gap that is filled in, and the usual time between rows.
 const LOST_S: f64 = 60.0;
@@ -59,8 +66,8 @@ pub(super) struct Owners {
     n_rows: usize,
     begun_s: f64,
     fastest_mps: f64,
-    /// Its last velocity, m/s, and the seconds over which it is taken, if they are few.
-    motion: Option<(Vec2, f64)>,
+    /// Its last times and positions, which show its motion.
+    recent: VecDeque<(f64, Vec2)>,
     /// From when on the id is that of another agent, in the unit of rows, seconds.
     changes: Vec<(f64, Change)>,
     /// Rows that are out of place.
@@ -100,8 +107,13 @@ impl Owners {
         }
         let fastest_mps = if self.n_rows > 1 { self.fastest_mps } else { MAX_SPEED_MPS };
         let is_near = is_reached(&last, &seen, fastest_mps);
-        let off_m = self.off_m(&last, &seen);
-        let goes_on = is_near && off_m.is_none_or(|off_m| off_m <= MAX_LEAP_M);
+        // Beyond the longest gap nothing is filled in.
+        let gap_ends_s = self.suspect.map_or(seen.time_s, |suspect| suspect.time_s);
+        let is_filled = gap_ends_s - last.time_s <= SHORT_S.max(max_gap_s) + 1e-4;
+        let off_m = if is_filled { self.off_m(&seen) } else { None };
+        let longest_step_s = f64::max(GAP_S, 1.5 * self.usual_s()) + 1e-4;
+        let most_m = if gap_s > longest_step_s { MAX_OFF_M } else { MAX_LEAP_M };
+        let goes_on = is_near && off_m.is_none_or(|off_m| off_m <= most_m);
         let Some(other) = self.suspect.take() else {
             if goes_on {
                 return self.accept(seen);
@@ -109,15 +121,15 @@ impl Owners {
             self.suspect = Some(seen);
             return;
         };
-        let leaps = is_reached(&last, &other, fastest_mps);
+        let leaps = other.time_s - last.time_s <= longest_step_s && is_reached(&last, &other, fastest_mps);
         if goes_on && (!leaps || off_m.is_some_and(|off_m| off_m <= BACK_M)) {
             self.jumps_s.push(other.time_s);
             return self.accept(seen);
         }
         if leaps {
             self.leaps_s.push(other.time_s);
+            self.recent.clear();
             self.accept(other);
-            self.motion = None;
             return self.see(seen, max_gap_s);
         }
         if other.time_s < seen.time_s && is_reached(&other, &seen, MAX_SPEED_MPS) {
@@ -138,18 +150,26 @@ impl Owners {
 
     /// How far a row is from where the motion leads, meters, beyond what an agent can speed up; `None` if the motion is
     /// not known.
-    fn off_m(&self, last: &Seen, seen: &Seen) -> Option<f64> {
-        let gap_s = seen.time_s - last.time_s;
-        let (velocity, over_s) = self.motion.filter(|_| gap_s <= SHORT_S)?;
-        let gained_m = MAX_ACCELERATION_MPS2 * gap_s * gap_s.max(over_s);
-        Some(seen.position.distance(last.position + velocity * gap_s) - gained_m)
+    fn off_m(&self, seen: &Seen) -> Option<f64> {
+        let ((from_s, from), (last_s, last)) = (*self.recent.front()?, *self.recent.back()?);
+        let (over_s, gap_s) = (last_s - from_s, seen.time_s - last_s);
+        if over_s <= 0.0 {
+            return None;
+        }
+        // The velocity is that of half the time before.
+        let gained_m = MAX_ACCELERATION_MPS2 * gap_s * (gap_s + over_s) / 2.0;
+        Some(seen.position.distance(last + (last - from) * (gap_s / over_s)) - gained_m)
+    }
+
+    /// The usual time between the rows of the present agent, seconds; 0 if there is one row.
+    fn usual_s(&self) -> f64 {
+        let lasts_s = self.last.map_or(0.0, |last| last.time_s - self.begun_s);
+        lasts_s / self.n_rows.saturating_sub(1).max(1) as f64
     }
 
     /// Whether the present agent is not the one that has the id after this gap.
     fn is_lost(&self, gap_s: f64, max_gap_s: f64) -> bool {
-        let Some(last) = self.last.filter(|_| self.n_rows > 1) else { return false };
-        let usual_s = (last.time_s - self.begun_s) / (self.n_rows - 1) as f64;
-        gap_s > LOST_S.max(LOST_GAPS * max_gap_s.max(usual_s))
+        self.n_rows > 1 && gap_s > LOST_S.max(LOST_GAPS * max_gap_s.max(self.usual_s()))
     }
 
     /// Ends the rows.
@@ -174,12 +194,17 @@ impl Owners {
     }
 
     fn accept(&mut self, seen: Seen) {
-        self.motion = None;
         if let Some(last) = self.last {
-            let (step, gap_s) = (seen.position - last.position, seen.time_s - last.time_s);
-            self.fastest_mps = self.fastest_mps.max(step.norm() / gap_s.max(0.1));
-            self.motion = (gap_s <= SHORT_S).then(|| (step * (1.0 / gap_s), gap_s));
+            let gap_s = seen.time_s - last.time_s;
+            self.fastest_mps = self.fastest_mps.max(seen.position.distance(last.position) / gap_s.max(0.1));
         }
+        if self.last.is_none_or(|last| seen.time_s - last.time_s > SHORT_S + 1e-4) {
+            self.recent.clear();
+        }
+        while self.recent.len() > 1 && seen.time_s - self.recent[0].0 > MOTION_S + 1e-4 {
+            self.recent.pop_front();
+        }
+        self.recent.push_back((seen.time_s, seen.position));
         if self.n_rows == 0 {
             self.begun_s = seen.time_s;
         }
@@ -235,6 +260,11 @@ mod tests {
             ((2.0, 20.0, 12.0, Bus), None),
             ((2.0, 25.0, 4.5, Vehicle), Some(Change::Place)),
             ((2.0, 60.0, 4.5, Vehicle), Some(Change::Place)),
+            // Where the motion leads within half a second, 24 m, and braking or speeding up brings it.
+            ((2.4, 26.5, 4.5, Vehicle), None),
+            ((2.4, 29.0, 4.5, Vehicle), Some(Change::Place)),
+            ((2.9, 36.0, 4.5, Vehicle), None),
+            ((2.9, 40.0, 4.5, Vehicle), Some(Change::Place)),
             ((2.8, 28.0, 4.5, Vehicle), None),
             ((2.8, 68.0, 4.5, Vehicle), Some(Change::Place)),
             ((50.0, 0.0, 4.4, Vehicle), None),

@@ -170,13 +170,24 @@ impl Rows<'_> {
         if observations.is_empty() {
             return Ok(None);
         }
-        let mut headings = headings(&observations, class, chords);
+        let mut found = headings(&observations, class, chords);
         let is_unknown = |(_, source): &(f64, HeadingSource)| *source == HeadingSource::Unknown;
+        // A course over ground is 0 where nothing moves.
+        if chords.is_wheeled && self.are_zero(self.mapping.columns.heading.as_deref(), rows) {
+            observations.iter_mut().for_each(|seen| seen.heading_rad = None);
+            if headings(&observations, class, chords).iter().all(is_unknown) {
+                found.iter_mut().for_each(|(_, source)| *source = HeadingSource::Unknown);
+                let detail =
+                    format!("{}: track {id} never moves; its lane tells its heading, if it is on one", self.file);
+                let n = usize::from(self.is_own(observations[0].frame as f64 * DT_S));
+                left_out.note("headings_of_0_at_rest", n, &detail);
+            }
+        }
         if chords.is_wheeled
-            && headings.iter().all(is_unknown)
+            && found.iter().all(is_unknown)
             && let Some(stood_rad) = self.stood_rad(rows[0], seen)
         {
-            headings.fill((stood_rad, HeadingSource::Held));
+            found.fill((stood_rad, HeadingSource::Held));
         }
         let half_m = extent.unwrap_or_else(|| class.nominal_extent()).length_m / 2.0;
         let ahead_m = match self.mapping.position {
@@ -191,11 +202,16 @@ impl Rows<'_> {
             let position = seen.position + to_center;
             (seen.frame, State { position, heading_rad, velocity: seen.velocity }, source)
         };
-        let states: Vec<_> = observations.iter().zip(headings).map(state).collect();
+        let states: Vec<_> = observations.iter().zip(found).map(state).collect();
         let never_moves = chords.is_wheeled && states.iter().all(|(.., source)| *source == HeadingSource::Unknown);
         let mut track = RecordedTrack::of_states(TrackId(name), class, extent, seen.parked_s.clone(), states);
         track.never_moves = never_moves.then_some(ahead_m);
         Ok(Some(track))
+    }
+
+    /// Whether a column is 0 in all of these rows.
+    fn are_zero(&self, column: Option<&str>, rows: &[u32]) -> bool {
+        self.table.number(column).is_some_and(|numbers| rows.iter().all(|row| numbers[*row as usize] == 0.0))
     }
 
     /// Where an agent points that stands from this row on, if other parts of the table tell.

@@ -161,8 +161,8 @@ impl RecordingSource for Womd<'_> {
     }
 
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
-        // Lanes have three lines, of which the record has one.
-        unit.n_bytes() * 3
+        // The record, and the three lines of each of its lanes.
+        unit.n_bytes() * 4
     }
 
     fn has_own_maps(&self) -> bool {

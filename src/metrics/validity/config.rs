@@ -2,6 +2,7 @@
 
 use super::{Check, DrivenArea};
 use crate::scene::Dataset;
+use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -64,7 +65,8 @@ pub struct ValidityConfig {
     /// Places where departures are not judged, in addition to those that `max_recorded_offroad` excludes.
     #[serde(skip_serializing_if = "BTreeSet::is_empty")]
     pub places_without_road: BTreeSet<String>,
-    /// Where recorded vehicles drive, which is road beside the lanes, by place.
+    /// Where recorded vehicles drive, which is road beside the lanes, by place: found in recordings, and refused in
+    /// configurations.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(skip)]
     pub driven_areas: BTreeMap<String, DrivenArea>,
@@ -97,6 +99,18 @@ impl Default for ValidityConfig {
 }
 
 impl ValidityConfig {
+    /// Checks what a configuration says.
+    ///
+    /// # Errors
+    /// Names the key, its value and the expectation.
+    pub fn validate(&self) -> settings::Result {
+        settings::check_ranges(self)?;
+        match self.driven_areas.is_empty() {
+            true => Ok(()),
+            false => Err(settings::Issue::new("driven_areas", "is no setting: it is found in recordings")),
+        }
+    }
+
     /// Whether motion is checked in scenes of this dataset.
     pub fn checks_motion_of(&self, dataset: Dataset) -> bool {
         self.motion_of.contains(&dataset)

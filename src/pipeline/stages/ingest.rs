@@ -23,7 +23,7 @@ impl Stage for Ingest<'_> {
     }
 
     fn version(&self) -> u32 {
-        14
+        15
     }
 
     fn check(&self) -> Result<()> {

@@ -11,7 +11,6 @@ use crate::metrics::ValidityConfig;
 use crate::model::TrainedDenoiser;
 use crate::progress::Progress;
 use crate::simulate::{LoopCounts, NewScenes, SituationsConfig};
-use crate::statistics::exceeds_chance;
 use crate::store::SceneStore;
 use crate::train::TrainJob;
 use serde::{Deserialize, Serialize};
@@ -25,7 +24,9 @@ const EVERY_S: f64 = 3.0;
 /// The part of the training's time in which loops of the checkpoint are driven; those of what is trained take as long.
 const SHARE: f64 = 0.055;
 /// The least and largest number of loops.
-const N_LOOPS: [usize; 2] = [2, 40];
+const N_LOOPS: [usize; 2] = [3, 40];
+/// How often loops of models that drive as well may be taken for worse ones at most.
+const BY_CHANCE: f64 = 0.125;
 
 /// The part of each closed loop that is valid, up to the first window that is not, by the scene that it begins with.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -38,6 +39,9 @@ pub(super) struct ValidLoops {
     horizon_s: f64,
     /// The time that it took, seconds.
     pub(super) seconds: f64,
+    /// What is valid, once it is known.
+    #[serde(skip)]
+    limits: Option<ValidityConfig>,
 }
 
 /// Hears whether to stop, and shows nothing.
@@ -75,7 +79,7 @@ impl ValidLoops {
 
     /// Drives loops with another model from the same scenes.
     pub(super) fn again(&self, model: &TrainedDenoiser, scenes: &OpenedScenes, job: TrainJob<'_>) -> Result<Self> {
-        let mut loops = Self { horizon_s: self.horizon_s, ..Self::default() };
+        let mut loops = Self { horizon_s: self.horizon_s, limits: self.limits.clone(), ..Self::default() };
         let Some((store, held_out)) = scenes.held_out() else { return Ok(loops) };
         let is_driven = |position: &&usize| self.n_valid.contains_key(store.index().get(**position).id);
         let positions: Vec<usize> = held_out.iter().filter(is_driven).copied().collect();
@@ -102,8 +106,10 @@ impl ValidLoops {
             ..SituationsConfig::default()
         };
         let futures = Futures::new(model, job.seed.0, &job.compute.device)?;
-        let validity = ValidityConfig::default();
-        let validity = MapFits::of(store, &validity)?.limits(&validity);
+        let validity = match self.limits.take() {
+            Some(limits) => limits,
+            None => MapFits::of(store, &ValidityConfig::default())?.limits(&ValidityConfig::default()),
+        };
         let ingest = IngestConfig::new(store.index().get(*first).dataset, Vec::new());
         let new = NewScenes { config: &config, futures: &futures, store, validity: &validity, ingest: &ingest };
         for position in &positions {
@@ -117,6 +123,7 @@ impl ValidLoops {
             Ok(())
         })?;
         job.progress.finish();
+        self.limits = Some(validity);
         self.n_windows = (counts.n_scenes + counts.n_left_out) / counts.n_loops.max(1);
         Ok(())
     }
@@ -132,17 +139,26 @@ impl ValidLoops {
         if n > 0.0 { self.n_valid.values().sum::<u64>() as f64 / n } else { 1.0 }
     }
 
-    /// Whether loops from the same scenes are less valid than these by more than chance brings.
+    /// Whether loops from the same scenes are less valid than these in so many more scenes than they are more valid
+    /// that chance brings it in at most [`BY_CHANCE`] (a sign test): a few loops of long trainings say little.
     pub(super) fn are_better_than(&self, others: &Self) -> bool {
-        let pairs = self.n_valid.iter().filter_map(|(scene, n)| Some((*n, *others.n_valid.get(scene)?)));
-        exceeds_chance(&pairs.map(|(n, of_other)| n as f64 - of_other as f64).collect::<Vec<_>>())
+        let pairs = || self.n_valid.iter().filter_map(|(scene, n)| Some((*n, *others.n_valid.get(scene)?)));
+        let n_worse = pairs().filter(|(n, of_other)| of_other < n).count();
+        let n_differing = pairs().filter(|(n, of_other)| of_other != n).count();
+        let mut share = 0.5_f64.powi(n_differing as i32);
+        let mut by_chance = 0.0;
+        for n in 0..=n_differing {
+            by_chance += if n >= n_worse { share } else { 0.0 };
+            share *= (n_differing - n) as f64 / (n + 1) as f64;
+        }
+        by_chance <= BY_CHANCE
     }
 
     /// Loops of nine windows, of which so many are valid.
     #[cfg(test)]
     pub(super) fn made(n_valid: &[u64]) -> Self {
         let n_valid = n_valid.iter().enumerate().map(|(i, n)| (format!("scene {i}"), *n)).collect();
-        Self { n_valid, n_windows: 9, horizon_s: 30.0, seconds: 0.0 }
+        Self { n_valid, n_windows: 9, horizon_s: 30.0, ..Self::default() }
     }
 }
 
@@ -151,12 +167,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loops_are_worse_by_more_than_the_standard_error() {
+    fn loops_are_worse_if_more_scenes_are_than_chance_brings() {
         let began = ValidLoops::made(&[9, 9, 9, 5]);
         assert!((began.valid_share() - 32.0 / 36.0).abs() < 1e-12);
-        // Differences 9, 9, 0, 0: a mean of 4.5 and a standard error of 2.6; 0, 0, 0, 5: both are 1.25.
-        assert!(began.are_better_than(&ValidLoops::made(&[0, 0, 9, 5])));
-        assert!(!began.are_better_than(&ValidLoops::made(&[9, 9, 9, 0])));
+        // One of eight if three of three are worse, one of four if two are, five of sixteen if three of four are.
+        assert!(began.are_better_than(&ValidLoops::made(&[0, 8, 3, 5])));
+        assert!(!began.are_better_than(&ValidLoops::made(&[0, 0, 9, 5])));
+        assert!(!began.are_better_than(&ValidLoops::made(&[0, 0, 0, 9])));
         assert!(!began.are_better_than(&began) && !began.are_better_than(&ValidLoops::made(&[9; 4])));
         assert!(!ValidLoops::default().are_better_than(&ValidLoops::default()));
     }

@@ -104,3 +104,55 @@ fn small_jumps_are_left_out_or_named_and_large_ones_end_a_track() {
         }
     }
 }
+
+#[test]
+fn gaps_are_filled_as_far_as_they_can_be_driven() {
+    // Half a second is missing, and the car goes on so far aside.
+    for (aside_m, what, ids) in
+        [(2.0, "gaps_filled", 1), (8.0, "ids_of_another_agent", 2), (12.0, "ids_of_another_agent", 2)]
+    {
+        let rows = |i: usize, t: f64, x: f64| match i {
+            0..45 => format!("1,{t},{x},0"),
+            _ => format!("1,{},{},{aside_m}", t + 0.4, x + 4.0),
+        };
+        let (found, scenes) = doubts(&drive("id,t,x,y", 90, rows), PLAIN);
+        assert_eq!(found.keys().collect::<Vec<_>>(), [what], "{found:?}");
+        assert!(
+            found[what].0 == 1 && (ids == 1 || found[what].1.contains("line 47: track 1 goes on as 1#2: no vehicle"))
+        );
+        let names: std::collections::BTreeSet<&str> =
+            scenes.iter().flat_map(|scene| &scene.tracks).map(|track| track.id.0.as_str()).collect();
+        assert_eq!(names.len(), ids, "{names:?}");
+        for track in scenes.iter().flat_map(|scene| &scene.tracks) {
+            let fastest_mps = track.trajectory.valid().map(|(_, state)| state.velocity.norm()).fold(0.0, f64::max);
+            assert!(fastest_mps < 13.0, "{aside_m}: {} at {fastest_mps} m/s", track.id);
+        }
+    }
+}
+
+#[test]
+fn a_course_of_0_at_rest_is_none() {
+    // North on a compass is 0, and so is the course of who never moves: on a lane to the west it points west.
+    let road = |y: f64| {
+        format!(
+            "<OpenDRIVE><road id='1' length='90'><planView><geometry s='0' x='60' y='{y}' hdg='3.141592653589793' \
+             length='90'><line/></geometry></planView><lanes><laneSection s='0'><right><lane id='-1' type='driving'>\
+             <width sOffset='0' a='3.5' b='0' c='0' d='0'/></lane></right></laneSection></lanes></road></OpenDRIVE>"
+        )
+    };
+    let row = |_: usize, t: f64, x: f64| format!("1,{t},{},0,270\n2,{t},9,0,0", 40.0 - x / 2.0);
+    let folder = file("a.csv", &drive("id,t,x,y,h", 60, row));
+    let mapping = "heading = 'compass_degrees'\nplace = 'm'
+        columns = { track = 'id', x = 'x', y = 'y', time = 't', heading = 'h' }";
+    for (y, toward_deg, kinds) in [(-1.75, 180.0, 1), (30.0, 90.0, 3)] {
+        fs_err::write(folder.path().join("m.xodr"), road(y)).unwrap();
+        let maps = crate::ingest::MapsConfig::Required;
+        let (scenes, report) = read(&IngestConfig { maps, ..config(folder.path(), mapping) }).unwrap();
+        assert!(report.warnings["headings_of_0_at_rest"].examples[0].contains("track 2 never moves"));
+        assert_eq!(report.warnings.len(), kinds, "{:?}", report.warnings);
+        for (_, state) in track(&scenes[0], "2").trajectory.valid() {
+            let heading_rad = state.transformed(&scenes[0].world_from_scene).heading_rad;
+            assert!(angle_difference(heading_rad, f64::to_radians(toward_deg)).abs() < 1e-9, "{y}: {heading_rad}");
+        }
+    }
+}

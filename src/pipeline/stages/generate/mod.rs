@@ -127,12 +127,17 @@ impl Generate<'_> {
     /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a
     /// metric that depends on them, otherwise only the places without a road, for the rules of traffic.
     fn judging_settings(&self) -> MetricSettings {
-        if self.config.selects_by(|id| self.metric_settings.decide(id)) {
+        if self.judges_samples() {
             return self.metric_settings.clone();
         }
         let places_without_road = self.metric_settings.validity.places_without_road.clone();
         let validity = ValidityConfig { places_without_road, ..ValidityConfig::default() };
         MetricSettings { validity }
+    }
+
+    /// Whether samples are selected or accepted by a metric that depends on settings.
+    fn judges_samples(&self) -> bool {
+        self.config.selects_by(|id| self.metric_settings.decide(id))
     }
 
     /// The recorded scenes, and the situations that nobody recorded.
@@ -145,7 +150,8 @@ impl Generate<'_> {
     /// [`Self::judging_settings`] as in the evaluation: departures are judged only where maps allow it.
     fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
         let settings = self.judging_settings();
-        let validity = MapFits::of(store, &settings.validity)?.limits(&settings.validity);
+        let fits = if self.judges_samples() { MapFits::of } else { MapFits::of_maps_alone };
+        let validity = fits(store, &settings.validity)?.limits(&settings.validity);
         Ok(MetricSettings { validity })
     }
 
