@@ -144,6 +144,7 @@ impl Rows<'_> {
                 let off = |other_m: &f64| (times * other_m / unit_m).ln().abs();
                 let nearest_m = UNITS_M.into_iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(unit_m);
                 let doubt = match middle {
+                    Some(_) if nearest_m == unit_m => "are columns.length and columns.width right?".to_owned(),
                     Some(_) => format!(
                         "is ingest.table.length_unit_m {nearest_m} instead of {unit_m}? If positions are in another \
                          unit than sizes, convert these"

@@ -56,10 +56,10 @@ impl Rows<'_> {
     }
 }
 
-/// The indices of values that stand for no heading, such as 999 or -9999: whole numbers beyond a circle, and half a
+/// The indices of values that stand for no heading, such as 999 or -9999: whole numbers beyond two circles, and half a
 /// circle or more from the values around, which may be added up over turns.
 fn stand_ins(values: &[f64], circle: f64) -> Vec<usize> {
-    let is_odd = |value: f64| value.abs() > circle && value.fract() == 0.0;
+    let is_odd = |value: f64| value.abs() > 2.0 * circle && value.fract() == 0.0;
     let (mut found, mut end) = (Vec::new(), 0);
     for same in values.chunk_by(|a, b| a == b) {
         let start = end;

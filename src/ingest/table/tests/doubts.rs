@@ -50,8 +50,9 @@ fn headings_that_cannot_be_are_blank_and_follow_from_the_motion() {
     let stands = |t: f64| (3.0..=6.0).contains(&t);
     let mapping = "heading = 'degrees'\ncolumns = { track = 'id', x = 'x', y = 'y', time = 't', heading = 'h' }";
     type Heading<'a> = &'a dyn Fn(usize, f64) -> f64;
-    let cases: [(Heading<'_>, Heading<'_>, &str, u64); 8] = [
+    let cases: [(Heading<'_>, Heading<'_>, &str, u64); 9] = [
         (&|_, _| 90.0, &|_, _| 90.0, "", 0),
+        (&|_, _| 450.0, &|_, _| 450.0, "", 0),
         // Added up over turns.
         (&|i, _| 810.0 + 1e-10 * i as f64, &|_, _| 1170.0 + 1e-10, "", 0),
         (&|i, _| if (20..29).contains(&i) { 999.0 } else { 90.0 }, &|_, _| 90.0, "headings_beyond_a_circle", 9),
