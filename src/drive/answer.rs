@@ -113,6 +113,7 @@ mod tests {
             ("\"curvature\": 0.05", "curvature is no key of \"action\""),
             ("\"curvature\": 0.05", "; did you mean curvature_1pm?"),
             ("\"acceleration\": 0.05", "; did you mean acceleration_mps2?"),
+            ("\"trajectry\": []", "; did you mean trajectory?"),
             ("\"steer\": 1", "expected trajectory, acceleration_mps2, curvature_1pm"),
             ("\"acceleration_mps2\": 1, \"acceleration_mps2\": 2", "acceleration_mps2 is there twice"),
             ("\"acceleration_mps2\": \"1\"", "acceleration_mps2 has \"1\", expected a number"),
@@ -123,6 +124,7 @@ mod tests {
             let found = action(more).unwrap_err();
             assert!(found.contains(why), "{found}");
         }
+        assert!(!action("\"steer\": 1").unwrap_err().contains("did you mean"));
         for (line, why) in [
             ("[1]", "no JSON object"),
             ("{}", "type is missing"),

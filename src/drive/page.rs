@@ -1,5 +1,6 @@
 //! The page of a drive, for people: the failures that matter, and both drives to play side by side.
 
+use super::rates::has_failed;
 use super::report::DriveReport;
 use crate::coverage::{Tag, Tags};
 use crate::quantile::quantile;
@@ -255,7 +256,7 @@ fn surroundings(by_behavior: &BTreeMap<&str, Vec<&DriveRow>>, tags: &BTreeMap<St
 }
 
 fn count(cell: &mut DriveCell, row: &DriveRow) {
-    let has_failed = Outcome::ALL.iter().any(|outcome| outcome.is_failure() && outcome.name() == row.outcome);
+    let has_failed = has_failed(row);
     cell.n += 1;
     cell.n_failed += u64::from(has_failed);
     cell.n_avoidable += u64::from(has_failed && row.careful_survives == Some(true));
@@ -268,6 +269,7 @@ mod tests {
     use crate::report::render_drives;
     use crate::scene::Scene;
     use crate::scene::testing::{Drive, scene};
+    use crate::simulate::Traffic;
     use std::sync::Arc;
 
     #[test]
@@ -305,5 +307,29 @@ mod tests {
         let page = render_drives(&page);
         assert!(page.contains("short beyond") && page.contains("cut in") && !page.contains("<article"));
         assert!(page.contains("survives 0 scenarios that this driver does not.") && !page.contains("come first"));
+    }
+    #[test]
+    fn traffic_is_told_by_stretch_as_far_as_it_was_driven() {
+        let mut report = DriveReport::new(&crate::drive::EgoDriver::from_name("idm"), None, 1, "m");
+        let driven = Traffic {
+            driven_s: [20.0, 0.0, 0.0, 5.0],
+            agent_s: [500.0, 0.0, 0.0, 40.0],
+            agent_s_as_recorded: [400.0, 0.0, 0.0, 0.0],
+            standing_s: [125.0, 0.0, 0.0, 0.0],
+            n_arrived: [7, 0, 0, 2],
+            n_arrived_recorded: [4, 0, 0, 1],
+            n_left: [3, 0, 0, 0],
+            n_collided: [2, 0, 0, 0],
+            ..Traffic::default()
+        };
+        report.traffic.insert("idm".to_owned(), driven);
+        let rows: Vec<Vec<String>> = traffic(&report).rows.into_iter().map(|row| row.cells).collect();
+        assert_eq!(
+            rows,
+            [
+                ["idm", "0 to 2", "1.25", "7 (4 as recorded)", "3", "4.00", "0.25"],
+                ["idm", "8 and more", "–", "2 (1 as recorded)", "0", "0.00", "0.00"],
+            ]
+        );
     }
 }

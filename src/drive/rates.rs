@@ -171,7 +171,8 @@ pub(super) fn failure_rates(rows: &[DriveRow], asked: &str, buckets: &Buckets) -
     places.into_iter().map(of_place).collect()
 }
 
-fn has_failed(row: &DriveRow) -> bool {
+/// Whether the driver fails.
+pub(super) fn has_failed(row: &DriveRow) -> bool {
     Outcome::ALL.iter().any(|outcome| outcome.is_failure() && outcome.name() == row.outcome)
 }
 

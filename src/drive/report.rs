@@ -1,5 +1,6 @@
 //! The result of driving a corpus in figures: how many drives failed and how, and which failures matter.
 
+use super::rates::has_failed;
 use super::{EgoDriver, FailureRates, Margins, SplitFailures};
 use crate::generate::NamedDriver;
 use crate::quantile::quantile;
@@ -120,7 +121,7 @@ pub struct Matters {
 
 impl Failures {
     fn count(&mut self, row: &DriveRow) {
-        let has_failed = Outcome::ALL.iter().any(|outcome| outcome.is_failure() && outcome.name() == row.outcome);
+        let has_failed = has_failed(row);
         let is_hit = row.outcome == Outcome::Hit.name();
         let is_avoidable = row.careful_survives == Some(true);
         self.n_scenarios += 1;
@@ -269,24 +270,32 @@ mod tests {
     #[test]
     fn what_matters_is_what_the_careful_driver_survives_hardest_first() {
         use Outcome::{Hit, LeftRoad, Survived};
-        let rows: Vec<DriveRow> =
+        let mut rows: Vec<DriveRow> =
             [(1.0, Hit, Survived), (2.0, Hit, Hit), (3.0, LeftRoad, Survived), (4.0, Survived, Hit)]
                 .into_iter()
                 .enumerate()
                 .flat_map(|(i, (gap_m, own, careful))| {
                     let (id, survives) = (format!("s{i}"), careful == Survived);
-                    [row(&id, "planner", own, survives, gap_m), row(&id, "careful", careful, survives, gap_m)]
+                    let drives = [("planner", own), ("careful", careful), ("constant_velocity", own)];
+                    drives.map(|(driver, outcome)| row(&id, driver, outcome, survives, gap_m))
                 })
                 .collect();
+        // The first scenario ends with a hit in the rear; who leaves the road with somebody in its rear is not hit.
+        for (at, side) in [(0, Side::Rear), (3, Side::Front), (6, Side::Rear)] {
+            rows[at].contact = Some(("7".to_owned(), side.name().to_owned(), 3.0));
+        }
         let mut report = DriveReport::new(&EgoDriver::from_name("./drive"), Some(RolloutConfig::default()), 1, "m");
+        report.left_out.insert("has no ego".to_owned(), 2);
         report.finish(&rows, "planner");
+        assert_eq!((report.n_scenarios, report.n_unjudged, report.n_judged()), (4, 2, 4));
+        assert_eq!(report.n_survived_at_constant_velocity, Some(1));
         let failures = Failures {
             n_scenarios: 4,
             n_failed: 3,
             n_avoidable: 2,
             n_hit: 2,
             n_hit_avoidable: 1,
-            n_hit_in_rear: 0,
+            n_hit_in_rear: 1,
             n_careful_failed: 2,
             n_event_happens: 3,
             n_event_avoided: 0,

@@ -56,6 +56,7 @@ fn the_innermost_list_names_every_file_that_was_begun() {
     write(&dir.path().join("folder/a.txt"), "a");
     write(&inner.join("line\nbreak.txt"), "b");
     drop(AtomicFile::create(&dir.path().join("given up.txt")).unwrap());
+    assert_eq!(foreign(dir.path(), &BTreeSet::new()).unwrap().len(), 4, "nothing is left of it");
     assert_eq!(listed(dir.path()).unwrap(), Some(names_of(&["folder/a.txt", "given up.txt"])));
     assert_eq!(listed(&inner).unwrap(), Some(names_of(&["line\nbreak.txt"])));
     assert_eq!(listed(&dir.path().join("folder")).unwrap(), None);
@@ -142,6 +143,7 @@ fn only_what_the_list_names_is_removed() {
     fs::remove_file(work.join("corpus/y/thesis.doc")).unwrap();
     fs::remove_file(work.join("corpus/y/c.parquet.partial")).unwrap();
     assert!(remove_listed(&work, &ours).unwrap().is_empty() && !work.exists());
+    assert!(remove_listed(&work, &ours).unwrap().is_empty(), "what another process has removed is gone");
 }
 
 #[test]
@@ -267,7 +269,13 @@ fn a_folder_appears_whole_or_not_at_all() {
     let left_again = unique_partial(&out);
     fs::rename(&left, &left_again).unwrap();
     fs::create_dir(&out).unwrap();
+    // The folder of another command at work stays, too.
+    let beside = out.with_file_name("beside");
+    fs::create_dir(&beside).unwrap();
+    keep_list(&beside).unwrap();
+    write(&beside.join("a.parquet"), "half");
     let folder = NewFolder::begin(&out, []).unwrap();
+    assert!(beside.join("a.parquet").exists());
     assert!(left_again.join("thesis.doc").exists() && !left_again.join("lanes.parquet").exists());
     write(&folder.path().join("manifest.json"), "whole");
     folder.commit().unwrap();

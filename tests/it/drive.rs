@@ -307,15 +307,15 @@ fn a_planner_that_peeks_drives_as_one_that_does_not() {
 }
 
 #[test]
-fn one_process_serves_all_scenarios() {
+fn one_process_serves_all_scenarios_up_to_the_limit() {
     let dir = tempfile::tempdir().unwrap();
     let (out, log) = (dir.path().join("out"), dir.path().join("log"));
     let command = format!("sh -c 'echo start >> {}; exec {}'", log.display(), example("--late"));
-    drive(&command, &out, &["--horizon-s", "2", "--threads", "1"]).expect(0);
+    drive(&command, &out, &["--horizon-s", "2", "--threads", "1", "--limit", "3"]).expect(0);
     let found = report(&out);
     assert_eq!(fs_err::read_to_string(log).unwrap(), "start\n");
     assert!(found["outcomes"]["planner"].get("planner_failed").is_none(), "{found}");
-    assert_eq!(found["n_scenarios"], N_SCENARIOS);
+    assert_eq!(found["n_scenarios"], 3);
 }
 
 #[test]

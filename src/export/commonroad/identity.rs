@@ -85,4 +85,22 @@ mod tests {
             assert_eq!(benchmark_id(&scene, 7), expected);
         }
     }
+    #[test]
+    fn behaviors_are_named_by_the_tags_of_the_format() {
+        let mut record = testing::record(&testing::scene());
+        for (behavior, expected) in [
+            ("cut_in", &["simulated", "cut_in"][..]),
+            ("lane_change", &["simulated", "lane_change"]),
+            ("left_turn", &["simulated", "turn_left"]),
+            ("right_turn", &["simulated", "turn_right"]),
+            ("hard_brake", &["simulated", "emergency_braking"]),
+            ("near_miss", &["simulated", "critical"]),
+            ("collision", &["simulated"]),
+        ] {
+            record.requested_behavior = Some(behavior.to_owned());
+            record.events[0].behavior = behavior.to_owned();
+            let item = Item { record: &record, number: 1, stem: "a".to_owned(), ego_idx: 0, terms: "none" };
+            assert_eq!(tags(&item), expected, "{behavior}");
+        }
+    }
 }

@@ -112,6 +112,12 @@ fn sizes_and_classes_may_be_in_a_table_of_tracks() {
         scenes[0].tracks.iter().map(of).collect::<Vec<_>>(),
         [("7".to_owned(), AgentClass::Vehicle, 4.5), ("8".to_owned(), AgentClass::Cyclist, 1.8)]
     );
+    // Who is not in it is left out and named.
+    meta("id,l,w,class\n7,4.5,1.8,Car\n");
+    let (scenes, report) = read(&config(folder.path(), mapping)).unwrap();
+    let missing = &report.warnings["agents_missing_in_their_table"];
+    assert!(scenes[0].tracks.len() == 1 && missing.count == 1, "{missing:?}");
+    assert!(missing.examples[0].contains("01_tracksMeta.csv: no row for track 8"), "{missing:?}");
 }
 
 #[test]

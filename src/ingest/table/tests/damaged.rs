@@ -57,11 +57,14 @@ fn what_is_bad_costs_no_more_than_itself_and_is_counted() {
         is_kept(&whole.replacen(from, to, 1), what, u64::from(!what.is_empty()), said, all);
     }
     let at_once = whole.replacen("2,1.2,12,8,", "2,1.3,52,8,", 1);
+    let is_seen = |line: &&str| !line.starts_with("2,") || line.starts_with("2,0,") || line.starts_with("2,9.9,");
+    let seldom = whole.lines().filter(is_seen).collect::<Vec<_>>().join("\n");
     for (text, what, said) in [
         (of_agent(2, ",car", ",e-scooter"), "agents_of_unlisted_class", "line 3: column c is \"e-scooter\""),
         (of_agent(2, ",car", ","), "agents_of_unlisted_class", "line 3: column c is \"\""),
         (of_agent(2, ",4.5,1.8", ",-4.5,1.8"), "agents_with_bad_values", "line 3: track 2 is -4.5 by 1.8 m"),
         (at_once, "agents_at_two_places_at_one_time", "track 2 is at two positions at one time"),
+        (seldom, "agents_with_rows_far_apart", "the rows of track 2 are 9.900 s apart"),
     ] {
         is_kept(&text, what, 1, said, [40, 0, 40, 40]);
     }
