@@ -20,7 +20,7 @@ impl Stopwatch {
 
 /// The time as `2026-11-21T02:45:34Z`.
 pub(super) fn utc_now() -> String {
-    humantime::format_rfc3339_seconds(SystemTime::now()).to_string()
+    humantime::format_rfc3339_seconds(SystemTime::now().max(SystemTime::UNIX_EPOCH)).to_string()
 }
 
 /// Peak memory of the process, bytes; `None` if the system does not report it.
