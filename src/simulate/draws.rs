@@ -2,7 +2,7 @@
 
 use super::Result;
 use super::drivers::expected;
-use super::reaction::{brake, ease, go_on, join, keep_to_lanes, walk_on};
+use super::reaction::{brake, ease, go_on, keep_to_lanes, walk_on};
 use super::rollout::{Drive, OFF_ROAD_SLACK_M};
 use super::situation::Situation;
 use crate::generate::{Continued, Futures};
@@ -50,8 +50,6 @@ impl Drive<'_> {
             !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
         };
         let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
-        let released = agents.iter().copied().filter(|idx| situation.plan(&self.world, *idx, now).is_some());
-        let released: Vec<usize> = released.filter(|_| now > situation.scene.current_timestep()).collect();
         let stream = self.world.stream(futures.seed());
         let draw = |name: &str| -> Result<Result<Scene, UnfitScene>> {
             let sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
@@ -59,7 +57,6 @@ impl Drive<'_> {
                 go_on(situation, &self.world, &mut sampled, &agents);
                 walk_on(situation, &mut sampled, &agents);
                 keep_to_lanes(situation, &mut sampled, &agents);
-                join(&mut sampled, &released);
                 ease(situation, &mut sampled, &agents);
                 brake(situation, &mut sampled, &agents);
                 sampled

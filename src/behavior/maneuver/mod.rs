@@ -197,9 +197,9 @@ impl Plan {
             |template, (agent_idx, positions)| {
                 template.with(scene, *agent_idx, |elapsed_s| {
                     let step = elapsed_s / scene.dt_s;
-                    let before = (step as usize).min(positions.len().checked_sub(2)?);
-                    // Beyond the last position, the last step goes on.
-                    Some(positions[before].lerp(positions[before + 1], step - before as f64))
+                    let before = (step as usize).min(positions.len() - 1);
+                    let after = (before + 1).min(positions.len() - 1);
+                    Some(positions[before].lerp(positions[after], step - before as f64))
                 })
             },
         )

@@ -9,8 +9,6 @@ pub(super) use checks::{InTheWay, distinct, follows};
 
 use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{STANDING_STEP_M, Scene, State, Trajectory, velocity_at};
-use crate::seed::Seed;
-use std::f64::consts::TAU;
 
 /// The time within which an agent comes from its observed motion over to the template, seconds.
 const FADE_S: f64 = 1.5;
@@ -31,12 +29,6 @@ const SETTLED_MPS2: f64 = 3.0;
 pub(super) const MOST_ANGLE_RAD: f64 = 0.35;
 /// Agents below this speed stand, m/s.
 pub(super) const STANDING_MPS: f64 = 0.5;
-
-/// Nobody keeps a speed exactly: two waves of these lengths, seconds, each with this much acceleration, m/s². Together
-/// they have an effective value of 0.07 m/s²; in the bundled recordings, that of vehicles that keep their speed is 0.06 in
-/// the median.
-const WAVES_S: [f64; 2] = [4.3, 6.7];
-const WAVE_MPS2: f64 = 0.07;
 
 /// The futures of the agents that take part.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,25 +51,10 @@ impl Template {
         Self { motions: Vec::new() }
     }
 
-    /// Adds an agent that follows `place`, its position in the scene frame, meters, by the seconds after the present,
-    /// up to half a second beyond the end of the scene. The motion starts at the agent's present position, velocity and
-    /// acceleration and comes over to `place` within [`FADE_S`]; a vehicle is a little early or late there, as nobody
-    /// keeps a speed exactly. `None` if the agent is not tracked at present, or `place` is undefined at some time.
-    pub(crate) fn with(self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
-        let speed_mps = scene.state(agent_idx, scene.current_timestep())?.speed_mps();
-        let wavers = scene.tracks[agent_idx].class.is_motorized() && speed_mps > STANDING_MPS;
-        let style = style(scene, agent_idx);
-        let early_s = |elapsed_s: f64| if wavers { wavers_m(style, elapsed_s) / speed_mps } else { 0.0 };
-        self.exactly_with(scene, agent_idx, |elapsed_s| place((elapsed_s + early_s(elapsed_s)).max(0.0)))
-    }
-
-    /// As [`Self::with`], for an agent that keeps to `place`.
-    pub(crate) fn exactly_with(
-        mut self,
-        scene: &Scene,
-        agent_idx: usize,
-        place: impl Fn(f64) -> Option<Vec2>,
-    ) -> Option<Self> {
+    /// Adds an agent that follows `place`, its position in the scene frame, meters, by the seconds after the present.
+    /// The motion starts at the agent's present position, velocity and acceleration and comes over to `place` within
+    /// [`FADE_S`]. `None` if the agent is not tracked at present, or `place` is undefined at some time.
+    pub(crate) fn with(mut self, scene: &Scene, agent_idx: usize, place: impl Fn(f64) -> Option<Vec2>) -> Option<Self> {
         let state = scene.state(agent_idx, scene.current_timestep()).filter(|state| state.is_finite())?;
         let start = place(0.0)?;
         let missing = state.position - start;
@@ -167,20 +144,6 @@ pub(super) fn settled_mps(scene: &Scene, agent_idx: usize, speed_mps: f64) -> f6
     let observed = state.zip(observed_acceleration(scene, agent_idx));
     let along_mps2 = observed.map_or(0.0, |(state, observed)| observed.dot(Vec2::from_angle(state.heading_rad)));
     (speed_mps + along_mps2.clamp(-SETTLED_MPS2, SETTLED_MPS2) * SETTLING_S / 2.0).max(0.0)
-}
-
-/// How a driver differs from others, from 0 to 1: the same whenever it is asked of a track in a scene.
-pub(super) fn style(scene: &Scene, agent_idx: usize) -> f64 {
-    Seed(0).derive_named(&scene.id.0, &scene.tracks[agent_idx].id.0).rng().uniform()
-}
-
-/// How far a driver with this style is ahead of an even drive after a time, meters.
-fn wavers_m(style: f64, elapsed_s: f64) -> f64 {
-    let wave = |(i, length_s): (usize, f64)| {
-        let (rate, phase) = (TAU / length_s, TAU * style * (i + 1) as f64);
-        WAVE_MPS2 / (rate * rate) * ((rate * elapsed_s + phase).sin() - phase.sin())
-    };
-    WAVES_S.into_iter().enumerate().map(wave).sum()
 }
 
 /// The positions of an agent up to the present, in the scene frame, meters.
@@ -306,19 +269,6 @@ fn solved(mut matrix: Vec<[f64; 4]>, mut values: Vec<Vec2>) -> Vec<Vec2> {
 mod tests {
     use super::*;
     use crate::scene::testing::{self, Drive};
-
-    #[test]
-    fn nobody_keeps_a_speed_exactly() {
-        // Two sines of 0.07 m/s² each have an effective value of 0.07 m/s² together.
-        let mut squares = 0.0;
-        for (i, j) in (0..50).flat_map(|i| (0..200).map(move |j| (i, j))) {
-            let (style, t, h) = (f64::from(i) / 50.0, f64::from(j) * 0.1, 1e-3);
-            let bend = wavers_m(style, t + h) - 2.0 * wavers_m(style, t) + wavers_m(style, t - h);
-            squares += (bend / (h * h)).powi(2) / 10_000.0;
-        }
-        assert!((squares.sqrt() - 0.07).abs() < 0.003, "{}", squares.sqrt());
-        assert!(wavers_m(0.3, 0.0).abs() < 1e-12 && wavers_m(0.3, 3.0).abs() < 0.3);
-    }
 
     #[test]
     fn the_quintic_has_the_shape_that_is_said_of_it() {

@@ -2,7 +2,6 @@
 //! model would not have driven, more often than not. Nobody lets go of a pedal within a tenth of a second.
 
 use super::{at_stations, future, replace, stations};
-use crate::behavior::Template;
 use crate::scene::{Scene, State};
 use crate::simulate::situation::Situation;
 
@@ -24,17 +23,6 @@ pub(in crate::simulate) fn ease(situation: &Situation, scene: &mut Scene, agents
             && let Some(eased) = eased(&past, &own, scene.dt_s)
         {
             replace(scene, agent_idx, &eased);
-        }
-    }
-}
-
-/// Lets agents whose plan ends come over smoothly from its motion, turning included, to the future of this scene.
-pub(in crate::simulate) fn join(scene: &mut Scene, agents: &[usize]) {
-    for agent_idx in agents {
-        let own = future(scene, *agent_idx);
-        let at = |elapsed_s: f64| Some(own.get((elapsed_s / scene.dt_s).round() as usize)?.position);
-        if let Some(joined) = Template::empty().exactly_with(scene, *agent_idx, at) {
-            joined.apply(scene);
         }
     }
 }
@@ -68,35 +56,7 @@ fn eased(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
 mod tests {
     use super::super::tests::{DT_S, steady};
     use super::*;
-    use crate::behavior::testing::{going_on, two_lanes};
     use crate::geometry::Vec2;
-    use crate::scene::Trajectory;
-    use crate::scene::testing::Drive;
-
-    #[test]
-    fn a_turn_goes_over_into_the_next_one() {
-        // To the left with 0.15 rad/s until the present, at 10 m/s, and then as fast to the right.
-        let mut scene = going_on(&[Drive::straight(0.0, 0.0, 0.0, 10.0)], two_lanes());
-        let present = scene.current_timestep();
-        let state = |timestep: usize| {
-            let elapsed_s = (timestep as f64 - present as f64) * DT_S;
-            let heading_rad = -0.15 * elapsed_s.abs();
-            let across_m = -0.75 * elapsed_s * elapsed_s * elapsed_s.signum();
-            let velocity = Vec2::from_angle(heading_rad) * 10.0;
-            Some(State { position: Vec2::new(10.0 * elapsed_s, across_m), heading_rad, velocity })
-        };
-        scene.tracks[0].trajectory = Trajectory::new((0..scene.n_timesteps).map(state).collect());
-        let before = future(&scene, 0);
-        join(&mut scene, &[0]);
-        let after = future(&scene, 0);
-        let turns = |states: &[State]| -> Vec<f64> {
-            states.windows(2).map(|pair| (pair[1].heading_rad - pair[0].heading_rad) / DT_S).collect()
-        };
-        // A change of less than half of 0.3 rad/s within any timestep, and the same way in the end.
-        let hardest = turns(&after).windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
-        assert!(hardest < 0.15 && turns(&after)[0] > -0.05, "{hardest}");
-        assert!(before[40].position.distance(after[40].position) < 0.5);
-    }
 
     #[test]
     fn a_pedal_is_let_go_as_drivers_do() {

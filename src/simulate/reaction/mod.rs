@@ -12,7 +12,7 @@ mod straying;
 mod walking;
 
 pub(super) use braking::brake;
-pub(super) use easing::{ease, join};
+pub(super) use easing::ease;
 pub(super) use moving_off::go_on;
 pub(super) use straying::keep_to_lanes;
 pub(super) use walking::walk_on;
