@@ -60,8 +60,8 @@ fn faults(case: &Case) -> Vec<String> {
             for (from, to) in case.input.second() {
                 let mut good = case.input.files()[*from].clone();
                 if matches!(case.input, Input::Pair) && *from == inputs::CSV {
-                    // Equal bytes are one recording.
-                    good.push(b'\n');
+                    // Equal content is one recording.
+                    good = cases::text(&good).replace("\n7,5.9,59,", "\n7,5.9,59.01,").into_bytes();
                 }
                 files.insert((*to).to_owned(), good);
             }
