@@ -19,8 +19,8 @@ const USUAL_GAP_S: f64 = 1.0;
 const SHORT_S: f64 = 0.5;
 /// The motion is that of this time, seconds: noise of positions weighs less in it than in a single step.
 const MOTION_S: f64 = 0.3;
-/// Where more than a row or two are missing, an agent is as near as this to where its motion leads, meters, and does not
-/// leap: what is filled in could have been driven.
+/// Where more than a row or two are missing, an agent is as near as this to where its motion leads, meters, and does
+/// not leap: what is filled in could have been driven.
 const GAP_S: f64 = 0.3;
 const MAX_OFF_M: f64 = 1.0;
 /// An id that was not seen for longer is another agent's: datasets count anew in each recording, seconds, and times the

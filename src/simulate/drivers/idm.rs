@@ -6,6 +6,11 @@ use crate::scene::State;
 use crate::simulate::driver::{Driver, Failed};
 use crate::simulate::{Situation, World};
 
+/// How hard a driver brakes at most, m/s², to regain the distance to somebody whom braking is not needed to avoid, and
+/// the weight of that.
+const REGAINS_MPS2: f64 = 1.0;
+const COOLNESS: f64 = 0.99;
+
 /// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::simulate) struct Idm;
@@ -20,6 +25,28 @@ impl Driver for Idm {
         let wanted_mps2 = behind_nearest(situation, &state, &seen(situation, world, world.now()));
         Ok(advanced(situation, &state, eased(situation, world, wanted_mps2)))
     }
+}
+
+impl Idm {
+    /// The next state of an ego that goes on after an event: it does not brake hard for a gap that is short but opens.
+    pub(super) fn settling(situation: &Situation, world: &World) -> Result<State, Failed> {
+        let (state, seen) = (ego(situation, world)?, seen(situation, world, world.now()));
+        let mps2 = behind_nearest(situation, &state, &seen);
+        let wanted_mps2 = nearest(situation, &seen).map_or(mps2, |nearest| calm_mps2(mps2, &nearest));
+        Ok(advanced(situation, &state, eased(situation, world, wanted_mps2)))
+    }
+}
+
+/// The model's acceleration, m/s², but little harder braking than is needed if the one ahead keeps its speed: the model
+/// with the constant-acceleration heuristic (Kesting, Treiber and Helbing 2010, equations 9 and 10), where the one ahead
+/// does not accelerate.
+fn calm_mps2(model_mps2: f64, ahead: &Seen) -> f64 {
+    let needed_mps2 = -ahead.closing_mps.max(0.0).powi(2) / (2.0 * ahead.gap_m.max(0.1));
+    if model_mps2 >= needed_mps2 {
+        return model_mps2;
+    }
+    let beyond_mps2 = REGAINS_MPS2 * ((model_mps2 - needed_mps2) / REGAINS_MPS2).tanh();
+    (1.0 - COOLNESS) * model_mps2 + COOLNESS * (needed_mps2 + beyond_mps2)
 }
 
 /// The states of the ego at the next `n_steps` timesteps if this model drives it; `then` gives the state of another
@@ -47,8 +74,12 @@ pub(in crate::simulate) fn reacting(
 
 /// The model's acceleration behind the nearest agent in the way of the ego, m/s².
 fn behind_nearest(situation: &Situation, ego: &State, seen: &[Option<Seen>]) -> f64 {
-    let nearest = leaders(situation, seen).map(|(_, seen)| seen).min_by(|a, b| a.gap_m.total_cmp(&b.gap_m));
-    acceleration(situation, ego, nearest.into_iter())
+    acceleration(situation, ego, nearest(situation, seen).into_iter())
+}
+
+/// The nearest agent in the way of the ego.
+fn nearest(situation: &Situation, seen: &[Option<Seen>]) -> Option<Seen> {
+    leaders(situation, seen).map(|(_, seen)| seen).min_by(|a, b| a.gap_m.total_cmp(&b.gap_m))
 }
 
 /// The agents ahead in the way of the ego, with their present states as seen from it.
@@ -66,4 +97,23 @@ pub(in crate::simulate) fn free_m(situation: &Situation, world: &World) -> f64 {
 /// The model's acceleration behind these leaders, m/s²; without any, that on a free road.
 pub(super) fn acceleration(situation: &Situation, ego: &State, leaders: impl Iterator<Item = Seen>) -> f64 {
     acceleration_mps2(ego.speed_mps(), situation.way.wanted_speed_mps(ego.position), leaders)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nobody_brakes_hard_for_a_short_gap_that_opens() {
+        let calm = |model_mps2: f64, gap_m: f64, closing_mps: f64| {
+            let ahead = Seen { offset_m: 0.0, flank_m: 0.0, gap_m, closing_mps, lengths_m: 9.0, is_on_foot: false };
+            calm_mps2(model_mps2, &ahead)
+        };
+        // By hand: .01 * -7.5 - .99 tanh 7.5; and .01 * -6 - .99 (1.25 + tanh 4.75).
+        assert!((calm(-7.5, 2.0, -0.5) + 1.065).abs() < 1e-3);
+        assert!((calm(-6.0, 10.0, 5.0) + 2.287).abs() < 1e-3);
+        // Gentler braking, and what is needed, stay.
+        assert_eq!(calm(0.5, 2.0, -0.5), 0.5);
+        assert_eq!(calm(-5.0, 2.5, 5.0), -5.0);
+    }
 }

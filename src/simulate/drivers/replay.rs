@@ -11,7 +11,7 @@ use crate::simulate::{Situation, World};
 #[derive(Debug, Clone, Copy, Default)]
 pub(in crate::simulate) struct Model;
 
-/// The ego as in the scenario; after its end, as the intelligent driver.
+/// The ego as in the scenario; after its end, as the intelligent driver, calmly.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Log;
 
@@ -45,7 +45,7 @@ impl Driver for Log {
                 let velocity = (*position - ego(situation, world)?.position) * (1.0 / situation.scene.dt_s);
                 Ok(State { position: *position, heading_rad: *heading_rad, velocity })
             }
-            None => Idm.next(situation, world, None),
+            None => Idm::settling(situation, world),
         }
     }
 
