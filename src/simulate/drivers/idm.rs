@@ -38,8 +38,8 @@ impl Idm {
 }
 
 /// The model's acceleration, m/s², but little harder braking than is needed if the one ahead keeps its speed: the model
-/// with the constant-acceleration heuristic (Kesting, Treiber and Helbing 2010, equations 9 and 10), where the one ahead
-/// does not accelerate.
+/// with the constant-acceleration heuristic of Kesting, Treiber and Helbing (2010), for one ahead that does not
+/// accelerate.
 fn calm_mps2(model_mps2: f64, ahead: &Seen) -> f64 {
     let needed_mps2 = -ahead.closing_mps.max(0.0).powi(2) / (2.0 * ahead.gap_m.max(0.1));
     if model_mps2 >= needed_mps2 {
