@@ -308,6 +308,7 @@ mod tests {
         assert!(page.contains("short beyond") && page.contains("cut in") && !page.contains("<article"));
         assert!(page.contains("survives 0 scenarios that this driver does not.") && !page.contains("come first"));
     }
+
     #[test]
     fn traffic_is_told_by_stretch_as_far_as_it_was_driven() {
         let mut report = DriveReport::new(&crate::drive::EgoDriver::from_name("idm"), None, 1, "m");
