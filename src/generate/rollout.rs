@@ -90,7 +90,7 @@ pub enum NamedDriver {
     /// The model, as for everybody else.
     #[default]
     Model,
-    /// The states of the scenario; after its end, as `idm`.
+    /// The states of the scenario; after its end, a calmer `idm`.
     Log,
     /// The path of the scenario at the present speed.
     ConstantVelocity,
