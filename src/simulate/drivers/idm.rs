@@ -10,6 +10,9 @@ use crate::simulate::{Situation, World};
 /// the weight of that.
 const REGAINS_MPS2: f64 = 1.0;
 const COOLNESS: f64 = 0.99;
+/// The distance that is left when both are as fast, and the least over which speed is lost, meters.
+const LEAVES_M: f64 = 2.0;
+const LEAST_M: f64 = 0.5;
 
 /// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
@@ -37,11 +40,11 @@ impl Idm {
     }
 }
 
-/// The model's acceleration, m/s², but little harder braking than is needed if the one ahead keeps its speed: the model
-/// with the constant-acceleration heuristic of Kesting, Treiber and Helbing (2010), for one ahead that does not
+/// The model's acceleration, m/s², but little harder braking than is needed to stay at a standstill's distance if the
+/// one ahead keeps its speed: the model with the constant-acceleration heuristic of Kesting, Treiber and Helbing (2010), for one ahead that does not
 /// accelerate.
 fn calm_mps2(model_mps2: f64, ahead: &Seen) -> f64 {
-    let needed_mps2 = -ahead.closing_mps.max(0.0).powi(2) / (2.0 * ahead.gap_m.max(0.1));
+    let needed_mps2 = -ahead.closing_mps.max(0.0).powi(2) / (2.0 * (ahead.gap_m - LEAVES_M).max(LEAST_M));
     if model_mps2 >= needed_mps2 {
         return model_mps2;
     }
@@ -109,9 +112,9 @@ mod tests {
             let ahead = Seen { offset_m: 0.0, flank_m: 0.0, gap_m, closing_mps, lengths_m: 9.0, is_on_foot: false };
             calm_mps2(model_mps2, &ahead)
         };
-        // By hand: .01 * -7.5 - .99 tanh 7.5; and .01 * -6 - .99 (1.25 + tanh 4.75).
+        // By hand: .01 * -7.5 - .99 tanh 7.5; and .01 * -6 - .99 (1.5625 + tanh 4.4375).
         assert!((calm(-7.5, 2.0, -0.5) + 1.065).abs() < 1e-3);
-        assert!((calm(-6.0, 10.0, 5.0) + 2.287).abs() < 1e-3);
+        assert!((calm(-6.0, 10.0, 5.0) + 2.597).abs() < 1e-3);
         // Gentler braking, and what is needed, stay.
         assert_eq!(calm(0.5, 2.0, -0.5), 0.5);
         assert_eq!(calm(-5.0, 2.5, 5.0), -5.0);
