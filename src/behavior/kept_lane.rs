@@ -308,8 +308,8 @@ mod tests {
         let bends = way.windows(3).map(|w| ((w[2] - w[1]).angle() - (w[1] - w[0]).angle()).abs());
         assert!(bends.fold(0.0, f64::max) < 0.06);
         assert!(way[40].y.abs() < 0.1 && way[59].y.abs() < 0.01, "{:?}", way[40]);
-        // A fast one goes on straight, and takes longer: an offset of 0.4 m is (1 + s + s²/2) e^-s times as much after s
-        // times 16 m.
+        // A fast one goes on straight, and takes longer: an offset of 0.4 m is (1 + s + s²/2) e^-s times as much after
+        // s times 16 m.
         let fast = crate::scene::testing::scene(&[Drive::straight(0.0, 0.4, 0.0, 20.0)]);
         let fast = Scene { lanes: Arc::clone(&scene.lanes), ..fast };
         let way = way_on(&fast, 0, 60.0);

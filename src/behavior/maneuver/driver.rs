@@ -16,8 +16,8 @@ const SPACING_M: f64 = 0.5;
 /// Ways whose reachable parts end within this of each other are the same, meters.
 const SAME_M: f64 = 1.0;
 /// How vehicles slow down for no reason that is seen: the deceleration at its peak, m/s², and the speed that they lose,
-/// m/s, but no more than this share of it. In the bundled recordings, 95 % of all brakings lose at most 6.7 m/s, with at
-/// most 4.4 m/s²; those of vehicles with nobody within 50 m ahead lose 3.8 m/s in the median, with 3.4 m/s², in 1.75 s.
+/// m/s, but no more than this share of it. In the bundled recordings, 95 % of all brakings lose at most 6.7 m/s, with
+/// at most 4.4 m/s²; those of vehicles with nobody within 50 m ahead lose 3.8 m/s in the median, with 3.4 m/s².
 const SLOWS: [[f64; 2]; 4] = [[1.2, 2.0], [2.0, 3.5], [3.0, 4.5], [4.0, 6.5]];
 const MOST_LOST: f64 = 0.6;
 /// By how much firmer the firmest driver brakes than the gentlest one, and how much less speed it loses, as shares.
@@ -115,8 +115,8 @@ impl Pace {
         self
     }
 
-    /// Adds braking from `from_s` seconds after the present on that builds up to `mps2`, fades, and costs this much speed,
-    /// m/s.
+    /// Adds braking from `from_s` seconds after the present on that builds up to `mps2`, fades, and costs this much
+    /// speed, m/s.
     #[must_use]
     pub(in crate::behavior) fn losing(mut self, from_s: f64, mps2: f64, loses_mps: f64) -> Self {
         let [pressed_s, released_s] = match mps2 < URGENT_MPS2 {

@@ -41,8 +41,8 @@ enum Reason {
 }
 
 impl Reason {
-    /// The travel of a driver that brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None` if
-    /// that is not enough, or much less would be.
+    /// The travel of a driver that brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None`
+    /// if that is not enough, or much less would be.
     fn braking(&self, driver: &Driver, rail: usize, (from_s, mps2): (f64, f64), dt_s: f64) -> Option<Travel> {
         let steady = Pace::steady(driver.braking_mps2().min(0.0));
         let before = driver.travel(rail, &steady);
