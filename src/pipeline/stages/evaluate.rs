@@ -51,7 +51,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        23
+        24
     }
 
     fn check(&self) -> Result<()> {
