@@ -2,7 +2,7 @@
 //! and where lanes meet.
 
 use crate::behavior::driven_path::DrivenPath;
-use crate::geometry::{Polyline, Vec2, angle_difference};
+use crate::geometry::{Path, Polyline, Vec2, angle_difference};
 
 /// Points of a rounded route are this far apart, meters.
 const SPACING_M: f64 = 0.5;
@@ -17,9 +17,10 @@ const CURVATURE_OVER_M: f64 = 2.0;
 
 /// The points of a way, rounded, without the first. The way begins and ends where it did, in its own direction.
 pub(super) fn rounded(way: &[Vec2]) -> Vec<Vec2> {
-    let way = Polyline(way.to_vec());
+    let way = Path::new(Polyline(way.to_vec()));
     let n_points = (way.length_m() / SPACING_M).ceil() as usize;
-    let mut points: Vec<Vec2> = (0..=n_points).filter_map(|i| way.point_at(i as f64 * SPACING_M)).collect();
+    let point = |i: usize| way.pose_at(i as f64 * SPACING_M).map(|(point, _)| point);
+    let mut points: Vec<Vec2> = (0..=n_points).filter_map(point).collect();
     for _ in 0..2 {
         let mean = |i: usize| {
             let n = ((ROUNDED_OVER_M / SPACING_M) as usize).min(i).min(points.len() - 1 - i);
