@@ -231,4 +231,16 @@ mod tests {
         params.load(&BTreeMap::from([("a".to_owned(), new(2)), ("b".to_owned(), new(3))])).unwrap();
         assert_eq!(values(&weight), [5.0, 5.0]);
     }
+
+    #[test]
+    fn settled_matrices_are_stored_transposed() {
+        let mut params = Params::new(&Compute::cpu());
+        let init = Init::KaimingUniform { fan_in: 2 };
+        let [drawn, settled] = [false, true].map(|is_settled| {
+            params = if is_settled { params.clone().settled() } else { params.clone() };
+            params.get_or_init("a", &[3, 2], init, Seed(0)).unwrap()
+        });
+        assert_eq!(drawn.to_vec2::<f32>().unwrap(), settled.to_vec2::<f32>().unwrap());
+        assert!(drawn.is_contiguous() && settled.t().unwrap().is_contiguous());
+    }
 }

@@ -12,8 +12,11 @@ use super::kernels::vectorized;
 use super::rows::{gather, spans, valid_rows};
 use crate::nn::precision::Precision;
 
-/// Rows of one task, few enough that their inputs and outputs stay in the cache between product and activation.
-const N_ROWS: usize = 128;
+/// Rows of one task, few enough that their inputs and outputs stay in the cache between product and activation, and a
+/// multiple of those of the kernels for AVX2 (6) and AVX-512 (8).
+const N_ROWS: usize = 120;
+/// Rows whose gradients of weights are summed in one product.
+const N_SUMMED: usize = 256;
 /// Rows of a matrix that are transposed together: one cache line of the result.
 const N_TRANSPOSED: usize = 16;
 /// Outputs whose weights one task differentiates, or inputs whose weights it transposes.
@@ -106,7 +109,7 @@ impl FusedLinear {
     ) -> (Vec<f32>, Vec<f32>) {
         let (mut dw, mut db) = (vec![0.0; n_out * n_in], vec![0.0; n_out]);
         // All tasks share the inputs, which are gathered once.
-        let shared: Vec<_> = (self.rows.par_chunks(2 * N_ROWS)).map(|rows| (rows, gather(x, n_in, rows))).collect();
+        let shared: Vec<_> = (self.rows.par_chunks(N_SUMMED)).map(|rows| (rows, gather(x, n_in, rows))).collect();
         let tasks = dw.par_chunks_mut(N_OUTPUTS * n_in).zip(db.par_chunks_mut(N_OUTPUTS)).enumerate();
         tasks.for_each(|(task, (dw, db))| {
             let first = task * N_OUTPUTS;
