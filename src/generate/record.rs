@@ -6,7 +6,8 @@ use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scen
 use crate::store::as_stored;
 
 impl Generator<'_> {
-    /// The scenario of a sample of a cell, checked for the requested behavior, which its recording shows already or not.
+    /// The scenario of a sample of a cell, checked for the requested behavior; `recorded_event` says whether the
+    /// recording shows it already.
     pub(super) fn record(
         &self,
         sweep: &ResolvedSweep,
