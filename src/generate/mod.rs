@@ -58,4 +58,4 @@ pub use sample::{RejectedSample, ShardOutput};
 pub use sample_limit::{Limit, LimitRange};
 pub use select::SelectConfig;
 pub use sweep::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
-pub use verify::{Verification, requested_events, verify};
+pub use verify::requested_events;
