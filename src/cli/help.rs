@@ -142,12 +142,10 @@ Example:
 
 /// Help after the options of `report`.
 pub(super) const REPORT: &str = "\
-Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of \
-two run folders shows changed settings, yield, metrics and realism side by side.
+Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG.
 
-Examples:
-  djinn report --from output/cut_in_corpus/main --output output/try
-  djinn report --compare output/cut_in_corpus/main output/cut_in_corpus/more --out comparison.html";
+Example:
+  djinn report --from output/cut_in_corpus/main --output output/try";
 
 /// Help after the options of `export`.
 pub(super) const EXPORT: &str = "\

@@ -1,7 +1,6 @@
 //! The part of the report on how well generated tracks can be told from recorded ones, and how likely recorded futures
 //! are among samples.
 
-use super::comparison::paired;
 use super::number::{ABSENT, level, optional, percent, uncertainty, value};
 use super::plain::{PlainRow, PlainSection, PlainTable};
 use crate::evaluate::{DistinguishabilityRow, EvaluationSummary};
@@ -121,29 +120,6 @@ fn likelihoods(found: &EvaluationSummary) -> PlainTable {
         let names = [whole.group.to_string(), whole.n.to_string()];
         let cells = of_series(&whole.series()).into_iter().chain(names).chain(parts).collect();
         table.rows.push(PlainRow { cells, is_reference: !whole.group.is_generated() });
-    }
-    table
-}
-
-/// The areas of two runs side by side. A star marks pairs whose intervals do not overlap.
-pub(super) fn comparison(a: &EvaluationSummary, b: &EvaluationSummary) -> PlainTable {
-    let columns = ["Sweep", "Strength α", "Of", "Features", "AUC, A", "B", "Difference"];
-    let mut table = PlainTable::new("How often the generated track is picked (AUC)", &columns);
-    let key = |row: &DistinguishabilityRow| (row.series(), format!("{}{}", row.place, row.class), row.features.clone());
-    let rows = paired(a.distinguishability.clone(), b.distinguishability.clone(), key);
-    for ((series, part, features), a, b) in rows {
-        let both = [&a, &b].map(|row| row.as_ref().map_or_else(|| ABSENT.to_owned(), |row| percent(row.auc)));
-        let difference = a.as_ref().zip(b.as_ref()).map_or_else(
-            || ABSENT.to_owned(),
-            |(a, b)| {
-                let mark = if a.high < b.low || b.high < a.low { " *" } else { "" };
-                format!("{:+.1} pp{mark}", 100.0 * (b.auc - a.auc)).replace('-', "−")
-            },
-        );
-        let part = if part.is_empty() { "all".to_owned() } else { part };
-        table.push(
-            of_series(&series).into_iter().chain([part, title(&features)]).chain(both).chain([difference]).collect(),
-        );
     }
     table
 }

@@ -2,7 +2,6 @@
 
 mod browser;
 mod chromium;
-mod comparison;
 mod markup;
 mod sample;
 
