@@ -54,12 +54,10 @@ The jobs: `prepare` runs the stages before generation, `plan` decides what is sa
 `seal` publishes the samples. With several workers, `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same \
 for evaluation. `finish` runs the remaining stages. Each job checks for itself that its inputs exist. Submitting again \
 fills in what is missing. [cluster] sets what jobs need: partition, time, cpus, gpus, memory, container, retries, \
-further lines of the scripts; image and volumes for Kubernetes (pipelines/CLUSTER.md).
+further lines of the scripts (pipelines/CLUSTER.md).
 
 Examples:
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run
-  djinn submit pipelines/quickstart.toml --engine kubernetes --dry-run \\
-    --set cluster.image=registry.example.org/djinn:0.1 --set 'cluster.volumes={ traffic = \"/data\" }'
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
 
 /// Help after the options of `status`.
