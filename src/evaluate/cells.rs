@@ -3,7 +3,7 @@
 use super::distinguishability::CellTracks;
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
-use crate::metrics::{MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
+use crate::metrics::{SampleGroup, SeriesKey, constant_velocity};
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{GuidanceLevel, Scene, SituationKind, Track, Trajectory};
 use crate::seed::Seed;
@@ -32,19 +32,8 @@ pub(super) struct CellFigures {
     pub(super) assessments: Vec<Assessment>,
     /// The judgments of the recording and of the baseline, if they are measured.
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
-    /// How everybody moves.
-    pub(super) motion: CellMotion,
     /// The features of everybody for classifiers.
     pub(super) tracks: CellTracks,
-}
-
-/// The motion of all agents in the futures of a cell.
-#[derive(Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct CellMotion {
-    /// Histograms of the recording and the baseline, if they are measured.
-    pub(super) references: Option<[MotionHistograms; 2]>,
-    /// Histogram of all samples together.
-    pub(super) together: MotionHistograms,
 }
 
 /// Puts the records of a shard into cells, in order of first appearance.
@@ -140,7 +129,6 @@ impl CellSamples<'_> {
         let reference = |scene: &Scene, likelihoods: Vec<Option<f64>>| {
             with_references.then(|| [figures(one(scene), None), likelihoods].concat())
         };
-        let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
         CellFigures {
             recorded: reference(&recorded, by_itself),
             constant_velocity: reference(&baseline, by_baseline),
@@ -151,10 +139,6 @@ impl CellSamples<'_> {
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: with_references
                 .then(|| [&recorded, &baseline].map(|scene| judge.judge_reference(scene))),
-            motion: CellMotion {
-                references: with_references.then(motion_of_references),
-                together: MotionHistograms::of(&samples),
-            },
             tracks,
         }
     }
@@ -259,7 +243,7 @@ mod tests {
         assert_eq!(differ(&short.together, &long.together), of_whole);
         assert_eq!(differ(&short.alone[0], &long.alone[0]), of_whole);
         assert_eq!(short.recorded, long.recorded);
-        assert!(short.motion == long.motion && short.tracks == long.tracks);
+        assert!(short.tracks == long.tracks);
         assert!(long.assessments[0].violations.len() > short.assessments[0].violations.len());
     }
 

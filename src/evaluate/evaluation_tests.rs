@@ -46,8 +46,8 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
         let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
         let figures = measurer.measure(&shard).unwrap();
         let file = dir.path().join("figures.bin");
-        write_binary_atomically(&file, "figures.v1", &figures).unwrap();
-        let read: ShardFigures = read_binary(&file, "figures.v1").unwrap();
+        write_binary_atomically(&file, "figures.v2", &figures).unwrap();
+        let read: ShardFigures = read_binary(&file, "figures.v2").unwrap();
         assert!(read == figures, "figures are the same when they were in a file");
         measured[idx] = Some((figures, MeasuredShard::new(shard, read, &store).unwrap()));
     }
@@ -90,7 +90,6 @@ fn shards_are_measured_in_any_order() {
     assert_eq!(summary.gates.iter().map(|gate| gate.met).collect::<Vec<_>>(), [false, true]);
     let n_left_out = |reason: &str| summary.left_out.iter().find(|row| row.reason == reason).map(|row| row.n_left_out);
     assert_eq!((n_left_out("not_finite"), n_left_out("selection: not among the best 2")), (Some(1), Some(4)));
-    assert!(summary.realism.iter().any(|row| row.sweep == "guided" && row.n > 0));
     // Each metric that is defined throughout has one mean of all places and one of the one place, in each of three
     // series; a value of each scene and shard there; and one of each scenario.
     let of = |metric: &str| rows.iter().filter(|row| row.metric == metric).collect::<Vec<_>>();

@@ -51,7 +51,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        23
+        24
     }
 
     fn check(&self) -> Result<()> {
@@ -195,7 +195,7 @@ impl Sharded for Evaluate<'_> {
 }
 
 /// The format of the files with figures of shards.
-const FIGURES_FORMAT: &str = "figures.v1";
+const FIGURES_FORMAT: &str = "figures.v2";
 
 /// Everything that measuring and merging shards needs, read and checked.
 struct EvaluationReady {
