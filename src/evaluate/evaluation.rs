@@ -130,17 +130,9 @@ impl<'a> Evaluation<'a> {
         Self { coverage: recorded, ..self }
     }
 
-    /// Counts the losses of generation: samples without a scenario, and samples that the selection of a sweep rejected,
-    /// by reason.
-    pub fn count_left_out<'r>(
-        &mut self,
-        rejected: impl Iterator<Item = &'r RejectedSample>,
-        unselected: &BTreeMap<String, BTreeMap<String, u64>>,
-    ) {
+    /// Counts the losses of generation: samples without a scenario.
+    pub fn count_rejected<'r>(&mut self, rejected: impl Iterator<Item = &'r RejectedSample>) {
         rejected.for_each(|rejected| self.verdicts.count_rejected(rejected));
-        for (sweep, reasons) in unselected {
-            reasons.iter().for_each(|(reason, n)| self.verdicts.count_unselected(sweep, reason, *n));
-        }
     }
 
     /// Adds the next shard and returns the part to keep. Shards must come in the order of the samples, because the

@@ -42,7 +42,7 @@ pub struct GenerateConfig {
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
     /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs`, `aim`,
-    /// `select` and `stop_after_verified`, which the request decides.
+    /// and `stop_after_verified`, which the request decides.
     pub arms: Vec<SweepConfig>,
     /// Events requested by their parameters, generated after the sweeps.
     pub requests: Vec<RequestConfig>,
@@ -140,11 +140,9 @@ impl GenerateConfig {
         Ok(resolved)
     }
 
-    /// Whether sweeps select, or requests accept, by metrics for which `is_such` holds.
-    pub fn selects_by(&self, is_such: impl Fn(&str) -> bool) -> bool {
-        let mut of_sweeps = self.sweeps.iter().filter_map(|sweep| sweep.select.as_ref());
-        of_sweeps.any(|select| select.names_metric(&is_such))
-            || self.requests.iter().flat_map(|request| request.limits.keys()).any(|id| is_such(id))
+    /// Whether requests limit metrics for which `is_such` holds.
+    pub fn limits_any(&self, is_such: impl Fn(&str) -> bool) -> bool {
+        self.requests.iter().flat_map(|request| request.limits.keys()).any(|id| is_such(id))
     }
 }
 

@@ -1,4 +1,4 @@
-//! The settings of metrics: common to evaluation, selections of sweeps and limits of requests.
+//! The settings of metrics: common to evaluation and limits of requests.
 
 use super::{ALL, DrivableAreaCompliance, Metric, OffroadRate, ValidityConfig, ValidityRate};
 use crate::settings;

@@ -3,7 +3,7 @@
 use super::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerKind;
-use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
+use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig};
 use crate::guidance::ObjectiveConfig;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
@@ -14,8 +14,6 @@ struct Purpose<'a> {
     config: &'a GenerateConfig,
     /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
-    /// Whether samples are selected by objectives.
-    selects_by_objectives: bool,
 }
 
 impl SweepConfig {
@@ -29,8 +27,7 @@ impl SweepConfig {
             return Err(Issue::new("n_scenes", "is 0, expected at least 1"));
         }
         let behavior = self.behavior.as_deref().map(|id| mined(id, behaviors)).transpose()?;
-        let selects_by_objectives = self.select.as_ref().is_some_and(SelectConfig::names_objectives);
-        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives })?;
+        let model = self.resolve_model(&Purpose { config, behavior })?;
         let sweep = ResolvedSweep {
             name: self.name.clone(),
             n_scenes: self.n_scenes,
@@ -38,7 +35,6 @@ impl SweepConfig {
             behavior: self.behavior.clone(),
             pairs: self.pairs.clone(),
             aim: self.aim,
-            select: self.select.clone(),
             stop_after_verified: self.stop_after_verified,
             rollout: self.rollout,
             observe: self.observe.clone(),
@@ -55,16 +51,6 @@ impl SweepConfig {
                  or strengths other than 0 and an objective, such as \
                  objectives = [{ kind = \"cut_in\" }]",
             ));
-        }
-        if let Some(select) = &self.select {
-            let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
-            let kinds: Vec<&str> = objectives.iter().map(|objective| objective.kind()).collect();
-            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1);
-            select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
-            if let Some(best) = select.best.filter(|best| *best > self.n_samples) {
-                let expected = format!("is {best}, expected at most n_samples, which is {}", self.n_samples);
-                return Err(Issue::new("select.best", expected));
-            }
         }
         Ok(sweep)
     }
@@ -96,7 +82,7 @@ impl SweepConfig {
         behavior: &dyn Behavior,
     ) -> Result<Vec<(ResolvedSweep, GuidanceLevel)>> {
         let behavior = Some(behavior);
-        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives: false })?;
+        let model = self.resolve_model(&Purpose { config, behavior })?;
         let sweep = ResolvedSweep {
             name: format!("{}/{}", request.name, self.name),
             n_scenes: request.n_scenes,
@@ -104,7 +90,6 @@ impl SweepConfig {
             behavior: Some(request.behavior.clone()),
             pairs: request.pairs.clone(),
             aim: Aim::default(),
-            select: None,
             stop_after_verified: None,
             rollout: self.rollout,
             observe: self.observe.clone(),
@@ -241,11 +226,10 @@ impl Diffusion {
             };
             return Err(Issue::new("strengths", missing));
         }
-        if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
+        if has_objectives && !self.is_guided() {
             return Err(Issue::new(
                 "objectives",
-                "have no effect at strength 0; add a strength, such as strengths = [1.0], or select by them, such as \
-                 select = { best = 1, by = [\"objectives\"] }",
+                "have no effect at strength 0; add a strength, such as strengths = [1.0]",
             ));
         }
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);

@@ -162,7 +162,7 @@ impl Sharded for Evaluate<'_> {
         let evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
         let coverage = self.recorded_coverage(&ready, traffic.as_ref())?;
         let mut evaluation = evaluation.with_rates_of(traffic, modeled).with_coverage_of(coverage);
-        evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
+        evaluation.count_rejected(samples.shards.iter().flat_map(|shard| &shard.rejected));
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");
         for idx in 0..samples.shards.len() {

@@ -135,9 +135,9 @@ impl Generate<'_> {
         MetricSettings { validity }
     }
 
-    /// Whether samples are selected or accepted by a metric that depends on settings.
+    /// Whether samples are accepted by a metric that depends on settings.
     fn judges_samples(&self) -> bool {
-        self.config.selects_by(|id| self.metric_settings.decide(id))
+        self.config.limits_any(|id| self.metric_settings.decide(id))
     }
 
     /// The recorded scenes, and the situations that nobody recorded.
