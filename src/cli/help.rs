@@ -209,15 +209,6 @@ Examples:
   djinn corpus filter output/all --top 100 --by pair_min_ttc_s --least --out output/hardest
   djinn corpus filter output/all --ids ids.txt --out output/listed";
 
-/// Help after the options of `corpus sample`.
-pub(super) const CORPUS_SAMPLE: &str = "\
-The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value \
-of the column gets the same number of scenarios, as far as there are enough.
-
-Examples:
-  djinn corpus sample output/all --n 1000 --out output/thousand
-  djinn corpus sample output/all --n 60 --by behavior --seed 7 --out output/balanced";
-
 /// Help after the options of `regenerate`.
 pub(super) const REGENERATE: &str = "\
 Reads samples/, scenes/ and the models of the run folder and checks their fingerprints. Then it denoises the \

@@ -14,7 +14,7 @@ fn help_teaches_every_command() {
     for part in ["Examples:", "Exit codes:", "a quality gate failed", "quickstart.toml"] {
         assert!(top.contains(part), "`{part}` is missing in\n{top}");
     }
-    let corpus_tools = ["validate", "merge", "filter", "sample"].map(|tool| format!("corpus {tool}"));
+    let corpus_tools = ["validate", "merge", "filter"].map(|tool| format!("corpus {tool}"));
     let stages = [
         "run",
         "ingest",

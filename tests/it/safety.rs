@@ -176,7 +176,6 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
         for args in [
             vec!["corpus", "filter", &a, "--where", "verified", "--out", out],
             vec!["corpus", "merge", &a, CORPUS, "--out", out],
-            vec!["corpus", "sample", &a, "--n", "1", "--out", out],
             vec!["export", "openlabel", &a, "--out", out],
         ] {
             refused(&workspace, djinn(&args), &before, &[part]);

@@ -99,7 +99,7 @@ pub(in crate::cli) enum Command {
     /// Write an HTML report of a run
     #[command(after_help = help::REPORT)]
     Report(ReportArgs),
-    /// Check, merge, filter and sample finished corpora
+    /// Check, merge and filter finished corpora
     #[command(subcommand)]
     Corpus(CorpusCommand),
     /// Convert a corpus to the format of a dataset, a simulator or a scenario database
