@@ -190,10 +190,9 @@ fn as_far_as_generated(recorded: &Scene, samples: &[Scene]) -> Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::config::EvaluateConfig;
     use crate::evaluate::testing::{record, recorded};
     use crate::geometry::Vec2;
-    use crate::metrics::Likelihoods;
+    use crate::metrics::{Likelihoods, MetricSettings};
     use crate::scene::{GuidanceTag, Roles, State};
 
     #[test]
@@ -227,8 +226,8 @@ mod tests {
         scene.n_timesteps += 30;
         let (agents, timesteps) = (scene.tracks.len(), scene.n_timesteps);
         driven.scenario.observed = crate::scene::ObservationMask::from_fn(agents, timesteps, |_, t| t <= 3);
-        let config = EvaluateConfig::default();
-        let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+        let settings = MetricSettings::default();
+        let (measures, judge) = (Measures::new(&settings, None, &[]), Judge::without_recordings(&settings));
         let figures = |record: &ScenarioRecord| {
             CellSamples { records: vec![record], with_references: true }.evaluate(&recorded(), &measures, &judge)
         };
@@ -249,10 +248,10 @@ mod tests {
 
     #[test]
     fn likelihoods_are_those_of_several_forecasts() {
-        let of = |n_samples: usize, kind: &str, places_without_road: &str| {
-            let mut config = EvaluateConfig::default();
-            config.validity.places_without_road.insert(places_without_road.to_owned());
-            let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+        let of = |n_samples: usize, kind: &str, place_without_road: &str| {
+            let mut settings = MetricSettings::default();
+            settings.map_gaps.places.insert(place_without_road.to_owned());
+            let (measures, judge) = (Measures::new(&settings, None, &[]), Judge::without_recordings(&settings));
             let mut record = record(0.0, false, false, recorded());
             record.scenario.provenance.guidance.kind = kind.to_owned();
             let cell = CellSamples { records: vec![&record; n_samples], with_references: true };

@@ -39,7 +39,8 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let (store, scenes) = store(&dir.path().join("scenes"));
     let gates = GatesConfig { min_new: Some(25), min_accepted: Some(0), ..GatesConfig::default() };
     let config = EvaluateConfig { keep: Keep::Verified, gates, ..EvaluateConfig::default() };
-    let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
+    let settings = config.metric_settings();
+    let mut measurer = Measurer::new(&settings, config.modes, &[], &store, None).unwrap();
     let mut measured: Vec<Option<(ShardFigures, MeasuredShard)>> = (0..N_SHARDS).map(|_| None).collect();
     for idx in order {
         let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
@@ -111,7 +112,8 @@ fn figures_of_another_shard_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (store, scenes) = store(dir.path());
     let config = EvaluateConfig::default();
-    let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
+    let settings = config.metric_settings();
+    let mut measurer = Measurer::new(&settings, config.modes, &[], &store, None).unwrap();
     let shard =
         |n_scenes: usize| Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes[..n_scenes], 0) };
     let figures = measurer.measure(&shard(4)).unwrap();

@@ -80,7 +80,7 @@ impl Generator<'_> {
             batch: own,
             repeated: &tensors,
             samples: batch.samples.clone(),
-            places_without_road: &self.metric_settings.validity.places_without_road,
+            places_without_road: &self.metric_settings.map_gaps.places,
         };
         let given: Vec<&Scene> = batch.cells.iter().map(|(_, given)| &given.scene).collect();
         let least = LeastProgress::new(own, &given, n_samples)?;

@@ -100,7 +100,7 @@ pub use sample_group::SampleGroup;
 pub use series::{Group, SeriesKey};
 pub use settings::MetricSettings;
 pub use spec::{Direction, MetricSpec};
-pub use validity::{Check, DrivenArea, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate, Violation};
+pub use validity::{Check, DrivenArea, Judged, LocalFit, MapFit, MapGaps, ValidityConfig, ValidityRate, Violation};
 
 use std::collections::BTreeSet;
 
@@ -155,7 +155,7 @@ pub static ALL: &[&dyn Metric] = &[
     &OffroadRate { places_without_road: BTreeSet::new() },
     &AccelerationViolationRate,
     &JerkViolationRate,
-    &ValidityRate { limits: None },
+    &ValidityRate { settings: None },
     &PairMetric::MinTtc,
     &PairMetric::MaxDrac,
     &PairMetric::MinHeadway,

@@ -270,9 +270,10 @@ mod tests {
         let recorded = at(10.0);
         let kept = |skip: &[Check]| -> [bool; 2] {
             let validity = ValidityConfig { skip: skip.to_vec(), ..ValidityConfig::default() };
+            let settings = MetricSettings { validity, ..MetricSettings::default() };
             [0.0, 10.0].map(at).map(|scene| {
                 let alone = SampleGroup::equally_likely(&recorded, std::slice::from_ref(&scene));
-                are_met(&limits("validity_rate = 1.0"), &alone, &MetricSettings { validity: validity.clone() })
+                are_met(&limits("validity_rate = 1.0"), &alone, &settings)
             })
         };
         assert_eq!(kept(&[]), [false, true]);

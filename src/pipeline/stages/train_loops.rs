@@ -7,7 +7,7 @@ use crate::engine::{Result, Stopwatch};
 use crate::evaluate::MapFits;
 use crate::generate::Futures;
 use crate::ingest::IngestConfig;
-use crate::metrics::ValidityConfig;
+use crate::metrics::{MetricSettings, ValidityConfig};
 use crate::model::TrainedDenoiser;
 use crate::progress::Progress;
 use crate::simulate::{LoopCounts, NewScenes, SituationsConfig};
@@ -41,7 +41,7 @@ pub(super) struct ValidLoops {
     pub(super) seconds: f64,
     /// What is valid, once it is known.
     #[serde(skip)]
-    limits: Option<ValidityConfig>,
+    judged_by: Option<MetricSettings>,
 }
 
 /// Hears whether to stop, and shows nothing.
@@ -79,7 +79,7 @@ impl ValidLoops {
 
     /// Drives loops with another model from the same scenes.
     pub(super) fn again(&self, model: &TrainedDenoiser, scenes: &OpenedScenes, job: TrainJob<'_>) -> Result<Self> {
-        let mut loops = Self { horizon_s: self.horizon_s, limits: self.limits.clone(), ..Self::default() };
+        let mut loops = Self { horizon_s: self.horizon_s, judged_by: self.judged_by.clone(), ..Self::default() };
         let Some((store, held_out)) = scenes.held_out() else { return Ok(loops) };
         let is_driven = |position: &&usize| self.n_valid.contains_key(store.index().get(**position).id);
         let positions: Vec<usize> = held_out.iter().filter(is_driven).copied().collect();
@@ -106,12 +106,12 @@ impl ValidLoops {
             ..SituationsConfig::default()
         };
         let futures = Futures::new(model, job.seed.0, &job.compute.device)?;
-        let validity = match self.limits.take() {
-            Some(limits) => limits,
-            None => MapFits::of(store, &ValidityConfig::default())?.limits(&ValidityConfig::default()),
+        let judged_by = match self.judged_by.take() {
+            Some(known) => known,
+            None => MapFits::of(store, &ValidityConfig::default())?.settings(&ValidityConfig::default()),
         };
         let ingest = IngestConfig::new(store.index().get(*first).dataset, Vec::new());
-        let new = NewScenes { config: &config, futures: &futures, store, validity: &validity, ingest: &ingest };
+        let new = NewScenes { config: &config, futures: &futures, store, judged_by: &judged_by, ingest: &ingest };
         for position in &positions {
             self.n_valid.insert(store.index().get(*position).id.to_owned(), 0);
         }
@@ -123,7 +123,7 @@ impl ValidLoops {
             Ok(())
         })?;
         job.progress.finish();
-        self.limits = Some(validity);
+        self.judged_by = Some(judged_by);
         self.n_windows = (counts.n_scenes + counts.n_left_out) / counts.n_loops.max(1);
         Ok(())
     }

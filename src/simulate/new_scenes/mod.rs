@@ -17,7 +17,7 @@ use super::workers::{in_parallel, pool_of_worker};
 use super::{Error, Result, RolloutConfig, Situation};
 use crate::generate::{self, Futures, NamedDriver, check_times};
 use crate::ingest::IngestConfig;
-use crate::metrics::ValidityConfig;
+use crate::metrics::MetricSettings;
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId, Scene, SceneId, SituationKind};
 use crate::seed::Seed;
@@ -111,7 +111,7 @@ pub struct NewScenes<'a> {
     /// The recorded scenes.
     pub store: &'a SceneStore,
     /// What is valid in a loop.
-    pub validity: &'a ValidityConfig,
+    pub judged_by: &'a MetricSettings,
     /// How scenes are chosen and framed.
     pub ingest: &'a IngestConfig,
 }
@@ -270,14 +270,14 @@ impl NewScenes<'_> {
         let n_future = situation.scene.n_timesteps - situation.scene.n_history;
         let n_possible = n_steps.saturating_sub(n_future) / n_every;
         let from = SceneId(situation.scenario_id.clone());
-        let found = windows(situation, &driven.world, n_every, (self.validity, &place.sight));
+        let found = windows(situation, &driven.world, n_every, (self.judged_by, &place.sight));
         let map = place.map.as_ref().map(|(_, map)| map);
         let scenes = found.into_iter().filter_map(|mut raw| {
             (raw.source.situation, raw.source.continues) = (*kind, Some(situation.scene.id.clone()));
             raw.id = SceneId(format!("{from}@{}", raw.source.first_frame));
             // What recordings would be rejected for is left out here, too.
             let scene = crate::ingest::assemble_window(raw, map.cloned(), self.ingest).ok()?;
-            let is_valid = windows::is_valid(&scene, self.validity);
+            let is_valid = windows::is_valid(&scene, self.judged_by);
             is_valid.then_some(scene)
         });
         let scenes: Vec<Scene> = scenes.collect();
@@ -310,8 +310,8 @@ mod tests {
         let store = SceneStore::open(dir.path()).unwrap();
         let model = model();
         let futures = Futures::new(&model, 3, &Device::Cpu).unwrap();
-        let (validity, ingest) = (ValidityConfig::default(), IngestConfig::new(Dataset::Interaction, Vec::new()));
-        let new = NewScenes { config, futures: &futures, store: &store, validity: &validity, ingest: &ingest };
+        let (judged_by, ingest) = (MetricSettings::default(), IngestConfig::new(Dataset::Interaction, Vec::new()));
+        let new = NewScenes { config, futures: &futures, store: &store, judged_by: &judged_by, ingest: &ingest };
         let mut scenes = Vec::new();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         let counts = pool.install(|| {

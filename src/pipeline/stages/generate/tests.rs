@@ -5,6 +5,7 @@ use super::sharded::{gather_sweeps, make_sweeps};
 use super::*;
 use crate::engine::shards::{Gathering, Shards, shard_folder};
 use crate::generate::{Plan, ShardOutput, ShardPlan};
+use crate::metrics::ValidityConfig;
 use crate::progress::Silent;
 use crate::scene::MapId;
 use crate::store::SceneWriter;
@@ -56,8 +57,8 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
     writer.write_batch(&scenes, &maps, Some(0), &json!(0)).unwrap();
     writer.finish(&json!({ "rejects": {} })).unwrap();
     let store = SceneStore::open(dir.path()).unwrap();
-    let of_evaluation = MapFits::of(&store, &ValidityConfig::default()).unwrap().limits(&ValidityConfig::default());
-    assert!(of_evaluation.places_without_road.contains("PIT"), "its map is at random");
+    let of_evaluation = MapFits::of(&store, &ValidityConfig::default()).unwrap().settings(&ValidityConfig::default());
+    assert!(of_evaluation.map_gaps.places.contains("PIT"), "its map is at random");
 
     let settings_with = |limits: &str, validity: &ValidityConfig| {
         let text = format!(
@@ -69,7 +70,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
             config: &toml::from_str(&text).unwrap(),
             precision: Precision::default(),
             mine: MineConfig::default(),
-            metric_settings: MetricSettings { validity: validity.clone() },
+            metric_settings: MetricSettings { validity: validity.clone(), ..MetricSettings::default() },
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
             classified_behavior: None,
             distill: None,
@@ -81,6 +82,6 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
     };
     let strict = ValidityConfig { offroad_slack_m: 0.25, ..ValidityConfig::default() };
     let settings_with = |limits: &str| settings_with(limits, &strict);
-    let judged = settings_with("collision_rate = 0.0").validity;
-    assert_eq!((judged.offroad_slack_m, &judged.places_without_road), (0.25, &of_evaluation.places_without_road));
+    let MetricSettings { validity, map_gaps } = settings_with("collision_rate = 0.0");
+    assert_eq!((validity.offroad_slack_m, &map_gaps.places), (0.25, &of_evaluation.map_gaps.places));
 }
