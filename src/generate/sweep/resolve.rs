@@ -52,6 +52,10 @@ impl SweepConfig {
                  objectives = [{ kind = \"cut_in\" }]",
             ));
         }
+        if self.aim == Aim::Hard && self.pairs.ranking.is_some() {
+            let why = "is set, but aim = \"hard\" ranks pairs by how hard their events can be; remove one of them";
+            return Err(Issue::new("pairs.ranking", why));
+        }
         Ok(sweep)
     }
 
