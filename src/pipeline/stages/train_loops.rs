@@ -19,8 +19,6 @@ use std::collections::BTreeMap;
 /// The length of a loop: this part of the time of the training, within these limits, seconds.
 const OF_TRAINING: f64 = 1.0 / 20.0;
 const HORIZON_S: [f64; 2] = [6.0, 30.0];
-/// The length of the windows by which it is judged, seconds.
-const EVERY_S: f64 = 3.0;
 /// The part of the training's time in which loops of the checkpoint are driven; those of what is trained take as long.
 const SHARE: f64 = 0.055;
 /// The least and largest number of loops.
@@ -102,7 +100,6 @@ impl ValidLoops {
             continued: positions.len(),
             populated: 0,
             horizon_s: self.horizon_s,
-            every_s: EVERY_S,
             ..SituationsConfig::default()
         };
         let futures = Futures::new(model, job.seed.0, &job.compute.device)?;
