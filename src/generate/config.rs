@@ -41,8 +41,8 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
-    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs`, `aim`,
-    /// and `stop_after_verified`, which the request decides.
+    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs` and
+    /// `aim`, which the request decides.
     pub arms: Vec<SweepConfig>,
     /// Events requested by their parameters, generated after the sweeps.
     pub requests: Vec<RequestConfig>,

@@ -216,11 +216,3 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
         Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu).err().unwrap().to_string();
     assert!(message.contains("the denoiser is distilled"), "{message}");
 }
-
-#[test]
-fn a_sweep_stops_when_enough_is_verified() {
-    let stopping = resolve(&SWEEPS.replace("strengths = [0.0, 3.0]", "stop_after_verified = 3"));
-    let shard = |sweep_idx| ShardPlan { idx: 0, sweep_idx, cells: Vec::new(), first_sample: 0 };
-    assert!(shard(1).is_wanted(&stopping, 2) && !shard(1).is_wanted(&stopping, 3));
-    assert!(shard(0).is_wanted(&stopping, 1000));
-}

@@ -56,14 +56,6 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     assert!(foreign.iter().all(|name| found.remove(*name).as_deref() == Some(name.as_bytes())));
     assert_same(&whole, &found);
 
-    // A sweep is stopped by what is verified, not by what is sampled.
-    let stopping = ["generate", "--config", &config, "--output", &alone, "-q", "--set"];
-    djinn(&[&stopping[..], &["generate.sweeps.1.stop_after_verified=4"]].concat()).expect(0);
-    let mut shards = SampleManifest::read(&workspace.path("alone/samples")).unwrap().shards;
-    shards.retain(|shard| shard.sweep == "cut_ins");
-    assert!(shards[0].n_verified < 4 && shards[0].n_scenarios >= 4, "{:?}", shards[0]);
-    assert_eq!(shards.len(), 2);
-
     // Nothing else is written into an output.
     for output in ["corpus", "figures"] {
         let refused =

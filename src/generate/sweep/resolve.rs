@@ -35,14 +35,10 @@ impl SweepConfig {
             behavior: self.behavior.clone(),
             pairs: self.pairs.clone(),
             aim: self.aim,
-            stop_after_verified: self.stop_after_verified,
             rollout: self.rollout,
             observe: self.observe.clone(),
             model,
         };
-        if self.stop_after_verified.is_some() && behavior.is_none() {
-            return Err(Issue::new("stop_after_verified", "is set, which needs a behavior that can be verified"));
-        }
         let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
         if self.aim != Aim::Anything && !can_aim {
             return Err(Issue::new(
@@ -94,7 +90,6 @@ impl SweepConfig {
             behavior: Some(request.behavior.clone()),
             pairs: request.pairs.clone(),
             aim: Aim::default(),
-            stop_after_verified: None,
             rollout: self.rollout,
             observe: self.observe.clone(),
             model,

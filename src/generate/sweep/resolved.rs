@@ -25,8 +25,6 @@ pub struct ResolvedSweep {
     pub pairs: PairSelectionConfig,
     /// Which events its guided samples aim at.
     pub aim: Aim,
-    /// Start no further shards once this many scenarios are verified.
-    pub stop_after_verified: Option<usize>,
     /// How scenarios go on in a closed loop; `None`: not at all.
     pub rollout: Option<SweepRollout>,
     /// Which states are observed.

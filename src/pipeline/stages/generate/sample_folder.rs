@@ -43,7 +43,7 @@ pub struct SampleSidecar {
 /// The last file written to the folder.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SampleManifest {
-    /// The finished shards, in the order of the plan; those of a sweep that stopped early are missing.
+    /// The finished shards, in the order of the plan.
     pub shards: Vec<SampleSidecar>,
     /// Number of scenarios.
     pub n_scenarios: u64,
