@@ -52,6 +52,14 @@ pub fn roll_out_samples(
                 }
                 Err(error) => return Err(error),
             };
+            // Others that the template has in it keep to it, too, such as a leader that brakes.
+            let follows = |idx: &usize| {
+                let later = situation.scene.tracks[*idx].trajectory.entries().get(futures.n_timesteps()..);
+                later.is_some_and(|later| later.iter().any(Option::is_some))
+            };
+            let others = (0..situation.scene.tracks.len()).filter(|idx| *idx != situation.ego_idx).filter(follows);
+            let others: Vec<usize> = others.filter(|idx| !situation.planned.contains(idx)).collect();
+            situation.planned.extend(others);
             let [n_steps, _] = own.n_steps(situation.scene.dt_s);
             maps.expect_arrivals(&mut situation, futures.seed(), [n_steps, 0, n_steps])?;
             situations.push((*i, situation));
@@ -212,25 +220,31 @@ mod tests {
         let mut planned = plain.clone();
         let scene = &mut planned.scenario.scene;
         *scene = scene.lasting(n_steps + 8);
-        let other_idx = scene.track_idx(&other).unwrap();
-        let track = &mut scene.tracks[other_idx];
-        let last = *track.trajectory.get(n_steps - 1).unwrap();
-        let further = (1..=8).map(|step| {
-            let position = last.position + last.velocity * (f64::from(step) * scene.dt_s);
-            Some(crate::scene::State { position, ..last })
-        });
-        let states = track.trajectory.entries()[..n_steps].iter().copied().chain(further).collect();
-        track.trajectory = Trajectory::new(states);
+        let (other_idx, ego_idx) = (scene.track_idx(&other).unwrap(), plain.subject_idx().unwrap());
+        let is_there = |idx: &usize| ![other_idx, ego_idx].contains(idx) && scene.state(*idx, n_steps - 1).is_some();
+        let leader_idx = (0..scene.tracks.len()).find(is_there).unwrap();
+        for idx in [other_idx, leader_idx] {
+            let track = &mut scene.tracks[idx];
+            let last = *track.trajectory.get(n_steps - 1).unwrap();
+            let further = (1..=8).map(|step| {
+                let position = last.position + last.velocity * (f64::from(step) * scene.dt_s);
+                Some(crate::scene::State { position, ..last })
+            });
+            let states = track.trajectory.entries()[..n_steps].iter().copied().chain(further).collect();
+            track.trajectory = Trajectory::new(states);
+        }
         // The event would be found later than it is, so that the plan is kept to its end.
         planned.events[0].end_timestep = n_steps + 7;
         let [_, driven, unverified] = rolled_out_from(planned.clone(), NamedDriver::Log, [3.8, 3.0], 1);
         let (scene, planned) = (&driven.scenario.scene, &planned.scenario.scene);
         assert_eq!(scene.n_timesteps, n_steps + 8);
-        let apart_m = |timestep: usize| {
-            let [a, b] = [scene, planned].map(|scene| scene.state(other_idx, timestep).unwrap().position);
+        let apart_m = |idx: usize, timestep: usize| {
+            let [a, b] = [scene, planned].map(|scene| scene.state(idx, timestep).unwrap().position);
             a.distance(b)
         };
-        assert!((0..n_steps + 8).all(|timestep| apart_m(timestep) < 1e-3), "everybody else is sampled");
+        assert!((0..n_steps + 8).all(|timestep| apart_m(other_idx, timestep) < 1e-3), "everybody else is sampled");
+        // And so does somebody whom the template has in it without a role.
+        assert!((0..n_steps + 8).all(|timestep| apart_m(leader_idx, timestep) < 1e-3));
         let bystander = (0..planned.tracks.len()).find(|idx| planned.state(*idx, n_steps).is_none()).unwrap();
         assert!(scene.state(bystander, n_steps).is_some());
         assert_eq!(unverified.scenario, plain.scenario);

@@ -1,25 +1,33 @@
 //! Braking hard along the lane for a reason: behind somebody ahead, who may brake first, or before a line at which to
 //! stop.
 
+use super::driver::Travel;
 use super::{Driver, Maneuver, Pace};
-use crate::behavior::cause::{STANDSTILL_GAP_M, not_enough_mps2};
-use crate::behavior::following::Follower;
+use crate::behavior::cause::{MOST_LATE_S, STANDSTILL_GAP_M, not_enough_mps2};
+use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::hard_brake::HardBrake;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::InTheWay;
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene};
 
-/// Decelerations that are tried, above the least one of an event, because the measured one is smoothed; and the
-/// hardest, m/s².
-const MORE_MPS2: [f64; 4] = [0.5, 1.25, 2.25, 3.25];
+/// Decelerations that are tried, above the least one of an event, because the measured one is smoothed; by how much
+/// harder the firmest driver brakes; and the hardest, m/s².
+const MORE_MPS2: [f64; 4] = [0.4, 1.1, 1.9, 2.8];
+const HARDER_MPS2: f64 = 0.7;
 const HARDEST_MPS2: f64 = 7.75;
-/// When braking begins and how long it lasts, seconds.
-const BEGINS_S: [f64; 4] = [0.4, 0.9, 1.4, 1.9];
-const LASTS_S: [f64; 3] = [0.9, 1.5, 2.5];
-/// How hard the one ahead brakes, m/s², and how long before the agent, which needs that long to react, seconds.
-const LEADER_MPS2: [f64; 5] = [0.0, 2.5, 3.5, 4.5, 6.0];
-const REACTION_S: f64 = 0.75;
+/// When braking begins, earlier by up to this, as drivers differ, seconds.
+const BEGINS_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
+const EARLIER_S: f64 = 0.3;
+/// How much slower an agent becomes than the one ahead, and below which speed that one stands, m/s.
+const SLOWER_MPS: f64 = 0.7;
+const STANDS_MPS: f64 = 1.0;
+/// How hard the one ahead brakes for a reason of its own, m/s², and how long before the agent, seconds: drivers need
+/// that long to react to brake lights that they expect, or not (Green 2000), or after an ordinary glance away.
+const LEADER_MPS2: [f64; 3] = [3.5, 4.5, 6.0];
+const REACTIONS_S: [f64; 4] = [0.75, 1.0, 1.4, MOST_LATE_S];
+/// The soonest that the one ahead begins to brake, seconds after the present.
+const SOONEST_S: f64 = 0.1;
 /// How far ahead somebody, or a line, is looked for, meters.
 const REACH_M: f64 = 60.0;
 
@@ -33,6 +41,25 @@ enum Reason {
 }
 
 impl Reason {
+    /// The travel of a driver that brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None` if
+    /// that is not enough, or much less would be.
+    fn braking(&self, driver: &Driver, rail: usize, (from_s, mps2): (f64, f64), dt_s: f64) -> Option<Travel> {
+        let steady = Pace::steady(driver.braking_mps2().min(0.0));
+        let before = driver.travel(rail, &steady);
+        let begins = ((from_s / dt_s) as usize).min(before.driven_m.len().checked_sub(1)?);
+        let own_mps = before.speeds_mps[begins];
+        let their_mps = match self {
+            Self::Line(_) => 0.0,
+            Self::Leader { driven_m, .. } => {
+                driven_m[begins..].windows(2).map(|pair| (pair[1] - pair[0]) / dt_s).fold(own_mps, f64::min)
+            }
+        };
+        let to_their_speed = steady.clone().losing(from_s, mps2, own_mps - their_mps + SLOWER_MPS);
+        let paces = (their_mps > STANDS_MPS).then_some(to_their_speed).into_iter().chain([steady.then(from_s, -mps2)]);
+        let mut travels = paces.map(|pace| driver.travel(rail, &pace));
+        travels.find(|travel| self.explains(not_enough_mps2(mps2), (begins, own_mps), &travel.driven_m, dt_s))
+    }
+
     /// Whether braking with `mps2`, after `driven_m` with this speed at timestep `begins`, is too little for it, and
     /// the planned drive is enough.
     fn explains(&self, mps2: f64, (begins, speed_mps): (usize, f64), driven_m: &[f64], dt_s: f64) -> bool {
@@ -67,19 +94,15 @@ impl HardBrake {
         };
         let Some(own) = Follower::as_observed(scene, &lanes, agent_idx) else { return Vec::new() };
         let mut maneuvers = Vec::new();
-        let tried = MORE_MPS2.iter().map(|more_mps2| self.min_deceleration_mps2 + more_mps2);
+        let harder_mps2 = HARDER_MPS2 * driver.style;
+        let tried = MORE_MPS2.iter().map(|more_mps2| self.min_deceleration_mps2 + more_mps2 + harder_mps2);
         for (i, deceleration_mps2) in tried.enumerate().filter(|(_, mps2)| *mps2 <= HARDEST_MPS2) {
-            for from_s in BEGINS_S {
+            for from_s in BEGINS_S.map(|from_s| from_s - EARLIER_S * driver.style) {
                 let reasons = reasons(scene, &lanes, &own, agent_idx, from_s);
-                for (rail, lasts_s) in (0..driver.rails.len()).flat_map(|rail| LASTS_S.map(|lasts_s| (rail, lasts_s))) {
-                    let pace = Pace::steady(driver.braking_mps2().min(0.0));
-                    let pace = pace.then(from_s, -deceleration_mps2).then(from_s + lasts_s, 0.0);
-                    let travel = driver.travel(rail, &pace);
-                    let begins = ((from_s / scene.dt_s) as usize).min(travel.driven_m.len() - 1);
-                    let then = (begins, travel.speeds_mps[begins]);
-                    let mps2 = not_enough_mps2(deceleration_mps2);
-                    let is_explained = |reason: &&Reason| reason.explains(mps2, then, &travel.driven_m, scene.dt_s);
-                    let Some(reason) = reasons.iter().find(is_explained) else { continue };
+                let tried = (0..driver.rails.len()).flat_map(|rail| reasons.iter().map(move |reason| (rail, reason)));
+                for (rail, reason) in tried {
+                    let braking = (from_s, deceleration_mps2);
+                    let Some(travel) = reason.braking(&driver, rail, braking, scene.dt_s) else { continue };
                     let others = match reason {
                         Reason::Line(_) => Vec::new(),
                         Reason::Leader { agent_idx, positions, .. } => vec![(*agent_idx, positions.clone())],
@@ -99,9 +122,33 @@ impl HardBrake {
     }
 }
 
-/// What an agent could brake for that begins to at `from_s`: the line ahead, and whoever is ahead and goes on or
-/// brakes.
+/// What an agent could brake for that begins to at `from_s`: what is ahead as everybody goes on, or somebody ahead that
+/// slows down as drivers do without a reason that is seen, or harder, if what is ahead of that one explains it.
 fn reasons(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx: usize, from_s: f64) -> Vec<Reason> {
+    let (mut reasons, leader) = in_front(scene, lanes, own, agent_idx);
+    let Some((ahead, leader)) = &leader else { return reasons };
+    let its_own = Follower::as_observed(scene, lanes, ahead.agent_idx);
+    let its_reasons = its_own.map(|own| in_front(scene, lanes, &own, ahead.agent_idx).0).unwrap_or_default();
+    let goes_on = Pace::steady(leader.braking_mps2().min(0.0));
+    let reacted = REACTIONS_S.map(|reaction_s| from_s - reaction_s).into_iter();
+    for starts_s in reacted.filter(|starts_s| *starts_s >= SOONEST_S) {
+        let explained = LEADER_MPS2.into_iter().flat_map(|mps2| {
+            let braking = (starts_s, mps2);
+            its_reasons.iter().filter_map(move |its| its.braking(leader, 0, braking, scene.dt_s))
+        });
+        reasons.extend(explained.map(|travel| led(leader, *ahead, travel)));
+        reasons.extend(leader.slowing(&goes_on, starts_s).map(|pace| led(leader, *ahead, leader.travel(0, &pace))));
+    }
+    reasons
+}
+
+/// The lines ahead of an agent, and the agent ahead as it goes on, with its driver.
+fn in_front(
+    scene: &Scene,
+    lanes: &SceneLanes<'_>,
+    own: &Follower<'_>,
+    agent_idx: usize,
+) -> (Vec<Reason>, Option<(Ahead, Driver)>) {
     let front_m = scene.tracks[agent_idx].extent_or_nominal().length_m / 2.0;
     let place = scene.state(agent_idx, scene.current_timestep()).and_then(|now| own.lane.project(now.position));
     let ends = own.lane.ids().iter().filter_map(|id| lanes.get(*id)).map(|lane| lane.lane);
@@ -111,13 +158,17 @@ fn reasons(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx:
     let mut reasons: Vec<Reason> = lines.filter(|m| (0.0..REACH_M).contains(m)).map(Reason::Line).collect();
     let ahead = own.ahead(scene.current_timestep(), REACH_M).first().copied();
     let leader = ahead.and_then(|ahead| Some((ahead, Driver::new(scene, lanes, ahead.agent_idx)?)));
-    if let Some((ahead, leader)) = leader.filter(|(_, leader)| !leader.rails.is_empty()) {
-        reasons.extend(LEADER_MPS2.map(|mps2| {
-            let pace = Pace::steady(leader.braking_mps2().min(0.0)).then((from_s - REACTION_S).max(0.0), -mps2);
-            let driven_m = leader.travel(0, &pace).driven_m;
-            let positions = leader.positions(0, &driven_m);
-            Reason::Leader { gap_m: ahead.gap_m, driven_m, agent_idx: ahead.agent_idx, positions }
-        }));
-    }
-    reasons
+    let leader = leader.filter(|(_, leader)| !leader.rails.is_empty());
+    reasons.extend(
+        leader.as_ref().map(|(ahead, leader)| {
+            led(leader, *ahead, leader.travel(0, &Pace::steady(leader.braking_mps2().min(0.0))))
+        }),
+    );
+    (reasons, leader)
+}
+
+/// Somebody ahead that travels like this.
+fn led(leader: &Driver, Ahead { gap_m, agent_idx, .. }: Ahead, Travel { driven_m, .. }: Travel) -> Reason {
+    let positions = leader.positions(0, &driven_m);
+    Reason::Leader { gap_m, driven_m, agent_idx, positions }
 }

@@ -23,7 +23,7 @@ fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
     beside_the_road.tracks[1].extent = None;
     let crossing = [drive(0.0, 0.0, 8.0), Drive::straight(20.0, -20.0, std::f64::consts::FRAC_PI_2, 8.0)];
     vec![
-        ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0), drive(20.0, 0.0, 9.0)], two_lanes()), vec![0]),
+        ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0), drive(15.0, 0.0, 9.0)], two_lanes()), vec![0]),
         ("lane_change", going_on(&alone(), two_lanes()), vec![0]),
         ("cut_in", going_on(&[drive(0.0, 0.0, 10.0), drive(16.0, 3.5, 9.0)], two_lanes()), vec![0, 1]),
         ("left_turn", going_on(&[drive(8.0, 0.0, 7.0)], fork()), vec![0]),
@@ -188,6 +188,11 @@ fn templates_stay_on_the_road_and_within_what_vehicles_can() {
 
 /// The agents' states in each of some templates for a scene, from the present on.
 fn driven(id: &str, scene: &Scene, agents: &[usize]) -> Vec<Vec<Vec<State>>> {
+    driven_by(id, scene, agents, agents)
+}
+
+/// The states of the agents `whose`, where `agents` have the roles.
+fn driven_by(id: &str, scene: &Scene, agents: &[usize], whose: &[usize]) -> Vec<Vec<Vec<State>>> {
     let behavior = BehaviorConfig::from_id(id).unwrap().build();
     let template = |variant| {
         let mut changed = scene.clone();
@@ -196,7 +201,7 @@ fn driven(id: &str, scene: &Scene, agents: &[usize]) -> Vec<Vec<Vec<State>>> {
             let entries = &changed.tracks[*agent_idx].trajectory.entries()[scene.current_timestep()..];
             entries.iter().map(|state| state.unwrap()).collect()
         };
-        Some(agents.iter().map(states).collect())
+        Some(whose.iter().map(states).collect())
     };
     (0..6).filter_map(template).collect()
 }
@@ -223,7 +228,7 @@ fn who_is_cut_off_or_sees_somebody_in_the_way_brakes() {
     let mut n_close = 0;
     for states in driven("cut_in", &scene, &[0, 1]) {
         let [own, other] = [&states[0], &states[1]].map(|states| states[states.len() - 1]);
-        if other.position.x - own.position.x - length_m < 6.0 {
+        if other.position.x - own.position.x - length_m < 7.5 {
             // It may not have had the time to react.
             assert!(own.speed_mps() < other.speed_mps() + 0.1, "{own:?} {other:?}");
             n_close += usize::from(own.speed_mps() < other.speed_mps() - 0.3);
@@ -294,8 +299,9 @@ fn nobody_stops_behind_who_drives_on_ahead() {
 
 #[test]
 fn who_heads_off_its_lane_turns_along_it_and_does_not_swing_back() {
-    for (heading_rad, speed_mps) in [(0.1, 8.0), (-0.08, 12.0), (0.2, 4.0)] {
-        let ahead = drive(2.0 * speed_mps, 0.0, speed_mps);
+    let mut n_found = 0;
+    for (heading_rad, speed_mps, headway_s) in [(0.1, 8.0, 0.8), (-0.08, 12.0, 0.8), (0.2, 4.0, 1.5), (0.1, 8.0, 1.2)] {
+        let ahead = drive(5.0 + headway_s * speed_mps, 0.0, speed_mps);
         let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps), ahead], two_lanes());
         let present = *scene.state(0, scene.current_timestep()).unwrap();
         for states in driven("hard_brake", &scene, &[0]) {
@@ -304,8 +310,10 @@ fn who_heads_off_its_lane_turns_along_it_and_does_not_swing_back() {
             let back_m = aside.windows(2).map(|pair| pair[0] - pair[1]).fold(0.0, f64::max);
             assert!(back_m < 0.015, "{heading_rad}: {back_m} m back in a step");
             assert!(aside[aside.len() - 1] < 1.2, "{heading_rad}: {} m aside", aside[aside.len() - 1]);
+            n_found += 1;
         }
     }
+    assert!(n_found > 5, "{n_found}");
 }
 
 #[test]
@@ -313,10 +321,13 @@ fn who_is_over_the_line_comes_back_or_goes_on_to_the_lane_beside() {
     // The lanes are 3.5 m apart, in the middle at y = 0 and 3.5.
     for (y, heading_rad, speed_mps, middle) in [(1.5, 0.0, 10.0, 0.0), (1.0, 0.06, 10.0, 3.5), (2.4, -0.05, 12.0, 0.0)]
     {
-        let ahead = drive(2.0 * speed_mps, 0.0, speed_mps);
-        let scene = going_on(&[Drive::straight(0.0, y, heading_rad, speed_mps), ahead], two_lanes());
-        for states in driven("hard_brake", &scene, &[0]) {
-            let aside: Vec<f64> = states[0].iter().map(|state| (state.position.y - middle).abs()).collect();
+        let scene = going_on(&[Drive::straight(0.0, y, heading_rad, speed_mps)], two_lanes());
+        let driver = super::Driver::new(&scene, &SceneLanes::new(&scene.lanes), 0).unwrap();
+        assert!(!driver.rails.is_empty(), "{y}");
+        for rail in 0..driver.rails.len() {
+            let travel = driver.travel(rail, &super::Pace::steady(0.0));
+            let positions = driver.positions(rail, &travel.driven_m);
+            let aside: Vec<f64> = positions.iter().map(|at| (at.y - middle).abs()).collect();
             let farther_m = aside.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
             let last_m = aside[aside.len() - 1];
             assert!(last_m < 0.85 * aside[0] && farther_m < 0.02, "{y}, {heading_rad}: {last_m} m, {farther_m} m away");
@@ -358,10 +369,14 @@ fn who_moves_over_one_way_does_not_change_lanes_the_other_way() {
 
 #[test]
 fn who_brakes_already_does_not_let_go_before_it_brakes_hard() {
-    let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(24.0, 0.0, 12.0)], two_lanes());
-    accelerating(&mut scene, 0, -2.0);
-    for states in driven("hard_brake", &scene, &[0]) {
-        let mps2 = accelerations_mps2(&states[0], scene.dt_s);
+    let all = [14.0, 16.0, 18.0, 20.0].map(|x| {
+        let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(x, 0.0, 11.0)], two_lanes());
+        accelerating(&mut scene, 0, -2.0);
+        driven("hard_brake", &scene, &[0])
+    });
+    assert!(all.iter().any(|all| !all.is_empty()));
+    for states in all.iter().flatten() {
+        let mps2 = accelerations_mps2(&states[0], 0.1);
         let hardest = (0..mps2.len()).min_by(|a, b| mps2[*a].total_cmp(&mps2[*b])).unwrap();
         let gentlest_mps2 = mps2[..hardest].iter().copied().fold(f64::NEG_INFINITY, f64::max);
         assert!(gentlest_mps2 < -1.5, "{gentlest_mps2} m/s² before it brakes hard");
@@ -478,6 +493,32 @@ fn brakes_are_let_go_of_slowly_and_no_gas_is_given_toward_a_bend() {
     let rises = accelerations.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
     assert!(rises <= 2.5 * scene.dt_s + 1e-9, "{rises}");
     assert!(accelerations.iter().all(|mps2| *mps2 < 0.8), "gas before the bend: {accelerations:?}");
+}
+
+#[test]
+fn braking_builds_up_fades_and_costs_what_it_is_to_cost() {
+    for (mps2, loses_mps) in [(1.2, 2.0), (3.0, 4.5), (5.0, 6.0), (7.0, 9.0)] {
+        let pace = super::Pace::steady(0.0).losing(0.5, mps2, loses_mps);
+        let at: Vec<f64> = (0..10_000).map(|i| pace.at(f64::from(i) * 1e-3)).collect();
+        let lost_mps = -at.iter().sum::<f64>() * 1e-3;
+        assert!((lost_mps - loses_mps).abs() < 0.05 * loses_mps, "{mps2} m/s²: {lost_mps} m/s");
+        let fastest = at.windows(2).map(|pair| (pair[1] - pair[0]).abs() * 1e3).fold(0.0, f64::max);
+        assert!(at.iter().all(|a| (-mps2 - 1e-9..=0.0).contains(a)), "{mps2} m/s²");
+        assert!(fastest <= if mps2 < 4.0 { 3.01 } else { 10.01 }, "{mps2} m/s²: {fastest} m/s³");
+    }
+}
+
+#[test]
+fn a_leader_brakes_to_a_stand_only_if_there_is_something_to_stop_for() {
+    let slowest_mps = |drives: &[Drive], lanes: LaneGraph| {
+        let scene = going_on(drives, lanes);
+        let states = driven_by("hard_brake", &scene, &[0], &[1]);
+        assert!(!states.is_empty());
+        states.iter().flat_map(|states| &states[0]).map(State::speed_mps).fold(f64::INFINITY, f64::min)
+    };
+    let (own, leader) = (drive(0.0, 0.0, 12.0), drive(14.0, 0.0, 11.0));
+    assert!(slowest_mps(&[own, leader], two_lanes()) > 4.0);
+    assert!(slowest_mps(&[own, drive(20.0, 0.0, 11.0), drive(50.0, 0.0, 0.0)], two_lanes()) < 2.0);
 }
 
 #[test]

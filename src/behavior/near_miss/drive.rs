@@ -19,10 +19,10 @@ pub(super) struct Drive {
 
 impl Drive {
     /// The drive along one of an agent's rails at this pace. `extents` are its box and the inner part of the box.
-    pub(super) fn new(driver: &Driver, rail: usize, pace: &Pace, extents: [Extent; 2]) -> Self {
+    pub(super) fn new(driver: &Driver, rail: usize, pace: &Pace, (effort, extents): (f64, [Extent; 2])) -> Self {
         let travel = driver.travel(rail, pace);
         let [outer, inner] = extents.map(|extent| driver.boxes(rail, &travel.driven_m, extent));
-        Self { effort: pace.effort(), driven_m: travel.driven_m, speeds_mps: travel.speeds_mps, outer, inner }
+        Self { effort, driven_m: travel.driven_m, speeds_mps: travel.speeds_mps, outer, inner }
     }
 
     pub(super) fn velocity(&self, step: usize) -> Vec2 {

@@ -8,7 +8,7 @@ use super::drive::Drive;
 use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, ORDINARY_MPS2, Pace, building_up_s};
+use crate::behavior::maneuver::{Driver, Maneuver, Pace, building_up_s};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::scene::{Extent, Scene, State};
@@ -18,9 +18,16 @@ use std::rc::Rc;
 
 /// The times to collision at which one brakes, seconds, and the decelerations, m/s².
 const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
-const BRAKES_MPS2: [f64; 2] = [5.0, 7.0];
+const BRAKES_MPS2: [f64; 4] = [4.5, 5.4, 6.3, 7.0];
 /// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
+/// Gas that is given, for how long, and the latest that drivers without a reason that is seen begin to slow down, m/s²
+/// and seconds.
+const GAS_MPS2: [f64; 2] = [0.6, 1.25];
+const GAS_S: f64 = 3.0;
+const SLOWS_S: f64 = 1.2;
+/// How much slower than the one ahead somebody becomes that has braked, m/s.
+const SLOWER_MPS: f64 = 0.5;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
@@ -47,13 +54,15 @@ struct Search<'a> {
     braked: RefCell<BTreeMap<Braking, Rc<PlannedDrive>>>,
 }
 
-/// Who brakes, on which rail and from which step on; the bits of its accelerations before and while it brakes.
-type Braking = ([usize; 3], [u64; 2]);
+/// Who brakes, on which rail, at which of its paces before, and from which step on; the bits of its deceleration and of
+/// the speed that it loses.
+type Braking = ([usize; 4], [u64; 2]);
 
-/// A drive, its rail, and the first step at which another agent is in the way.
+/// A drive, its rail and pace, and the first step at which another agent is in the way.
 struct PlannedDrive {
     rail: usize,
-    acceleration_mps2: f64,
+    /// The number of the pace, and the pace.
+    pace: (usize, Pace),
     drive: Drive,
     clear: usize,
 }
@@ -61,7 +70,8 @@ struct PlannedDrive {
 impl NearMiss {
     /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then
     /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
-    /// accelerate with at most half of -4 to 2.5 m/s², and no other agent is in the way.
+    /// give gas with at most 1.25 m/s² or slow down as drivers do without a reason that is seen, and no other agent is
+    /// in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
@@ -93,9 +103,14 @@ impl<'a> Search<'a> {
 
     fn drafts(&self) -> Vec<Maneuver> {
         let courses = [0, 1].map(|who| -> Vec<PlannedDrive> {
-            let rails = 0..self.drivers[who].rails.len();
-            let tried = rails.flat_map(|rail| ORDINARY_MPS2.map(|acceleration_mps2| (rail, acceleration_mps2)));
-            tried.map(|(rail, acceleration_mps2)| self.course(who, rail, acceleration_mps2, None)).collect()
+            let driver = &self.drivers[who];
+            let steady = Pace::steady(0.0);
+            let gas = GAS_MPS2.map(|mps2| Pace::steady(mps2).then(GAS_S, 0.0));
+            let slowing = driver.slowing(&steady, SLOWS_S * driver.style);
+            let paces: Vec<Pace> = [steady].into_iter().chain(gas).chain(slowing).collect();
+            let rails = 0..driver.rails.len();
+            let tried = rails.flat_map(|rail| paces.iter().enumerate().map(move |pace| (rail, pace)));
+            tried.map(|(rail, (nth, pace))| self.course(who, rail, (nth, pace.clone()), pace.effort())).collect()
         });
         let mut drafts = Vec::new();
         for own in &courses[0] {
@@ -112,14 +127,12 @@ impl<'a> Search<'a> {
         drafts
     }
 
-    fn course(&self, who: usize, rail: usize, acceleration_mps2: f64, brake: Option<(f64, f64)>) -> PlannedDrive {
-        let pace = Pace::steady(acceleration_mps2);
-        let pace = brake.into_iter().fold(pace, |pace, (from_s, mps2)| pace.then(from_s, -mps2));
-        let drive = Drive::new(&self.drivers[who], rail, &pace, self.extents[who]);
+    fn course(&self, who: usize, rail: usize, pace: (usize, Pace), effort: f64) -> PlannedDrive {
+        let drive = Drive::new(&self.drivers[who], rail, &pace.1, (effort, self.extents[who]));
         let steps = (0..drive.outer.len()).step_by(STRIDE);
         let is_blocked = |step: &usize| self.others[who][*step].iter().any(|other| other.overlaps(&drive.outer[*step]));
         let clear = steps.into_iter().find(is_blocked).unwrap_or(drive.outer.len());
-        PlannedDrive { rail, acceleration_mps2, drive, clear }
+        PlannedDrive { rail, pace, drive, clear }
     }
 
     /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. As its
@@ -140,14 +153,26 @@ impl<'a> Search<'a> {
         // Who looks too late at somebody ahead gives no gas, and looks up in time for an ordinary mistake.
         let is_behind = own.drive.outer[begins].forward.dot(other.drive.outer[begins].forward) > FOLLOWING_RAD.cos();
         let late_s = relative_mps / (2.0 * COMFORTABLE_MPS2) - at_s;
-        let is_ordinary = !is_behind || (own.acceleration_mps2 <= 0.0 && late_s < MOST_LATE_S - SPARE_LATE_S);
+        let (nth, pace) = &own.pace;
+        let is_ordinary = !is_behind || (pace.at(0.0) <= 0.0 && late_s < MOST_LATE_S - SPARE_LATE_S);
         if !is_ordinary || !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
             return None;
         }
-        BRAKES_MPS2.into_iter().find_map(|deceleration_mps2| {
-            let from_s = (at_once_s - building_up_s(own.acceleration_mps2, -deceleration_mps2) / 2.0).max(SOONEST_S);
-            let key = ([evader, own.rail, begins], [own.acceleration_mps2, deceleration_mps2].map(f64::to_bits));
-            let course = || self.course(evader, own.rail, own.acceleration_mps2, Some((from_s, deceleration_mps2)));
+        let own_mps = own.drive.speeds_mps[begins];
+        let their_mps = other.drive.speeds_mps[begins..].iter().copied().fold(f64::INFINITY, f64::min);
+        // Who brakes behind somebody that goes on lets go of the brake, if that is early enough.
+        let loses_mps = if is_behind { (own_mps - their_mps + SLOWER_MPS).min(own_mps) } else { own_mps };
+        let tried = BRAKES_MPS2.map(|mps2| self.drivers[evader].firmly(mps2));
+        let tried = tried.iter().flat_map(|mps2| [loses_mps, own_mps].map(|loses_mps| (*mps2, loses_mps)));
+        tried.into_iter().find_map(|(deceleration_mps2, loses_mps)| {
+            let building_up_s = building_up_s(pace.at(at_once_s), -deceleration_mps2);
+            let from_s = (at_once_s - building_up_s / 2.0).max(SOONEST_S);
+            let key = ([evader, own.rail, *nth, begins], [deceleration_mps2, loses_mps].map(f64::to_bits));
+            let braking = match loses_mps < own_mps {
+                true => pace.clone().losing(from_s, deceleration_mps2, loses_mps),
+                false => pace.clone().then(from_s, -deceleration_mps2),
+            };
+            let course = || self.course(evader, own.rail, (*nth, braking), own.drive.effort);
             let braked = Rc::clone(self.braked.borrow_mut().entry(key).or_insert_with(|| Rc::new(course())));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
             let pair = if evader == 0 { [&*braked, other] } else { [other, &*braked] };

@@ -6,10 +6,16 @@ use crate::scene::State;
 use crate::simulate::driver::{Driver, Failed};
 use crate::simulate::{Situation, World};
 
-/// How hard a driver brakes at most, m/s², to regain the distance to somebody whom braking is not needed to avoid, and
-/// the weight of that.
-const REGAINS_MPS2: f64 = 1.0;
-const COOLNESS: f64 = 0.99;
+/// The headway to which a driver falls back after an event, within which time, seconds, with which largest speed, m/s,
+/// within which it comes to that speed, seconds, and with which largest acceleration, m/s².
+const FOLLOWS_S: f64 = 0.9;
+const OPENS_S: f64 = 3.0;
+const MOST_OPENS_MPS: f64 = 2.0;
+const COMES_TO_S: f64 = 2.0;
+const GAS_MPS2: f64 = 0.5;
+/// The distance that is left when both are as fast, and the least over which speed is lost, meters.
+const LEAVES_M: f64 = 2.0;
+const LEAST_M: f64 = 0.5;
 
 /// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
@@ -32,21 +38,21 @@ impl Idm {
     pub(super) fn settling(situation: &Situation, world: &World) -> Result<State, Failed> {
         let (state, seen) = (ego(situation, world)?, seen(situation, world, world.now()));
         let mps2 = behind_nearest(situation, &state, &seen);
-        let wanted_mps2 = nearest(situation, &seen).map_or(mps2, |nearest| calm_mps2(mps2, &nearest));
+        let wanted_mps2 =
+            nearest(situation, &seen).map_or(mps2, |nearest| calm_mps2(mps2, state.speed_mps(), &nearest));
         Ok(advanced(situation, &state, eased(situation, world, wanted_mps2)))
     }
 }
 
-/// The model's acceleration, m/s², but little harder braking than is needed if the one ahead keeps its speed: the model
-/// with the constant-acceleration heuristic of Kesting, Treiber and Helbing (2010), for one ahead that does not
-/// accelerate.
-fn calm_mps2(model_mps2: f64, ahead: &Seen) -> f64 {
-    let needed_mps2 = -ahead.closing_mps.max(0.0).powi(2) / (2.0 * ahead.gap_m.max(0.1));
-    if model_mps2 >= needed_mps2 {
-        return model_mps2;
-    }
-    let beyond_mps2 = REGAINS_MPS2 * ((model_mps2 - needed_mps2) / REGAINS_MPS2).tanh();
-    (1.0 - COOLNESS) * model_mps2 + COOLNESS * (needed_mps2 + beyond_mps2)
+/// The model's acceleration, m/s², but no harder braking than is needed to stay at a standstill's distance if the one
+/// ahead keeps its speed, or to fall back from it slowly. The model alone brakes at once, and fully, for a gap that is
+/// short but opens.
+fn calm_mps2(model_mps2: f64, ego_mps: f64, ahead: &Seen) -> f64 {
+    let needed_mps2 = -ahead.closing_mps.powi(2) / (2.0 * (ahead.gap_m - LEAVES_M).max(LEAST_M));
+    let opens_mps = ((FOLLOWS_S * ego_mps - ahead.gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
+    let falls_back_mps2 = (-(ahead.closing_mps + opens_mps) / COMES_TO_S).min(GAS_MPS2);
+    let calm_mps2 = if ahead.closing_mps > 0.0 { needed_mps2.min(falls_back_mps2) } else { falls_back_mps2 };
+    model_mps2.max(calm_mps2)
 }
 
 /// The states of the ego at the next `n_steps` timesteps if this model drives it; `then` gives the state of another
@@ -107,13 +113,15 @@ mod tests {
     fn nobody_brakes_hard_for_a_short_gap_that_opens() {
         let calm = |model_mps2: f64, gap_m: f64, closing_mps: f64| {
             let ahead = Seen { offset_m: 0.0, flank_m: 0.0, gap_m, closing_mps, lengths_m: 9.0, is_on_foot: false };
-            calm_mps2(model_mps2, &ahead)
+            calm_mps2(model_mps2, 10.0, &ahead)
         };
-        // By hand: .01 * -7.5 - .99 tanh 7.5; and .01 * -6 - .99 (1.25 + tanh 4.75).
-        assert!((calm(-7.5, 2.0, -0.5) + 1.065).abs() < 1e-3);
-        assert!((calm(-6.0, 10.0, 5.0) + 2.287).abs() < 1e-3);
-        // Gentler braking, and what is needed, stay.
-        assert_eq!(calm(0.5, 2.0, -0.5), 0.5);
-        assert_eq!(calm(-5.0, 2.5, 5.0), -5.0);
+        // By hand: it falls back with 2 m/s, 0.5 of which it has; and (25 / 16 < 5 / 2) it comes to the speed ahead.
+        assert!((calm(-7.5, 2.0, -0.5) + 0.75).abs() < 1e-12);
+        assert!((calm(-6.0, 10.0, 5.0) + 2.5).abs() < 1e-12);
+        // It comes up again where the gap opens faster.
+        assert!((calm(-1.0, 6.0, -1.5) - 0.25).abs() < 1e-12 && (calm(-1.0, 6.0, -4.0) - 0.5).abs() < 1e-12);
+        // It brakes for what is needed, and no harder than the model.
+        assert!((calm(-9.0, 4.0, 5.0) + 6.25).abs() < 1e-12);
+        assert_eq!([calm(0.5, 2.0, -0.5), calm(-5.0, 2.5, 5.0)], [0.5, -5.0]);
     }
 }

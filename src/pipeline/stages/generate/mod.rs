@@ -64,7 +64,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        28
+        29
     }
 
     fn check(&self) -> Result<()> {
