@@ -38,7 +38,8 @@ pub struct RequestConfig {
     pub conditions: BTreeMap<String, Requirement>,
     /// Limits on metrics of the single scenario, such as criticality: `{ collision_rate = 0.0 }` accepts those without
     /// a collision, `{ pair_min_ttc_s = [0.5, 2.0] }` those that come this close to one,
-    /// `{ pair_min_distance_m = { at_least = 1.0 } }` those that stay this far apart. Unless it is limited otherwise, `validity_rate` is 1: a corpus of accepted scenarios holds valid ones only.
+    /// `{ pair_min_distance_m = { at_least = 1.0 } }` those that stay this far apart. Unless it is limited otherwise,
+    /// `validity_rate` is 1: a corpus of accepted scenarios holds valid ones only.
     #[serde(default = "only_valid", deserialize_with = "with_validity")]
     pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.
