@@ -145,8 +145,8 @@ fn who_has_left_stays_away_though_its_plan_returns() {
         });
         track.trajectory = Trajectory::new(states.collect());
         let mut situation = situation(&record);
-        // Nobody solves the plan again.
-        situation.is_collision = true;
+        // Nobody gives the plan up, or solves it again.
+        (situation.is_collision, situation.aims) = (true, false);
         let world = driven(&situation, situation.start(1), &mut Log, &SHORT).world;
         let there: Vec<usize> = (0..world.n_timesteps()).filter(|t| world.state(planned, *t).is_some()).collect();
         assert_eq!(there, (0..leaves).collect::<Vec<_>>());
