@@ -5,14 +5,12 @@
     python scripts/compare_arms.py output/arms/main [output/arms/seed_2 ...]
 
 Sweeps are named BEHAVIOR/ARM in their pipeline's `name`. Prints CSV over all runs: shares of samples with the middle 95 % of 10,000
-draws of pairs with replacement (fixed seed), pairs with a sample that is verified and valid, spread of the last positions (MFD), the
-mean distance of accepted ones from recorded events, and the Wasserstein distances of the motion of all agents from the recordings of
-the same scenes.
+draws of pairs with replacement (fixed seed), pairs with a sample that is verified and valid, spread of the last positions (MFD), and
+the mean distance of accepted ones from recorded events.
 """
 
 import argparse
 import csv
-import json
 import pathlib
 import sys
 
@@ -20,7 +18,6 @@ import numpy as np
 import polars as pl
 
 N_DRAWS = 10_000
-MOTION = {"speed": "speed_mps", "acceleration": "acceleration_mps2", "distance to the nearest": "distance_to_nearest_m"}
 # Reasons against a scenario that say nothing of its validity.
 NOT_VALIDITY = ["not_verified", "nothing_asked", "near_duplicate", "surplus", "repeated", "outside", "beyond_limits", "not_found"]
 
@@ -42,16 +39,6 @@ def share(rows, column):
     draws = np.random.default_rng(0).integers(0, len(by_pair), (N_DRAWS, len(by_pair)))
     low, high = np.quantile(by_pair[draws].mean(1), (0.025, 0.975))
     return [f"{100 * figure:.0f}" for figure in (by_pair.mean(), low, high)]
-
-
-def realism(runs, sweep, strength, quantity):
-    """Mean over runs of a distance from the recordings."""
-    found = []
-    for run in runs:
-        rows = json.loads((run / "metrics.json").read_text())["realism"]
-        own = [row for row in rows if row["sweep"] == sweep and row["strength"] == strength and row["quantity"] == quantity]
-        found += [row["wasserstein"] for row in own if row["group"] != "constant_velocity"]
-    return f"{np.mean(found):.2f}" if found else ""
 
 
 def spread(runs, sweep, strength):
@@ -80,11 +67,11 @@ def main():
     rows = rows.with_columns(pl.col("sweep").str.split("/").list.first().alias("behavior"))
     writer = csv.writer(sys.stdout, lineterminator="\n")
     shares = [f"{name}_percent{bound}" for name in ("verified", "valid", "both") for bound in ("", "_low", "_high")]
-    writer.writerow(["behavior", "arm", "samples", *shares, "accepted", "pairs", "pairs_of", "mfd_m", "from_recorded_events", *MOTION.values()])
+    writer.writerow(["behavior", "arm", "samples", *shares, "accepted", "pairs", "pairs_of", "mfd_m", "from_recorded_events"])
     for (sweep, strength), own in rows.group_by("sweep", "strength", maintain_order=True):
         behavior, _, arm = sweep.partition("/")
         works = own.group_by("pair").agg(pl.col("both").any())["both"]
-        measured = [spread(runs, sweep, strength), novelty(runs, sweep, strength), *(realism(runs, sweep, strength, quantity) for quantity in MOTION)]
+        measured = [spread(runs, sweep, strength), novelty(runs, sweep, strength)]
         percent = [figure for column in ("verified", "valid", "both") for figure in share(own, column)]
         name = arm.replace("_", " ") + (f", α = {strength:g}" if strength else "")
         writer.writerow([behavior, name, own.height, *percent, own["accepted"].sum(), works.sum(), len(works), *measured])

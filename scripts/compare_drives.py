@@ -16,13 +16,13 @@ import math
 import pathlib
 import sys
 
-# What is worse, and from which difference on.
+# What is worse, and from which difference on; None where it was not measured.
 WORSE = {
     "fails": (lambda row: row["outcome"] not in ("survived", "not_sampled"), 0),
     "time to collision shorter by 0.1 s": (lambda row: -math.inf if row["ego_min_ttc_s"] is None else -row["ego_min_ttc_s"], 0.1),
     "brakes harder by 0.2 m/s2": (lambda row: row["max_braking_mps2"], 0.2),
     "contact harder by 0.2 m/s": (lambda row: row["contact_relative_mps"] or 0.0, 0.2),
-    "survives a shorter delay": (lambda row: -row["delay_s"], 0.05),
+    "survives a shorter delay": (lambda row: None if row["delay_s"] is None else -row["delay_s"], 0.05),
 }
 
 
@@ -35,7 +35,7 @@ def rows(folder):
     delays_s = {margin["scenario_id"]: -1.0 if (s := margin["own"]["delay_s"]) is None else s for margin in margins["scenarios"]}
     found = {}
     for row in pq.read_table(folder / "drives.parquet").to_pylist():
-        found.setdefault(row["scenario_id"], {**row, "delay_s": delays_s.get(row["scenario_id"], 0.0)})
+        found.setdefault(row["scenario_id"], {**row, "delay_s": delays_s.get(row["scenario_id"])})
     return found
 
 
@@ -50,8 +50,11 @@ def compare(first, second):
     both = first.keys() & second.keys()
     for name, (value, least) in WORSE.items():
         pairs = [(value(first[key]), value(second[key])) for key in both]
+        pairs = [pair for pair in pairs if None not in pair]
+        if not pairs:
+            continue
         more, less = (sum(1 for a, b in ordered if b > a + least) for ordered in (pairs, [pair[::-1] for pair in pairs]))
-        yield name, len(both), more, less, by_chance(more, less)
+        yield name, len(pairs), more, less, by_chance(more, less)
 
 
 def main():

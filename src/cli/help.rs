@@ -54,12 +54,10 @@ The jobs: `prepare` runs the stages before generation, `plan` decides what is sa
 `seal` publishes the samples. With several workers, `evaluate-plan`, `evaluate-work` and `evaluate-seal` do the same \
 for evaluation. `finish` runs the remaining stages. Each job checks for itself that its inputs exist. Submitting again \
 fills in what is missing. [cluster] sets what jobs need: partition, time, cpus, gpus, memory, container, retries, \
-further lines of the scripts; image and volumes for Kubernetes (pipelines/CLUSTER.md).
+further lines of the scripts (pipelines/CLUSTER.md).
 
 Examples:
   djinn submit pipelines/quickstart.toml --engine slurm --workers 100 --dry-run
-  djinn submit pipelines/quickstart.toml --engine kubernetes --dry-run \\
-    --set cluster.image=registry.example.org/djinn:0.1 --set 'cluster.volumes={ traffic = \"/data\" }'
   djinn submit pipelines/quickstart.toml --engine json | jq -r '.jobs[].command | join(\" \")'";
 
 /// Help after the options of `status`.
@@ -142,12 +140,10 @@ Example:
 
 /// Help after the options of `report`.
 pub(super) const REPORT: &str = "\
-Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG. A comparison of \
-two run folders shows changed settings, yield, metrics and realism side by side.
+Writes report.html, a single file that works offline, and figures/ with its charts and scenes as SVG.
 
-Examples:
-  djinn report --from output/cut_in_corpus/main --output output/try
-  djinn report --compare output/cut_in_corpus/main output/cut_in_corpus/more --out comparison.html";
+Example:
+  djinn report --from output/cut_in_corpus/main --output output/try";
 
 /// Help after the options of `export`.
 pub(super) const EXPORT: &str = "\
@@ -212,15 +208,6 @@ Examples:
   djinn corpus filter output/all --where verified --where \"gap_m < 5\" --out output/tight
   djinn corpus filter output/all --top 100 --by pair_min_ttc_s --least --out output/hardest
   djinn corpus filter output/all --ids ids.txt --out output/listed";
-
-/// Help after the options of `corpus sample`.
-pub(super) const CORPUS_SAMPLE: &str = "\
-The same seed draws the same scenarios regardless of their order, and a larger N adds to them. With --by, each value \
-of the column gets the same number of scenarios, as far as there are enough.
-
-Examples:
-  djinn corpus sample output/all --n 1000 --out output/thousand
-  djinn corpus sample output/all --n 60 --by behavior --seed 7 --out output/balanced";
 
 /// Help after the options of `regenerate`.
 pub(super) const REGENERATE: &str = "\

@@ -40,7 +40,6 @@ pub fn main() -> ExitCode {
         Command::Drive(drive) => commands::drive(drive, &args.output, &printer),
         Command::Score(score) => commands::score(score, &args.output, &printer),
         Command::Export(export) => commands::export(export, &args.output, &printer),
-        Command::Report(report) => commands::report(report, &args.command, &args.output, &printer),
         Command::Regenerate(regenerate) => commands::regenerate(regenerate, &args.output, &printer),
         Command::Inspect(inspect) => commands::inspect(inspect, &printer),
         Command::Init(init) => commands::init(init, &printer),

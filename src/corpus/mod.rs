@@ -1,4 +1,4 @@
-//! Tools for finished corpora: they check, merge, filter and sample them.
+//! Tools for finished corpora: they check, merge and filter them.
 //!
 //! Every tool reads a corpus from its beginning to its end, a few scenarios at a time, so that memory does not grow
 //! with states, but only with hashes of ids. Tools that write make a new folder beside the final one and rename it when
@@ -10,7 +10,6 @@ mod error;
 mod filter;
 mod merge;
 mod rows;
-mod sample;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -22,5 +21,4 @@ pub use copy::CopyOutcome;
 pub use error::{Error, Result};
 pub use filter::{FilterOptions, Top, filter};
 pub use merge::merge;
-pub use sample::{SampleOptions, sample};
 pub use validate::{Finding, Severity, ValidationReport, validate};

@@ -1,4 +1,4 @@
-//! Do merge, filter and sample keep the right scenarios, and reject invalid requests?
+//! Do merge and filter keep the right scenarios, and reject invalid requests?
 
 use super::testing::{AnyMap, recorded, records, write, write_in_files_of};
 use super::*;
@@ -219,52 +219,6 @@ fn parts_of_a_corpus_merge_into_the_whole() {
     filtered(&a, &["verified = false"], &no).unwrap();
     merge(&[no, yes], &folder.path("out"), &Silent).unwrap();
     assert_holds(&folder.path("out"), &records(0..30));
-}
-
-#[test]
-fn a_sample_is_balanced_and_the_same_for_the_same_seed() {
-    let folder = Folder::new();
-    let a = folder.corpus("a", 0..40);
-    let draw = |name: &str, n: u64, by: Option<&str>, seed: u64| -> CorpusManifest {
-        let options = SampleOptions { n, by: by.map(str::to_owned), seed };
-        sample(&a, &options, &folder.path(name), &Silent).unwrap().manifest
-    };
-    // 20 scenarios request nothing, 60 a cut-in.
-    let manifest = draw("one", 24, Some("behavior"), 1);
-    let of = |behavior: &str| {
-        let counts = manifest.scenarios_by_partition.iter().filter(|count| count.behavior == behavior);
-        counts.map(|count| count.n_scenarios).sum::<u64>()
-    };
-    assert_eq!((of("none"), of("cut_in")), (12, 12));
-    draw("two", 24, Some("behavior"), 1);
-    assert!(folder_bytes(&folder.path("one")) == folder_bytes(&folder.path("two")));
-    draw("three", 24, Some("behavior"), 2);
-    assert_ne!(ids(&folder.path("one")), ids(&folder.path("three")));
-    // A larger draw with the same seed contains the smaller one.
-    draw("few", 10, None, 1);
-    draw("many", 30, None, 1);
-    assert_eq!((ids(&folder.path("few")).len(), ids(&folder.path("many")).len()), (10, 30));
-    assert!(ids(&folder.path("few")).is_subset(&ids(&folder.path("many"))));
-    assert_eq!(draw("all", 1000, Some("place"), 1).n_scenarios, 80);
-    for (by, n) in [("behaviors", 5), ("gap_m", 5), ("place", 0)] {
-        let options = SampleOptions { n, by: Some(by.to_owned()), seed: 0 };
-        assert!(sample(&a, &options, &folder.path("wrong"), &Silent).is_err(), "{by}");
-    }
-}
-
-#[test]
-fn every_scenario_is_drawn_about_equally_often() {
-    let folder = Folder::new();
-    let a = folder.corpus("a", 0..10);
-    let mut counts = std::collections::BTreeMap::<String, u32>::new();
-    for seed in 0..60 {
-        let out = folder.path(&format!("draw{seed}"));
-        sample(&a, &SampleOptions { n: 5, by: None, seed }, &out, &Silent).unwrap();
-        ids(&out).into_iter().for_each(|id| *counts.entry(id).or_default() += 1);
-    }
-    // 300 draws over 20 scenarios: 15 each, with a standard deviation of √(60 · ¼ · ¾) = 3.4.
-    assert_eq!(counts.len(), 20);
-    assert!(counts.values().all(|n| (2..=28).contains(n)), "{counts:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::distinguishability::CellTracks;
 use super::judge::{Judge, ReferenceJudgment};
 use super::measures::{Measures, Requested};
-use crate::metrics::{MotionHistograms, SampleGroup, SeriesKey, constant_velocity};
+use crate::metrics::{SampleGroup, SeriesKey, constant_velocity};
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{GuidanceLevel, Scene, SituationKind, Track, Trajectory};
 use crate::seed::Seed;
@@ -32,19 +32,8 @@ pub(super) struct CellFigures {
     pub(super) assessments: Vec<Assessment>,
     /// The judgments of the recording and of the baseline, if they are measured.
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,
-    /// How everybody moves.
-    pub(super) motion: CellMotion,
     /// The features of everybody for classifiers.
     pub(super) tracks: CellTracks,
-}
-
-/// The motion of all agents in the futures of a cell.
-#[derive(Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct CellMotion {
-    /// Histograms of the recording and the baseline, if they are measured.
-    pub(super) references: Option<[MotionHistograms; 2]>,
-    /// Histogram of all samples together.
-    pub(super) together: MotionHistograms,
 }
 
 /// Puts the records of a shard into cells, in order of first appearance.
@@ -131,30 +120,18 @@ impl CellSamples<'_> {
             asked_to_collide,
         };
         let baseline = constant_velocity(&recorded);
-        // Guided samples are not forecasts, and tell nothing of how likely the recording is.
-        let n_forecasts = if first.scenario.provenance.is_unguided() { samples.len() } else { 0 };
         let one = std::slice::from_ref;
-        let has_road = judge.sees_road(&recorded);
-        let [by_itself, by_baseline, by_samples, undefined] =
-            measures.likelihoods(&recorded, has_road, [one(&recorded), one(&baseline), &samples, &[]], n_forecasts);
-        let reference = |scene: &Scene, likelihoods: Vec<Option<f64>>| {
-            with_references.then(|| [figures(one(scene), None), likelihoods].concat())
-        };
-        let motion_of_references = || [&recorded, &baseline].map(|scene| MotionHistograms::of([scene]));
+        let reference = |scene: &Scene| with_references.then(|| figures(one(scene), None));
         CellFigures {
-            recorded: reference(&recorded, by_itself),
-            constant_velocity: reference(&baseline, by_baseline),
-            together: [evaluate(&together, Some(self.mode_seed())), by_samples].concat(),
+            recorded: reference(&recorded),
+            constant_velocity: reference(&baseline),
+            together: evaluate(&together, Some(self.mode_seed())),
             alone: (samples.iter().enumerate())
-                .map(|(i, sample)| [figures(one(sample), whole.map(|whole| &whole[i..=i])), undefined.clone()].concat())
+                .map(|(i, sample)| figures(one(sample), whole.map(|whole| &whole[i..=i])))
                 .collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: with_references
                 .then(|| [&recorded, &baseline].map(|scene| judge.judge_reference(scene))),
-            motion: CellMotion {
-                references: with_references.then(motion_of_references),
-                together: MotionHistograms::of(&samples),
-            },
             tracks,
         }
     }
@@ -206,11 +183,10 @@ fn as_far_as_generated(recorded: &Scene, samples: &[Scene]) -> Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::config::EvaluateConfig;
     use crate::evaluate::testing::{record, recorded};
     use crate::geometry::Vec2;
-    use crate::metrics::Likelihoods;
-    use crate::scene::{GuidanceTag, Roles, State};
+    use crate::metrics::MetricSettings;
+    use crate::scene::{Roles, State};
 
     #[test]
     fn who_is_asked_tells_cells_apart_and_references_are_measured_once_for_each() {
@@ -243,8 +219,8 @@ mod tests {
         scene.n_timesteps += 30;
         let (agents, timesteps) = (scene.tracks.len(), scene.n_timesteps);
         driven.scenario.observed = crate::scene::ObservationMask::from_fn(agents, timesteps, |_, t| t <= 3);
-        let config = EvaluateConfig::default();
-        let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+        let settings = MetricSettings::default();
+        let (measures, judge) = (Measures::new(&settings, None, &[]), Judge::without_recordings(&settings));
         let figures = |record: &ScenarioRecord| {
             CellSamples { records: vec![record], with_references: true }.evaluate(&recorded(), &measures, &judge)
         };
@@ -259,40 +235,7 @@ mod tests {
         assert_eq!(differ(&short.together, &long.together), of_whole);
         assert_eq!(differ(&short.alone[0], &long.alone[0]), of_whole);
         assert_eq!(short.recorded, long.recorded);
-        assert!(short.motion == long.motion && short.tracks == long.tracks);
+        assert!(short.tracks == long.tracks);
         assert!(long.assessments[0].violations.len() > short.assessments[0].violations.len());
-    }
-
-    #[test]
-    fn likelihoods_are_those_of_several_forecasts() {
-        let of = |n_samples: usize, kind: &str, places_without_road: &str| {
-            let mut config = EvaluateConfig::default();
-            config.validity.places_without_road.insert(places_without_road.to_owned());
-            let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
-            let mut record = record(0.0, false, false, recorded());
-            record.scenario.provenance.guidance.kind = kind.to_owned();
-            let cell = CellSamples { records: vec![&record; n_samples], with_references: true };
-            let figures = cell.evaluate(&recorded(), &measures, &judge);
-            let docs = measures.docs();
-            let find = |values: &[Option<f64>], name: &str| {
-                assert_eq!(docs.len(), values.len());
-                docs.iter().zip(values).find(|(doc, _)| doc.metric == name).and_then(|(_, value)| *value)
-            };
-            let whole = |values: &[Option<f64>]| find(values, Likelihoods::META_METRIC);
-            assert!(figures.alone.iter().all(|values| whole(values).is_none()));
-            let road = find(&figures.together, "realism_map_based");
-            (
-                [&figures.recorded.unwrap(), &figures.constant_velocity.unwrap(), &figures.together]
-                    .map(|of| whole(of)),
-                road,
-            )
-        };
-        let ([by_itself, by_baseline, by_samples], road) = of(2, GuidanceTag::NONE, "elsewhere");
-        // Both cars go straight on at constant speed, and the samples do as recorded.
-        assert!(by_itself.is_some() && by_itself == by_samples && by_itself == by_baseline && road.is_some());
-        assert_eq!(of(1, GuidanceTag::NONE, "elsewhere"), ([None; 3], None));
-        assert_eq!(of(2, "classifier:cut_in", "elsewhere"), ([None; 3], None));
-        let (blind, road) = of(2, GuidanceTag::NONE, "Test");
-        assert!(road.is_none() && blind[0].is_some());
     }
 }

@@ -67,9 +67,9 @@ pub enum Keep {
 }
 
 impl EvaluateConfig {
-    /// The settings that metrics judge by.
+    /// The settings that metrics judge by, where maps have no gaps.
     pub fn metric_settings(&self) -> MetricSettings {
-        MetricSettings { validity: self.validity.clone() }
+        MetricSettings { validity: self.validity.clone(), ..MetricSettings::default() }
     }
 
     /// Rejects settings that cannot work.
@@ -77,8 +77,7 @@ impl EvaluateConfig {
     /// # Errors
     /// [`Error::Config`] with the key, its value and what was expected.
     pub fn validate(&self) -> Result<()> {
-        let validity = || self.validity.validate().map_err(|issue| issue.within("validity"));
-        settings::check_ranges(self).and_then(|()| validity()).map_err(|issue| Error::Config {
+        settings::check_ranges(self).map_err(|issue| Error::Config {
             message: issue.within("evaluate").to_string(),
             advice: "leave it out for its default".to_owned(),
         })

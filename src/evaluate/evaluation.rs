@@ -8,7 +8,6 @@ use super::gates;
 use super::measure::{MeasuredCell, MeasuredShard};
 use super::measures::MetricDoc;
 use super::metric_rows::{CellNames, FinishedRows, MetricRows};
-use super::realism::RealismTable;
 use super::sampling::SamplingTally;
 use super::summary::EvaluationSummary;
 use super::validity::ValidityTable;
@@ -85,7 +84,6 @@ pub struct Evaluation<'a> {
     verdict_table: TableWriter<VerdictRow>,
     validity: ValidityTable,
     rows: MetricRows,
-    realism: RealismTable,
     sampling: SamplingTally,
     distinguished: Distinguished,
     rates: Option<BucketRates>,
@@ -110,7 +108,6 @@ impl<'a> Evaluation<'a> {
             verdicts: Verdicts::new(config),
             verdict_table: TableWriter::create(files.verdicts)?,
             validity: ValidityTable::default(),
-            realism: RealismTable::default(),
             sampling: SamplingTally::default(),
             rates: None,
             coverage: CoverageTally::default(),
@@ -133,17 +130,9 @@ impl<'a> Evaluation<'a> {
         Self { coverage: recorded, ..self }
     }
 
-    /// Counts the losses of generation: samples without a scenario, and samples that the selection of a sweep rejected,
-    /// by reason.
-    pub fn count_left_out<'r>(
-        &mut self,
-        rejected: impl Iterator<Item = &'r RejectedSample>,
-        unselected: &BTreeMap<String, BTreeMap<String, u64>>,
-    ) {
+    /// Counts the losses of generation: samples without a scenario.
+    pub fn count_rejected<'r>(&mut self, rejected: impl Iterator<Item = &'r RejectedSample>) {
         rejected.for_each(|rejected| self.verdicts.count_rejected(rejected));
-        for (sweep, reasons) in unselected {
-            reasons.iter().for_each(|(reason, n)| self.verdicts.count_unselected(sweep, reason, *n));
-        }
     }
 
     /// Adds the next shard and returns the part to keep. Shards must come in the order of the samples, because the
@@ -159,7 +148,6 @@ impl<'a> Evaluation<'a> {
                 assessment.recorded_likeness = self.distinguished.likeness(&key, &figures.tracks, idx);
             }
             self.sampling.add(series, (place, *scene_idx), &sampled, n_evaluations);
-            self.realism.add(series, &figures.motion);
             let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
             self.validity.add((series, place), judged, &not_checked);
             let scenario_ids = scenario_ids.as_slice();
@@ -205,7 +193,6 @@ impl<'a> Evaluation<'a> {
             sampling,
             docs: self.docs,
             aggregates: rows.aggregates()?,
-            realism: self.realism.finish(),
             acceptance,
             left_out,
             validity: self.validity.finish(),

@@ -14,7 +14,6 @@ use crate::scene::{GuidanceLevel, Scene};
 use crate::store::testing::{folder_bytes, record, scene};
 use crate::store::{self, SceneStore, SceneWriter, read_binary, write_binary_atomically};
 use serde_json::json;
-use std::collections::BTreeMap;
 use std::path::Path;
 
 const N_SHARDS: usize = 3;
@@ -40,14 +39,15 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let (store, scenes) = store(&dir.path().join("scenes"));
     let gates = GatesConfig { min_new: Some(25), min_accepted: Some(0), ..GatesConfig::default() };
     let config = EvaluateConfig { keep: Keep::Verified, gates, ..EvaluateConfig::default() };
-    let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
+    let settings = config.metric_settings();
+    let mut measurer = Measurer::new(&settings, config.modes, &[], &store, None).unwrap();
     let mut measured: Vec<Option<(ShardFigures, MeasuredShard)>> = (0..N_SHARDS).map(|_| None).collect();
     for idx in order {
         let shard = Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes, idx) };
         let figures = measurer.measure(&shard).unwrap();
         let file = dir.path().join("figures.bin");
-        write_binary_atomically(&file, "figures.v1", &figures).unwrap();
-        let read: ShardFigures = read_binary(&file, "figures.v1").unwrap();
+        write_binary_atomically(&file, "figures.v2", &figures).unwrap();
+        let read: ShardFigures = read_binary(&file, "figures.v2").unwrap();
         assert!(read == figures, "figures are the same when they were in a file");
         measured[idx] = Some((figures, MeasuredShard::new(shard, read, &store).unwrap()));
     }
@@ -70,8 +70,7 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
         seed: 1,
         reason: "track 3 is not finite at timestep 12".to_owned(),
     };
-    let unselected = BTreeMap::from([("guided".to_owned(), BTreeMap::from([("not among the best 2".to_owned(), 4)]))]);
-    evaluation.count_left_out([rejected].iter(), &unselected);
+    evaluation.count_rejected([rejected].iter());
     let found = evaluation.finish().unwrap();
     let rows = found.all_rows().unwrap().collect::<store::Result<_>>().unwrap();
     let summary = found.remove_rows().unwrap();
@@ -89,8 +88,7 @@ fn shards_are_measured_in_any_order() {
     assert_eq!(summary.sampling[0].n_scenes, 4, "scenes of several shards count once");
     assert_eq!(summary.gates.iter().map(|gate| gate.met).collect::<Vec<_>>(), [false, true]);
     let n_left_out = |reason: &str| summary.left_out.iter().find(|row| row.reason == reason).map(|row| row.n_left_out);
-    assert_eq!((n_left_out("not_finite"), n_left_out("selection: not among the best 2")), (Some(1), Some(4)));
-    assert!(summary.realism.iter().any(|row| row.sweep == "guided" && row.n > 0));
+    assert_eq!(n_left_out("not_finite"), Some(1));
     // Each metric that is defined throughout has one mean of all places and one of the one place, in each of three
     // series; a value of each scene and shard there; and one of each scenario.
     let of = |metric: &str| rows.iter().filter(|row| row.metric == metric).collect::<Vec<_>>();
@@ -114,7 +112,8 @@ fn figures_of_another_shard_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (store, scenes) = store(dir.path());
     let config = EvaluateConfig::default();
-    let mut measurer = Measurer::new(&config, &[], &store, None).unwrap();
+    let settings = config.metric_settings();
+    let mut measurer = Measurer::new(&settings, config.modes, &[], &store, None).unwrap();
     let shard =
         |n_scenes: usize| Shard { sweep: "guided", n_evaluations: 39, records: records(&scenes[..n_scenes], 0) };
     let figures = measurer.measure(&shard(4)).unwrap();

@@ -1,12 +1,11 @@
 //! Judges single scenarios, apart from their requested behavior: are they possible, how critical are they, are they
 //! new?
 
-use super::config::EvaluateConfig;
 use super::error::Result;
 use crate::behavior::{BehaviorEvent, EventLabel};
 use crate::metrics::{
-    CarefulJudgment, CarefulReplay, Check, EventSpace, Judged, MotionHistograms, PairCriticality, RecordedRanges,
-    SceneCriticality, Violation,
+    CarefulJudgment, CarefulReplay, Check, EventSpace, Judged, MetricSettings, MotionHistograms, PairCriticality,
+    RecordedRanges, SceneCriticality, Violation,
 };
 use crate::scenario::{Assessment, ScenarioRecord};
 use crate::scene::{Roles, Scene, SituationKind};
@@ -37,7 +36,7 @@ fn careful(record: &ScenarioRecord) -> Option<CarefulJudgment> {
 
 /// Everything that scenarios are judged by.
 pub(super) struct Judge<'a> {
-    config: &'a EvaluateConfig,
+    settings: &'a MetricSettings,
     ranges: RecordedRanges,
     /// The table of recorded events.
     events: Option<&'a Path>,
@@ -57,7 +56,7 @@ pub(super) struct ReferenceJudgment {
 impl<'a> Judge<'a> {
     /// A judge with ranges from at most 400 recorded scenes, evenly spread over the store, and with access to the
     /// recorded `events`.
-    pub(super) fn new(config: &'a EvaluateConfig, store: &SceneStore, events: Option<&'a Path>) -> Result<Self> {
+    pub(super) fn new(settings: &'a MetricSettings, store: &SceneStore, events: Option<&'a Path>) -> Result<Self> {
         let entries = store.index().iter().enumerate();
         let is_recorded = |situation: SituationKind| situation == SituationKind::Recorded;
         let recorded: Vec<usize> =
@@ -69,7 +68,7 @@ impl<'a> Judge<'a> {
             .collect::<Result<_>>()?;
         let mut all = MotionHistograms::default();
         motion.iter().for_each(|of_scene| all.merge(of_scene));
-        Ok(Self { config, ranges: RecordedRanges::of(&all), events, spaces: BTreeMap::new() })
+        Ok(Self { settings, ranges: RecordedRanges::of(&all), events, spaces: BTreeMap::new() })
     }
 
     /// Reads the recorded events of these behaviors, once each. Events of other behaviors take no memory.
@@ -89,8 +88,9 @@ impl<'a> Judge<'a> {
 
     /// A judge without recorded traffic.
     #[cfg(test)]
-    pub(super) fn without_recordings(config: &'a EvaluateConfig) -> Self {
-        Self { config, ranges: RecordedRanges::of(&MotionHistograms::default()), events: None, spaces: BTreeMap::new() }
+    pub(super) fn without_recordings(settings: &'a MetricSettings) -> Self {
+        let ranges = RecordedRanges::of(&MotionHistograms::default());
+        Self { settings, ranges, events: None, spaces: BTreeMap::new() }
     }
 
     /// The judgment of a scenario, except for near-duplicates.
@@ -98,13 +98,14 @@ impl<'a> Judge<'a> {
         let (scene, observed) = (&record.scenario.scene, &record.scenario.observed);
         let roles = &record.scenario.provenance.guidance.roles;
         let judged = Judged::new(scene, roles, |agent_idx, timestep| !observed.is_observed(agent_idx, timestep))
+            .with_gaps(&self.settings.map_gaps)
             .excused_if(record.asks_for_collision());
         let track = |idx: usize| scene.track_idx(&roles.get(idx)?.1);
         let pair = track(0).zip(track(1)).map(|(first, second)| [first, second]);
         let asked = record.requested_behavior.as_deref();
         let ending = record.ending();
-        let mut violations = judged.violations(&self.config.validity);
-        let is_judged = !self.config.validity.skip.contains(&Check::ContactAfterEnd);
+        let mut violations = judged.violations(&self.settings.validity);
+        let is_judged = !self.settings.validity.skip.contains(&Check::ContactAfterEnd);
         violations.extend(
             ending.filter(|_| is_judged).and_then(|(subject_idx, ending)| ending.violation(scene, subject_idx)),
         );
@@ -129,15 +130,11 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Whether the map of the scene's place shows the whole road.
-    pub(super) fn sees_road(&self, scene: &Scene) -> bool {
-        !self.config.validity.places_without_road.contains(&scene.source.place)
-    }
-
     /// The judgment of `scene` as if its whole future had been generated.
     pub(super) fn judge_reference(&self, scene: &Scene) -> ReferenceJudgment {
+        let judged = Judged::future_of(scene, Roles::none()).with_gaps(&self.settings.map_gaps);
         ReferenceJudgment {
-            violations: Judged::future_of(scene, Roles::none()).violations(&self.config.validity),
+            violations: judged.violations(&self.settings.validity),
             plausibility: self.ranges.plausibility(scene),
         }
     }

@@ -2,7 +2,7 @@
 
 use super::error::Result;
 use crate::ingest::NO_PLACE;
-use crate::metrics::{DrivenArea, MapFit, ValidityConfig};
+use crate::metrics::{DrivenArea, MapFit, MapGaps, MetricSettings, ValidityConfig};
 use crate::scene::SituationKind;
 use crate::store::SceneStore;
 use rayon::prelude::*;
@@ -81,7 +81,8 @@ impl MapFits {
         }
         let mut found = Self::default();
         for (place, scenes) in by_place {
-            let Some(fit) = fit(store, &spread(&scenes, SCENES_PER_PLACE), config)? else { continue };
+            let scenes_of_fit = spread(&scenes, SCENES_PER_PLACE);
+            let Some(fit) = fit(store, &scenes_of_fit, config, MapGaps::none())? else { continue };
             let allows_offroad = fit.allows_offroad(config);
             let is_wanted = with_areas && !allows_offroad;
             let area = if is_wanted { driven_area(store, place, &scenes, config)? } else { None };
@@ -96,14 +97,11 @@ impl MapFits {
         Ok(found)
     }
 
-    /// The limits, with the places whose maps do not allow the check of departures, and where vehicles drive there.
-    pub fn limits(&self, config: &ValidityConfig) -> ValidityConfig {
+    /// The settings of metrics with these limits, and with the gaps that maps have.
+    pub fn settings(&self, validity: &ValidityConfig) -> MetricSettings {
         let without = self.rows.iter().filter(|row| !row.allows_offroad).map(|row| row.place.clone());
-        let places_without_road = config.places_without_road.iter().cloned().chain(without).collect();
-        let is_judged = |place: &String| !config.places_without_road.contains(place);
-        let driven = self.driven.iter().filter(|(place, _)| is_judged(place));
-        let driven_areas = driven.map(|(place, area)| (place.clone(), area.clone())).collect();
-        ValidityConfig { places_without_road, driven_areas, ..config.clone() }
+        let map_gaps = MapGaps { places: without.collect(), driven_areas: self.driven.clone() };
+        MetricSettings { validity: validity.clone(), map_gaps }
     }
 }
 
@@ -114,10 +112,10 @@ fn spread(scenes: &[usize], most: usize) -> Vec<usize> {
 }
 
 /// The fit of maps to these scenes; `None` if there are no lanes.
-fn fit(store: &SceneStore, scenes: &[usize], config: &ValidityConfig) -> Result<Option<MapFit>> {
+fn fit(store: &SceneStore, scenes: &[usize], config: &ValidityConfig, map_gaps: &MapGaps) -> Result<Option<MapFit>> {
     let fit = |idx: &usize| {
         let scene = store.scene(*idx)?;
-        Ok((!scene.lanes.is_empty()).then(|| MapFit::of(&scene, config)))
+        Ok((!scene.lanes.is_empty()).then(|| MapFit::of(&scene, config, map_gaps)))
     };
     let fits: Vec<Option<MapFit>> = scenes.par_iter().map(fit).collect::<Result<_>>()?;
     Ok(fits.into_iter().flatten().reduce(MapFit::with))
@@ -140,9 +138,9 @@ fn driven_area(
     let areas = [area(halves.0)?, area(halves.1)?];
     let mut fits = Vec::new();
     for (area, others) in areas.iter().zip([halves.1, halves.0]) {
-        let config =
-            ValidityConfig { driven_areas: BTreeMap::from([(place.to_owned(), area.clone())]), ..config.clone() };
-        fits.extend(fit(store, &spread(others, SCENES_PER_PLACE), &config)?);
+        let driven_areas = BTreeMap::from([(place.to_owned(), area.clone())]);
+        let map_gaps = MapGaps { places: [place.to_owned()].into(), driven_areas };
+        fits.extend(fit(store, &spread(others, SCENES_PER_PLACE), config, &map_gaps)?);
     }
     let [first, second] = areas;
     let holds = fits.into_iter().reduce(MapFit::with).is_some_and(|fit| fit.allows_offroad(config));
@@ -163,7 +161,8 @@ mod tests {
         let store = stored(scenes, maps);
         let [fits, of_maps] = [MapFits::of, MapFits::of_maps_alone].map(|of| of(&store.1, config).unwrap());
         // Without the areas, the same places lack road.
-        assert_eq!(of_maps.limits(config).places_without_road, fits.limits(config).places_without_road);
+        let [lacking, with_areas] = [&of_maps, &fits].map(|fits| fits.settings(config).map_gaps.places);
+        assert_eq!(lacking, with_areas);
         assert!(of_maps.driven.is_empty());
         fits
     }
@@ -185,7 +184,8 @@ mod tests {
         scenes.push(Scene { source: SceneSource { place: "MIA".to_owned(), ..nowhere.source.clone() }, ..nowhere });
         let config = ValidityConfig::default();
         let rows = fits(&scenes, &maps, &config).rows;
-        let expected = scenes[..5].iter().map(|scene| MapFit::of(scene, &config)).reduce(MapFit::with).unwrap();
+        let expected =
+            scenes[..5].iter().map(|scene| MapFit::of(scene, &config, MapGaps::none())).reduce(MapFit::with).unwrap();
         assert_eq!(rows.iter().map(|row| (row.place.as_str(), row.fit)).collect::<Vec<_>>(), [("PIT", expected)]);
         assert_eq!(expected.n_scenes, 5);
     }
@@ -198,22 +198,24 @@ mod tests {
             ..scene(seed, Some((&maps[0].0, &maps[0].1)))
         };
         let config = ValidityConfig::default();
-        let is_judged = |scene: &Scene, limits: &ValidityConfig| {
-            !Judged::future_of(scene, Roles::none()).not_checked(limits).contains(&Check::Offroad)
+        let is_judged = |scene: &Scene, fits: &MapFits| {
+            let MetricSettings { validity, map_gaps } = fits.settings(&config);
+            let judged = Judged::future_of(scene, Roles::none());
+            !judged.with_gaps(&map_gaps).not_checked(&validity).contains(&Check::Offroad)
         };
         // Nobody drives twice at the same part of a map that is drawn at random.
         let others = fits(&[seen(0, "a"), seen(1, "b")], &maps, &config);
         assert!(!others.rows[0].allows_offroad && !others.rows[0].with_driven_area && others.driven.is_empty());
-        assert!(others.rows[0].caution().is_some() && !is_judged(&seen(0, "a"), &others.limits(&config)));
+        assert!(others.rows[0].caution().is_some() && !is_judged(&seen(0, "a"), &others));
         let again = fits(&[seen(0, "a"), seen(0, "b")], &maps, &config);
         assert!(!again.rows[0].allows_offroad && again.rows[0].with_driven_area && again.rows[0].caution().is_none());
-        let limits = again.limits(&config);
+        let MetricSettings { validity, map_gaps } = again.settings(&config);
         let mut driven = seen(0, "a");
         let violations = |scene: &Scene| {
-            let found = Judged::future_of(scene, Roles::none()).violations(&limits);
+            let found = Judged::future_of(scene, Roles::none()).with_gaps(&map_gaps).violations(&validity);
             found.iter().filter(|violation| violation.check == Check::Offroad).count()
         };
-        assert!(is_judged(&driven, &limits) && violations(&driven) == 0);
+        assert!(is_judged(&driven, &again) && violations(&driven) == 0);
         let present = driven.current_timestep();
         for track in driven.tracks.iter_mut() {
             let entries = track.trajectory.entries().iter().enumerate();
@@ -222,7 +224,5 @@ mod tests {
             track.trajectory = Trajectory::new(moved.collect());
         }
         assert_eq!(violations(&driven), 1);
-        let without = ValidityConfig { places_without_road: ["PIT".to_owned()].into(), ..config };
-        assert!(!is_judged(&driven, &again.limits(&without)));
     }
 }

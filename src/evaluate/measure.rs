@@ -8,7 +8,7 @@ use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use super::sampling::{Conduct, SampledCell};
 use crate::behavior::Behavior;
-use crate::metrics::{Check, Judged, OffroadRate};
+use crate::metrics::{Check, Judged, MetricSettings, OffroadRate};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Roles, Scene};
 use crate::store::SceneStore;
@@ -107,12 +107,12 @@ fn scene_idx(cell: &CellSamples<'_>, store: &SceneStore) -> Result<usize> {
 
 /// The descriptions of the measures of a configuration, for reading the tables.
 pub fn metric_docs(config: &EvaluateConfig, behaviors: &[Box<dyn Behavior>]) -> Vec<MetricDoc> {
-    Measures::new(config, behaviors).docs()
+    Measures::new(&config.metric_settings(), config.modes, behaviors).docs()
 }
 
 /// Measures shards, in any order.
 pub struct Measurer<'a> {
-    config: &'a EvaluateConfig,
+    settings: &'a MetricSettings,
     store: &'a SceneStore,
     measures: Measures<'a>,
     judge: Judge<'a>,
@@ -120,17 +120,18 @@ pub struct Measurer<'a> {
 }
 
 impl<'a> Measurer<'a> {
-    /// Measures scenarios that continue scenes of `store`. Novelty is measured against the positive events in the table
-    /// `events`.
+    /// Measures scenarios that continue scenes of `store` by these settings, and over a number of modes if there is
+    /// one. Novelty is measured against the positive events in the table `events`.
     pub fn new(
-        config: &'a EvaluateConfig,
+        settings: &'a MetricSettings,
+        modes: Option<usize>,
         behaviors: &'a [Box<dyn Behavior>],
         store: &'a SceneStore,
         events: Option<&'a Path>,
     ) -> Result<Self> {
-        let (measures, judge) = (Measures::new(config, behaviors), Judge::new(config, store, events)?);
-        let offroad = OffroadRate { places_without_road: config.validity.places_without_road.clone() };
-        Ok(Self { config, store, measures, judge, offroad })
+        let (measures, judge) = (Measures::new(settings, modes, behaviors), Judge::new(settings, store, events)?);
+        let offroad = OffroadRate { places_without_road: settings.map_gaps.places.clone() };
+        Ok(Self { settings, store, measures, judge, offroad })
     }
 
     /// Measures the cells of a shard in parallel. Recorded events that it reads are kept for the next shard.
@@ -147,11 +148,12 @@ impl<'a> Measurer<'a> {
     fn measure_cell(&self, cell: &CellSamples<'_>, sweep: &str) -> Result<CellFindings> {
         let scene_idx = scene_idx(cell, self.store)?;
         let recorded = self.store.scene(scene_idx)?;
+        let judged = Judged::future_of(&recorded, Roles::none()).with_gaps(&self.settings.map_gaps);
         Ok(CellFindings {
+            not_checked: judged.not_checked(&self.settings.validity),
             key: CellKey { series: cell.series(sweep), place: recorded.source.place.clone(), scene_idx },
             conduct: Conduct::of(cell, &recorded, &self.offroad),
             figures: cell.evaluate(&recorded, &self.measures, &self.judge),
-            not_checked: Judged::future_of(&recorded, Roles::none()).not_checked(&self.config.validity),
         })
     }
 }

@@ -1,8 +1,7 @@
 //! The measures of each group of samples: the metrics, and how often the miner finds the behaviors.
 
-use super::config::EvaluateConfig;
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{Direction, Likelihoods, Metric, MetricSpec, ModeFit, Modes, ModesOf, SampleGroup};
+use crate::metrics::{Direction, Metric, MetricSettings, MetricSpec, ModeFit, Modes, ModesOf, SampleGroup};
 use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
@@ -51,12 +50,12 @@ pub(super) struct Requested<'a> {
 }
 
 impl<'a> Measures<'a> {
-    pub(super) fn new(config: &EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
-        Self { metrics: config.metric_settings().metrics(), modes: config.modes, behaviors }
+    /// The measures by these settings, with this number of modes if there are any.
+    pub(super) fn new(settings: &MetricSettings, modes: Option<usize>, behaviors: &'a [Box<dyn Behavior>]) -> Self {
+        Self { metrics: settings.metrics(), modes, behaviors }
     }
 
-    /// The descriptions of the measures, for reading the tables: those of [`Measures::evaluate`], then those of
-    /// [`Measures::likelihoods`].
+    /// The descriptions of the measures, for reading the tables.
     pub(super) fn docs(&self) -> Vec<MetricDoc> {
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
@@ -70,23 +69,7 @@ impl<'a> Measures<'a> {
             let name = if is_taken { format!("mined_{name}") } else { name };
             rate(name, format!("share of samples in which the miner finds {id}, between any agents"))
         });
-        let of_samples = metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes());
-        of_samples.chain(Likelihoods::specs().map(MetricDoc::from)).collect()
-    }
-
-    /// The likelihoods of the recorded future under each of `groups`, which are repeated to `n_samples` of them.
-    /// Without samples, or for less than two of them, nothing is defined.
-    pub(super) fn likelihoods<const N: usize>(
-        &self,
-        recorded: &Scene,
-        has_road: bool,
-        groups: [&[Scene]; N],
-        n_samples: usize,
-    ) -> [Vec<Option<f64>>; N] {
-        if n_samples < 2 {
-            return std::array::from_fn(|_| Likelihoods::specs().map(|_| None).collect());
-        }
-        Likelihoods::of_groups(recorded, has_road, groups, n_samples).map(|found| found.values())
+        metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
     }
 
     /// The values of a group, in the order of [`Measures::docs`]; `None` for undefined ones. Figures over modes need
@@ -202,17 +185,16 @@ mod tests {
     #[test]
     fn no_two_measures_have_one_name() {
         let behaviors = ["cut_in", "collision"].map(|id| BehaviorConfig::from_id(id).unwrap().build());
-        let (config, mut known) = (EvaluateConfig::default(), std::collections::BTreeSet::new());
-        let docs = Measures::new(&config, &behaviors).docs();
+        let mut known = std::collections::BTreeSet::new();
+        let docs = Measures::new(&MetricSettings::default(), None, &behaviors).docs();
         assert!(docs.iter().all(|doc| known.insert(doc.metric.as_str())));
         assert!(["cut_in_rate", "collision_rate", "mined_collision_rate"].iter().all(|name| known.contains(name)));
     }
 
     #[test]
     fn the_behavior_counts_with_those_who_were_asked() {
-        let config = EvaluateConfig::default();
         let behaviors: [Box<dyn Behavior>; 1] = [Box::new(Always)];
-        let measures = Measures::new(&config, &behaviors);
+        let measures = Measures::new(&MetricSettings::default(), None, &behaviors);
         let (recorded, samples) = (scene(0.0), [scene(1.0)]);
         let roles = |ego: &str, other: &str| Roles::from([("ego", ego), ("other", other)]);
         let rates = |roles: &Roles| {
@@ -229,14 +211,13 @@ mod tests {
     #[test]
     fn figures_over_modes_stand_beside_those_over_samples() {
         let samples = [2.9, 3.0, 3.0, 3.1, -0.9, -1.1].map(scene);
-        let config = EvaluateConfig { modes: Some(2), ..EvaluateConfig::default() };
-        let measures = Measures::new(&config, &[]);
+        let measures = Measures::new(&MetricSettings::default(), Some(2), &[]);
         let recorded = scene(0.0);
         let group = SampleGroup::equally_likely(&recorded, &samples);
         let of = |seed: Option<Seed>| -> Vec<(String, Option<f64>)> {
             let values = measures.evaluate(&group, None, seed);
             let docs = measures.docs();
-            assert_eq!(docs.len(), values.len() + Likelihoods::specs().count());
+            assert_eq!(docs.len(), values.len());
             docs.into_iter().map(|doc| doc.metric).zip(values).collect()
         };
         let found = of(Some(Seed(1)));

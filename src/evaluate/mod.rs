@@ -27,7 +27,6 @@ mod measure;
 mod measures;
 mod metric_rows;
 mod mining;
-mod realism;
 mod sampling;
 mod summary;
 #[cfg(test)]
@@ -47,7 +46,6 @@ pub use map_fits::{MapFitRow, MapFits};
 pub use measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
 pub use measures::MetricDoc;
 pub use mining::{BehaviorCount, BehaviorDoc, MiningSummary, MiningTally};
-pub use realism::RealismRow;
 pub use sampling::SamplingRow;
 pub use summary::{EvaluationSummary, GateResult};
 pub use validity::ValidityRow;

@@ -3,7 +3,6 @@
 use super::distinguishability::{DistinguishabilityRow, TellingFeatureRow};
 use super::map_fits::MapFitRow;
 use super::measures::MetricDoc;
-use super::realism::RealismRow;
 use super::sampling::SamplingRow;
 use super::validity::ValidityRow;
 use super::verdicts::{AcceptanceRow, LeftOutRow};
@@ -34,8 +33,6 @@ pub struct EvaluationSummary {
     pub docs: Vec<MetricDoc>,
     /// Means over scenes: of all places together, then of each.
     pub aggregates: Vec<MetricRow>,
-    /// How far the motion of whole sweeps is from the recordings.
-    pub realism: Vec<RealismRow>,
     /// The verdicts on the scenarios of each sweep at each strength.
     pub acceptance: Vec<AcceptanceRow>,
     /// Why samples are not accepted, or not even scenarios.

@@ -1,10 +1,10 @@
 //! A scenario for tests of texts and drawings of scenarios.
 
 use super::cells::{CellFigures, CellSamples};
-use super::config::EvaluateConfig;
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
 use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::metrics::MetricSettings;
 use crate::scenario::ScenarioRecord;
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, Scene};
@@ -15,8 +15,8 @@ pub(super) fn evaluated_cell<'r>(
     record: &'r ScenarioRecord,
     recorded: &Scene,
 ) -> (CellSamples<'r>, CellFigures, Vec<MetricDoc>) {
-    let config = EvaluateConfig::default();
-    let (measures, judge) = (Measures::new(&config, &[]), Judge::without_recordings(&config));
+    let settings = MetricSettings::default();
+    let (measures, judge) = (Measures::new(&settings, None, &[]), Judge::without_recordings(&settings));
     let cell = CellSamples { records: vec![record], with_references: true };
     let figures = cell.evaluate(recorded, &measures, &judge);
     (cell, figures, measures.docs())

@@ -125,11 +125,10 @@ impl ValidityTable {
 mod tests {
     use super::*;
     use crate::evaluate::metric_rows::{CellNames, MetricRows};
-    use crate::evaluate::realism::RealismTable;
     use crate::evaluate::testing::{evaluated_cell, record, recorded};
     use crate::scene::GuidanceTag;
 
-    /// The tables of single scenes, of realism and of validity must not disagree on what is unguided.
+    /// The tables of single scenes and of validity must not disagree on what is unguided.
     #[test]
     fn every_table_puts_edited_scenarios_with_their_sweep() {
         let groups = |edit_tau: Option<f64>| -> Vec<Group> {
@@ -137,11 +136,10 @@ mod tests {
             record.scenario.provenance.guidance.kind = GuidanceTag::NONE.to_owned();
             record.scenario.provenance.edit_tau = edit_tau;
             let (cell, figures, docs) = evaluated_cell(&record, &recorded());
-            let (mut validity, mut realism) = (ValidityTable::default(), RealismTable::default());
+            let mut validity = ValidityTable::default();
             let judged = (figures.references_judged.as_ref(), figures.assessments.as_slice());
             let series = cell.series("s");
             validity.add((&series, "X"), judged, &[]);
-            realism.add(&series, &figures.motion);
             let scratch = tempfile::tempdir().unwrap();
             let mut rows = MetricRows::create(docs, scratch.path()).unwrap();
             let names = CellNames { series: &series, place: "X", scene_id: &recorded().id, scenario_ids: &[] };
@@ -150,11 +148,10 @@ mod tests {
             let last = |groups: Vec<Group>| groups.last().cloned().expect("rows");
             vec![
                 last(validity.finish().into_iter().map(|row| row.group).collect()),
-                last(realism.finish().into_iter().map(|row| row.group).collect()),
                 last(rows.of_scenes().unwrap().map(|row| row.unwrap().group).collect()),
             ]
         };
-        assert_eq!(groups(None), vec![Group::Unguided; 3]);
-        assert_eq!(groups(Some(0.4)), vec![Group::Sweep("s".to_owned()); 3]);
+        assert_eq!(groups(None), vec![Group::Unguided; 2]);
+        assert_eq!(groups(Some(0.4)), vec![Group::Sweep("s".to_owned()); 2]);
     }
 }

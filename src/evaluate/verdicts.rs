@@ -50,9 +50,9 @@ pub struct LeftOutRow {
     pub stage: String,
     /// The sweep.
     pub sweep: String,
-    /// The level of guidance; `None` where samples of all levels are counted together.
+    /// The level of guidance.
     #[serde(flatten)]
-    pub level: Option<GuidanceLevel>,
+    pub level: GuidanceLevel,
     /// The reason: `not_verified`, `near_duplicate`, the name of a check of validity, …
     pub reason: String,
     /// The number left out of the corpus for this reason before any other.
@@ -86,12 +86,7 @@ impl<'a> Verdicts<'a> {
 
     /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        self.count(("generate", &rejected.sweep, Some(rejected.level)), NOT_FINITE, 1, true);
-    }
-
-    /// Counts `n` samples of `sweep` that its selection left out for `reason`.
-    pub(super) fn count_unselected(&mut self, sweep: &str, reason: &str, n: u64) {
-        self.count(("generate", sweep, None), &format!("selection: {reason}"), n, true);
+        self.count(("generate", &rejected.sweep, rejected.level), NOT_FINITE, true);
     }
 
     /// Completes the judgment of a record and returns the verdict. Records must come in the order of the samples,
@@ -118,7 +113,7 @@ impl<'a> Verdicts<'a> {
         };
         self.count_judged((&record.sweep, level), record.verified, &assessment, is_kept);
         for (i, reason) in reasons.iter().enumerate() {
-            self.count(("evaluate", &record.sweep, Some(level)), reason, 1, i == 0 && !is_kept);
+            self.count(("evaluate", &record.sweep, level), reason, i == 0 && !is_kept);
         }
         if let (true, Some(behavior), Some(path)) = (assessment.accepted, asked, path) {
             self.accepted.insert(&behavior, path, &scenario_id);
@@ -170,13 +165,7 @@ impl<'a> Verdicts<'a> {
         &mut self.rows[at]
     }
 
-    fn count(
-        &mut self,
-        (stage, sweep, level): (&str, &str, Option<GuidanceLevel>),
-        reason: &str,
-        n: u64,
-        is_first: bool,
-    ) {
+    fn count(&mut self, (stage, sweep, level): (&str, &str, GuidanceLevel), reason: &str, is_first: bool) {
         let is_same =
             |row: &LeftOutRow| row.stage == stage && row.sweep == sweep && row.level == level && row.reason == reason;
         let at = self.left_out.iter().position(is_same).unwrap_or_else(|| {
@@ -184,8 +173,8 @@ impl<'a> Verdicts<'a> {
             self.left_out.push(LeftOutRow { stage, sweep, level, reason, n_left_out: 0, n_found: 0 });
             self.left_out.len() - 1
         });
-        self.left_out[at].n_found += n;
-        self.left_out[at].n_left_out += if is_first { n } else { 0 };
+        self.left_out[at].n_found += 1;
+        self.left_out[at].n_left_out += u64::from(is_first);
     }
 }
 

@@ -145,11 +145,7 @@ fn what_generation_left_out_is_counted_too() {
     let config = EvaluateConfig::default();
     let mut verdicts = Verdicts::new(&config);
     [0, 1].map(rejected).iter().for_each(|rejected| verdicts.count_rejected(rejected));
-    verdicts.count_unselected("cut_ins", "not among the best 2", 4);
     let (_, left_out) = verdicts.finish();
     let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.level, row.n_left_out)).collect();
-    assert_eq!(
-        counts,
-        [("not_finite", Some(GuidanceLevel::of_strength(2.0)), 2), ("selection: not among the best 2", None, 4)]
-    );
+    assert_eq!(counts, [("not_finite", GuidanceLevel::of_strength(2.0), 2)]);
 }

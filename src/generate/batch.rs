@@ -1,7 +1,7 @@
 //! How does a batch become samples? Its cells are denoised together, or predicted by the baseline, and decoded.
 
 use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_velocities};
-use super::guide::{Guided, Wishes};
+use super::guide::Guided;
 use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, ForwardDenoiser, MaskChange};
@@ -26,8 +26,6 @@ pub(super) struct Draw {
     pub(super) scene: Scene,
     /// Its probability, where it has one.
     pub(super) probability: Option<f64>,
-    /// The values of the objectives, if samples are selected by them.
-    pub(super) wishes: Wishes,
 }
 
 impl Generator<'_> {
@@ -51,9 +49,7 @@ impl Generator<'_> {
         let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
         let predicted = self.predict(batch.sweep, &given, batch.samples.clone())?;
         progress.advance(predicted.len() as u64);
-        let draw = |(scene, probability)| {
-            Ok(Draw { scene: checked(scene)?, probability: Some(probability), wishes: Wishes::new() })
-        };
+        let draw = |(scene, probability)| Ok(Draw { scene: checked(scene)?, probability: Some(probability) });
         Ok(predicted.into_iter().map(draw).collect())
     }
 
@@ -84,7 +80,7 @@ impl Generator<'_> {
             batch: own,
             repeated: &tensors,
             samples: batch.samples.clone(),
-            places_without_road: &self.metric_settings.validity.places_without_road,
+            places_without_road: &self.metric_settings.map_gaps.places,
         };
         let given: Vec<&Scene> = batch.cells.iter().map(|(_, given)| &given.scene).collect();
         let least = LeastProgress::new(own, &given, n_samples)?;
@@ -109,10 +105,10 @@ impl Generator<'_> {
         };
         let sources: Vec<&Scene> =
             batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
-        let (scenes, wishes) = (tensors.decode_scenes(&x, &sources)?, guided.wishes(&x)?);
+        let scenes = tensors.decode_scenes(&x, &sources)?;
         progress.advance(scenes.len() as u64);
-        let draw = |(scene, wishes)| Ok(Draw { scene: checked(scene)?, probability: None, wishes });
-        Ok(scenes.into_iter().zip(wishes).map(draw).collect())
+        let draw = |scene| Ok(Draw { scene: checked(scene)?, probability: None });
+        Ok(scenes.into_iter().map(draw).collect())
     }
 
     /// The samples of a batch, one a row, with their target states observed as well.

@@ -41,8 +41,8 @@ pub struct GenerateConfig {
     pub seed: u64,
     /// The sweeps, generated in order.
     pub sweeps: Vec<SweepConfig>,
-    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs`, `aim`,
-    /// `select` and `stop_after_verified`, which the request decides.
+    /// Ways of sampling that requests may try: settings of sweeps, without `behavior`, `n_scenes`, `pairs` and
+    /// `aim`, which the request decides.
     pub arms: Vec<SweepConfig>,
     /// Events requested by their parameters, generated after the sweeps.
     pub requests: Vec<RequestConfig>,
@@ -79,23 +79,23 @@ pub struct PairSelectionConfig {
     /// Whether to skip pairs that cannot show the behavior, given their past and the limits of driving. The recorded
     /// future is never used.
     pub only_feasible: bool,
-    /// Which of the possible pairs come first.
-    pub ranking: PairRanking,
+    /// Which of the possible pairs come first. Left out: `classifier`; with `aim = "hard"`, which takes no other
+    /// ranking, those that can show the hardest events.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ranking: Option<PairRanking>,
 }
 
 impl Default for PairSelectionConfig {
     fn default() -> Self {
-        Self { per_scene: 1, max_distance_m: 30.0, only_feasible: true, ranking: PairRanking::default() }
+        Self { per_scene: 1, max_distance_m: 30.0, only_feasible: true, ranking: None }
     }
 }
 
 /// Which of the possible pairs of a scene come first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PairRanking {
-    /// Those with the highest probability by the classifier, from their history; without a classifier, those that can
-    /// show the behavior with the least effort. Where hard events are aimed at, those that can show the hardest.
-    #[default]
+    /// Those with the highest probability by the classifier, from their history; without a classifier, as `effort`.
     Classifier,
     /// Those that can show it with the least effort, by the limits of driving; if that is undefined, the closest.
     Effort,
@@ -140,11 +140,9 @@ impl GenerateConfig {
         Ok(resolved)
     }
 
-    /// Whether sweeps select, or requests accept, by metrics for which `is_such` holds.
-    pub fn selects_by(&self, is_such: impl Fn(&str) -> bool) -> bool {
-        let mut of_sweeps = self.sweeps.iter().filter_map(|sweep| sweep.select.as_ref());
-        of_sweeps.any(|select| select.names_metric(&is_such))
-            || self.requests.iter().flat_map(|request| request.limits.keys()).any(|id| is_such(id))
+    /// Whether requests limit metrics for which `is_such` holds.
+    pub fn limits_any(&self, is_such: impl Fn(&str) -> bool) -> bool {
+        self.requests.iter().flat_map(|request| request.limits.keys()).any(|id| is_such(id))
     }
 }
 

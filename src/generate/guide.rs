@@ -1,7 +1,7 @@
 //! Guides the denoiser of a batch with the settings of its sweep: by the classifier and the objectives, nested.
 
 use super::pairs::slots;
-use super::{Cell, ClassifierScope, Diffusion, Error, Generator, ResolvedSweep, SelectConfig};
+use super::{Cell, ClassifierScope, Diffusion, Error, Generator, ResolvedSweep};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::Denoiser;
 use crate::guidance::{
@@ -11,12 +11,8 @@ use crate::guidance::{
 use crate::model::TrainedClassifier;
 use crate::scene::{GuidanceLevel, GuidanceTag, Scene};
 use crate::tensor::SceneBatch;
-use candle_core::{DType, Tensor};
 use std::collections::BTreeSet;
 use std::ops::Range;
-
-/// The kind and value of each objective, for one sample.
-pub(super) type Wishes = Vec<(&'static str, f64)>;
 
 /// The rules of traffic for every sample: boxes stay a hand's breadth apart (recordings have no more), centers no
 /// farther off the road than they are. Agents of a requested collision may touch each other.
@@ -61,23 +57,6 @@ impl Guided<'_> {
         let context = SceneContext::new(self.batch, &rows)?.with_roads_where(shows_road);
         let context = context.repeated(self.samples.len())?;
         Ok(context.aiming_at(targets.collect())?)
-    }
-
-    /// The value of each objective with its kind for each of the samples `x` if the sweep selects by them; otherwise
-    /// empty.
-    pub(super) fn wishes(&self, x: &Tensor) -> Result<Vec<Wishes>, Error> {
-        let n_rows = x.dim(0)?;
-        if !self.sweep.select.as_ref().is_some_and(SelectConfig::names_objectives) {
-            return Ok(vec![Wishes::new(); n_rows]);
-        }
-        let context = self.objective_context()?;
-        let sum =
-            ObjectiveSum { objectives: &self.diffusion.guidance.objectives, batch: self.repeated, context: &context };
-        let terms: Vec<Vec<f64>> =
-            (sum.terms(x)?.iter()).map(|term| term.to_dtype(DType::F64)?.to_vec1::<f64>()).collect::<Result<_, _>>()?;
-        let kinds = self.diffusion.guidance.objectives.iter().map(|objective| objective.kind());
-        let of_row = |row: usize| kinds.clone().zip(&terms).map(|(kind, values)| (kind, values[row])).collect();
-        Ok((0..n_rows).map(of_row).collect())
     }
 }
 

@@ -30,8 +30,6 @@ mod regenerate;
 mod request;
 mod rollout;
 mod sample;
-mod sample_limit;
-mod select;
 mod sweep;
 mod targets;
 #[cfg(test)]
@@ -50,12 +48,10 @@ pub use plan::{Cell, Plan, ShardPlan, Shortfall, held_out_in_order};
 pub use regenerate::SampleKey;
 pub use request::{
     Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, EventValues, Hits,
-    Ledger, PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement, ResolvedGeneration,
-    ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
+    Ledger, Limit, LimitRange, PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement,
+    ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, ShardOutput};
-pub use sample_limit::{Limit, LimitRange};
-pub use select::SelectConfig;
 pub use sweep::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
 pub use verify::requested_events;

@@ -47,10 +47,8 @@ impl Generator<'_> {
         };
         candidates.retain(|pair| pair.roles.tracks().all(|track| is_seen(pair, track)));
         // The classifier prefers what is likely, which is seldom hard.
-        let ranking = (sweep.pairs.ranking, self.classifier(sweep));
-        if let (PairRanking::Classifier, Some(classifier)) = ranking
-            && sweep.aim != Aim::Hard
-        {
+        let by_classifier = sweep.pairs.ranking != Some(PairRanking::Effort) && sweep.aim != Aim::Hard;
+        if let Some(classifier) = self.classifier(sweep).filter(|_| by_classifier) {
             self.score(classifier, scene, &mut candidates)?;
         }
         // The sort is stable, and pairs come in the order of their tracks: equal scores keep a fixed order.

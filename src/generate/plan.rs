@@ -28,7 +28,7 @@ pub struct ShardPlan {
     /// Index of its sweep in the configuration.
     pub sweep_idx: usize,
     /// The cells to sample, each at every strength (or weight) of the sweep, as often as the sweep says. All strengths
-    /// of a scene are in one shard, so that they can be compared even if the sweep stops early.
+    /// of a scene are in one shard.
     pub cells: Vec<Cell>,
     /// The number of the first sample of each cell: 0 except for requests, which return to their cells.
     pub first_sample: usize,
@@ -68,7 +68,7 @@ pub struct Shortfall {
 }
 
 impl Plan {
-    /// Total number of samples, if no sweep stops early.
+    /// Total number of samples.
     pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         self.shards.iter().map(|shard| shard.n_samples(config)).sum()
     }
@@ -79,11 +79,6 @@ impl ShardPlan {
     pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         let sweep = &config.sweeps[self.sweep_idx];
         self.cells.len() * sweep.levels().len() * sweep.n_samples
-    }
-
-    /// Whether the shard is needed if the sweep's earlier shards have `n_verified` verified scenarios.
-    pub fn is_wanted(&self, config: &ResolvedGeneration, n_verified: usize) -> bool {
-        config.sweeps[self.sweep_idx].stop_after_verified.is_none_or(|enough| n_verified < enough)
     }
 }
 

@@ -31,8 +31,7 @@ impl SampleKey {
 
 impl Generator<'_> {
     /// Generates one sample of a shard exactly as with the whole shard, to the last digit. Matrix products of few rows
-    /// round differently from those of many, so the other samples of its batch are denoised again, too. A selection
-    /// that compares samples of several batches is not repeated: a kept sample stays kept.
+    /// round differently from those of many, so the other samples of its batch are denoised again, too.
     ///
     /// `None` if the shard has no such sample, or the sample did not become a scenario.
     ///

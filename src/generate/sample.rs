@@ -1,16 +1,13 @@
-//! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are selected
-//! and checked.
+//! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are checked.
 
 use super::batch::{Batch, Draw};
 use super::conditioning::Conditioned;
-use super::select::Candidate;
 use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
 use crate::nn::in_pool;
 use crate::progress::Progress;
 use crate::scenario::ScenarioRecord;
-use crate::scene::{GuidanceLevel, Roles, Scene, SceneId, UnfitScene};
+use crate::scene::{GuidanceLevel, Scene, SceneId, UnfitScene};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// The results of a shard.
@@ -20,8 +17,6 @@ pub struct ShardOutput {
     pub records: Vec<ScenarioRecord>,
     /// Samples without a scenario.
     pub rejected: Vec<RejectedSample>,
-    /// Number of samples that the sweep's selection left out, by reason.
-    pub unselected: BTreeMap<String, u64>,
 }
 
 /// A sample that is not a scenario.
@@ -110,10 +105,9 @@ impl Generator<'_> {
         let mut output = ShardOutput::default();
         for (at, (scene, sampled)) in scenes.iter().zip(sampled).enumerate() {
             let cell = &shard.cells[at];
-            let selected = self.select(sweep, (scene, &cell.roles), sampled, &mut output.unselected);
-            let is_recorded = |behavior| !selected.is_empty() && requested_events(behavior, &cell.roles, scene).0;
+            let is_recorded = |behavior| !sampled.is_empty() && requested_events(behavior, &cell.roles, scene).0;
             let recorded_event = self.behavior(sweep).is_some_and(is_recorded);
-            for Sampled { level, sample_idx, draw } in selected {
+            for Sampled { level, sample_idx, draw } in sampled {
                 match draw {
                     Ok(draw) => {
                         let given = given.of(at, sample_idx);
@@ -164,41 +158,6 @@ impl Generator<'_> {
             }
         }
         batches
-    }
-
-    /// The samples of one cell that the sweep's selection keeps, strength by strength.
-    fn select(
-        &self,
-        sweep: &ResolvedSweep,
-        (recorded, asked): (&Scene, &Roles),
-        sampled: Vec<Sampled>,
-        unselected: &mut BTreeMap<String, u64>,
-    ) -> Vec<Sampled> {
-        let Some(select) = &sweep.select else { return sampled };
-        let mut left_out = vec![None; sampled.len()];
-        for &level in sweep.levels() {
-            let (places, candidates): (Vec<usize>, Vec<Candidate<'_>>) = (sampled.iter().enumerate())
-                .filter(|(_, sample)| sample.level == level)
-                .filter_map(|(place, sample)| Some((place, sample.draw.as_ref().ok()?)))
-                .map(|(place, draw)| {
-                    let asked_to_collide = sweep.asks_for_collision();
-                    (place, Candidate { scene: &draw.scene, objectives: &draw.wishes, asked, asked_to_collide })
-                })
-                .unzip();
-            for (place, verdict) in
-                places.into_iter().zip(select.verdicts(recorded, &candidates, &self.metric_settings))
-            {
-                left_out[place] = verdict;
-            }
-        }
-        let kept = sampled.into_iter().zip(left_out).filter_map(|(sample, why)| match why {
-            Some(why) => {
-                *unselected.entry(why).or_default() += 1;
-                None
-            }
-            None => Some(sample),
-        });
-        kept.collect()
     }
 }
 

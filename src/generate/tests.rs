@@ -29,18 +29,6 @@ const SWEEPS: &str = "
 ";
 
 #[test]
-fn a_selection_keeps_the_best_of_each_strength() {
-    let sampler = "sampler = { kind = 'heun', n_steps = 2 }";
-    let all = config(&format!("splits = ['train']\n[[sweeps]]\nname = 'all'\nn_scenes = 2\nn_samples = 4\n{sampler}"));
-    let mut best = all.clone();
-    best.sweeps[0].select = Some(toml::from_str("best = 1\nby = ['min_scene_ade_m']").unwrap());
-    let (all, best) = (generate(&all), generate(&best));
-    assert_eq!((all.len(), best.len()), (8, 2));
-    // The selection is one of them, unchanged.
-    assert!(best.iter().all(|kept| all.iter().any(|record| record.scenario == kept.scenario)));
-}
-
-#[test]
 fn batches_and_shards_do_not_matter() {
     let reference = generate(&config(SWEEPS));
     assert_eq!(reference.len(), 5 * 3 + 4 * 2 * 2);
@@ -227,12 +215,4 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     let message =
         Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu).err().unwrap().to_string();
     assert!(message.contains("the denoiser is distilled"), "{message}");
-}
-
-#[test]
-fn a_sweep_stops_when_enough_is_verified() {
-    let stopping = resolve(&SWEEPS.replace("strengths = [0.0, 3.0]", "stop_after_verified = 3"));
-    let shard = |sweep_idx| ShardPlan { idx: 0, sweep_idx, cells: Vec::new(), first_sample: 0 };
-    assert!(shard(1).is_wanted(&stopping, 2) && !shard(1).is_wanted(&stopping, 3));
-    assert!(shard(0).is_wanted(&stopping, 1000));
 }

@@ -24,10 +24,6 @@
 //!   `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate
 //!   `cross_collision_rate`, EgoCollisionRate `ego_collision_rate`.
 //!
-//! The likelihood of a recorded future among all samples of a scene, as scored by the Waymo sim agents challenge, is
-//! not a [`Metric`]: [`Likelihoods`] finds a dozen values at once, and compares as many copies of a reference as there
-//! are samples.
-//!
 //! The benchmarks take six guesses: with more samples, compare the figures over six [`Modes`].
 
 mod actor_world;
@@ -43,7 +39,6 @@ mod drivable_area;
 mod histogram;
 mod joint_consistency;
 mod kinematics;
-mod meta_metric;
 mod metric_row;
 mod mfd;
 mod min_ade;
@@ -79,7 +74,6 @@ pub use drivable_area::DrivableAreaCompliance;
 pub use histogram::Histogram;
 pub use joint_consistency::JointConsistency;
 pub use kinematics::{AccelerationViolationRate, JerkViolationRate};
-pub use meta_metric::Likelihoods;
 pub use metric_row::MetricRow;
 pub use mfd::Mfd;
 pub use min_ade::{MinAde, MinAdeOfMinFde};
@@ -100,7 +94,7 @@ pub use sample_group::SampleGroup;
 pub use series::{Group, SeriesKey};
 pub use settings::MetricSettings;
 pub use spec::{Direction, MetricSpec};
-pub use validity::{Check, DrivenArea, Judged, LocalFit, MapFit, ValidityConfig, ValidityRate, Violation};
+pub use validity::{Check, DrivenArea, Judged, LocalFit, MapFit, MapGaps, ValidityConfig, ValidityRate, Violation};
 
 use std::collections::BTreeSet;
 
@@ -155,7 +149,7 @@ pub static ALL: &[&dyn Metric] = &[
     &OffroadRate { places_without_road: BTreeSet::new() },
     &AccelerationViolationRate,
     &JerkViolationRate,
-    &ValidityRate { limits: None },
+    &ValidityRate { settings: None },
     &PairMetric::MinTtc,
     &PairMetric::MaxDrac,
     &PairMetric::MinHeadway,

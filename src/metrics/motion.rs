@@ -270,8 +270,6 @@ mod tests {
         }
         let mut parts = MotionHistograms::of(&scenes[..2]);
         parts.merge(&MotionHistograms::of(&scenes[2..]));
-        for ((quantity, whole), (_, part)) in MotionHistograms::of(&scenes).iter().zip(parts.iter()) {
-            assert_eq!((whole.n(), whole.wasserstein(part)), (part.n(), Some(0.0)), "{}", quantity.title);
-        }
+        assert_eq!(MotionHistograms::of(&scenes), parts);
     }
 }

@@ -1,14 +1,17 @@
-//! The settings of metrics: common to evaluation, selections of sweeps and limits of requests.
+//! The settings of metrics: common to evaluation and limits of requests.
 
-use super::{ALL, DrivableAreaCompliance, Metric, OffroadRate, ValidityConfig, ValidityRate};
+use super::{ALL, DrivableAreaCompliance, MapGaps, Metric, OffroadRate, ValidityConfig, ValidityRate};
 use crate::settings;
 use serde::{Deserialize, Serialize};
 
 /// The settings of metrics. Metrics without settings have one definition.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MetricSettings {
-    /// The limits of `validity_rate`; if it does not judge departures from the road at a place, no metric does.
+    /// The limits of `validity_rate`.
     pub validity: ValidityConfig,
+    /// Where maps lack parts of the road: no metric looks for departures from it there.
+    #[serde(default, skip_serializing_if = "MapGaps::is_empty")]
+    pub map_gaps: MapGaps,
 }
 
 impl MetricSettings {
@@ -30,8 +33,8 @@ impl MetricSettings {
 
     /// The metric with these settings; `None` if it has no settings.
     fn configured(&self, metric: &dyn Metric) -> Option<Box<dyn Metric>> {
-        let validity = ValidityRate { limits: Some(self.validity.clone()) };
-        let places_without_road = || self.validity.places_without_road.clone();
+        let validity = ValidityRate { settings: Some(self.clone()) };
+        let places_without_road = || self.map_gaps.places.clone();
         let offroad = OffroadRate { places_without_road: places_without_road() };
         let drivable = DrivableAreaCompliance { places_without_road: places_without_road() };
         match metric.spec().id {
@@ -47,7 +50,7 @@ impl MetricSettings {
     /// # Errors
     /// Names its key below `evaluate`, its value and the expectation.
     pub fn validate(&self) -> settings::Result {
-        self.validity.validate().map_err(|issue| issue.within("validity"))
+        settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))
     }
 }
 
@@ -66,7 +69,7 @@ mod tests {
         let group = SampleGroup::equally_likely(&crash, std::slice::from_ref(&crash));
         let rate = |settings: &MetricSettings| settings.by_id("validity_rate").expect("known").evaluate(&group);
         let lenient = ValidityConfig { skip: vec![Check::Collision], ..ValidityConfig::default() };
-        let lenient = MetricSettings { validity: lenient };
+        let lenient = MetricSettings { validity: lenient, ..MetricSettings::default() };
         assert_eq!((rate(&MetricSettings::default()), rate(&lenient)), (Some(0.0), Some(1.0)));
         let ids: Vec<&str> = lenient.metrics().iter().map(|metric| metric.spec().id).collect();
         assert_eq!(ids, ALL.iter().map(|metric| metric.spec().id).collect::<Vec<_>>());
@@ -86,8 +89,8 @@ mod tests {
         let leaving = spec.expect("valid").build("leaving");
         let group = SampleGroup::equally_likely(&leaving, std::slice::from_ref(&leaving));
         let unsaid = BTreeSet::from([leaving.source.place.clone()]);
-        let validity = ValidityConfig { places_without_road: unsaid, ..ValidityConfig::default() };
-        let unsaid = MetricSettings { validity };
+        let map_gaps = MapGaps { places: unsaid, ..MapGaps::default() };
+        let unsaid = MetricSettings { map_gaps, ..MetricSettings::default() };
         // Workers read the settings from the plan.
         let read = serde_json::from_value::<MetricSettings>(serde_json::to_value(&unsaid).unwrap()).unwrap();
         assert_eq!(read, unsaid);

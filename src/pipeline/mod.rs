@@ -1,11 +1,9 @@
 //! The pipeline: which stages does it have, and where are their results?
 //!
 //! [`config`] reads a pipeline file, [`stages`] connects the sections to the domain code and passes them to the
-//! [`engine`](crate::engine), [`compare`] sets two run folders side by side. [`cluster`] submits a pipeline to many
-//! machines, [`status`] reports its progress.
+//! [`engine`](crate::engine). [`cluster`] submits a pipeline to many machines, [`status`] reports its progress.
 
 pub mod cluster;
-pub mod compare;
 pub mod config;
 pub mod driven_by;
 pub mod estimate;

@@ -63,7 +63,7 @@ fn choose(config: &ReportConfig, records: &[ScenarioRecord]) -> Vec<String> {
 
 #[test]
 fn new_scenarios_of_different_scenes_come_first_and_failures_are_shown_too() {
-    let config = ReportConfig { n_drawn: 4, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 4 };
     let records = [
         asked("a", 0, true, true),
         asked("a", 1, true, false),
@@ -116,7 +116,7 @@ fn the_hardest_accepted_scenarios_come_first_and_rejected_ones_are_few() {
     let (n_critical, n_without_ttc) = (Some(1), Some(1));
     let summary = HardnessSummary { n_situations: 1, n_critical, n_without_ttc, n_careful: 3, n_not_preventable: 1 };
     assert_eq!(accepted.summary(1), summary);
-    let config = ReportConfig { n_drawn: 3, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 3 };
     let mut choice = Choice::new(&config, Some(&accepted));
     records.iter().for_each(|record| offer(&mut choice, record));
     let drawn: Vec<_> = choice.drawn().iter().map(|row| (row.n_drawn, row.n_there)).collect();
@@ -144,7 +144,7 @@ fn sweeps_without_a_behavior_show_samples_of_the_same_scenes() {
 
 #[test]
 fn what_keeps_drawings_from_being_more_is_told() {
-    let config = ReportConfig { n_drawn: 1000, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 1000 };
     let mut choice = Choice::new(&config, None);
     for i in 0..7 {
         offer(&mut choice, &asked("a", i, i < 3, i == 0));
@@ -175,7 +175,7 @@ fn of_each_bucket_of_a_request_some_accepted_scenarios_are_drawn() {
         taken("a", 3, 0, accepted),
         taken("b", 4, 0, surplus),
     ];
-    let config = ReportConfig { n_drawn: 0, ..ReportConfig::default() };
+    let config = ReportConfig { n_drawn: 0 };
     let mut choice = Choice::new(&config, None);
     records.iter().for_each(|record| offer(&mut choice, record));
     let row = choice.drawn().into_iter().find(|row| row.sweep == "gaps").unwrap();

@@ -11,13 +11,10 @@ pub struct ReportConfig {
     /// Without an evaluation verified ones, new ones first, from as many scenes as possible.
     #[schemars(range(max = 100_000))]
     pub n_drawn: usize,
-    /// Recorded scenes, and scenarios of each kind, whose motion is compared.
-    #[schemars(range(max = 100_000))]
-    pub n_compared: usize,
 }
 
 impl Default for ReportConfig {
     fn default() -> Self {
-        Self { n_drawn: 100, n_compared: 300 }
+        Self { n_drawn: 100 }
     }
 }

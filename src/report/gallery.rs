@@ -15,6 +15,9 @@ use crate::scene::{Scene, SceneId, TrackId};
 use crate::store::{self, SceneSet, SceneStore};
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Recorded scenes, and scenarios of each kind, whose motion is compared.
+const N_COMPARED: usize = 300;
+
 /// The report's part on single scenes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Drawings {
@@ -48,7 +51,7 @@ impl<'a> Gallery<'a> {
         Self {
             store,
             choice: Choice::new(config, accepted),
-            compared: BesideRecordings::new(config.n_compared),
+            compared: BesideRecordings::new(N_COMPARED),
             accepted,
             continued: SceneSet::default(),
             situations: BTreeSet::new(),

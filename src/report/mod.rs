@@ -1,7 +1,7 @@
 //! The report of a run: one self-contained HTML page with tables, charts and drawings to scale.
 //!
 //! [`ReportModel`] is its content as plain data; [`render`] turns it into the page and [`figures`] into files for
-//! papers. [`Comparison`] compares two runs. Equal models give equal bytes. The page needs no network and is readable
+//! papers. Equal models give equal bytes. The page needs no network and is readable
 //! without scripts; with scripts, scenes play and can be filtered.
 //!
 //! A page of thousands of scenes has still drawings of the first few, and a few kilobytes of packed states for each,
@@ -14,9 +14,6 @@ mod cautions;
 mod choice;
 #[cfg(test)]
 mod choice_tests;
-mod comparison;
-#[cfg(test)]
-mod comparison_tests;
 mod config;
 mod distinguishability;
 mod distribution;
@@ -42,14 +39,13 @@ pub use card::{
 };
 pub use cautions::cautions;
 pub use choice::Drawn;
-pub use comparison::{ComparedRun, Comparison};
 pub use config::ReportConfig;
 pub use distribution::{Distribution, DistributionSeries};
 pub use drives::{DriveCell, DriveGrid, DrivesPage};
 pub use figures::{FigureFile, drawing_of_recording, figures};
 pub use gallery::{Drawings, Gallery};
-pub use html::{PAGE_MARK, render, render_comparison, render_drives};
+pub use html::{render, render_drives};
 pub use model::{Chart, Curve, Fact, ReportModel, TrainingSummary, Warning};
-pub use plain::{PlainRow, PlainSection, PlainTable};
+pub use plain::{PlainSection, PlainTable};
 pub use quantities::{EventParameters, MotionDistributions, event_distributions};
 pub use tradeoffs::tradeoffs;

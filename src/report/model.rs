@@ -121,13 +121,11 @@ pub struct Curve {
     pub points: Vec<[f64; 2]>,
     /// The interval of each point: least and greatest y, drawn as whiskers; empty if unknown.
     pub intervals: Vec<[f64; 2]>,
-    /// The label of each point; empty for none.
-    pub labels: Vec<String>,
 }
 
 impl Curve {
     /// A plain curve.
     pub fn new(name: impl Into<String>, points: Vec<[f64; 2]>) -> Self {
-        Self { name: name.into(), points, intervals: Vec::new(), labels: Vec::new() }
+        Self { name: name.into(), points, intervals: Vec::new() }
     }
 }

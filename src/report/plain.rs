@@ -26,17 +26,8 @@ pub struct PlainTable {
     pub caption: String,
     /// The headings; the first column names the row.
     pub columns: Vec<String>,
-    /// The rows, each with a cell for each column.
-    pub rows: Vec<PlainRow>,
-}
-
-/// A row of text.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct PlainRow {
-    /// The cell of each column. Cells that begin with a digit or a sign are set as numbers.
-    pub cells: Vec<String>,
-    /// Whether it is the reference for other rows, such as the recording.
-    pub is_reference: bool,
+    /// The rows, each with a cell for each column. Cells that begin with a digit or a sign are set as numbers.
+    pub rows: Vec<Vec<String>>,
 }
 
 impl PlainTable {
@@ -48,6 +39,6 @@ impl PlainTable {
 
     /// Adds a row.
     pub fn push(&mut self, cells: Vec<String>) {
-        self.rows.push(PlainRow { cells, is_reference: false });
+        self.rows.push(cells);
     }
 }

@@ -1,7 +1,7 @@
-//! Curves over guidance strength: yield, collisions, departures from the road and from recorded motion.
+//! Curves over guidance strength: yield, cost, collisions and departures from the road.
 
 use super::model::{Chart, Curve};
-use crate::evaluate::{EvaluationSummary, RealismRow, SamplingRow};
+use crate::evaluate::{EvaluationSummary, SamplingRow};
 use crate::metrics::Group;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::statistics::wilson_interval;
@@ -57,9 +57,7 @@ pub fn tradeoffs(evaluation: &EvaluationSummary) -> Vec<Chart> {
             "evaluations of the network",
             curves(&asked, evaluations_per_verified),
         ),
-        yield_over_distance(evaluation, &asked),
     ];
-    charts.extend(distances(evaluation, &all));
     charts.retain(|chart| chart.curves.iter().any(|curve| curve.points.len() > 1));
     charts
 }
@@ -149,17 +147,12 @@ fn share_curves(sweeps: &[&SweepCurve<'_>], n_hits: fn(&Point) -> u64) -> Vec<Cu
     curves
 }
 
-/// Level lines at the metric of the recordings that each sweep continues.
+/// Level lines at the metric of the recordings that each sweep continues, where they have it.
 fn recorded_levels(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>], metric: &str) -> Vec<Curve> {
-    levels("recorded", sweeps, |sweep| Some(100.0 * recorded_value(evaluation, sweep.name, metric)?))
-}
-
-/// A level line for each sweep that has the value.
-fn levels(name: &str, sweeps: &[&SweepCurve<'_>], value: impl Fn(&SweepCurve<'_>) -> Option<f64>) -> Vec<Curve> {
     let level = |sweep: &&SweepCurve<'_>| {
-        let value = value(sweep)?;
+        let value = 100.0 * recorded_value(evaluation, sweep.name, metric)?;
         let ends = [sweep.points.first()?, sweep.points.last()?].map(|point| sweep.axis.read(point.level));
-        let name = if sweeps.len() == 1 { name.to_owned() } else { format!("{name} ({})", sweep.name) };
+        let name = if sweeps.len() == 1 { "recorded".to_owned() } else { format!("recorded ({})", sweep.name) };
         Some(Curve::new(name, ends.map(|x| [x, value]).to_vec()))
     };
     sweeps.iter().filter_map(level).collect()
@@ -175,66 +168,4 @@ pub(super) fn recorded_value(evaluation: &EvaluationSummary, sweep: &str, metric
             && row.scene_id.is_none()
     };
     evaluation.aggregates.iter().find(is_it).map(|row| row.value)
-}
-
-fn realism_of<'a>(
-    evaluation: &'a EvaluationSummary,
-    sweep: &'a SweepCurve<'_>,
-) -> impl Iterator<Item = &'a RealismRow> {
-    evaluation.realism.iter().filter(|row| row.sweep == sweep.name && row.group != Group::ConstantVelocity)
-}
-
-/// One chart for each quantity of motion: its distance from the recording, with the distance of constant velocity as a
-/// level.
-fn distances(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>]) -> Vec<Chart> {
-    let mut quantities: Vec<(&str, &str)> = Vec::new();
-    for row in sweeps.iter().flat_map(|sweep| realism_of(evaluation, sweep)) {
-        if !quantities.contains(&(row.quantity.as_str(), row.unit.as_str())) {
-            quantities.push((&row.quantity, &row.unit));
-        }
-    }
-    let chart = |(quantity, unit): (&str, &str)| {
-        let of_sweep = |sweep: &&SweepCurve<'_>| {
-            let rows = realism_of(evaluation, sweep).filter(|row| row.quantity == quantity);
-            let mut points: Vec<[f64; 2]> =
-                rows.filter_map(|row| Some([sweep.axis.read(row.level), row.wasserstein?])).collect();
-            points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            Curve::new(sweep.name, points)
-        };
-        let constant_velocity = |sweep: &SweepCurve<'_>| {
-            let mut rows = evaluation.realism.iter().filter(|row| row.sweep == sweep.name && row.quantity == quantity);
-            rows.find(|row| row.group == Group::ConstantVelocity)?.wasserstein
-        };
-        over_strength(
-            &format!("Distance from the recording: {quantity}"),
-            &format!("Wasserstein-1 ({unit})"),
-            sweeps.iter().map(of_sweep).chain(levels("constant velocity", sweeps, constant_velocity)).collect(),
-        )
-    };
-    quantities.into_iter().map(chart).collect()
-}
-
-/// Yield over realism, with a point for each strength.
-fn yield_over_distance(evaluation: &EvaluationSummary, sweeps: &[&SweepCurve<'_>]) -> Chart {
-    let of_sweep = |sweep: &&SweepCurve<'_>| {
-        let mut curve = Curve::new(sweep.name, Vec::new());
-        for point in &sweep.points {
-            let at_level = realism_of(evaluation, sweep).filter(|row| row.level == point.level);
-            let divergences: Vec<f64> = at_level.filter_map(|row| row.jensen_shannon).collect();
-            if divergences.is_empty() {
-                continue;
-            }
-            let mean = divergences.iter().sum::<f64>() / divergences.len() as f64;
-            curve.points.push([mean, 100.0 * point.n_verified as f64 / point.n_scenarios as f64]);
-            curve.labels.push(point.level.to_string());
-        }
-        curve
-    };
-    Chart {
-        title: "Yield against distance from recorded motion".to_owned(),
-        x_label: "mean Jensen-Shannon divergence over quantities (bits)".to_owned(),
-        y_label: "verified (% of scenarios)".to_owned(),
-        log_x: false,
-        curves: sweeps.iter().map(of_sweep).collect(),
-    }
 }

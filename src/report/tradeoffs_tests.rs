@@ -1,7 +1,7 @@
 //! Do the curves over guidance strength match those drawn by hand?
 
 use super::tradeoffs::tradeoffs;
-use crate::evaluate::{EvaluationSummary, RealismRow, SamplingRow};
+use crate::evaluate::{EvaluationSummary, SamplingRow};
 use crate::metrics::{Group, MetricRow};
 use crate::scene::GuidanceLevel;
 
@@ -48,7 +48,6 @@ fn places_are_added_up_and_strengths_ordered() {
     assert!((offroad.points[1][1] - 30.0).abs() < 1e-9, "{:?}", offroad.points);
     // 40 scenarios of 19 evaluations for 3 verified ones, and for 20.
     assert_eq!(find("Cost").curves[0].points, [[0.0, 760.0 / 3.0], [30.0, 38.0]]);
-    assert!(!charts.iter().any(|chart| chart.title.starts_with("Distance")), "nothing is known of motion");
 }
 
 #[test]
@@ -56,33 +55,4 @@ fn runs_without_several_strengths_have_no_curves() {
     let mut evaluation = evaluation();
     evaluation.sampling.retain(|row| row.level == GuidanceLevel::UNGUIDED);
     assert!(tradeoffs(&evaluation).is_empty() && tradeoffs(&EvaluationSummary::default()).is_empty());
-}
-
-#[test]
-fn yield_is_shown_over_the_mean_distance() {
-    let realism = |strength: f64, quantity: &str, divergence: f64| RealismRow {
-        group: if strength == 0.0 { Group::Unguided } else { Group::Sweep("cut_ins".into()) },
-        sweep: "cut_ins".into(),
-        level: GuidanceLevel::of_strength(strength),
-        quantity: quantity.into(),
-        unit: "m/s".into(),
-        n_recorded: 1,
-        n: 1,
-        recorded_mean: None,
-        mean: None,
-        wasserstein: Some(10.0 * divergence),
-        jensen_shannon: Some(divergence),
-    };
-    let rows = [(0.0, "a", 0.1), (0.0, "b", 0.3), (30.0, "a", 0.2), (30.0, "b", 0.6)];
-    let mut rows = rows.map(|(s, q, d)| realism(s, q, d)).to_vec();
-    rows.insert(0, RealismRow { group: Group::ConstantVelocity, ..realism(0.0, "b", 0.5) });
-    let evaluation = EvaluationSummary { realism: rows, ..evaluation() };
-    let charts = tradeoffs(&evaluation);
-    let find = |title: &str| charts.iter().find(|chart| chart.title.contains(title)).expect(title);
-    let [near, far] = find("Yield against").curves[0].points[..] else { panic!("two strengths") };
-    assert!((near[0] - 0.2).abs() < 1e-12 && (far[0] - 0.4).abs() < 1e-12 && near[1] == 7.5 && far[1] == 50.0);
-    assert_eq!(find("Yield against").curves[0].labels, ["α = 0", "α = 30"]);
-    let of_b = &find("recording: b").curves;
-    assert_eq!(of_b[0].points, [[0.0, 3.0], [30.0, 6.0]]);
-    assert_eq!((of_b[1].name.as_str(), &of_b[1].points[..]), ("constant velocity", &[[0.0, 5.0], [30.0, 5.0]][..]));
 }

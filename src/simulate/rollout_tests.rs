@@ -128,6 +128,32 @@ fn peeking_shows_several_futures_that_know_nothing_of_the_plan_and_changes_nothi
     assert_eq!(world, situation.start(1));
 }
 
+#[test]
+fn who_has_left_stays_away_though_its_plan_returns() {
+    let mut record = record();
+    let planned = situation(&record).planned[0];
+    let scene = &record.scenario.scene;
+    record.events[0].end_timestep = scene.n_timesteps - 1;
+    let present = scene.current_timestep();
+    // For one timestep the plan lies off the map: within the first plan of everybody, and within the second.
+    for leaves in [present + 2, present + 7] {
+        let mut record = record.clone();
+        let track = &mut record.scenario.scene.tracks[planned];
+        let states = track.trajectory.entries().iter().enumerate().map(|(timestep, state)| {
+            let aside_m = if timestep == leaves { 500.0 } else { 0.0 };
+            state.map(|state| State { position: state.position + crate::geometry::Vec2::new(0.0, aside_m), ..state })
+        });
+        track.trajectory = Trajectory::new(states.collect());
+        let mut situation = situation(&record);
+        // Nobody gives the plan up, or solves it again.
+        (situation.is_collision, situation.aims) = (true, false);
+        let world = driven(&situation, situation.start(1), &mut Log, &SHORT).world;
+        let there: Vec<usize> = (0..world.n_timesteps()).filter(|t| world.state(planned, *t).is_some()).collect();
+        assert_eq!(there, (0..leaves).collect::<Vec<_>>());
+        assert!(world.now() > leaves + 5 && situation.plan(&world, planned, leaves + 1).is_some());
+    }
+}
+
 /// A driver that brakes fully.
 struct Brakes;
 

@@ -46,10 +46,11 @@ fn the_tools_work_from_the_command_line() {
     let (verified, two) = (workspace.arg("verified"), workspace.arg("two"));
     let outcome = djinn(&["corpus", "filter", CORPUS, "--where", "verified", "--out", &verified]).expect(0);
     assert!(outcome.stdout.is_empty() && outcome.stderr.contains("6 scenarios (6 verified) of "), "{}", outcome.stderr);
-    djinn(&["corpus", "sample", &verified, "--n", "1", "--seed", "3", "--out", &two]).expect(0);
+    djinn(&["corpus", "filter", &verified, "--top", "1", "--by", "gap_m", "--out", &two]).expect(0);
     let card = fs_err::read_to_string(workspace.path("two/README.md")).unwrap();
     assert!(
-        card.contains("then filtered where verified from corpus") && card.contains("then sampled 1 with seed 3"),
+        card.contains("then filtered where verified from corpus")
+            && card.contains("then filtered where gap_m is one of the 1 greatest"),
         "{card}"
     );
 
@@ -59,7 +60,7 @@ fn the_tools_work_from_the_command_line() {
         (vec!["corpus", "filter", CORPUS, "--where", "verified", "--out", &two], "choose a new folder"),
         (vec!["corpus", "merge", CORPUS, "--out", "x"], "at least two corpora"),
         (vec!["corpus", "merge", CORPUS, "scripts", "--out", "x"], "is not a corpus"),
-        (vec!["corpus", "sample", CORPUS, "--n", "3", "--by", "gap_m", "--out", "x"], "expected a column of text"),
+        (vec!["corpus", "filter", CORPUS, "--top", "3", "--by", "place", "--out", "x"], "it holds no numbers"),
         (vec!["corpus", "validate", "scripts"], "is not a corpus"),
     ] {
         let outcome = djinn(&args).expect(1);

@@ -90,17 +90,6 @@ fn a_report_leaves_figures_and_pages_of_others_alone() {
     let before = everything(&workspace);
     let again = djinn(&["report", "--from", &run, "--output", &out, "--set", "report.n_drawn=1"]);
     refused(&workspace, again, &before, &["out/figures: it holds mine.svg"]);
-
-    // A comparison replaces a page of ours, and no other file.
-    djinn(&["ingest", RECORDINGS, "--dataset", "argoverse1", "--set", "ingest.limit=3", "--output", &out]).expect(0);
-    let page = workspace.arg("page.html");
-    let compare = |page: &str| djinn(&["report", "--compare", &run, &out, "--out", page]);
-    compare(&page).expect(0);
-    compare(&page).expect(0);
-    put(&workspace.path("notes.html"), "<p>mine</p>");
-    let before = everything(&workspace);
-    refused(&workspace, compare(&workspace.arg("notes.html")), &before, &["notes.html", "which djinn did not write"]);
-    refused(&workspace, compare(&workspace.arg("run/timings.json")), &before, &["lies inside the input run"]);
 }
 
 #[test]
@@ -187,7 +176,6 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
         for args in [
             vec!["corpus", "filter", &a, "--where", "verified", "--out", out],
             vec!["corpus", "merge", &a, CORPUS, "--out", out],
-            vec!["corpus", "sample", &a, "--n", "1", "--out", out],
             vec!["export", "openlabel", &a, "--out", out],
         ] {
             refused(&workspace, djinn(&args), &before, &[part]);
@@ -199,35 +187,6 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
     for (out, part) in [(&mine, "already exists"), (&row, "lies inside the input corpus")] {
         let outcome = djinn(&["regenerate", "any", "--corpus", &a, "--out", out]);
         refused(&workspace, outcome, &before, &[part, "nothing was changed"]);
-    }
-}
-
-#[test]
-fn of_two_comparisons_into_one_page_one_is_there_whole() {
-    let workspace = Workspace::new();
-    let [few, all, page] = ["few", "all", "page.html"].map(|name| workspace.arg(name));
-    for (out, limit) in [(&few, "2"), (&all, "8")] {
-        let limit = format!("ingest.limit={limit}");
-        djinn(&["ingest", RECORDINGS, "--dataset", "argoverse1", "--set", &limit, "--output", out]).expect(0);
-    }
-    let compare = |first: &str, second: &str| {
-        command(&["report", "--compare", first, second, "--out", &page])
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-    };
-    let expected = [[&few, &all], [&all, &few]].map(|[first, second]| {
-        assert!(compare(first, second).unwrap().wait().unwrap().success());
-        fs_err::read(&page).unwrap()
-    });
-    for round in 0..4 {
-        let children = [compare(&few, &all), compare(&all, &few)];
-        for child in children {
-            assert!(child.unwrap().wait().unwrap().success(), "round {round}");
-        }
-        assert!(expected.contains(&fs_err::read(&page).unwrap()), "round {round}");
-        let names: Vec<String> = files(&workspace.path("")).into_keys().collect();
-        assert!(names.iter().all(|name| !name.contains(".partial")), "{names:?}");
     }
 }
 

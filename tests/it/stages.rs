@@ -16,14 +16,12 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     let root = workspace.run_folder("out");
     let before = files(&root);
 
-    // Figures over modes and distances of motion are among the metrics.
+    // Figures over modes are among the metrics.
     let metrics = fs_err::read_to_string(root.join("metrics.json")).unwrap();
     let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
-    let has = |list: &str, key: &str, value: &str| {
-        metrics[list].as_array().unwrap().iter().any(|row| row[key] == value && row["group"] == "unguided")
-    };
-    assert!(has("aggregates", "metric", "modes1_min_scene_ade_m") && has("aggregates", "metric", "modes1_min_fde_m"));
-    assert!(has("realism", "quantity", "time to collision") && has("realism", "quantity", "jerk"));
+    let aggregates = metrics["aggregates"].as_array().unwrap();
+    let has = |metric: &str| aggregates.iter().any(|row| row["metric"] == metric && row["group"] == "unguided");
+    assert!(has("modes1_min_scene_ade_m") && has("modes1_min_fde_m"));
 
     // A second run of the command does nothing.
     let plan = workspace.run("out", &["--dry-run"]).expect(0).stdout;
@@ -57,14 +55,6 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     let mut found = files(&workspace.path("alone"));
     assert!(foreign.iter().all(|name| found.remove(*name).as_deref() == Some(name.as_bytes())));
     assert_same(&whole, &found);
-
-    // A sweep is stopped by what is verified, not by what is sampled.
-    let stopping = ["generate", "--config", &config, "--output", &alone, "-q", "--set"];
-    djinn(&[&stopping[..], &["generate.sweeps.1.stop_after_verified=4"]].concat()).expect(0);
-    let mut shards = SampleManifest::read(&workspace.path("alone/samples")).unwrap().shards;
-    shards.retain(|shard| shard.sweep == "cut_ins");
-    assert!(shards[0].n_verified < 4 && shards[0].n_scenarios >= 4, "{:?}", shards[0]);
-    assert_eq!(shards.len(), 2);
 
     // Nothing else is written into an output.
     for output in ["corpus", "figures"] {

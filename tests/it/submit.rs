@@ -4,17 +4,15 @@ use crate::support::{Workspace, command, djinn};
 use std::os::unix::fs::PermissionsExt;
 use std::process::Output;
 
-/// Submits the small pipeline with an `sbatch` and a `kubectl` that write down what they get and behave like `answer`.
+/// Submits the small pipeline with an `sbatch` that writes down what it gets and behaves like `answer`.
 fn submit(workspace: &Workspace, answer: &str, more: &[&str]) -> Output {
     let (bin, pipeline, out) = (workspace.path("bin"), workspace.arg("small.toml"), workspace.arg("out"));
     fs_err::create_dir_all(&bin).unwrap();
     let calls = workspace.arg("calls");
     let stub =
         format!("#!/bin/bash\necho \"$@\" >> {calls}.txt\nn=$(wc -l < {calls}.txt)\ncat > {calls}.$n.sh\n{answer}\n");
-    for program in ["sbatch", "kubectl"] {
-        fs_err::write(bin.join(program), &stub).unwrap();
-        fs_err::set_permissions(bin.join(program), PermissionsExt::from_mode(0o755)).unwrap();
-    }
+    fs_err::write(bin.join("sbatch"), &stub).unwrap();
+    fs_err::set_permissions(bin.join("sbatch"), PermissionsExt::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
     let args = [&["submit", &pipeline, "--output", &out, "--engine"][..], more].concat();
     command(&args).env("PATH", path).output().unwrap()
@@ -65,47 +63,6 @@ fn jobs_are_submitted_with_what_they_wait_for() {
     let graph = submit(&workspace, "exit 1", &["json", "--set", "cluster.workers=5"]);
     let graph: serde_json::Value = serde_json::from_slice(&graph.stdout).unwrap();
     assert_eq!((graph["jobs"][2]["name"].as_str(), graph["jobs"][2]["workers"].as_u64()), (Some("work"), Some(5)));
-}
-
-#[test]
-fn kubernetes_gets_one_job_set() {
-    let workspace = Workspace::new();
-    let volumes = format!(
-        "cluster.volumes={{ code = '{}', data = '{}' }}",
-        std::env::current_dir().unwrap().display(),
-        workspace.arg("")
-    );
-    let image = "cluster.image=registry.example.org/djinn:0.1";
-    let args = ["kubernetes", "--workers", "3", "--set", image, "--set", &volumes];
-    let kubernetes = |answer: &str, more: &[&str]| submit(&workspace, answer, &[&args[..], more].concat());
-    let printed = text(&kubernetes("exit 1", &["--dry-run"]).stdout);
-    assert!(!workspace.path("calls.txt").exists(), "a dry run does nothing");
-    let job_set: serde_json::Value = serde_json::from_str(&printed).unwrap();
-    assert_eq!(job_set["kind"], "JobSet");
-    for part in ["\"--worker\"", "\"$(JOB_COMPLETION_INDEX)/3\"", "\"name\": \"evaluate-seal\""] {
-        assert!(printed.contains(part), "`{part}` is not in\n{printed}");
-    }
-    let output = kubernetes("echo 'jobset.jobset.x-k8s.io/djinn-x created'", &[]);
-    assert_eq!(
-        (output.status.code(), text(&output.stdout).as_str()),
-        (Some(0), "jobset.jobset.x-k8s.io/djinn-x created\n"),
-        "{}",
-        text(&output.stderr)
-    );
-    assert_eq!(fs_err::read_to_string(workspace.path("calls.txt")).unwrap(), "apply -f -\n");
-    assert_eq!(fs_err::read_to_string(workspace.path("calls.1.sh")).unwrap(), printed);
-    for (answer, expected) in [
-        ("echo 'error: no matches for kind \"JobSet\"' >&2; exit 1", "install JobSet 0.8 or later"),
-        ("echo 'field is immutable' >&2; exit 1", "kubectl delete jobset djinn-"),
-        ("echo 'jobset.jobset.x-k8s.io/djinn-x unchanged'", "kubectl delete jobset djinn-"),
-        ("echo 'connection refused' >&2; exit 1", "kubectl apply -f - failed: connection refused"),
-    ] {
-        let output = kubernetes(answer, &[]);
-        let said = text(&output.stderr);
-        assert!(output.status.code() == Some(1) && said.contains(expected), "{said}");
-    }
-    let refused = submit(&workspace, "exit 1", &["kubernetes", "--dry-run"]);
-    assert!(refused.status.code() == Some(1) && text(&refused.stderr).contains("cluster.image is empty"));
 }
 
 #[test]

@@ -16,8 +16,8 @@ impl LaneChange {
         let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx, self.hurry).into_iter();
         let ways: Vec<MovingOver> = ways.filter(|way| way.has_room(scene, agent_idx, &[])).collect();
         // Nobody slows down for a gap that is there anyway.
-        let is_free = [false, true].map(|left| ways.iter().any(|way| (way.side > 0.0) == left && !way.slows));
-        let ways = ways.into_iter().filter(|way| !(way.slows && is_free[usize::from(way.side > 0.0)]));
+        let free_sides: Vec<f64> = ways.iter().filter(|way| !way.slows).map(|way| way.side).collect();
+        let ways = ways.into_iter().filter(|way| !(way.slows && free_sides.contains(&way.side)));
         let maneuver = |way: MovingOver| Maneuver {
             kind: [usize::from(way.side > 0.0), (way.midway_s * 2.0) as usize],
             effort: way.effort,

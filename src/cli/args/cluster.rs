@@ -9,7 +9,7 @@ pub(in crate::cli) struct SubmitArgs {
     /// The pipeline file
     #[arg(value_name = "PIPELINE.toml")]
     pub(in crate::cli) pipeline: PathBuf,
-    /// The scheduler that runs the jobs: slurm, kubernetes, or json to print the graph of jobs for other engines
+    /// The scheduler that runs the jobs: slurm, or json to print the graph of jobs for other engines
     #[arg(long, value_name = "ENGINE")]
     pub(in crate::cli) engine: Engine,
     /// Number of jobs that sample, or measure, at once [default: cluster.workers of the file, or 4]
@@ -18,7 +18,7 @@ pub(in crate::cli) struct SubmitArgs {
     /// Override a setting, such as cluster.partition=gpu (may be repeated)
     #[arg(long, value_name = "KEY=VALUE")]
     pub(in crate::cli) set: Vec<String>,
-    /// Print the scripts, or the JobSet of Kubernetes; submit nothing
+    /// Print the scripts; submit nothing
     #[arg(long)]
     pub(in crate::cli) dry_run: bool,
     #[command(flatten)]

@@ -16,9 +16,6 @@ pub(in crate::cli) enum CorpusCommand {
     /// Keep the scenarios that meet all conditions
     #[command(after_help = help::CORPUS_FILTER)]
     Filter(CorpusFilterArgs),
-    /// Draw scenarios at random
-    #[command(after_help = help::CORPUS_SAMPLE)]
-    Sample(CorpusSampleArgs),
 }
 
 #[derive(Debug, clap::Args)]
@@ -61,25 +58,6 @@ pub(in crate::cli) struct CorpusFilterArgs {
     /// The least values instead of the greatest
     #[arg(long, requires = "top")]
     pub(in crate::cli) least: bool,
-    /// The folder to write; it must not exist yet
-    #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
-    pub(in crate::cli) out: PathBuf,
-}
-
-#[derive(Debug, clap::Args)]
-pub(in crate::cli) struct CorpusSampleArgs {
-    /// The folder of the corpus
-    #[arg(value_name = "DIR", value_parser = on_disk())]
-    pub(in crate::cli) corpus: PathBuf,
-    /// Number of scenarios
-    #[arg(long, value_name = "N")]
-    pub(in crate::cli) n: u64,
-    /// Draw equally from each value of this column, such as behavior or place
-    #[arg(long, value_name = "COLUMN")]
-    pub(in crate::cli) by: Option<String>,
-    /// Seed of the draw
-    #[arg(long, value_name = "SEED", default_value_t = 0)]
-    pub(in crate::cli) seed: u64,
     /// The folder to write; it must not exist yet
     #[arg(short, long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) out: PathBuf,

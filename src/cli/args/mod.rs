@@ -11,7 +11,7 @@ pub(in crate::cli) use self::cluster::{StatusArgs, SubmitArgs};
 pub(in crate::cli) use self::corpus::{CorpusCommand, CorpusFilterArgs};
 pub(in crate::cli) use self::drive::{DriveArgs, DriveGates, ScoreArgs};
 pub(in crate::cli) use self::export::ExportArgs;
-use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg, not_for_comparisons};
+use self::stages::{EvaluateArgs, GenerateArgs, ModelArgs, SceneStageArgs, ScenesArg};
 pub(in crate::cli) use self::stages::{IngestArgs, RatesArgs, ReportArgs, StageArgs, TrainCommand};
 pub(in crate::cli) use self::start::{CompletionsArgs, InitArgs, ListArgs, Listed, ManArgs};
 use super::help;
@@ -96,10 +96,10 @@ pub(in crate::cli) enum Command {
     /// Measure generated scenarios, check the quality gates and write the corpus
     #[command(after_help = help::EVALUATE)]
     Evaluate(EvaluateArgs),
-    /// Write an HTML report of a run, or compare two runs
-    #[command(after_help = help::REPORT, mut_arg("output", not_for_comparisons))]
+    /// Write an HTML report of a run
+    #[command(after_help = help::REPORT)]
     Report(ReportArgs),
-    /// Check, merge, filter, sample and compare finished corpora
+    /// Check, merge and filter finished corpora
     #[command(subcommand)]
     Corpus(CorpusCommand),
     /// Convert a corpus to the format of a dataset, a simulator or a scenario database

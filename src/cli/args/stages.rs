@@ -129,29 +129,8 @@ pub(in crate::cli) struct ReportArgs {
     /// The run folder to report on [default: --output]
     #[arg(long, value_name = "DIR", value_parser = on_disk())]
     pub(in crate::cli) from: Option<PathBuf>,
-    /// Compare two runs instead
-    #[arg(
-        long,
-        num_args = 2,
-        value_names = ["RUN_A", "RUN_B"],
-        conflicts_with_all = ["from", "config", "set", "dry_run", "redo"],
-        value_parser = on_disk()
-    )]
-    pub(in crate::cli) compare: Option<Vec<PathBuf>>,
-    /// The file for the comparison [default: comparison.html]
-    #[arg(long, value_name = "FILE", requires = "compare", value_parser = on_disk())]
-    pub(in crate::cli) out: Option<PathBuf>,
     #[command(flatten)]
     pub(in crate::cli) stage: StageArgs,
-}
-
-/// A comparison names its page itself and writes into no folder of stages.
-pub(super) fn not_for_comparisons(output: clap::Arg) -> clap::Arg {
-    output.required(false).required_unless_present("compare").default_value_if(
-        "compare",
-        clap::builder::ArgPredicate::IsPresent,
-        ".",
-    )
 }
 
 #[derive(Debug, clap::Args)]

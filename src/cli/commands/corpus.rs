@@ -4,8 +4,7 @@ use crate::cli::args::{CorpusCommand, CorpusFilterArgs, OutputArgs};
 use crate::cli::printer::Printer;
 use crate::cli::progress::TerminalProgress;
 use crate::corpus::{
-    Condition, CopyOutcome, FilterOptions, Finding, SampleOptions, Severity, Top, ValidationReport, filter, merge,
-    sample, validate,
+    Condition, CopyOutcome, FilterOptions, Finding, Severity, Top, ValidationReport, filter, merge, validate,
 };
 use crate::engine::{Failure, Result};
 use serde::Serialize;
@@ -38,13 +37,6 @@ pub(in crate::cli) fn corpus(command: &CorpusCommand, output: &OutputArgs, print
             let options = filter_options(args)?;
             super::begins_anew(&args.out);
             let outcome = filter(&args.corpus, &options, &args.out, &progress)?;
-            tell(printer, &outcome, &args.out);
-            Ok(())
-        }
-        CorpusCommand::Sample(args) => {
-            let options = SampleOptions { n: args.n, by: args.by.clone(), seed: args.seed };
-            super::begins_anew(&args.out);
-            let outcome = sample(&args.corpus, &options, &args.out, &progress)?;
             tell(printer, &outcome, &args.out);
             Ok(())
         }

@@ -5,7 +5,7 @@ use crate::cli::args::SubmitArgs;
 use crate::cli::printer::Printer;
 use crate::cloud::ObjectUrl;
 use crate::engine::{Failure, Result};
-use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, kubernetes, slurm};
+use crate::pipeline::cluster::{Engine, JobGraph, Submission, cautions, slurm};
 use crate::pipeline::layout::Layout;
 use crate::pipeline::stages;
 
@@ -20,7 +20,6 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
         return Err(super::no_shared_folder(&root));
     }
     let submission = Submission {
-        engine: args.engine,
         pipeline: &args.pipeline,
         overrides: &args.set,
         run: &args.place.run,
@@ -35,16 +34,6 @@ pub(in crate::cli) fn submit(args: &SubmitArgs, printer: &Printer) -> Result<()>
         Engine::Json => {
             let text = serde_json::to_string_pretty(&graph).map_err(Failure::fault)?;
             printer.data(&format!("{text}\n"))
-        }
-        Engine::Kubernetes if args.dry_run => printer.data(&kubernetes::manifest(&graph, &cluster)?),
-        Engine::Kubernetes => {
-            printer.data(&kubernetes::submit(&graph, &cluster)?)?;
-            let (name, root) = (kubernetes::name(&graph), root.display());
-            printer.message(format_args!(
-                "results will be in {root}, the output of jobs in `kubectl logs --selector \
-                 jobset.sigs.k8s.io/jobset-name={name}`; follow their progress with `djinn status {root}`"
-            ));
-            Ok(())
         }
         Engine::Slurm if args.dry_run => printer.data(&slurm::describe(&graph, &cluster)),
         Engine::Slurm => {

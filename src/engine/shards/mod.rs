@@ -24,8 +24,6 @@ pub use division::Division;
 pub use gathering::Gathering;
 pub use make::{Shards, Worker, work};
 pub use progress::{ShardStatus, shard_status};
-#[cfg(test)]
-pub(crate) use tests::shard_folder;
 
 use super::failure::{Failure, Result};
 use super::inputs::check_inputs;

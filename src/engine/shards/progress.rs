@@ -25,7 +25,7 @@ pub struct ShardStatus {
     pub n_done: usize,
     /// Shards that were begun recently.
     pub n_running: usize,
-    /// Shards that are neither done nor running. A sweep that stops early never makes some of them.
+    /// Shards that are neither done nor running.
     pub n_missing: usize,
     /// Names of the shards that no worker will try again, with the reason.
     pub given_up: Vec<String>,

@@ -32,7 +32,7 @@ fn identity() -> Identity {
 }
 
 /// A new plan of some shards in a run folder.
-pub(crate) fn shard_folder(root: &Path, n_shards: usize, is_shared: bool) -> ShardFolder {
+fn shard_folder(root: &Path, n_shards: usize, is_shared: bool) -> ShardFolder {
     let division = Division::new(n_shards, &serde_json::json!({})).unwrap();
     let folder = ShardFolder::write(root, kind("generate"), identity(), &division).unwrap();
     if is_shared { folder.shared(false).unwrap() } else { folder }

@@ -1,6 +1,7 @@
 //! `[[generate.requests]]`: which events are requested, with which parameters, how many of each, and on what budget?
 
-use super::super::{Limit, PairSelectionConfig};
+use super::limits::Limit;
+use crate::generate::PairSelectionConfig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
@@ -35,8 +36,10 @@ pub struct RequestConfig {
     /// of texts, such as `side = ["left"]`, `place = […]`, `other_class = ["vehicle"]`.
     #[serde(default, rename = "where")]
     pub conditions: BTreeMap<String, Requirement>,
-    /// Limits on metrics of the single scenario, such as criticality, as in a sweep's `select`. Unless it is limited
-    /// otherwise, `validity_rate` is 1: a corpus of accepted scenarios holds valid ones only.
+    /// Limits on metrics of the single scenario, such as criticality: `{ collision_rate = 0.0 }` accepts those without
+    /// a collision, `{ pair_min_ttc_s = [0.5, 2.0] }` those that come this close to one,
+    /// `{ pair_min_distance_m = { at_least = 1.0 } }` those that stay this far apart. Unless it is limited otherwise,
+    /// `validity_rate` is 1: a corpus of accepted scenarios holds valid ones only.
     #[serde(default = "only_valid", deserialize_with = "with_validity")]
     pub limits: BTreeMap<String, Limit>,
     /// Names of `[[generate.arms]]` that may be tried. An arm of several strengths is tried at each of them.

@@ -4,13 +4,13 @@ use super::config::RequestConfig;
 use super::event_values::EventValues;
 use super::facts::{CAREFUL_MARGIN, Facts};
 use super::ledger::{CellTally, Ledger, ShardTally};
+use super::limits;
 use super::pool::Pool;
 use super::resolve::ResolvedRequest;
 use super::rounds::RoundShard;
 use crate::behavior::Behavior;
-use crate::generate::select::Candidate;
 use crate::generate::{Cell, Error, Generator};
-use crate::metrics::{CarefulReplay, PairPath};
+use crate::metrics::{CarefulReplay, PairPath, SampleGroup};
 use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -98,12 +98,13 @@ impl Generator<'_> {
         let recorded = self.load(cell.scene_idx, &cell.scene_id)?;
         let asked = &record.scenario.provenance.guidance.roles;
         let asked_to_collide = record.asks_for_collision();
-        let candidate = Candidate { scene, objectives: &[], asked, asked_to_collide };
-        let verdicts = request.config.limits().verdicts(&recorded, &[candidate], &self.metric_settings);
+        let alone = SampleGroup::equally_likely(&recorded, std::slice::from_ref(scene));
+        let sample = SampleGroup { asked, asked_to_collide, ..alone };
+        let is_within_limits = limits::are_met(&request.config.limits, &sample, &self.metric_settings);
         let ending = record.ending();
         let ends_well = ending.is_none_or(|(_, ending)| ending.remaining_mps.is_none());
         let is_explained = record.explanation() != Some(None);
-        let is_valid = ends_well && is_explained && verdicts.iter().all(Option::is_none);
+        let is_valid = ends_well && is_explained && is_within_limits;
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }

@@ -3,9 +3,10 @@
 use super::buckets::Buckets;
 use super::config::{Divisions, RequestConfig, Requirement};
 use super::facts::check_name;
+use super::limits;
 use crate::behavior::{self, Behavior};
 use crate::generate::sweep::mined;
-use crate::generate::{Error, GenerateConfig, ResolvedSweep, SelectConfig};
+use crate::generate::{Error, GenerateConfig, ResolvedSweep};
 use crate::metrics::DUPLICATE_DISTANCE_M;
 use crate::scene::{GuidanceLevel, Split};
 use crate::settings::{self, Issue};
@@ -151,7 +152,7 @@ impl RequestConfig {
             checked.map_err(|issue| issue.within("where"))?;
         }
         self.validate_counts()?;
-        self.limits().validate(&[], behavior.roles.len() > 1)?;
+        limits::validate(&self.limits, behavior.roles.len() > 1)?;
         if self.arms.is_empty() {
             return refuse("arms", "is empty; list at least one of [[generate.arms]]");
         }
@@ -188,11 +189,6 @@ impl RequestConfig {
             }
         }
         Ok(())
-    }
-
-    /// The limits as a selection.
-    pub(super) fn limits(&self) -> SelectConfig {
-        SelectConfig { limits: self.limits.clone(), ..SelectConfig::default() }
     }
 }
 

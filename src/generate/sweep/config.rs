@@ -1,9 +1,7 @@
 //! A sweep or an arm as written in TOML: one flat table.
 
 use crate::diffusion::SamplerConfig;
-use crate::generate::{
-    ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SelectConfig, SweepRollout,
-};
+use crate::generate::{ClassifierFreeConfig, EditConfig, ObserveConfig, PairSelectionConfig, SweepRollout};
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig};
 use crate::settings::{Issue, Result};
 use schemars::JsonSchema;
@@ -11,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 /// Keys that an arm does not have, because they are up to the request that names the arm.
-const OF_REQUESTS: &[&str] = &["n_scenes", "behavior", "pairs", "aim", "select", "stop_after_verified"];
+const OF_REQUESTS: &[&str] = &["n_scenes", "behavior", "pairs", "aim"];
 /// Keys that the baseline does not have.
 const OF_DIFFUSION: &[&str] = &[
     "sampler",
@@ -100,13 +98,6 @@ pub struct SweepConfig {
     /// How scenarios go on in a closed loop, for longer than they were sampled. Left out: they end with the sample.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rollout: Option<SweepRollout>,
-    /// Which samples become scenarios. Left out: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub select: Option<SelectConfig>,
-    /// Start no further shards of this sweep once this many of its scenarios are verified. Left out: generate all.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(range(min = 1, max = 1_000_000_000))]
-    pub stop_after_verified: Option<usize>,
 }
 
 impl SweepConfig {

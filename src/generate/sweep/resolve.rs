@@ -3,7 +3,7 @@
 use super::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerKind;
-use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig, SelectConfig};
+use crate::generate::{GenerateConfig, ObserveConfig, RequestConfig};
 use crate::guidance::ObjectiveConfig;
 use crate::scene::{GuidanceLevel, LevelAxis};
 use crate::settings::{self, Issue, Result};
@@ -14,8 +14,6 @@ struct Purpose<'a> {
     config: &'a GenerateConfig,
     /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
-    /// Whether samples are selected by objectives.
-    selects_by_objectives: bool,
 }
 
 impl SweepConfig {
@@ -29,8 +27,7 @@ impl SweepConfig {
             return Err(Issue::new("n_scenes", "is 0, expected at least 1"));
         }
         let behavior = self.behavior.as_deref().map(|id| mined(id, behaviors)).transpose()?;
-        let selects_by_objectives = self.select.as_ref().is_some_and(SelectConfig::names_objectives);
-        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives })?;
+        let model = self.resolve_model(&Purpose { config, behavior })?;
         let sweep = ResolvedSweep {
             name: self.name.clone(),
             n_scenes: self.n_scenes,
@@ -38,15 +35,10 @@ impl SweepConfig {
             behavior: self.behavior.clone(),
             pairs: self.pairs.clone(),
             aim: self.aim,
-            select: self.select.clone(),
-            stop_after_verified: self.stop_after_verified,
             rollout: self.rollout,
             observe: self.observe.clone(),
             model,
         };
-        if self.stop_after_verified.is_some() && behavior.is_none() {
-            return Err(Issue::new("stop_after_verified", "is set, which needs a behavior that can be verified"));
-        }
         let can_aim = behavior.is_some() && !sweep.aims_at().is_empty();
         if self.aim != Aim::Anything && !can_aim {
             return Err(Issue::new(
@@ -56,15 +48,9 @@ impl SweepConfig {
                  objectives = [{ kind = \"cut_in\" }]",
             ));
         }
-        if let Some(select) = &self.select {
-            let objectives = sweep.diffusion().map_or(&[][..], |diffusion| &diffusion.guidance.objectives);
-            let kinds: Vec<&str> = objectives.iter().map(|objective| objective.kind()).collect();
-            let asks_pairs = behavior.is_some_and(|asked| asked.roles().len() > 1);
-            select.validate(&kinds, asks_pairs).map_err(|issue| issue.within("select"))?;
-            if let Some(best) = select.best.filter(|best| *best > self.n_samples) {
-                let expected = format!("is {best}, expected at most n_samples, which is {}", self.n_samples);
-                return Err(Issue::new("select.best", expected));
-            }
+        if self.aim == Aim::Hard && self.pairs.ranking.is_some() {
+            let why = "is set, but aim = \"hard\" ranks pairs by how hard their events can be; remove one of them";
+            return Err(Issue::new("pairs.ranking", why));
         }
         Ok(sweep)
     }
@@ -96,7 +82,7 @@ impl SweepConfig {
         behavior: &dyn Behavior,
     ) -> Result<Vec<(ResolvedSweep, GuidanceLevel)>> {
         let behavior = Some(behavior);
-        let model = self.resolve_model(&Purpose { config, behavior, selects_by_objectives: false })?;
+        let model = self.resolve_model(&Purpose { config, behavior })?;
         let sweep = ResolvedSweep {
             name: format!("{}/{}", request.name, self.name),
             n_scenes: request.n_scenes,
@@ -104,8 +90,6 @@ impl SweepConfig {
             behavior: Some(request.behavior.clone()),
             pairs: request.pairs.clone(),
             aim: Aim::default(),
-            select: None,
-            stop_after_verified: None,
             rollout: self.rollout,
             observe: self.observe.clone(),
             model,
@@ -241,11 +225,10 @@ impl Diffusion {
             };
             return Err(Issue::new("strengths", missing));
         }
-        if has_objectives && !self.is_guided() && !purpose.selects_by_objectives {
+        if has_objectives && !self.is_guided() {
             return Err(Issue::new(
                 "objectives",
-                "have no effect at strength 0; add a strength, such as strengths = [1.0], or select by them, such as \
-                 select = { best = 1, by = [\"objectives\"] }",
+                "have no effect at strength 0; add a strength, such as strengths = [1.0]",
             ));
         }
         let roles = purpose.behavior.map_or(&[][..], Behavior::roles);

@@ -3,9 +3,7 @@
 use super::{Aim, ClassifierScope};
 use crate::behavior::BehaviorEntry;
 use crate::diffusion::{Edm, SamplerConfig};
-use crate::generate::{
-    ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SelectConfig, SweepRollout,
-};
+use crate::generate::{ClassifierFreeConfig, EditConfig, Error, ObserveConfig, PairSelectionConfig, SweepRollout};
 use crate::guidance::{ClassifierPotential, GuidanceConfig, ObjectiveConfig};
 use crate::model::Distillation;
 use crate::scene::{GuidanceLevel, Scene};
@@ -27,10 +25,6 @@ pub struct ResolvedSweep {
     pub pairs: PairSelectionConfig,
     /// Which events its guided samples aim at.
     pub aim: Aim,
-    /// Which samples become scenarios; `None`: all.
-    pub select: Option<SelectConfig>,
-    /// Start no further shards once this many scenarios are verified.
-    pub stop_after_verified: Option<usize>,
     /// How scenarios go on in a closed loop; `None`: not at all.
     pub rollout: Option<SweepRollout>,
     /// Which states are observed.

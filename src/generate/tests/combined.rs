@@ -53,22 +53,3 @@ fn classifier_objectives_and_wanted_states_act_together() {
     let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
     assert!(why.contains("classifier_free.weights has 2 values and strengths has 2"), "{why}");
 }
-
-#[test]
-fn objectives_select_without_guiding() {
-    let calm = "objectives = [{ kind = 'acceleration_limit', agents = 'ego', limit_mps2 = 0.001 }]";
-    let sweep = "splits = ['train']\n[[sweeps]]\nname = 'a'\nn_scenes = 3\nn_samples = 4\n";
-    let all = generate(&config(sweep));
-    let best = generate(&config(&format!("{sweep}{calm}\nselect = {{ best = 1, by = ['objectives'] }}")));
-    assert_eq!((all.len(), best.len(), kinds(&best)), (12, 3, vec!["none"]));
-    for (own, kept) in all.chunks(4).zip(&best) {
-        let jolts_m2 = |record: &ScenarioRecord| -> f64 {
-            let Scene { ego_idx, n_timesteps, .. } = record.scenario.scene;
-            let at = |t: usize| record.scenario.scene.state(ego_idx, t).map(|state| state.position);
-            let jolts = (2..n_timesteps).filter_map(|t| Some(at(t - 2)? - at(t - 1)? * 2.0 + at(t)?));
-            jolts.map(|jolt| jolt.dot(jolt)).sum()
-        };
-        let least = own.iter().map(jolts_m2).fold(f64::MAX, f64::min);
-        assert!(jolts_m2(kept) < 1.001 * least, "kept {} m², least {least} m²", jolts_m2(kept));
-    }
-}

@@ -24,6 +24,7 @@ mod headings;
 mod left_out;
 mod mapping;
 mod owners;
+mod part_plan;
 mod parts;
 #[cfg(test)]
 mod parts_tests;
@@ -40,7 +41,8 @@ mod turns;
 pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 pub(super) use owners::Change;
 
-use self::parts::{PartReader, SIZES, Sizes};
+use self::part_plan::{Planner, SIZES, Sizes};
+use self::parts::PartReader;
 use super::archive::Entry;
 use super::files::{file_stem, split_of_path};
 use super::pairing::{PairNames, PairPart, PairReader};
@@ -74,7 +76,8 @@ impl<'a> Tables<'a> {
     }
 
     fn part_reader(&self, sizes: Sizes) -> PartReader<'_> {
-        PartReader::new(PairReader::new(self.names()), self.mapping, self.config, self.horizon, sizes)
+        let Self { config, mapping, horizon } = *self;
+        PartReader::new(PairReader::new(self.names()), Planner { mapping, config, horizon, sizes })
     }
 
     fn names(&self) -> PairNames<'a> {

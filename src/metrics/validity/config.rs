@@ -1,11 +1,9 @@
 //! The limits of a valid scenario.
 
-use super::{Check, DrivenArea};
+use super::Check;
 use crate::scene::Dataset;
-use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
 
 /// The limits of a valid scenario. Exceeding a limit is a violation; checks can be skipped by name.
 ///
@@ -62,14 +60,6 @@ pub struct ValidityConfig {
     /// any map.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub max_recorded_offroad: f64,
-    /// Places where departures are not judged, in addition to those that `max_recorded_offroad` excludes.
-    #[serde(skip_serializing_if = "BTreeSet::is_empty")]
-    pub places_without_road: BTreeSet<String>,
-    /// Where recorded vehicles drive, which is road beside the lanes, by place: found in recordings, and refused in
-    /// configurations.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    #[schemars(skip)]
-    pub driven_areas: BTreeMap<String, DrivenArea>,
     /// Whether requested agents may collide with each other, whatever the requested behavior; if it is `collision`,
     /// they always may. Default false.
     pub asked_may_collide: bool,
@@ -91,26 +81,12 @@ impl Default for ValidityConfig {
             max_start_turn_rad: 0.2,
             offroad_slack_m: 0.3,
             max_recorded_offroad: 0.03,
-            places_without_road: BTreeSet::new(),
-            driven_areas: BTreeMap::new(),
             asked_may_collide: false,
         }
     }
 }
 
 impl ValidityConfig {
-    /// Checks what a configuration says.
-    ///
-    /// # Errors
-    /// Names the key, its value and the expectation.
-    pub fn validate(&self) -> settings::Result {
-        settings::check_ranges(self)?;
-        match self.driven_areas.is_empty() {
-            true => Ok(()),
-            false => Err(settings::Issue::new("driven_areas", "is no setting: it is found in recordings")),
-        }
-    }
-
     /// Whether motion is checked in scenes of this dataset.
     pub fn checks_motion_of(&self, dataset: Dataset) -> bool {
         self.motion_of.contains(&dataset)

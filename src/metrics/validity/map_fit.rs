@@ -1,7 +1,7 @@
 //! Does the map of a place show the whole road? Measured by the positions of recorded vehicles.
 
 use super::check::exceeds;
-use super::{Check, DrivenArea, Judged, ValidityConfig, offroad};
+use super::{Check, DrivenArea, Judged, MapGaps, ValidityConfig, offroad};
 use crate::scene::{Roles, Scene};
 use serde::{Deserialize, Serialize};
 
@@ -23,10 +23,10 @@ pub struct MapFit {
 
 impl MapFit {
     /// The counts of a recorded scene: every fifth state of its vehicles, and whether it passes the check of
-    /// departures, with the driven areas that the configuration has.
-    pub fn of(scene: &Scene, config: &ValidityConfig) -> Self {
-        let judged = Judged::future_of(scene, Roles::none());
-        let off_road_m = offroad::off_road_m(scene, config);
+    /// departures, where maps have these gaps.
+    pub fn of(scene: &Scene, config: &ValidityConfig, map_gaps: &MapGaps) -> Self {
+        let judged = Judged::future_of(scene, Roles::none()).with_gaps(map_gaps);
+        let off_road_m = offroad::off_road_m(scene, map_gaps);
         let states = vehicles(&judged).flat_map(|agent_idx| scene.tracks[agent_idx].trajectory.valid());
         let positions: Vec<_> =
             states.filter(|(timestep, _)| timestep % STRIDE == 0).map(|(_, s)| s.position).collect();
@@ -82,11 +82,7 @@ impl Judged<'_> {
         let is_made = |check: Check| match check {
             _ if config.skip.contains(&check) => false,
             Check::Collision => true,
-            Check::Offroad => {
-                let place = &self.scene.source.place;
-                let has_road = !config.places_without_road.contains(place) || config.driven_areas.contains_key(place);
-                !self.scene.lanes.is_empty() && has_road
-            }
+            Check::Offroad => !self.scene.lanes.is_empty() && self.map_gaps.show_road_of(self.scene),
             _ => config.checks_motion_of(self.scene.source.dataset),
         };
         Check::ALL.into_iter().filter(|check| !is_made(*check)).collect()

@@ -15,6 +15,7 @@ mod deserted;
 mod driven_area;
 mod fit;
 mod map_fit;
+mod map_gaps;
 mod motion;
 mod offroad;
 mod reverse;
@@ -28,6 +29,7 @@ pub use config::ValidityConfig;
 pub use driven_area::DrivenArea;
 pub use fit::LocalFit;
 pub use map_fit::MapFit;
+pub use map_gaps::MapGaps;
 pub use validity_rate::ValidityRate;
 
 use crate::scene::{AgentClass, Roles, Scene};
@@ -39,18 +41,25 @@ pub struct Judged<'a> {
     /// The requested agents, whose collisions with each other can be excused.
     pub asked: &'a Roles,
     may_collide: bool,
+    map_gaps: &'a MapGaps,
     generated: Box<dyn Fn(usize, usize) -> bool + 'a>,
 }
 
 impl<'a> Judged<'a> {
     /// A scene whose state of an agent at a timestep is generated if `generated(agent_idx, timestep)` holds.
     pub fn new(scene: &'a Scene, asked: &'a Roles, generated: impl Fn(usize, usize) -> bool + 'a) -> Self {
-        Self { scene, asked, may_collide: false, generated: Box::new(generated) }
+        Self { scene, asked, may_collide: false, map_gaps: MapGaps::none(), generated: Box::new(generated) }
     }
 
     /// A scene whose whole future is taken as generated.
     pub fn future_of(scene: &'a Scene, asked: &'a Roles) -> Self {
         Self::new(scene, asked, |_, timestep| timestep >= scene.n_history)
+    }
+
+    /// Takes the maps to have these gaps.
+    #[must_use]
+    pub fn with_gaps(self, map_gaps: &'a MapGaps) -> Self {
+        Self { map_gaps, ..self }
     }
 
     /// Excuses collisions among the requested agents if they were `asked_to_collide`.

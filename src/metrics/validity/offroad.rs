@@ -1,15 +1,15 @@
 //! The check for departures from the road.
 
 use super::check::exceeds;
-use super::{Check, Judged, ValidityConfig, Violation, keep_worse};
+use super::{Check, Judged, MapGaps, ValidityConfig, Violation, keep_worse};
 use crate::geometry::Vec2;
 use crate::metrics::road::Road;
 use crate::scene::Scene;
 
 /// The distance of positions in a scene from its lanes and from where recorded vehicles drive at its place, meters.
-pub(super) fn off_road_m<'a>(scene: &'a Scene, config: &'a ValidityConfig) -> impl Fn(Vec2) -> f64 + 'a {
+pub(super) fn off_road_m<'a>(scene: &'a Scene, map_gaps: &'a MapGaps) -> impl Fn(Vec2) -> f64 + 'a {
     let road = Road::new(&scene.lanes);
-    let area = config.driven_areas.get(&scene.source.place);
+    let area = map_gaps.driven_area(scene);
     move |position| {
         let off_m = road.distance_m(position);
         match area {
@@ -26,7 +26,7 @@ pub(super) fn worst(judged: &Judged<'_>, config: &ValidityConfig) -> Option<Viol
     if scene.lanes.is_empty() {
         return None;
     }
-    let off_road_m = off_road_m(scene, config);
+    let off_road_m = off_road_m(scene, judged.map_gaps);
     let outside_m =
         |agent_idx: usize, timestep: usize| scene.state(agent_idx, timestep).map(|state| off_road_m(state.position));
     let mut worst = None;

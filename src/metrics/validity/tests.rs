@@ -340,7 +340,7 @@ fn fit(n_off: usize) -> MapFit {
         let y_m = if i < n_off { 8.0 + 3.0 * i as f64 } else { 0.0 };
         format!("{{ id = \"{i}\", start = {{ x_m = {}, y_m = {y_m:?}, speed_mps = 5 }} }}", 8 * i)
     };
-    MapFit::of(&built(&(0..4).map(car).collect::<Vec<_>>().join(", ")), &defaults())
+    MapFit::of(&built(&(0..4).map(car).collect::<Vec<_>>().join(", ")), &defaults(), MapGaps::none())
 }
 
 #[test]
@@ -364,11 +364,13 @@ fn what_is_not_checked_is_said() {
     let not_checked =
         |scene: &Scene, config: &ValidityConfig| Judged::future_of(scene, Roles::none()).not_checked(config);
     assert_eq!((checks(&leaving, &defaults()), not_checked(&leaving, &defaults())), (vec!["offroad"], Vec::new()));
-    let place = leaving.source.place.clone();
-    let without = ValidityConfig { places_without_road: [place].into(), ..defaults() };
-    assert_eq!((checks(&leaving, &without), not_checked(&leaving, &without)), (Vec::new(), vec![Check::Offroad]));
-    let elsewhere = ValidityConfig { places_without_road: ["elsewhere".to_owned()].into(), ..defaults() };
-    assert_eq!(checks(&leaving, &elsewhere), ["offroad"]);
+    let with_gap_at = |place: &str| {
+        let map_gaps = MapGaps { places: [place.to_owned()].into(), ..MapGaps::default() };
+        let judged = Judged::future_of(&leaving, Roles::none()).with_gaps(&map_gaps);
+        (judged.violations(&defaults()).len(), judged.not_checked(&defaults()))
+    };
+    assert_eq!(with_gap_at(&leaving.source.place), (0, vec![Check::Offroad]));
+    assert_eq!(with_gap_at("elsewhere"), (1, Vec::new()));
     let mut noisy = leaving;
     noisy.source.dataset = Dataset::Argoverse1;
     noisy.lanes = std::sync::Arc::default();

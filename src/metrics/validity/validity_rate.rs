@@ -1,18 +1,18 @@
 //! The share of valid samples.
 
-use super::{Judged, ValidityConfig};
-use crate::metrics::{Direction, Metric, MetricSpec, SampleGroup};
+use super::Judged;
+use crate::metrics::{Direction, Metric, MetricSettings, MetricSpec, SampleGroup};
 use crate::scene::Scene;
 use std::sync::LazyLock;
 
 /// Share of samples whose future keeps all limits. The whole future counts as generated, in recordings as in samples.
 #[derive(Debug, Clone, Default)]
 pub struct ValidityRate {
-    /// The limits; `None` for the defaults.
-    pub limits: Option<ValidityConfig>,
+    /// The limits, and the gaps of maps; `None` for the defaults.
+    pub settings: Option<MetricSettings>,
 }
 
-static DEFAULTS: LazyLock<ValidityConfig> = LazyLock::new(ValidityConfig::default);
+static DEFAULTS: LazyLock<MetricSettings> = LazyLock::new(MetricSettings::default);
 
 impl Metric for ValidityRate {
     fn spec(&self) -> MetricSpec {
@@ -25,10 +25,10 @@ impl Metric for ValidityRate {
     }
 
     fn evaluate(&self, group: &SampleGroup<'_>) -> Option<f64> {
-        let limits = self.limits.as_ref().unwrap_or(&DEFAULTS);
+        let MetricSettings { validity, map_gaps } = self.settings.as_ref().unwrap_or(&DEFAULTS);
         let is_valid = |sample: &Scene| {
             let judged = Judged::future_of(sample, group.asked).excused_if(group.asked_to_collide);
-            vec![judged.violations(limits).is_empty()]
+            vec![judged.with_gaps(map_gaps).violations(validity).is_empty()]
         };
         group.share_over_samples(is_valid).filter(|_| group.recorded.has_future())
     }

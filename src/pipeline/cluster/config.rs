@@ -3,7 +3,6 @@
 use crate::settings;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// The notice that a job gets before the end of its time, seconds: enough for a step of training and saving its state.
 pub(super) const NOTICE_S: u32 = 120;
@@ -19,9 +18,9 @@ pub struct ClusterConfig {
     /// retry for each further time limit.
     #[schemars(range(max = 1_000))]
     pub retries: u32,
-    /// The partition of Slurm, or the queue of Kueue on Kubernetes. Empty: Slurm's default partition, or no queue.
+    /// The partition of Slurm; empty: its default partition.
     pub partition: String,
-    /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's. Kubernetes sets none.
+    /// The time limit of a job as Slurm writes it, such as `04:00:00`; empty: the partition's.
     pub time: String,
     /// GPUs of each job that computes with networks.
     #[schemars(range(max = 64))]
@@ -31,16 +30,11 @@ pub struct ClusterConfig {
     pub cpus: u32,
     /// Memory of each job as Slurm writes it, such as `16G`; empty: the partition's.
     pub memory: String,
-    /// On Slurm, what runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty:
+    /// What runs the program in a container, such as `apptainer exec --nv /images/djinn.sif djinn`; empty:
     /// the program that submits.
     pub container: String,
     /// More lines of Slurm's scripts, such as `#SBATCH --account=traffic` or `module load cuda`.
     pub lines: Vec<String>,
-    /// The container image that Kubernetes runs, such as `registry.example.org/djinn:0.1`.
-    pub image: String,
-    /// PersistentVolumeClaims of Kubernetes and the folders where they are mounted, such as `{ traffic = "/data" }`.
-    /// The pipeline must be submitted from a machine with the same folders.
-    pub volumes: BTreeMap<String, String>,
 }
 
 impl Default for ClusterConfig {
@@ -55,28 +49,17 @@ impl Default for ClusterConfig {
             memory: String::new(),
             container: String::new(),
             lines: Vec::new(),
-            image: String::new(),
-            volumes: BTreeMap::new(),
         }
     }
 }
 
 impl ClusterConfig {
-    /// Refuses texts that would break the scripts or manifests.
+    /// Refuses texts that would break the scripts.
     pub fn validate(&self) -> settings::Result {
-        let words =
-            [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory), ("image", &self.image)];
-        for (key, word) in words {
+        for (key, word) in [("partition", &self.partition), ("time", &self.time), ("memory", &self.memory)] {
             settings::printable(key, word)?;
             if word.contains(char::is_whitespace) {
                 return Err(settings::Issue::new(key, format_args!("is \"{word}\", expected one word")));
-            }
-        }
-        for (claim, folder) in &self.volumes {
-            settings::printable_name(&format!("volumes.{claim}"), folder)?;
-            if !folder.starts_with('/') {
-                let found = format_args!("is \"{folder}\", expected an absolute path, such as /data");
-                return Err(settings::Issue::new(format!("volumes.{claim}"), found));
             }
         }
         settings::printable("container", &self.container)?;

@@ -1,6 +1,6 @@
 //! Which jobs does a pipeline need, and which of them wait for which?
 
-use super::{ClusterConfig, Engine};
+use super::ClusterConfig;
 use crate::engine::{Failure, Result};
 use crate::generate::RequestConfig;
 use crate::pipeline::StageId;
@@ -16,8 +16,6 @@ pub(super) const WORKER: &str = "{worker}";
 /// A pipeline and how it is submitted.
 #[derive(Debug)]
 pub struct Submission<'a> {
-    /// The engine that runs the jobs.
-    pub engine: Engine,
     /// The pipeline file.
     pub pipeline: &'a Path,
     /// Overrides of its settings.
@@ -208,11 +206,8 @@ struct Command {
 
 impl Command {
     fn new(submission: &Submission<'_>, cluster: &ClusterConfig) -> Result<Self> {
-        let Submission { engine, pipeline, overrides, run, config, .. } = submission;
-        let mut words: Vec<String> = match engine {
-            Engine::Kubernetes => vec!["djinn".to_owned()],
-            Engine::Slurm | Engine::Json => cluster.container.split_whitespace().map(str::to_owned).collect(),
-        };
+        let Submission { pipeline, overrides, run, config, .. } = submission;
+        let mut words: Vec<String> = cluster.container.split_whitespace().map(str::to_owned).collect();
         if words.is_empty() {
             words.push(std::env::current_exe()?.to_string_lossy().into_owned());
         }

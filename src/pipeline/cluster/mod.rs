@@ -1,15 +1,12 @@
 //! A pipeline on many machines: which jobs does it need, and how are they submitted to an engine that runs them?
 //!
-//! djinn schedules nothing by itself. `jobs` defines the jobs and their dependencies, [`slurm`] and [`kubernetes`]
-//! submit them to their engines, and JSON serves any other engine. A job that is started too early or twice does no
+//! djinn schedules nothing by itself. `jobs` defines the jobs and their dependencies, [`slurm`] submits them,
+//! and JSON serves any other engine. A job that is started too early or twice does no
 //! harm, because each job checks for itself that its inputs exist. Submitting again makes up for jobs that never ran.
 
 mod config;
 mod feed;
 mod jobs;
-pub mod kubernetes;
-#[cfg(test)]
-mod kubernetes_tests;
 pub mod slurm;
 #[cfg(test)]
 mod tests;
@@ -25,8 +22,6 @@ use std::str::FromStr;
 pub enum Engine {
     /// Slurm, through its commands `sbatch` and `scontrol`.
     Slurm,
-    /// Kubernetes with JobSet, through its command `kubectl`.
-    Kubernetes,
     /// Anything that reads the graph of jobs.
     Json,
 }
@@ -37,9 +32,8 @@ impl FromStr for Engine {
     fn from_str(name: &str) -> Result<Self, Unreadable> {
         match name {
             "slurm" => Ok(Self::Slurm),
-            "kubernetes" => Ok(Self::Kubernetes),
             "json" => Ok(Self::Json),
-            _ => Err("expected slurm, kubernetes or json".into()),
+            _ => Err("expected slurm or json".into()),
         }
     }
 }

@@ -1,12 +1,12 @@
 //! Which jobs wait for which, what do the scripts contain, and what do they do?
 
-use super::{ClusterConfig, Engine, JobGraph, Submission, cautions, slurm};
+use super::{ClusterConfig, JobGraph, Submission, cautions, slurm};
 use crate::engine::Blame;
 use crate::pipeline::config::{PipelineConfig, parse};
 use std::path::Path;
 use std::process::Command;
 
-pub(super) const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n\
+const PIPELINE: &str = "[run]\nname = 'night drive'\n[ingest]\ndataset = 'interaction'\ninputs = ['a.zip']\n\
     [train.denoiser]\n[generate]\n\
     [[generate.sweeps]]\nname = 'plain'\n[evaluate]\n";
 const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'gpu'\ntime = '04:00:00'\ngpus = 1\ncpus = 8\n\
@@ -14,14 +14,10 @@ const CLUSTER: &str = "[cluster]\nworkers = 7\nretries = 3\npartition = 'gpu'\nt
     lines = ['module load cuda', '#SBATCH --account=traffic']\n";
 
 fn graph(text: &str, overrides: &[String]) -> (JobGraph, ClusterConfig) {
-    graph_for(Engine::Slurm, text, overrides)
-}
-
-pub(super) fn graph_for(engine: Engine, text: &str, overrides: &[String]) -> (JobGraph, ClusterConfig) {
     let config: PipelineConfig = parse(None, text, &[]).unwrap();
     let cluster = config.cluster.clone().unwrap_or_default();
     let (pipeline, root) = (Path::new("own/night's.toml"), Path::new("/data/out/night drive/main"));
-    let submission = Submission { engine, pipeline, overrides, run: "main", root, config: &config };
+    let submission = Submission { pipeline, overrides, run: "main", root, config: &config };
     let graph = JobGraph { directory: "/home/ada".into(), ..JobGraph::new(&submission, &cluster).unwrap() };
     (graph, cluster)
 }
@@ -31,8 +27,7 @@ fn a_folder_whose_name_would_become_a_command_is_refused() {
     let config: PipelineConfig = parse(None, PIPELINE, &[]).unwrap();
     for root in ["/data/o\ntouch x\n#/main", "/data/\r/main", "/data/\u{1b}[2J/main"] {
         let (pipeline, root) = (Path::new("p.toml"), Path::new(root));
-        let submission =
-            Submission { engine: Engine::Slurm, pipeline, overrides: &[], run: "main", root, config: &config };
+        let submission = Submission { pipeline, overrides: &[], run: "main", root, config: &config };
         let failure = JobGraph::new(&submission, &ClusterConfig::default()).unwrap_err();
         let said = format!("{failure:?}");
         assert!(
@@ -43,7 +38,7 @@ fn a_folder_whose_name_would_become_a_command_is_refused() {
 }
 
 /// Compares with a file; `DJINN_UPDATE_GOLDEN=1 cargo test --lib cluster::` rewrites it.
-pub(super) fn assert_golden(name: &str, found: &str) {
+fn assert_golden(name: &str, found: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
     if std::env::var_os("DJINN_UPDATE_GOLDEN").is_some() {
         fs_err::write(&path, found).unwrap();

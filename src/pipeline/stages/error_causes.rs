@@ -136,7 +136,7 @@ impl From<nn::Error> for Failure {
 }
 
 /// An error at a path that the user named: the user can fix the path, but not a full disk.
-pub(in crate::pipeline) fn of_named_path(error: std::io::Error) -> Failure {
+fn of_named_path(error: std::io::Error) -> Failure {
     match error.kind() {
         ErrorKind::NotFound
         | ErrorKind::PermissionDenied

@@ -12,6 +12,7 @@ use crate::evaluate::{
     ShardFigures, TrackPool, left_out_by_sweep, metric_docs, of_requests,
 };
 use crate::generate::{Aim, GenerateConfig};
+use crate::metrics::MetricSettings;
 use crate::nn::Compute;
 use crate::pipeline::StageId;
 use crate::pipeline::layout::{
@@ -25,7 +26,7 @@ use crate::store::{
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// The stage.
 pub struct Evaluate<'a> {
@@ -129,21 +130,13 @@ impl Sharded for Evaluate<'_> {
     /// the corpus.
     fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value> {
         let ready = self.ready(Some(shards.decisions()?))?;
-        let EvaluationReady { store, samples, behaviors, maps, config } = &ready;
+        let EvaluationReady { store, samples, behaviors, maps, .. } = &ready;
+        let config = self.config;
         for idx in 0..samples.shards.len() {
             shards.look_up::<()>(idx)?;
         }
         shards.check_whole()?;
         maps.rows.iter().filter_map(MapFitRow::caution).for_each(|caution| context.progress.warn(&caution));
-        let places: BTreeSet<&str> = store.index().iter().map(|entry| entry.place).collect();
-        let named = self.config.validity.places_without_road.iter();
-        for place in named.filter(|place| !places.contains(place.as_str())) {
-            let there_are = places.iter().copied().collect::<Vec<_>>().join(", ");
-            context.progress.warn(&format!(
-                "evaluate.validity.places_without_road names {place}, of which there is no scene; there are scenes of \
-                 {there_are}"
-            ));
-        }
         let figures = |idx: usize| read_binary::<ShardFigures>(&shards.file(idx), FIGURES_FORMAT);
         let mut tracks = TrackPool::default();
         (0..samples.shards.len()).try_for_each(|idx| figures(idx).map(|figures| figures.pool_tracks(&mut tracks)))?;
@@ -162,7 +155,7 @@ impl Sharded for Evaluate<'_> {
         let evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
         let coverage = self.recorded_coverage(&ready, traffic.as_ref())?;
         let mut evaluation = evaluation.with_rates_of(traffic, modeled).with_coverage_of(coverage);
-        evaluation.count_left_out(samples.shards.iter().flat_map(|shard| &shard.rejected), &samples.unselected);
+        evaluation.count_rejected(samples.shards.iter().flat_map(|shard| &shard.rejected));
         let mut corpus = CorpusWriter::create(&path(CORPUS), store)?;
         context.progress.start("decide", samples.n_scenarios, "scenarios");
         for idx in 0..samples.shards.len() {
@@ -195,7 +188,7 @@ impl Sharded for Evaluate<'_> {
 }
 
 /// The format of the files with figures of shards.
-const FIGURES_FORMAT: &str = "figures.v1";
+const FIGURES_FORMAT: &str = "figures.v2";
 
 /// Everything that measuring and merging shards needs, read and checked.
 struct EvaluationReady {
@@ -205,8 +198,8 @@ struct EvaluationReady {
     behaviors: Vec<Box<dyn Behavior>>,
     /// How well the maps of places fit their recordings.
     maps: MapFits,
-    /// The section, with the places whose maps do not allow the check of departures.
-    config: EvaluateConfig,
+    /// The settings that metrics judge by.
+    settings: MetricSettings,
 }
 
 impl Evaluate<'_> {
@@ -218,7 +211,7 @@ impl Evaluate<'_> {
         Ok(EvaluationReady {
             samples: SampleManifest::read(&self.layout.samples)?,
             behaviors: self.mine.build()?,
-            config: EvaluateConfig { validity: maps.limits(&self.config.validity), ..self.config.clone() },
+            settings: maps.settings(&self.config.validity),
             store,
             maps,
         })
@@ -227,7 +220,7 @@ impl Evaluate<'_> {
     /// The measurer of shards.
     fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
         let events = self.has_events.then_some(self.layout.events.as_path());
-        Ok(Measurer::new(&ready.config, &ready.behaviors, &ready.store, events)?)
+        Ok(Measurer::new(&ready.settings, self.config.modes, &ready.behaviors, &ready.store, events)?)
     }
 
     /// Recorded events of each behavior by tags; empty without recorded events.

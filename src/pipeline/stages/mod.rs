@@ -20,7 +20,6 @@ mod train_loops;
 mod training_scenes;
 
 pub use closed_loops::ClosedLoops;
-pub(in crate::pipeline) use error_causes::of_named_path;
 pub use evaluate::Evaluate;
 pub(in crate::pipeline) use generate::{FoundShard, find_shard, is_round_file, shard_name};
 pub use generate::{Generate, SampleManifest, SampleSettings, SampleSidecar, SampledWith, read_requests};

@@ -60,7 +60,7 @@ impl Whole for Situations<'_> {
         let positions = self.loops.starts(&store)?;
         let model = self.loops.model(context)?;
         let futures = Futures::new(&model, self.loops.seed, &context.compute.device)?;
-        let validity = MapFits::of(&store, &self.validity)?.limits(&self.validity);
+        let judged_by = MapFits::of(&store, &self.validity)?.settings(&self.validity);
         let dataset = store.index().get(positions[0]).dataset;
         let as_usual = IngestConfig { seed: self.loops.seed, ..IngestConfig::new(dataset, Vec::new()) };
         let ingest =
@@ -68,8 +68,8 @@ impl Whole for Situations<'_> {
         let (mut writer, finished) = SceneWriter::resume(&context.root.join(SITUATIONS))?;
         let (mut n_batches, report) = finished.map_or((0, json!(null)), |shard| (shard.units_done, shard.report));
         let counts = serde_json::from_value(report).unwrap_or_default();
-        let (config, validity, ingest) = (self.config, &validity, &ingest);
-        let new = NewScenes { config, futures: &futures, store: &store, validity, ingest };
+        let (config, judged_by, ingest) = (self.config, &judged_by, &ingest);
+        let new = NewScenes { config, futures: &futures, store: &store, judged_by, ingest };
         let counts = new.make(&positions, counts, context.progress, &mut |scenes, maps, counts| {
             n_batches += 1;
             Ok(writer.write_batch(scenes, maps, Some(n_batches), &json!(counts))?)

@@ -7,7 +7,7 @@ use crate::engine::{Result, Stopwatch};
 use crate::evaluate::MapFits;
 use crate::generate::Futures;
 use crate::ingest::IngestConfig;
-use crate::metrics::ValidityConfig;
+use crate::metrics::{MetricSettings, ValidityConfig};
 use crate::model::TrainedDenoiser;
 use crate::progress::Progress;
 use crate::simulate::{LoopCounts, NewScenes, SituationsConfig};
@@ -19,8 +19,6 @@ use std::collections::BTreeMap;
 /// The length of a loop: this part of the time of the training, within these limits, seconds.
 const OF_TRAINING: f64 = 1.0 / 20.0;
 const HORIZON_S: [f64; 2] = [6.0, 30.0];
-/// The length of the windows by which it is judged, seconds.
-const EVERY_S: f64 = 3.0;
 /// The part of the training's time in which loops of the checkpoint are driven; those of what is trained take as long.
 const SHARE: f64 = 0.055;
 /// The least and largest number of loops.
@@ -41,7 +39,7 @@ pub(super) struct ValidLoops {
     pub(super) seconds: f64,
     /// What is valid, once it is known.
     #[serde(skip)]
-    limits: Option<ValidityConfig>,
+    judged_by: Option<MetricSettings>,
 }
 
 /// Hears whether to stop, and shows nothing.
@@ -79,7 +77,7 @@ impl ValidLoops {
 
     /// Drives loops with another model from the same scenes.
     pub(super) fn again(&self, model: &TrainedDenoiser, scenes: &OpenedScenes, job: TrainJob<'_>) -> Result<Self> {
-        let mut loops = Self { horizon_s: self.horizon_s, limits: self.limits.clone(), ..Self::default() };
+        let mut loops = Self { horizon_s: self.horizon_s, judged_by: self.judged_by.clone(), ..Self::default() };
         let Some((store, held_out)) = scenes.held_out() else { return Ok(loops) };
         let is_driven = |position: &&usize| self.n_valid.contains_key(store.index().get(**position).id);
         let positions: Vec<usize> = held_out.iter().filter(is_driven).copied().collect();
@@ -102,16 +100,15 @@ impl ValidLoops {
             continued: positions.len(),
             populated: 0,
             horizon_s: self.horizon_s,
-            every_s: EVERY_S,
             ..SituationsConfig::default()
         };
         let futures = Futures::new(model, job.seed.0, &job.compute.device)?;
-        let validity = match self.limits.take() {
-            Some(limits) => limits,
-            None => MapFits::of(store, &ValidityConfig::default())?.limits(&ValidityConfig::default()),
+        let judged_by = match self.judged_by.take() {
+            Some(known) => known,
+            None => MapFits::of(store, &ValidityConfig::default())?.settings(&ValidityConfig::default()),
         };
         let ingest = IngestConfig::new(store.index().get(*first).dataset, Vec::new());
-        let new = NewScenes { config: &config, futures: &futures, store, validity: &validity, ingest: &ingest };
+        let new = NewScenes { config: &config, futures: &futures, store, judged_by: &judged_by, ingest: &ingest };
         for position in &positions {
             self.n_valid.insert(store.index().get(*position).id.to_owned(), 0);
         }
@@ -123,7 +120,7 @@ impl ValidLoops {
             Ok(())
         })?;
         job.progress.finish();
-        self.limits = Some(validity);
+        self.judged_by = Some(judged_by);
         self.n_windows = (counts.n_scenes + counts.n_left_out) / counts.n_loops.max(1);
         Ok(())
     }

@@ -1,6 +1,5 @@
 //! The page: its sections in their order, and the frame around them.
 
-mod comparison;
 mod coverage;
 mod data;
 mod drives;
@@ -17,7 +16,6 @@ mod tradeoffs;
 mod training;
 mod verdict;
 
-pub use comparison::render_comparison;
 pub use drives::render_drives;
 
 use super::distinguishability;
@@ -83,9 +81,6 @@ fn head(model: &ReportModel) -> Markup {
     }
 }
 
-/// The end of djinn's page titles, by which its pages are recognized.
-pub const PAGE_MARK: &str = " – djinn report";
-
 /// A whole page: its frame around the sections.
 fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> String {
     let page = html! {
@@ -95,7 +90,7 @@ fn page(title: &str, head: &Markup, sections: &[Section], scripts: &Markup) -> S
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="color-scheme" content="light dark";
-                title { (title) (PAGE_MARK) }
+                title { (title) " – djinn report" }
                 style { (PreEscaped(STYLE)) (PreEscaped(DRAWING_STYLE)) }
             }
             body {

@@ -1,8 +1,8 @@
 //! Metrics and distributions of generated scenes beside the recording and constant velocity.
 
 use super::{Section, table};
-use crate::evaluate::{EvaluationSummary, MetricDoc, RealismRow};
-use crate::metrics::{Direction, Group, MetricRow, SeriesKey};
+use crate::evaluate::{EvaluationSummary, MetricDoc};
+use crate::metrics::{Direction, MetricRow, SeriesKey};
 use crate::report::distribution::Distribution;
 use crate::report::model::ReportModel;
 use crate::report::number::{ABSENT, count, level, optional, uncertainty};
@@ -132,76 +132,21 @@ pub(super) fn distinct<T: PartialEq>(items: impl Iterator<Item = T>) -> Vec<T> {
     seen
 }
 
-/// Distances of whole sweeps, and histograms with their distances.
+/// Histograms with their distances.
 pub(super) fn distributions(model: &ReportModel) -> Option<Section> {
-    let (realism, distributions) = (&model.evaluation.realism, &model.distributions);
-    let reference = distributions.first().and_then(|d| d.series.first()).map(|series| &series.name);
-    (!realism.is_empty() || !distributions.is_empty()).then(|| {
-        let body = html! {
-            @if !realism.is_empty() { (realism_table(realism)) }
-            @if let Some(reference) = reference {
-                p class="note" {
-                    "Values beyond the ends of an axis are counted in its first and last bins. The distance is \
-                     Wasserstein-1 to “" (reference) "”: "
-                    "how far, on average, a value must be moved to turn one distribution into the other."
-                }
-                div class="grid" { @for distribution in distributions { (distribution_figure(distribution)) } }
-            }
-        };
-        Section::new("distributions", "Distributions, recorded and generated", body)
-    })
-}
-
-/// A row for each group, a column for each quantity.
-fn realism_table(rows: &[RealismRow]) -> Markup {
-    let quantities = distinct(rows.iter().map(|row| (&row.quantity, &row.unit)));
-    let all_series = distinct(rows.iter().map(RealismRow::series));
-    let head = html! {
-        tr {
-            th scope="col" { "Group" } th scope="col" class="n" { "Strength α" }
-            @for (quantity, unit) in &quantities { th scope="col" class="n" { (quantity) small { " (" (unit) ")" } } }
-        }
-    };
-    let recorded = |sweep: &str, quantity: &str| {
-        rows.iter().find(|row| row.sweep == sweep && row.quantity == quantity).and_then(|row| row.recorded_mean)
-    };
+    let distributions = &model.distributions;
+    let reference = distributions.first()?.series.first().map(|series| &series.name);
     let body = html! {
-        @for (i, series) in all_series.iter().enumerate() {
-            @let sweep = &series.sweep;
-            @if all_series[..i].iter().all(|before| before.sweep != *sweep) {
-                tr class="reference" {
-                    th scope="row" { (Group::Recorded) " (" (sweep) ")" } td class="n" { (ABSENT) }
-                    @for (quantity, _) in &quantities {
-                        td class="n" { "0" small { br; "mean " (optional(recorded(sweep, quantity))) } }
-                    }
-                }
+        @if let Some(reference) = reference {
+            p class="note" {
+                "Values beyond the ends of an axis are counted in its first and last bins. The distance is \
+                 Wasserstein-1 to “" (reference) "”: "
+                "how far, on average, a value must be moved to turn one distribution into the other."
             }
-            @let find = |quantity: &String|
-                rows.iter().find(|row| row.series() == *series && row.quantity == *quantity);
-            tr class=[(!series.group.is_generated()).then_some("reference")] {
-                (heading_of_series(series))
-                @for (quantity, _) in &quantities {
-                    td class="n" {
-                        @let row = find(quantity);
-                        (optional(row.and_then(|row| row.wasserstein)))
-                        small {
-                            br; "JS " (optional(row.and_then(|row| row.jensen_shannon))) br; "mean "
-                            (optional(row.and_then(|row| row.mean)))
-                        }
-                    }
-                }
-            }
+            div class="grid" { @for distribution in distributions { (distribution_figure(distribution)) } }
         }
     };
-    html! {
-        (table("Distance of motion from the recording, whole sweeps", &head, &body))
-        p class="note" {
-            "Over all scenarios of a sweep and the recordings they continue: Wasserstein-1 distance in the quantity's \
-             unit, and (JS) Jensen-Shannon "
-            "divergence in bits, 0 for equal distributions and 1 for those that share nothing; beside them the means \
-             of the quantities. Lower distances are better; guided scenarios are expected to differ somewhat."
-        }
-    }
+    Some(Section::new("distributions", "Distributions, recorded and generated", body))
 }
 
 fn distribution_figure(distribution: &Distribution) -> Markup {

@@ -14,12 +14,10 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
                 "Sweeps at several guidance strengths; 0 is unguided sampling of the same scenes and agents. Whiskers \
                  are Wilson's 95 % intervals over scenarios; "
                 "samples of one scene are correlated, so the true uncertainty is larger. Level lines are the \
-                 recordings that the sweep continues, or constant velocity. "
-                "Distances are those of the table of motion below; the cost of a verified scenario counts the \
-                 failures, too."
+                 recordings that the sweep continues. The cost of a verified scenario counts the failures, too."
             }
             div class="grid" { @for chart in &charts { (line_chart(chart)) } }
         };
-        Section::new("tradeoffs", "Guidance strength: yield, realism, cost", body)
+        Section::new("tradeoffs", "Guidance strength: yield, cost", body)
     })
 }

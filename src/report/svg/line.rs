@@ -1,6 +1,6 @@
 //! Curves over a common axis.
 
-use super::axes::{Plot, PlotAxis, WIDTH};
+use super::axes::{Plot, PlotAxis};
 use super::{color, dash, marker, path};
 use crate::report::model::{Chart, Curve};
 use crate::report::number::coordinate;
@@ -25,30 +25,24 @@ pub(in crate::report) fn line_plot(chart: &Chart) -> Markup {
     let is_drawn = |[x, y]: [f64; 2]| x.is_finite() && y.is_finite() && (!chart.log_x || x > 0.0);
     let points = || chart.curves.iter().flat_map(|curve| curve.points.iter().copied().filter(|p| is_drawn(*p)));
     let ends = chart.curves.iter().flat_map(|curve| curve.intervals.iter().flatten().copied());
-    // Losses, shares and distances are read against zero; labeled points have figures on both axes.
-    let zero = chart.curves.iter().any(|curve| !curve.labels.is_empty()).then_some(0.0);
-    let x = PlotAxis::over(points().map(|p| p[0]).chain(zero), chart.log_x);
+    // Losses, shares and distances are read against zero.
+    let x = PlotAxis::over(points().map(|p| p[0]), chart.log_x);
     let y = PlotAxis::over(points().map(|p| p[1]).chain(ends).chain([0.0]), false);
     let plot = Plot { x, y };
     let inner = html! {
-            @for (i, curve) in chart.curves.iter().enumerate() {
-                @let drawn: Vec<(usize, [f64; 2])> = curve.points.iter().enumerate().filter(|(_, p)| is_drawn(**p))
-                    .map(|(at, p)| (at, plot.point(p[0], p[1]))).collect();
-                path class="curve" d=(path(drawn.iter().map(|(_, point)| *point))) stroke=(color(i))
-                    stroke-dasharray=(dash(i)) fill="none" {}
-                @if drawn.len() <= MAX_MARKED {
-                    @for (at, point) in &drawn {
-                        (whisker(&plot, curve, *at, color(i)))
-                        path d=(marker(i, *point)) fill=(color(i)) {}
-                        @if let Some(label) = curve.labels.get(*at) {
-    @let (anchor, shift) = if point[0] > 0.5 * WIDTH { ("end", -6.0) } else { ("start", 6.0) };
-                            text class="tick" x=(coordinate(point[0] + shift)) y=(coordinate(point[1] - 6.0))
-                                text-anchor=(anchor) { (label) }
-                        }
-                    }
+        @for (i, curve) in chart.curves.iter().enumerate() {
+            @let drawn: Vec<(usize, [f64; 2])> = curve.points.iter().enumerate().filter(|(_, p)| is_drawn(**p))
+                .map(|(at, p)| (at, plot.point(p[0], p[1]))).collect();
+            path class="curve" d=(path(drawn.iter().map(|(_, point)| *point))) stroke=(color(i))
+                stroke-dasharray=(dash(i)) fill="none" {}
+            @if drawn.len() <= MAX_MARKED {
+                @for (at, point) in &drawn {
+                    (whisker(&plot, curve, *at, color(i)))
+                    path d=(marker(i, *point)) fill=(color(i)) {}
                 }
             }
-        };
+        }
+    };
     let name = format!("{}: {} over {}", chart.title, chart.y_label, chart.x_label);
     plot.draw(&name, &chart.x_label, &chart.y_label, &inner)
 }

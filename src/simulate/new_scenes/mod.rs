@@ -17,7 +17,7 @@ use super::workers::{in_parallel, pool_of_worker};
 use super::{Error, Result, RolloutConfig, Situation};
 use crate::generate::{self, Futures, NamedDriver, check_times};
 use crate::ingest::IngestConfig;
-use crate::metrics::ValidityConfig;
+use crate::metrics::MetricSettings;
 use crate::progress::Progress;
 use crate::scene::{LaneGraph, MapId, Scene, SceneId, SituationKind};
 use crate::seed::Seed;
@@ -29,6 +29,10 @@ use sight::Sight;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use windows::windows;
+
+/// The time between the presents of the scenes of a loop, and before the first of them, seconds; the length of their
+/// past if that is more, so that all of it is sampled.
+const EVERY_S: f64 = 3.0;
 
 /// `[situations]`: how many closed loops go on from held-out scenes, and what becomes of them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -43,14 +47,10 @@ pub struct SituationsConfig {
     /// The road users that are put into each of these, as far as there is room: vehicles and cyclists as they were
     /// seen at the place at other times, pedestrians also beside the road.
     pub added: AddedConfig,
-    /// The length of a loop after the present of its scene, seconds. It ends earlier where something in it is not
-    /// valid.
+    /// The length of a loop after the present of its scene, seconds, at least 3; every 3 s it gives a scene. It ends
+    /// earlier where something in it is not valid.
     #[schemars(range(max = 600.0), extend("exclusiveMinimum" = 0))]
     pub horizon_s: f64,
-    /// The time between the presents of the scenes of a loop, and before the first of them, seconds; the length of
-    /// their past if that is more, so that all of it is sampled.
-    #[schemars(range(max = 600.0), extend("exclusiveMinimum" = 0))]
-    pub every_s: f64,
     /// How long each plan is driven, seconds.
     #[schemars(range(min = 0.01))]
     pub replan_s: f64,
@@ -58,14 +58,7 @@ pub struct SituationsConfig {
 
 impl Default for SituationsConfig {
     fn default() -> Self {
-        Self {
-            continued: 40,
-            populated: 40,
-            added: AddedConfig::default(),
-            horizon_s: 9.0,
-            every_s: 3.0,
-            replan_s: 0.5,
-        }
+        Self { continued: 40, populated: 40, added: AddedConfig::default(), horizon_s: 9.0, replan_s: 0.5 }
     }
 }
 
@@ -75,26 +68,15 @@ impl SituationsConfig {
         if self.continued + self.populated == 0 {
             return Err(Issue::new("continued", "is 0, and so is populated: set one of them, or remove the section"));
         }
-        match self.every_s <= self.horizon_s {
+        match self.horizon_s >= EVERY_S {
             true => Ok(()),
-            false => Err(Issue::new(
-                "every_s",
-                format_args!("is {}, expected at most horizon_s, which is {}", self.every_s, self.horizon_s),
-            )),
+            false => Err(Issue::new("horizon_s", format_args!("is {}, expected at least {EVERY_S}", self.horizon_s))),
         }
     }
 
     /// Rejects times that do not fit timesteps of `dt_s`, or a model that sees `future_s` ahead.
     pub fn check(&self, dt_s: f64, future_s: f64) -> Checked {
-        check_times([self.horizon_s, self.replan_s], [dt_s, future_s])?;
-        let n_every = self.every_s / dt_s;
-        match (n_every - n_every.round()).abs() < 1e-6 {
-            true => Ok(()),
-            false => {
-                let expected = format_args!("is {}, expected a multiple of the timestep, {dt_s} s", self.every_s);
-                Err(Issue::new("every_s", expected))
-            }
-        }
+        check_times([self.horizon_s, self.replan_s], [dt_s, future_s])
     }
 
     fn rollout(&self) -> RolloutConfig {
@@ -111,7 +93,7 @@ pub struct NewScenes<'a> {
     /// The recorded scenes.
     pub store: &'a SceneStore,
     /// What is valid in a loop.
-    pub validity: &'a ValidityConfig,
+    pub judged_by: &'a MetricSettings,
     /// How scenes are chosen and framed.
     pub ingest: &'a IngestConfig,
 }
@@ -263,21 +245,20 @@ impl NewScenes<'_> {
         let mut driver = named(NamedDriver::Model);
         let others = Others::Sampled(self.futures);
         let driven = roll_out(situation, situation.start(seed), driver.as_mut(), &others, &config, None)?;
-        let [n_steps, n_every] =
-            RolloutConfig { replan_s: self.config.every_s, ..config }.n_steps(situation.scene.dt_s);
+        let [n_steps, n_every] = RolloutConfig { replan_s: EVERY_S, ..config }.n_steps(situation.scene.dt_s);
         let n_every = n_every.max(situation.scene.n_history);
         let has_ended = driven.world.now() < situation.scene.current_timestep() + n_steps;
         let n_future = situation.scene.n_timesteps - situation.scene.n_history;
         let n_possible = n_steps.saturating_sub(n_future) / n_every;
         let from = SceneId(situation.scenario_id.clone());
-        let found = windows(situation, &driven.world, n_every, (self.validity, &place.sight));
+        let found = windows(situation, &driven.world, n_every, (self.judged_by, &place.sight));
         let map = place.map.as_ref().map(|(_, map)| map);
         let scenes = found.into_iter().filter_map(|mut raw| {
             (raw.source.situation, raw.source.continues) = (*kind, Some(situation.scene.id.clone()));
             raw.id = SceneId(format!("{from}@{}", raw.source.first_frame));
             // What recordings would be rejected for is left out here, too.
             let scene = crate::ingest::assemble_window(raw, map.cloned(), self.ingest).ok()?;
-            let is_valid = windows::is_valid(&scene, self.validity);
+            let is_valid = windows::is_valid(&scene, self.judged_by);
             is_valid.then_some(scene)
         });
         let scenes: Vec<Scene> = scenes.collect();
@@ -298,8 +279,7 @@ mod tests {
         continued: 1,
         populated: 1,
         added: AddedConfig { vehicles: 1, pedestrians: 1, cyclists: 0 },
-        horizon_s: 5.0,
-        every_s: 2.0,
+        horizon_s: 6.0,
         replan_s: 0.5,
     };
 
@@ -310,8 +290,8 @@ mod tests {
         let store = SceneStore::open(dir.path()).unwrap();
         let model = model();
         let futures = Futures::new(&model, 3, &Device::Cpu).unwrap();
-        let (validity, ingest) = (ValidityConfig::default(), IngestConfig::new(Dataset::Interaction, Vec::new()));
-        let new = NewScenes { config, futures: &futures, store: &store, validity: &validity, ingest: &ingest };
+        let (judged_by, ingest) = (MetricSettings::default(), IngestConfig::new(Dataset::Interaction, Vec::new()));
+        let new = NewScenes { config, futures: &futures, store: &store, judged_by: &judged_by, ingest: &ingest };
         let mut scenes = Vec::new();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
         let counts = pool.install(|| {
@@ -332,7 +312,7 @@ mod tests {
         let kinds: Vec<SituationKind> = scenes.iter().map(|scene| scene.source.situation).collect();
         assert_eq!(kinds, [SituationKind::Continued, SituationKind::Populated]);
         for (scene, name) in scenes.iter().zip(["continued0", "populated0"]) {
-            assert_eq!(scene.id.0, format!("{}+{name}@20", recorded.id.0.replace('@', "_")));
+            assert_eq!(scene.id.0, format!("{}+{name}@30", recorded.id.0.replace('@', "_")));
             assert_eq!(scene.source.continues.as_ref(), Some(&recorded.id));
             assert_eq!((scene.n_history, scene.n_timesteps), (recorded.n_history, recorded.n_timesteps));
             // Framed as recorded scenes are: by the present state of its own ego.
@@ -343,7 +323,7 @@ mod tests {
                 let before = recorded.track_idx(&track.id).and_then(|idx| recorded.state(idx, recorded.n_history - 1));
                 let before = recorded.world_from_scene.point(before.unwrap().position);
                 let now = track.trajectory.get(scene.current_timestep()).unwrap().position;
-                assert!(scene.world_from_scene.point(now).distance(before) < 2.0 * 30.0);
+                assert!(scene.world_from_scene.point(now).distance(before) < 3.0 * 30.0);
             }
         }
         assert_eq!(made(&CONFIG, 2), (recorded, scenes, counts), "whatever the number of threads");
@@ -393,9 +373,7 @@ mod tests {
         let none = SituationsConfig { continued: 0, populated: 0, ..CONFIG };
         assert!(none.validate().unwrap_err().to_string().contains("continued is 0, and so is populated"));
         let short = SituationsConfig { horizon_s: 1.0, ..CONFIG };
-        assert!(short.validate().unwrap_err().to_string().contains("every_s is 2, expected at most horizon_s"));
-        let uneven = SituationsConfig { every_s: 2.05, ..CONFIG };
-        assert!(uneven.check(0.1, 3.0).unwrap_err().to_string().contains("every_s is 2.05, expected a multiple"));
+        assert!(short.validate().unwrap_err().to_string().contains("horizon_s is 1, expected at least 3"));
         assert!(CONFIG.check(0.1, 3.0).is_ok() && CONFIG.check(0.1, 0.3).is_err());
     }
 }

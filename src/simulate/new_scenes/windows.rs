@@ -2,7 +2,7 @@
 
 use super::sight::Sight;
 use crate::ingest::RawScene;
-use crate::metrics::{Judged, ValidityConfig};
+use crate::metrics::{Judged, MetricSettings};
 use crate::scene::{MapId, Roles, Scene, SceneSource, Track};
 use crate::simulate::{Situation, World};
 
@@ -12,7 +12,7 @@ pub(super) fn windows(
     situation: &Situation,
     world: &World,
     n_every: usize,
-    (validity, sight): (&ValidityConfig, &Sight),
+    (judged_by, sight): (&MetricSettings, &Sight),
 ) -> Vec<RawScene> {
     let start = &situation.scene;
     let (n_history, n_future) = (start.n_history, start.n_timesteps - start.n_history);
@@ -22,7 +22,7 @@ pub(super) fn windows(
         let present = start.current_timestep() + number * n_every;
         // From the previous present on.
         let piece = situation.piece(world, present + 1 - n_history - n_every, n_history + n_every);
-        if !is_valid(&piece, validity) {
+        if !is_valid(&piece, judged_by) {
             break;
         }
         let first = present + 1 - n_history;
@@ -49,6 +49,7 @@ pub(super) fn windows(
 }
 
 /// Whether the future of a scene is valid.
-pub(super) fn is_valid(scene: &Scene, validity: &ValidityConfig) -> bool {
-    Judged::future_of(scene, Roles::none()).violations(validity).is_empty()
+pub(super) fn is_valid(scene: &Scene, judged_by: &MetricSettings) -> bool {
+    let judged = Judged::future_of(scene, Roles::none()).with_gaps(&judged_by.map_gaps);
+    judged.violations(&judged_by.validity).is_empty()
 }

@@ -20,7 +20,7 @@ use crate::engine::{Failure, Result, Stage, StageInput, StageKind, Work};
 use crate::evaluate::MapFits;
 use crate::generate::{self, GenerateConfig, Pool, ResolvedGeneration};
 use crate::ingest::Horizon;
-use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings, ValidityConfig};
+use crate::metrics::{DUPLICATE_DISTANCE_M, MetricSettings};
 use crate::nn::{Compute, Precision};
 use crate::pipeline::StageId;
 use crate::pipeline::layout::Layout;
@@ -124,20 +124,15 @@ impl Stage for Generate<'_> {
 }
 
 impl Generate<'_> {
-    /// The settings of metrics that decide what is generated: all of them if samples are selected or accepted by a
-    /// metric that depends on them, otherwise only the places without a road, for the rules of traffic.
+    /// The settings of metrics that decide what is generated: the defaults unless samples are accepted by a metric that
+    /// depends on settings.
     fn judging_settings(&self) -> MetricSettings {
-        if self.judges_samples() {
-            return self.metric_settings.clone();
-        }
-        let places_without_road = self.metric_settings.validity.places_without_road.clone();
-        let validity = ValidityConfig { places_without_road, ..ValidityConfig::default() };
-        MetricSettings { validity }
+        if self.judges_samples() { self.metric_settings.clone() } else { MetricSettings::default() }
     }
 
-    /// Whether samples are selected or accepted by a metric that depends on settings.
+    /// Whether samples are accepted by a metric that depends on settings.
     fn judges_samples(&self) -> bool {
-        self.config.selects_by(|id| self.metric_settings.decide(id))
+        self.config.limits_any(|id| self.metric_settings.decide(id))
     }
 
     /// The recorded scenes, and the situations that nobody recorded.
@@ -151,8 +146,7 @@ impl Generate<'_> {
     fn settings_for_maps(&self, store: &SceneStore) -> Result<MetricSettings> {
         let settings = self.judging_settings();
         let fits = if self.judges_samples() { MapFits::of } else { MapFits::of_maps_alone };
-        let validity = fits(store, &settings.validity)?.limits(&settings.validity);
-        Ok(MetricSettings { validity })
+        Ok(fits(store, &settings.validity)?.settings(&settings.validity))
     }
 
     /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.

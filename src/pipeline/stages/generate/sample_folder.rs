@@ -15,7 +15,6 @@ use crate::store::{
     write_samples,
 };
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -36,8 +35,6 @@ pub struct SampleSidecar {
     pub n_verified: u64,
     /// Samples without a scenario.
     pub rejected: Vec<RejectedSample>,
-    /// Number of samples that the sweep's selection left out, by reason.
-    pub unselected: BTreeMap<String, u64>,
     /// Its tally, if it belongs to a request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<ShardTally>,
@@ -46,7 +43,7 @@ pub struct SampleSidecar {
 /// The last file written to the folder.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SampleManifest {
-    /// The finished shards, in the order of the plan; those of a sweep that stopped early are missing.
+    /// The finished shards, in the order of the plan.
     pub shards: Vec<SampleSidecar>,
     /// Number of scenarios.
     pub n_scenarios: u64,
@@ -54,8 +51,6 @@ pub struct SampleManifest {
     pub n_verified: u64,
     /// Number of samples that did not become scenarios.
     pub n_rejected: u64,
-    /// Number of samples that selections left out, by sweep and reason.
-    pub unselected: BTreeMap<String, BTreeMap<String, u64>>,
     /// The models and settings with which they were sampled.
     pub sampled_with: SampledWith,
 }
@@ -150,8 +145,8 @@ impl SampleFolder {
     ) -> Result<SampleSidecar> {
         let mut records = read_samples(&made.join(&sidecar.file), store)?;
         records.iter_mut().zip(tags).for_each(|(record, tag)| record.request = Some(tag));
-        let SampleSidecar { sweep, n_evaluations, rejected, unselected, request, .. } = sidecar;
-        let output = ShardOutput { records, rejected, unselected };
+        let SampleSidecar { sweep, n_evaluations, rejected, request, .. } = sidecar;
+        let output = ShardOutput { records, rejected };
         let written = write_table(&self.dir, idx, (&sweep, n_evaluations), output)?;
         Ok(SampleSidecar { request, ..written })
     }
@@ -162,13 +157,7 @@ impl SampleFolder {
         shards: Vec<SampleSidecar>,
         sampled_with: SampledWith,
     ) -> Result<SampleManifest> {
-        let mut unselected: BTreeMap<String, BTreeMap<String, u64>> = BTreeMap::new();
-        for shard in shards.iter().filter(|shard| !shard.unselected.is_empty()) {
-            let of_sweep = unselected.entry(shard.sweep.clone()).or_default();
-            shard.unselected.iter().for_each(|(reason, n)| *of_sweep.entry(reason.clone()).or_default() += n);
-        }
         let manifest = SampleManifest {
-            unselected,
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
             n_rejected: shards.iter().map(|shard| shard.rejected.len() as u64).sum(),
@@ -186,7 +175,7 @@ pub(super) fn write_table(
     dir: &Path,
     idx: usize,
     (sweep, n_evaluations): (&str, u64),
-    ShardOutput { records, rejected, unselected }: ShardOutput,
+    ShardOutput { records, rejected }: ShardOutput,
 ) -> Result<SampleSidecar> {
     let file = format!("{}.parquet", shard_name(idx));
     Ok(SampleSidecar {
@@ -197,7 +186,6 @@ pub(super) fn write_table(
         n_scenarios: records.len() as u64,
         n_verified: records.iter().filter(|record| record.verified).count() as u64,
         rejected,
-        unselected,
         request: None,
     })
 }
@@ -348,7 +336,7 @@ mod tests {
     #[test]
     fn a_flipped_bit_of_a_shard_is_an_error() {
         let dir = tempfile::tempdir().unwrap();
-        let output = ShardOutput { records: Vec::new(), rejected: Vec::new(), unselected: BTreeMap::new() };
+        let output = ShardOutput { records: Vec::new(), rejected: Vec::new() };
         let sidecar = write_table(dir.path(), 3, ("sweep", 1), output).unwrap();
         assert!(SampleManifest::read_shard(dir.path(), &sidecar, &NoMaps).is_ok());
         let path = dir.path().join(&sidecar.file);

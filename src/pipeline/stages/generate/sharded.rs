@@ -13,8 +13,6 @@ use crate::progress::Progress;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::cell::RefCell;
-use std::collections::BTreeMap;
 
 /// The decisions made before any shard is sampled.
 #[derive(Serialize, Deserialize)]
@@ -62,7 +60,7 @@ impl Sharded for Generate<'_> {
     fn finish(&self, shards: &mut Gathering<'_>, context: &StageContext<'_>) -> Result<Value> {
         let plan: GenerationPlan = shards.decisions()?;
         let resolved = self.resolve()?;
-        let mut done = gather_sweeps(&plan.sweeps, &resolved, shards)?;
+        let mut done = gather_sweeps(&plan.sweeps, shards)?;
         let (of_requests, summaries) = rounds::gather(&plan, &resolved, shards)?;
         shards.check_whole()?;
         let GenerationPlan { sweeps, pools, sampled_with, metric_settings } = plan;
@@ -102,9 +100,8 @@ impl Sharded for Generate<'_> {
     }
 }
 
-/// Samples the shards of the plan that may be needed, except those of a sweep whose earlier finished shards already
-/// have enough verified scenarios.
-pub(super) fn make_sweeps(
+/// Samples the shards of the sweeps.
+fn make_sweeps(
     shards: &Shards<'_>,
     plan: &Plan,
     resolved: &ResolvedGeneration,
@@ -116,44 +113,22 @@ pub(super) fn make_sweeps(
     let progress = shards.progress;
     progress.start("generate", plan.n_samples(resolved) as u64, "samples");
     let n_samples = |idx: usize| plan.shards[idx].n_samples(resolved) as u64;
-    let verified: RefCell<BTreeMap<usize, u64>> = RefCell::default();
-    let n_verified = |idx: usize| -> Option<u64> {
-        let known = verified.borrow().get(&idx).copied();
-        let found = known.or_else(|| Some(shards.finished::<SampledShard>(idx)?.sidecar.n_verified))?;
-        verified.borrow_mut().insert(idx, found);
-        Some(found)
-    };
-    let may_be_wanted = |idx: usize| {
-        let shard = &plan.shards[idx];
-        let before = plan.shards[..idx].iter().filter(|other| other.sweep_idx == shard.sweep_idx);
-        shard.is_wanted(resolved, usize::MAX)
-            || shard.is_wanted(resolved, before.filter_map(|other| n_verified(other.idx)).sum::<u64>() as usize)
-    };
-    shards.go_about(0..plan.shards.len(), &n_samples, &may_be_wanted, &mut |idx| {
+    let mut n_verified = 0;
+    shards.go_about(0..plan.shards.len(), &n_samples, &|_| true, &mut |idx| {
         let sidecar = sample(&plan.shards[idx])?;
-        verified.borrow_mut().insert(idx, sidecar.n_verified);
-        progress.note(&format!("{} verified", verified.borrow().values().sum::<u64>()));
+        n_verified += sidecar.n_verified;
+        progress.note(&format!("{n_verified} verified"));
         Ok((sidecar.stamp.clone(), SampledShard { sidecar, placed: Vec::new() }))
     })?;
     progress.finish();
     Ok(())
 }
 
-/// Gathers the shards that a single worker would have sampled. If a sweep stops early, shards after a missing one wait,
-/// because they may not be needed.
-pub(super) fn gather_sweeps(
-    plan: &Plan,
-    resolved: &ResolvedGeneration,
-    shards: &mut Gathering<'_>,
-) -> Result<Vec<SampleSidecar>> {
+/// Gathers the shards of the sweeps.
+fn gather_sweeps(plan: &Plan, shards: &mut Gathering<'_>) -> Result<Vec<SampleSidecar>> {
     let mut found = Vec::new();
-    let mut n_verified = vec![0; resolved.n_sweeps];
-    for shard in plan.shards.iter() {
-        if !shard.is_wanted(resolved, n_verified[shard.sweep_idx]) {
-            continue;
-        }
+    for shard in &plan.shards {
         if let Some(SampledShard { sidecar, .. }) = shards.look_up(shard.idx)? {
-            n_verified[shard.sweep_idx] += sidecar.n_verified as usize;
             found.push(sidecar);
         }
     }

@@ -180,11 +180,6 @@ fn add_samples(model: &mut ReportModel, stage: &Report<'_>) -> Result<()> {
         let message = format!("{} samples had non-finite values and were rejected.", manifest.n_rejected);
         model.warnings.push(warning(StageId::Generate, message));
     }
-    for (sweep, reasons) in &manifest.unselected {
-        let reasons: Vec<String> = reasons.iter().map(|(reason, n)| format!("{n} ({reason})")).collect();
-        let message = format!("Sweep {sweep} left out samples by its selection: {}.", reasons.join(", "));
-        model.warnings.push(warning(StageId::Generate, message));
-    }
     model.requests = read_requests(&stage.layout.samples)?;
     model
         .warnings
