@@ -178,7 +178,7 @@ mod tests {
         let found = braked(&steady(0.0, 10.0), 4.0, 3.0);
         assert!((found[20].speed_mps() - 2.9).abs() < 0.05, "{}", found[20].speed_mps());
         assert!((found[30].position.x - 14.3).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
-        // For a second, it loses 4 m/s, less as much at first, and 3.6² / 16 m/s more at the end, half a timestep early.
+        // For a second, it loses 4 m/s, less as much at first, and 3.6² / 16 m/s more at the end.
         let found = braked(&steady(0.0, 10.0), 4.0, 1.0);
         assert!(
             (found[20].speed_mps() - 6.25).abs() < 0.05 && (found[30].speed_mps() - found[20].speed_mps()).abs() < 1e-9
