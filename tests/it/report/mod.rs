@@ -45,7 +45,6 @@ fn every_part_of_the_model_is_on_the_page() {
         "bad_rows.csv:17",
         "α = 2",
         "other cuts in ahead of ego",
-        "JS 0.0173",
         "recorded (v17)",
         "Cost of a verified scenario",
         "observed: upsampling",
