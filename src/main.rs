@@ -13,7 +13,9 @@ fn keep_candle_in_its_caller() {
     #[expect(unsafe_code, reason = "variables of the process have no safe setter")]
     // SAFETY: this is the first action of the program; no other thread exists that could read them.
     unsafe {
-        // Candle reads it when it first computes.
+        // Candle reads them when it first computes. Without the second, it counts the cores of the machine, by reading
+        // `/proc/cpuinfo`, for every product of matrices.
         std::env::set_var("CANDLE_NUM_THREADS", "1");
+        std::env::set_var("CANDLE_CPU_MASK", "0");
     }
 }

@@ -2,9 +2,10 @@
 
 use super::event::BehaviorEvent;
 use super::footprint::Footprint;
-use super::kept_lane::{KeptLane, extended, way_on};
+use super::kept_lane::{KeptLane, extended};
 use super::lane_relation::SceneLanes;
 use super::speed_profile::smoothed_accelerations_mps2;
+use super::way_on::way_on;
 use super::{hard_brake, near_miss};
 use crate::geometry::{Path, Vec2};
 use crate::scene::{LaneDuty, Scene, State, Track};

@@ -152,52 +152,6 @@ impl KeptLane {
     }
 }
 
-/// The points at which an agent continues after the last timestep of its track, which lasts to the end of the scene:
-/// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. From its own
-/// direction and bend it comes over to the middle of the lane, over a longer way the faster it is. Empty if it is in no
-/// lane.
-pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2> {
-    const SPACING_M: f64 = 1.0;
-    // The spring is at rest after some six times as much.
-    const COMES_OVER_M: f64 = 4.5;
-    const COMES_OVER_S: f64 = 0.8;
-    let ended = Scene { n_history: scene.n_timesteps, ..scene.clone() };
-    let lanes = SceneLanes::new(&scene.lanes);
-    let last = ended.current_timestep();
-    let lane = KeptLane::as_observed(&ended, &lanes, agent_idx);
-    let Some((lane, state)) = lane.as_ref().zip(scene.state(agent_idx, last)) else { return Vec::new() };
-    let Some(place) = lane.project(state.position) else { return Vec::new() };
-    let over_m = COMES_OVER_M.max(COMES_OVER_S * state.speed_mps());
-    let slope = angle_difference(state.heading_rad, place.heading_rad).tan();
-    let bend_1pm = bend_beside_1pm(&ended, agent_idx, lane).unwrap_or_default();
-    // A spring with a triple pole, which goes on with the same offset, slope and bend.
-    let linear = slope + place.offset_m / over_m;
-    let square = (bend_1pm + (2.0 * linear - place.offset_m / over_m) / over_m) / 2.0;
-    let n_points = (length_m / SPACING_M).ceil() as usize;
-    let on = (1..=n_points).map_while(|i| {
-        let ahead_m = i as f64 * SPACING_M;
-        let offset_m = place.offset_m + (linear + square * ahead_m) * ahead_m;
-        lane.beside(place.station_m + ahead_m, offset_m * (-ahead_m / over_m).exp())
-    });
-    on.collect()
-}
-
-/// By how much more than the lane an agent has turned in the last moment before the present, 1/m. `None` if it hardly
-/// moved.
-fn bend_beside_1pm(scene: &Scene, agent_idx: usize, lane: &KeptLane) -> Option<f64> {
-    const N_STEPS: usize = 3;
-    const LEAST_M: f64 = 0.5;
-    const MOST_1PM: f64 = 0.1;
-    let now = scene.current_timestep();
-    let [before, after] =
-        [now.checked_sub(N_STEPS)?, now].map(|timestep| scene.state(agent_idx, timestep).filter(|s| s.is_finite()));
-    let (before, after) = before.zip(after)?;
-    let moved_m = before.position.distance(after.position);
-    let along = |state: &State| Some(angle_difference(state.heading_rad, lane.project(state.position)?.heading_rad));
-    let turned_rad = along(after)? - along(before)?;
-    (moved_m >= LEAST_M).then(|| (turned_rad / moved_m).clamp(-MOST_1PM, MOST_1PM))
-}
-
 fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<Vec2> {
     let states = timesteps.filter_map(|timestep| trajectory.get(timestep));
     states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()
@@ -295,50 +249,6 @@ mod tests {
         let now = kept.project(scene.state(0, scene.current_timestep()).unwrap().position).unwrap();
         let ahead = kept.point_at(now.station_m + 12.0).unwrap();
         assert!(ahead.x > 9.9 && ahead.y > 1.0, "around the corner: {ahead:?}");
-    }
-
-    #[test]
-    fn an_agent_goes_on_in_its_own_direction_and_comes_over_to_the_middle() {
-        let lanes = lane_graph("lanes = [{ id = 1, centerline = [[-50, 0], [150, 0]] }]");
-        let scene = Scene { lanes: Arc::new(lanes), ..scene(&[Drive::straight(0.0, 0.3, 0.1, 5.0)]) };
-        let last = scene.state(0, scene.n_timesteps - 1).unwrap();
-        let way = way_on(&scene, 0, 60.0);
-        let first_rad = (way[0] - last.position).angle();
-        assert!(way.len() == 60 && (first_rad - 0.1).abs() < 0.03, "{first_rad}");
-        let bends = way.windows(3).map(|w| ((w[2] - w[1]).angle() - (w[1] - w[0]).angle()).abs());
-        assert!(bends.fold(0.0, f64::max) < 0.06);
-        assert!(way[40].y.abs() < 0.1 && way[59].y.abs() < 0.01, "{:?}", way[40]);
-        // A fast one goes on straight, and takes longer: an offset of 0.4 m is (1 + s + s²/2) e^-s times as much after s
-        // times 16 m.
-        let fast = crate::scene::testing::scene(&[Drive::straight(0.0, 0.4, 0.0, 20.0)]);
-        let fast = Scene { lanes: Arc::clone(&scene.lanes), ..fast };
-        let way = way_on(&fast, 0, 60.0);
-        for (i, share) in [(15, 2.5 / std::f64::consts::E), (31, 5.0 * (-2.0_f64).exp())] {
-            assert!((way[i].y - 0.4 * share).abs() < 1e-9, "{:?}", way[i]);
-        }
-    }
-
-    #[test]
-    fn an_agent_in_a_bend_of_its_own_lets_go_of_it_slowly() {
-        let lanes = lane_graph("lanes = [{ id = 1, centerline = [[-50, 0], [150, 0]] }]");
-        let mut scene = Scene { lanes: Arc::new(lanes), ..scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]) };
-        // A circle of 100 m, at whose end it has turned by 0.05.
-        let last = scene.n_timesteps - 1;
-        let states = (0..=last).map(|t| {
-            let rad = 0.05 - (last - t) as f64 * scene.dt_s * 10.0 / 100.0;
-            let position = Vec2::new(100.0 * rad.sin(), 100.0 * (1.0 - rad.cos()));
-            Some(State { position, heading_rad: rad, velocity: Vec2::from_angle(rad) * 10.0 })
-        });
-        scene.tracks[0].trajectory = Trajectory::new(states.collect());
-        let from = scene.state(0, last).unwrap().position;
-        let way: Vec<Vec2> = [from].into_iter().chain(way_on(&scene, 0, 40.0)).collect();
-        let headings: Vec<f64> = way.windows(2).map(|pair| (pair[1] - pair[0]).angle()).collect();
-        // In half a meter it lets go of little of 1/100 per meter.
-        assert!((headings[0] - 0.054).abs() < 0.001, "{}", headings[0]);
-        let turns: Vec<f64> = headings.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let most = turns.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
-        assert!(most < 0.0065, "{most}");
-        assert!(way[40].y.abs() < 0.2, "{:?}", way[40]);
     }
 
     #[test]

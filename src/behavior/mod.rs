@@ -44,6 +44,7 @@ pub(crate) mod testing;
 pub(crate) mod time_to_collision;
 mod turn;
 mod unprotected_left_turn;
+pub(crate) mod way_on;
 mod wrong_way;
 
 pub use cause::{Cause, Explanation, explanation, needs_cause};

@@ -25,8 +25,11 @@ pub(crate) fn time_to_collision_s(a: &Footprint, velocity_a: Vec2, b: &Footprint
         let (one_s, other_s) = ((-reach_m - offset_m) / speed_mps, (reach_m - offset_m) / speed_mps);
         enter_s = enter_s.max(one_s.min(other_s));
         exit_s = exit_s.min(one_s.max(other_s));
+        if enter_s > exit_s {
+            return None;
+        }
     }
-    (enter_s <= exit_s).then_some(enter_s)
+    Some(enter_s)
 }
 
 #[cfg(test)]

@@ -93,13 +93,13 @@ fn any_cross(lanes: &[&Lane], center: Vec2) -> bool {
 /// Where two segments cross, if they do at more than a small angle.
 fn crossing([a, b]: [Vec2; 2], [c, d]: [Vec2; 2]) -> Option<Vec2> {
     let (along, across) = (b - a, d - c);
-    let between_rad = angle_difference(along.angle(), across.angle()).abs();
-    if between_rad.min(PI - between_rad) < LEAST_CROSSING_RAD {
-        return None;
-    }
     let is_on = |share: f64| 0.0 < share && share < 1.0;
     let [on_first, on_second] = [across, along].map(|way| (c - a).cross(way) / along.cross(across));
-    (is_on(on_first) && is_on(on_second)).then(|| a.lerp(b, on_first))
+    if !is_on(on_first) || !is_on(on_second) {
+        return None;
+    }
+    let between_rad = angle_difference(along.angle(), across.angle()).abs();
+    (between_rad.min(PI - between_rad) >= LEAST_CROSSING_RAD).then(|| a.lerp(b, on_first))
 }
 
 /// Whether another lane goes over into this one, or it ends beside one that goes on.

@@ -324,7 +324,7 @@ mod tests {
             ..Traffic::default()
         };
         report.traffic.insert("idm".to_owned(), driven);
-        let rows = traffic(&report).rows;
+        let rows: Vec<Vec<String>> = traffic(&report).rows.into_iter().map(|row| row.cells).collect();
         assert_eq!(
             rows,
             [

@@ -120,14 +120,21 @@ impl CellSamples<'_> {
             asked_to_collide,
         };
         let baseline = constant_velocity(&recorded);
+        // Guided samples are not forecasts, and tell nothing of how likely the recording is.
+        let n_forecasts = if first.scenario.provenance.is_unguided() { samples.len() } else { 0 };
         let one = std::slice::from_ref;
-        let reference = |scene: &Scene| with_references.then(|| figures(one(scene), None));
+        let has_road = judge.sees_road(&recorded);
+        let [by_itself, by_baseline, by_samples, undefined] =
+            measures.likelihoods(&recorded, has_road, [one(&recorded), one(&baseline), &samples, &[]], n_forecasts);
+        let reference = |scene: &Scene, likelihoods: Vec<Option<f64>>| {
+            with_references.then(|| [figures(one(scene), None), likelihoods].concat())
+        };
         CellFigures {
-            recorded: reference(&recorded),
-            constant_velocity: reference(&baseline),
-            together: evaluate(&together, Some(self.mode_seed())),
+            recorded: reference(&recorded, by_itself),
+            constant_velocity: reference(&baseline, by_baseline),
+            together: [evaluate(&together, Some(self.mode_seed())), by_samples].concat(),
             alone: (samples.iter().enumerate())
-                .map(|(i, sample)| figures(one(sample), whole.map(|whole| &whole[i..=i])))
+                .map(|(i, sample)| [figures(one(sample), whole.map(|whole| &whole[i..=i])), undefined.clone()].concat())
                 .collect(),
             assessments: self.records.iter().map(|record| judge.assess(record)).collect(),
             references_judged: with_references
@@ -185,8 +192,8 @@ mod tests {
     use super::*;
     use crate::evaluate::testing::{record, recorded};
     use crate::geometry::Vec2;
-    use crate::metrics::MetricSettings;
-    use crate::scene::{Roles, State};
+    use crate::metrics::{Likelihoods, MetricSettings};
+    use crate::scene::{GuidanceTag, Roles, State};
 
     #[test]
     fn who_is_asked_tells_cells_apart_and_references_are_measured_once_for_each() {
@@ -237,5 +244,38 @@ mod tests {
         assert_eq!(short.recorded, long.recorded);
         assert!(short.tracks == long.tracks);
         assert!(long.assessments[0].violations.len() > short.assessments[0].violations.len());
+    }
+
+    #[test]
+    fn likelihoods_are_those_of_several_forecasts() {
+        let of = |n_samples: usize, kind: &str, place_without_road: &str| {
+            let mut settings = MetricSettings::default();
+            settings.map_gaps.places.insert(place_without_road.to_owned());
+            let (measures, judge) = (Measures::new(&settings, None, &[]), Judge::without_recordings(&settings));
+            let mut record = record(0.0, false, false, recorded());
+            record.scenario.provenance.guidance.kind = kind.to_owned();
+            let cell = CellSamples { records: vec![&record; n_samples], with_references: true };
+            let figures = cell.evaluate(&recorded(), &measures, &judge);
+            let docs = measures.docs();
+            let find = |values: &[Option<f64>], name: &str| {
+                assert_eq!(docs.len(), values.len());
+                docs.iter().zip(values).find(|(doc, _)| doc.metric == name).and_then(|(_, value)| *value)
+            };
+            let whole = |values: &[Option<f64>]| find(values, Likelihoods::META_METRIC);
+            assert!(figures.alone.iter().all(|values| whole(values).is_none()));
+            let road = find(&figures.together, "realism_map_based");
+            (
+                [&figures.recorded.unwrap(), &figures.constant_velocity.unwrap(), &figures.together]
+                    .map(|of| whole(of)),
+                road,
+            )
+        };
+        let ([by_itself, by_baseline, by_samples], road) = of(2, GuidanceTag::NONE, "elsewhere");
+        // Both cars go straight on at constant speed, and the samples do as recorded.
+        assert!(by_itself.is_some() && by_itself == by_samples && by_itself == by_baseline && road.is_some());
+        assert_eq!(of(1, GuidanceTag::NONE, "elsewhere"), ([None; 3], None));
+        assert_eq!(of(2, "classifier:cut_in", "elsewhere"), ([None; 3], None));
+        let (blind, road) = of(2, GuidanceTag::NONE, "Test");
+        assert!(road.is_none() && blind[0].is_some());
     }
 }

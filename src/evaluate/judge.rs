@@ -130,6 +130,11 @@ impl<'a> Judge<'a> {
         }
     }
 
+    /// Whether the map of the scene's place shows the whole road.
+    pub(super) fn sees_road(&self, scene: &Scene) -> bool {
+        !self.settings.map_gaps.places.contains(&scene.source.place)
+    }
+
     /// The judgment of `scene` as if its whole future had been generated.
     pub(super) fn judge_reference(&self, scene: &Scene) -> ReferenceJudgment {
         let judged = Judged::future_of(scene, Roles::none()).with_gaps(&self.settings.map_gaps);

@@ -1,7 +1,9 @@
 //! The measures of each group of samples: the metrics, and how often the miner finds the behaviors.
 
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
-use crate::metrics::{Direction, Metric, MetricSettings, MetricSpec, ModeFit, Modes, ModesOf, SampleGroup};
+use crate::metrics::{
+    Direction, Likelihoods, Metric, MetricSettings, MetricSpec, ModeFit, Modes, ModesOf, SampleGroup,
+};
 use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
@@ -55,7 +57,8 @@ impl<'a> Measures<'a> {
         Self { metrics: settings.metrics(), modes, behaviors }
     }
 
-    /// The descriptions of the measures, for reading the tables.
+    /// The descriptions of the measures, for reading the tables: those of [`Measures::evaluate`], then those of
+    /// [`Measures::likelihoods`].
     pub(super) fn docs(&self) -> Vec<MetricDoc> {
         let metrics = self.metrics.iter().map(|metric| MetricDoc::from(metric.spec()));
         let requested = rate(
@@ -69,7 +72,23 @@ impl<'a> Measures<'a> {
             let name = if is_taken { format!("mined_{name}") } else { name };
             rate(name, format!("share of samples in which the miner finds {id}, between any agents"))
         });
-        metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes()).collect()
+        let of_samples = metrics.chain([requested]).chain(of_anybody).chain(self.docs_of_modes());
+        of_samples.chain(Likelihoods::specs().map(MetricDoc::from)).collect()
+    }
+
+    /// The likelihoods of the recorded future under each of `groups`, which are repeated to `n_samples` of them.
+    /// Without samples, or for less than two of them, nothing is defined.
+    pub(super) fn likelihoods<const N: usize>(
+        &self,
+        recorded: &Scene,
+        has_road: bool,
+        groups: [&[Scene]; N],
+        n_samples: usize,
+    ) -> [Vec<Option<f64>>; N] {
+        if n_samples < 2 {
+            return std::array::from_fn(|_| Likelihoods::specs().map(|_| None).collect());
+        }
+        Likelihoods::of_groups(recorded, has_road, groups, n_samples).map(|found| found.values())
     }
 
     /// The values of a group, in the order of [`Measures::docs`]; `None` for undefined ones. Figures over modes need
@@ -217,7 +236,7 @@ mod tests {
         let of = |seed: Option<Seed>| -> Vec<(String, Option<f64>)> {
             let values = measures.evaluate(&group, None, seed);
             let docs = measures.docs();
-            assert_eq!(docs.len(), values.len());
+            assert_eq!(docs.len(), values.len() + Likelihoods::specs().count());
             docs.into_iter().map(|doc| doc.metric).zip(values).collect()
         };
         let found = of(Some(Seed(1)));

@@ -54,4 +54,4 @@ pub use request::{
 pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, ShardOutput};
 pub use sweep::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
-pub use verify::{Verification, requested_events, verify};
+pub use verify::requested_events;

@@ -1,17 +1,18 @@
 //! How does a sample become a scenario with its provenance, its events and its id?
 
-use super::{Cell, Error, Generator, ResolvedSweep, Verification, verify};
+use super::{Cell, Error, Generator, ResolvedSweep, requested_events};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Scenario, Scene};
 use crate::store::as_stored;
 
 impl Generator<'_> {
-    /// The scenario of a sample of a cell, checked for the requested behavior.
+    /// The scenario of a sample of a cell, checked for the requested behavior; `recorded_event` says whether the
+    /// recording shows it already.
     pub(super) fn record(
         &self,
         sweep: &ResolvedSweep,
         cell: &Cell,
-        recorded: &Scene,
+        recorded_event: bool,
         (generated, observed): (&Scene, ObservationMask),
         (level, sample_idx, probability): (GuidanceLevel, usize, Option<f64>),
     ) -> Result<ScenarioRecord, Error> {
@@ -39,17 +40,15 @@ impl Generator<'_> {
         };
         // The verified states must be the written ones.
         let scene = as_stored(generated);
-        let verdict = match self.behavior(sweep) {
-            Some(behavior) => verify(behavior, &cell.roles, recorded, &scene),
-            None => Verification::default(),
-        };
+        let events_of = |behavior| requested_events(behavior, &cell.roles, &scene);
+        let (verified, events) = self.behavior(sweep).map_or_else(Default::default, events_of);
         Ok(ScenarioRecord {
             scenario: Scenario { id: scenario_id(&sweep.name, &provenance), scene, observed, provenance },
             sweep: sweep.name.clone(),
             requested_behavior: sweep.behavior.clone(),
-            verified: verdict.verified,
-            events: verdict.events,
-            recorded_event: verdict.recorded_event,
+            verified,
+            events,
+            recorded_event,
             assessment: None,
             shard: 0,
             request: None,

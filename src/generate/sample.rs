@@ -2,7 +2,7 @@
 
 use super::batch::{Batch, Draw};
 use super::conditioning::Conditioned;
-use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan};
+use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
 use crate::nn::in_pool;
 use crate::progress::Progress;
 use crate::scenario::ScenarioRecord;
@@ -105,6 +105,8 @@ impl Generator<'_> {
         let mut output = ShardOutput::default();
         for (at, (scene, sampled)) in scenes.iter().zip(sampled).enumerate() {
             let cell = &shard.cells[at];
+            let is_recorded = |behavior| !sampled.is_empty() && requested_events(behavior, &cell.roles, scene).0;
+            let recorded_event = self.behavior(sweep).is_some_and(is_recorded);
             for Sampled { level, sample_idx, draw } in sampled {
                 match draw {
                     Ok(draw) => {
@@ -112,7 +114,7 @@ impl Generator<'_> {
                         let performed = given.with_maneuver(draw.scene);
                         let scenario = (&performed, given.observed(&performed));
                         let sample = (level, sample_idx, draw.probability);
-                        output.records.push(self.record(sweep, cell, scene, scenario, sample)?);
+                        output.records.push(self.record(sweep, cell, recorded_event, scenario, sample)?);
                     }
                     Err(UnfitScene(reason)) => {
                         let (scene_id, sweep, seed) = (cell.scene_id.clone(), sweep.name.clone(), self.config.seed);

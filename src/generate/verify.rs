@@ -3,25 +3,6 @@
 use crate::behavior::{Behavior, BehaviorEvent, EventLabel};
 use crate::scene::{Roles, Scene};
 
-/// The miner's findings on a scenario.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Verification {
-    /// Whether the behavior happens with the requested roles.
-    pub verified: bool,
-    /// All positive events of the behavior; those with the requested roles come first.
-    pub events: Vec<BehaviorEvent>,
-    /// Whether the recording already held the behavior with these roles.
-    pub recorded_event: bool,
-}
-
-/// Checks `generated`, a continuation of `recorded`, for `behavior` with the requested `roles`; without roles, for any
-/// agents.
-pub fn verify(behavior: &dyn Behavior, roles: &Roles, recorded: &Scene, generated: &Scene) -> Verification {
-    let (verified, events) = requested_events(behavior, roles, generated);
-    let (recorded_event, _) = requested_events(behavior, roles, recorded);
-    Verification { verified, events, recorded_event }
-}
-
 /// The positive events of `behavior` in a scene, those with the requested `roles` that happen mostly after the present
 /// first, and whether there are any of these; without roles, events of any agents are.
 pub fn requested_events(behavior: &dyn Behavior, roles: &Roles, scene: &Scene) -> (bool, Vec<BehaviorEvent>) {

@@ -42,12 +42,15 @@ impl SegmentIndex {
         at_least: impl Fn(f64) -> f64,
         mut cost: impl FnMut(usize) -> Option<f64>,
     ) -> Option<(usize, f64)> {
-        let mut best: Option<(usize, f64)> = None;
-        let mut try_all = |segments: Range<usize>, best: &mut Option<(usize, f64)>| {
+        if self.n_segments == 0 {
+            return None;
+        }
+        let (mut best, mut least) = (None, f64::INFINITY);
+        let mut try_all = |segments: Range<usize>, best: &mut Option<usize>, least: &mut f64| {
             for i in segments {
                 let Some(cost) = cost(i) else { continue };
-                if best.is_none_or(|(first, least)| cost < least || cost == least && i < first) {
-                    *best = Some((i, cost));
+                if cost < *least || best.is_none_or(|first| cost == *least && i < first) {
+                    (*best, *least) = (Some(i), cost);
                 }
             }
         };
@@ -56,30 +59,37 @@ impl SegmentIndex {
             i * N_TOGETHER..n.min((i + 1) * N_TOGETHER)
         };
         // What is probably near comes first, so that little of the rest needs a look.
-        let top = self.levels.len().checked_sub(1)?;
-        let mut run = 0..self.levels[top].len();
-        for level in (0..=top).rev() {
-            let squared = |i: &usize| distance_squared(&self.levels[level][*i], point);
-            run = within(level, run.min_by(|a, b| squared(a).total_cmp(&squared(b)))?);
+        let top = self.levels.len() - 1;
+        let mut nearest = 0;
+        for level in (0..top).rev() {
+            let mut least_squared = f64::INFINITY;
+            for i in within(level + 1, nearest) {
+                let squared = distance_squared(&self.levels[level][i], point);
+                if squared < least_squared {
+                    (nearest, least_squared) = (i, squared);
+                }
+            }
         }
-        try_all(run, &mut best);
+        try_all(within(0, nearest), &mut best, &mut least);
         let (mut level, mut i) = (top, 0);
         loop {
             // Some room is left for rounding.
             let squared = distance_squared(&self.levels[level][i], point);
-            if !best.is_some_and(|(_, least)| at_least((squared - 1e-6 * (1.0 + squared)).max(0.0)) > least) {
+            if best.is_none() || at_least((squared - 1e-6 * (1.0 + squared)).max(0.0)) <= least {
                 if level > 0 {
                     (level, i) = (level - 1, i * N_TOGETHER);
                     continue;
                 }
-                try_all(within(0, i), &mut best);
+                if i != nearest {
+                    try_all(within(0, i), &mut best, &mut least);
+                }
             }
             i += 1;
             while level < top && (i.is_multiple_of(N_TOGETHER) || i == self.levels[level].len()) {
                 (level, i) = (level + 1, i.div_ceil(N_TOGETHER));
             }
             if level == top {
-                return best;
+                return best.map(|i| (i, least));
             }
         }
     }
@@ -94,5 +104,8 @@ fn union(boxes: &[[f64; 4]]) -> [f64; 4] {
 }
 
 fn distance_squared([x, y, to_x, to_y]: &[f64; 4], point: Vec2) -> f64 {
-    Vec2::new((x - point.x).max(point.x - to_x).max(0.0), (y - point.y).max(point.y - to_y).max(0.0)).norm_squared()
+    // Not `f64::max`, which takes care of what is no number.
+    let larger = |a: f64, b: f64| if a > b { a } else { b };
+    let beside = |from: f64, at: f64, to: f64| larger(larger(from - at, at - to), 0.0);
+    Vec2::new(beside(*x, point.x, *to_x), beside(*y, point.y, *to_y)).norm_squared()
 }

@@ -7,27 +7,34 @@ use super::{Vec2, wrap_angle};
 pub struct Transform2 {
     /// The origin of `b` in `a`, meters.
     pub translation: Vec2,
-    /// Direction of the x axis of `b` in `a`, radians.
-    pub rotation_rad: f64,
+    rotation_rad: f64,
+    /// The x axis of `b` in `a`: sines and cosines are taken once.
+    along: Vec2,
 }
 
 impl Transform2 {
     /// The transform that changes nothing.
-    pub const IDENTITY: Self = Self { translation: Vec2::ZERO, rotation_rad: 0.0 };
+    pub const IDENTITY: Self = Self { translation: Vec2::ZERO, rotation_rad: 0.0, along: Vec2::new(1.0, 0.0) };
 
     /// The transform from the frame of a body at `position` with `heading_rad` to the frame these are given in.
-    pub const fn from_pose(position: Vec2, heading_rad: f64) -> Self {
-        Self { translation: position, rotation_rad: heading_rad }
+    pub fn from_pose(position: Vec2, heading_rad: f64) -> Self {
+        Self { translation: position, rotation_rad: heading_rad, along: Vec2::from_angle(heading_rad) }
+    }
+
+    /// Direction of the x axis of `b` in `a`, radians.
+    pub const fn rotation_rad(&self) -> f64 {
+        self.rotation_rad
     }
 
     /// Transforms a point.
     pub fn point(&self, point: Vec2) -> Vec2 {
-        point.rotated(self.rotation_rad) + self.translation
+        self.vector(point) + self.translation
     }
 
     /// Transforms a displacement or velocity: rotation only.
     pub fn vector(&self, vector: Vec2) -> Vec2 {
-        vector.rotated(self.rotation_rad)
+        let Vec2 { x: cos, y: sin } = self.along;
+        Vec2::new(cos * vector.x - sin * vector.y, sin * vector.x + cos * vector.y)
     }
 
     /// Transforms a heading; the result lies in (-π, π].
@@ -37,18 +44,14 @@ impl Transform2 {
 
     /// `b_from_a` for `self` = `a_from_b`.
     pub fn inverse(&self) -> Self {
-        Self {
-            translation: (-self.translation).rotated(-self.rotation_rad),
-            rotation_rad: wrap_angle(-self.rotation_rad),
-        }
+        let rotation_rad = wrap_angle(-self.rotation_rad);
+        Self::from_pose((-self.translation).rotated(-self.rotation_rad), rotation_rad)
     }
 
     /// `a_from_c` for `self` = `a_from_b` and `b_from_c`.
     pub fn compose(&self, b_from_c: &Self) -> Self {
-        Self {
-            translation: self.point(b_from_c.translation),
-            rotation_rad: wrap_angle(self.rotation_rad + b_from_c.rotation_rad),
-        }
+        let rotation_rad = wrap_angle(self.rotation_rad + b_from_c.rotation_rad);
+        Self::from_pose(self.point(b_from_c.translation), rotation_rad)
     }
 }
 

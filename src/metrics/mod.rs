@@ -24,6 +24,10 @@
 //!   `min_joint_miss_rate`, Consistent-minJointMR `consistent_min_joint_miss_rate`, CrossCollisionRate
 //!   `cross_collision_rate`, EgoCollisionRate `ego_collision_rate`.
 //!
+//! The likelihood of a recorded future among all samples of a scene, as scored by the Waymo sim agents challenge, is
+//! not a [`Metric`]: [`Likelihoods`] finds a dozen values at once, and compares as many copies of a reference as there
+//! are samples.
+//!
 //! The benchmarks take six guesses: with more samples, compare the figures over six [`Modes`].
 
 mod actor_world;
@@ -39,6 +43,7 @@ mod drivable_area;
 mod histogram;
 mod joint_consistency;
 mod kinematics;
+mod meta_metric;
 mod metric_row;
 mod mfd;
 mod min_ade;
@@ -74,6 +79,7 @@ pub use drivable_area::DrivableAreaCompliance;
 pub use histogram::Histogram;
 pub use joint_consistency::JointConsistency;
 pub use kinematics::{AccelerationViolationRate, JerkViolationRate};
+pub use meta_metric::Likelihoods;
 pub use metric_row::MetricRow;
 pub use mfd::Mfd;
 pub use min_ade::{MinAde, MinAdeOfMinFde};

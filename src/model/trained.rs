@@ -116,10 +116,11 @@ impl<S: ModelSpec> TrainedModel<S> {
                 return Err(unfit(format!("{name} has values that are no numbers")));
             }
         }
-        let mut params = Params::new(compute).frozen();
+        let mut params = Params::new(compute);
         // The drawn parameters are overwritten.
-        let network = checkpoint.metadata.build(&mut params, Seed(0)).map_err(tensor_error)?;
+        checkpoint.metadata.build(&mut params, Seed(0)).map_err(tensor_error)?;
         params.load(&checkpoint.tensors).map_err(tensor_error)?;
+        let network = checkpoint.metadata.build(&mut params.settled(), Seed(0)).map_err(tensor_error)?;
         Ok(Self { network, spec: checkpoint.metadata, fingerprint: checkpoint.fingerprint })
     }
 }

@@ -32,14 +32,6 @@ impl Linear {
         self.apply(x, Activation::None, None)
     }
 
-    /// max(W x + b, 0): (.., `n_in`) to (.., `n_out`).
-    ///
-    /// # Errors
-    /// When the last dimension is not `n_in`.
-    pub fn forward_relu(&self, x: &Tensor) -> Result<Tensor> {
-        self.apply(x, Activation::Relu, None)
-    }
-
     /// As [`forward`](Self::forward) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those rows.
     ///
     /// # Errors
@@ -48,16 +40,7 @@ impl Linear {
         self.apply(x, Activation::None, Some(valid))
     }
 
-    /// As [`forward_relu`](Self::forward_relu) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those
-    /// rows.
-    ///
-    /// # Errors
-    /// When the last dimension is not `n_in` or the leading ones are not those of `valid`.
-    pub fn forward_relu_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
-        self.apply(x, Activation::Relu, Some(valid))
-    }
-
-    fn apply(&self, x: &Tensor, activation: Activation, valid: Option<&Tensor>) -> Result<Tensor> {
+    pub(super) fn apply(&self, x: &Tensor, activation: Activation, valid: Option<&Tensor>) -> Result<Tensor> {
         ops::linear(x, &self.weight, &self.bias, activation, valid, self.precision)
     }
 }

@@ -3,6 +3,7 @@
 use candle_core::{Result, Tensor};
 
 use super::linear::Linear;
+use super::ops::Activation;
 use super::params::Scope;
 
 /// Affine maps with ReLU between them and nothing after the last.
@@ -25,7 +26,7 @@ impl Mlp {
     /// # Errors
     /// When the last dimension is not the first width.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.apply(x, |layer, x, relu| if relu { layer.forward_relu(x) } else { layer.forward(x) })
+        self.apply(x, None)
     }
 
     /// As [`forward`](Self::forward) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those rows.
@@ -33,17 +34,12 @@ impl Mlp {
     /// # Errors
     /// When the last dimension is not the first width or the leading ones are not those of `valid`.
     pub fn forward_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
-        self.apply(
-            x,
-            |layer, x, relu| {
-                if relu { layer.forward_relu_valid(x, valid) } else { layer.forward_valid(x, valid) }
-            },
-        )
+        self.apply(x, Some(valid))
     }
 
-    fn apply(&self, x: &Tensor, forward: impl Fn(&Linear, &Tensor, bool) -> Result<Tensor>) -> Result<Tensor> {
-        let n_layers = self.layers.len();
-        let mut layers = self.layers.iter().enumerate();
-        layers.try_fold(x.clone(), |x, (i, layer)| forward(layer, &x, i + 1 < n_layers))
+    fn apply(&self, x: &Tensor, valid: Option<&Tensor>) -> Result<Tensor> {
+        let Some((last, before)) = self.layers.split_last() else { return Ok(x.clone()) };
+        let hidden = before.iter().try_fold(x.clone(), |x, layer| layer.apply(&x, Activation::Relu, valid))?;
+        last.apply(&hidden, Activation::None, valid)
     }
 }

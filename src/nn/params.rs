@@ -42,8 +42,18 @@ pub struct Params {
     vars: BTreeMap<String, Var>,
     compute: Compute,
     dtype: DType,
-    /// Whether layers get the variables themselves, so that gradients reach them, or their bare values.
-    is_trainable: bool,
+    use_of: Use,
+}
+
+/// What layers get of the parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Use {
+    /// The variables themselves, so that gradients reach them.
+    Trained,
+    /// Their bare values, which may still change.
+    Frozen,
+    /// Values of their own, with matrices stored as the processor multiplies by them.
+    Settled,
 }
 
 impl Params {
@@ -54,13 +64,20 @@ impl Params {
 
     /// An empty set of parameters of type `dtype`.
     pub fn with_dtype(compute: &Compute, dtype: DType) -> Self {
-        Self { vars: BTreeMap::new(), compute: compute.clone(), dtype, is_trainable: true }
+        Self { vars: BTreeMap::new(), compute: compute.clone(), dtype, use_of: Use::Trained }
     }
 
     /// A view of the parameters, sharing memory, for sampling and evaluation: layers built on them record nothing for a
     /// backward pass through the parameters, and see every later optimizer step.
     pub fn frozen(&self) -> Self {
-        Self { is_trainable: false, ..self.clone() }
+        Self { use_of: Use::Frozen, ..self.clone() }
+    }
+
+    /// The parameters as they are now, for models that are not trained any more: layers built on them see no later
+    /// change, and need not transpose their weights again and again.
+    #[must_use]
+    pub fn settled(self) -> Self {
+        Self { use_of: Use::Settled, ..self }
     }
 
     /// The device that holds the parameters.
@@ -75,17 +92,21 @@ impl Params {
             if var.dims() != shape {
                 bail!("parameter {name} has shape {:?}, expected {shape:?}", var.dims());
             }
-            return Ok(self.handle(var));
+            return self.handle(var);
         }
         let values = init.draw(shape.iter().product(), seed.derive_named("init", name));
         let var = Var::from_tensor(&Tensor::from_vec(values, shape, &self.compute.device)?.to_dtype(self.dtype)?)?;
         let tensor = self.handle(&var);
         self.vars.insert(name.to_owned(), var);
-        Ok(tensor)
+        tensor
     }
 
-    fn handle(&self, var: &Var) -> Tensor {
-        if self.is_trainable { var.as_tensor().clone() } else { var.as_detached_tensor() }
+    fn handle(&self, var: &Var) -> Result<Tensor> {
+        match self.use_of {
+            Use::Trained => Ok(var.as_tensor().clone()),
+            Use::Settled if var.rank() == 2 => var.as_detached_tensor().t()?.contiguous()?.t(),
+            Use::Frozen | Use::Settled => Ok(var.as_detached_tensor()),
+        }
     }
 
     /// The parameters in the order of their names.
@@ -209,5 +230,17 @@ mod tests {
 
         params.load(&BTreeMap::from([("a".to_owned(), new(2)), ("b".to_owned(), new(3))])).unwrap();
         assert_eq!(values(&weight), [5.0, 5.0]);
+    }
+
+    #[test]
+    fn settled_matrices_are_stored_transposed() {
+        let mut params = Params::new(&Compute::cpu());
+        let init = Init::KaimingUniform { fan_in: 2 };
+        let [drawn, settled] = [false, true].map(|is_settled| {
+            params = if is_settled { params.clone().settled() } else { params.clone() };
+            params.get_or_init("a", &[3, 2], init, Seed(0)).unwrap()
+        });
+        assert_eq!(drawn.to_vec2::<f32>().unwrap(), settled.to_vec2::<f32>().unwrap());
+        assert!(drawn.is_contiguous() && settled.t().unwrap().is_contiguous());
     }
 }

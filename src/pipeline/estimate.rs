@@ -38,19 +38,23 @@ pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>>
         ));
     }
     let compute = config.run.compute().open()?;
+    // The run decides once more which pairs can reach which bucket: where there are many scenes, most of its time.
+    let began = Instant::now();
     let pools = generation(config, layout).map(|stage| stage.pools(&compute)).transpose()?.flatten();
+    let deciding_s = began.elapsed().as_secs_f64();
     for (idx, request) in resolved.requests.iter().enumerate() {
         n_evaluations += describe(request, &resolved, pools.as_ref().map(|pools| &pools[idx]), &mut lines);
     }
     let time = match evaluations_per_second(config, generate, layout, &compute)? {
         None => "time unknown until there are scenes and a denoiser to measure".to_owned(),
         Some(rate) => {
-            let seconds = n_evaluations as f64 / rate;
+            let seconds = deciding_s + n_evaluations as f64 / rate;
             let (threads, memory) = (rayon::current_num_threads(), peak_memory().unwrap_or_default());
             format!(
-                "{} at {rate:.0} evaluations per second (measured now on a batch of a recorded scene with {threads} \
-                 threads{memory}; excludes guidance)",
+                "{} at {rate:.0} evaluations per second and with {} for pairs (measured now, on a batch of a recorded \
+                 scene with {threads} threads{memory}; excludes guidance)",
                 duration(seconds),
+                duration(deciding_s),
             )
         }
     };

@@ -1,14 +1,17 @@
-//! The part of the report on how well generated tracks can be told from recorded ones.
+//! The part of the report on how well generated tracks can be told from recorded ones, and how likely recorded futures
+//! are among samples.
 
-use super::number::{ABSENT, level, percent, value};
-use super::plain::{PlainSection, PlainTable};
+use super::number::{ABSENT, level, optional, percent, uncertainty, value};
+use super::plain::{PlainRow, PlainSection, PlainTable};
 use crate::evaluate::{DistinguishabilityRow, EvaluationSummary};
-use crate::metrics::SeriesKey;
+use crate::metrics::{Likelihoods, MetricRow, SeriesKey};
 
 const NOTE: &str = "For each series, gradient-boosted trees learn to tell generated from recorded futures of the same \
     tracks, and are asked about scenes that they have not seen. The AUC is the share of pairs, one recorded and one \
     generated track, of which they pick the generated one: 50 % is indistinguishable. In parentheses its interval of \
-    95 % over scenes.";
+    95 % over scenes. How likely recorded futures are among forecasts is the realism meta-metric of the Waymo sim \
+    agents challenge of 2025, without traffic lights and on the horizon of the scenes, with its standard error. The \
+    recording and constant velocity are scored as copies of one sample.";
 
 /// The classifier's input, in words.
 fn title(features: &str) -> String {
@@ -87,7 +90,7 @@ pub(super) fn section(found: &EvaluationSummary) -> Option<PlainSection> {
             of_series(&row.series()).into_iter().chain([part, row.n_tracks.to_string(), in_words(row)]).collect(),
         );
     }
-    let tables = [by_set, telling, parts];
+    let tables = [by_set, likelihoods(found), telling, parts];
     let tables: Vec<PlainTable> = tables.into_iter().filter(|table| !table.rows.is_empty()).collect();
     (!tables.is_empty()).then(|| PlainSection {
         id: "distinguishability".to_owned(),
@@ -96,4 +99,60 @@ pub(super) fn section(found: &EvaluationSummary) -> Option<PlainSection> {
         tables,
         charts: Vec::new(),
     })
+}
+
+/// The meta-metric and its parts over all places, with the recording and constant velocity beside the samples.
+fn likelihoods(found: &EvaluationSummary) -> PlainTable {
+    let parts = ["Realism meta-metric", "Motion", "Distances, collisions", "Road"];
+    let columns: Vec<&str> = ["Sweep", "Strength α", "Futures", "Scenes"].into_iter().chain(parts).collect();
+    let mut table = PlainTable::new("How likely recorded futures are", &columns);
+    let rows = || found.aggregates.iter().filter(|row| row.place.is_empty());
+    for whole in rows().filter(|row| row.metric == Likelihoods::META_METRIC) {
+        let own = |metric: &str| rows().find(|row| row.series() == whole.series() && row.metric == metric);
+        let in_words = |row: &MetricRow| match row.std_error {
+            Some(error) => format!("{} ± {}", value(row.value), uncertainty(error)),
+            None => value(row.value),
+        };
+        let parts = Likelihoods::specs().take(parts.len()).map(|spec| match own(spec.id) {
+            Some(row) if spec.id == Likelihoods::META_METRIC => in_words(row),
+            row => optional(row.map(|row| row.value)),
+        });
+        let names = [whole.group.to_string(), whole.n.to_string()];
+        let cells = of_series(&whole.series()).into_iter().chain(names).chain(parts).collect();
+        table.rows.push(PlainRow { cells, is_reference: !whole.group.is_generated() });
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::Group;
+
+    #[test]
+    fn the_recording_and_constant_velocity_stand_beside_forecasts() {
+        let row = |group: Group, metric: &str, value: f64, std_error: Option<f64>| MetricRow {
+            group,
+            sweep: "raw".to_owned(),
+            n: 40,
+            std_error,
+            ..MetricRow::example(metric, value)
+        };
+        let aggregates = vec![
+            row(Group::Recorded, "realism_meta_metric", 0.91, Some(0.0042)),
+            row(Group::Recorded, "realism_kinematic", 0.8, Some(0.01)),
+            row(Group::Unguided, "realism_meta_metric", 0.85, None),
+            MetricRow { place: "A".to_owned(), ..row(Group::Unguided, "realism_meta_metric", 0.1, None) },
+            row(Group::Unguided, "min_scene_ade_m", 0.3, None),
+        ];
+        let found = section(&EvaluationSummary { aggregates, ..EvaluationSummary::default() }).expect("a section");
+        let [table] = &found.tables[..] else { panic!("one table: {found:?}") };
+        let told: Vec<(String, bool)> = table.rows.iter().map(|row| (row.cells.join("|"), row.is_reference)).collect();
+        let expected = [
+            ("raw|0|recorded|40|0.910 ± 0.0042|0.800|–|–".to_owned(), true),
+            ("raw|0|unguided|40|0.850|–|–|–".to_owned(), false),
+        ];
+        assert_eq!(told, expected);
+        assert!(section(&EvaluationSummary::default()).is_none());
+    }
 }

@@ -46,6 +46,6 @@ pub use figures::{FigureFile, drawing_of_recording, figures};
 pub use gallery::{Drawings, Gallery};
 pub use html::{render, render_drives};
 pub use model::{Chart, Curve, Fact, ReportModel, TrainingSummary, Warning};
-pub use plain::{PlainSection, PlainTable};
+pub use plain::{PlainRow, PlainSection, PlainTable};
 pub use quantities::{EventParameters, MotionDistributions, event_distributions};
 pub use tradeoffs::tradeoffs;

@@ -26,8 +26,17 @@ pub struct PlainTable {
     pub caption: String,
     /// The headings; the first column names the row.
     pub columns: Vec<String>,
-    /// The rows, each with a cell for each column. Cells that begin with a digit or a sign are set as numbers.
-    pub rows: Vec<Vec<String>>,
+    /// The rows, each with a cell for each column.
+    pub rows: Vec<PlainRow>,
+}
+
+/// A row of text.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PlainRow {
+    /// The cell of each column. Cells that begin with a digit or a sign are set as numbers.
+    pub cells: Vec<String>,
+    /// Whether it is the reference for other rows, such as the recording.
+    pub is_reference: bool,
 }
 
 impl PlainTable {
@@ -39,6 +48,6 @@ impl PlainTable {
 
     /// Adds a row.
     pub fn push(&mut self, cells: Vec<String>) {
-        self.rows.push(cells);
+        self.rows.push(PlainRow { cells, is_reference: false });
     }
 }

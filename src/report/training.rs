@@ -159,7 +159,7 @@ mod tests {
             loss(SceneChange::EgoAlone, 0.4),
         ];
         let summary = TrainingSummary::of_fit("denoiser", vec![], &[]).with_losses(&changed, &[]);
-        let last: Vec<&str> = summary.tables[0].rows.iter().map(|row| row[3].as_str()).collect();
+        let last: Vec<&str> = summary.tables[0].rows.iter().map(|row| row.cells[3].as_str()).collect();
         assert_eq!((summary.tables.len(), last), (1, vec!["1.00", "2.50", "0.500", "4.00"]));
     }
 }

@@ -102,10 +102,10 @@ impl Scene {
     /// A hash of its name and its frame, by which the same scene is recognized if it is recorded twice; other scenes of
     /// its name have another frame.
     pub fn identity(&self) -> u128 {
-        let Transform2 { translation: Vec2 { x, y }, rotation_rad } = self.world_from_scene;
+        let Vec2 { x, y } = self.world_from_scene.translation;
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.id.0.as_bytes());
-        [x, y, rotation_rad].iter().for_each(|number| _ = hasher.update(&number.to_le_bytes()));
+        [x, y, self.world_from_scene.rotation_rad()].iter().for_each(|number| _ = hasher.update(&number.to_le_bytes()));
         let mut first = [0; 16];
         first.copy_from_slice(&hasher.finalize().as_bytes()[..16]);
         u128::from_le_bytes(first)

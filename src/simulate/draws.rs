@@ -50,13 +50,15 @@ impl Drive<'_> {
             !is_driven && situation.plan(&self.world, *idx, now + 1).is_none()
         };
         let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
+        // Whose part in the event has ended stays in the lane to which it has come.
+        let settling: &[usize] = if is_continued { &situation.planned } else { &[] };
         let stream = self.world.stream(futures.seed());
         let draw = |name: &str| -> Result<Result<Scene, UnfitScene>> {
             let sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;
             Ok(sampled.map(|mut sampled| {
                 go_on(situation, &self.world, &mut sampled, &agents);
                 walk_on(situation, &mut sampled, &agents);
-                keep_to_lanes(situation, &mut sampled, &agents);
+                keep_to_lanes(situation, &mut sampled, &agents, settling);
                 ease(situation, &mut sampled, &agents);
                 brake(situation, &mut sampled, &agents);
                 sampled

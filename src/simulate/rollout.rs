@@ -88,7 +88,8 @@ pub struct Driven {
     pub progress_m: f64,
     /// Whether the other agents of the event gave up their plan because of the ego.
     pub gave_up_plan: bool,
-    /// Whether the event happens in the driven states; missing for a scenario without an event.
+    /// Whether the event happens in the driven states; missing for a scenario without an event, and for one that is
+    /// continued, in which the miner looks for it anyway.
     pub event_happens: Option<bool>,
     /// The traffic around it.
     pub traffic: Traffic,
@@ -158,7 +159,8 @@ pub fn roll_out(
         progress_m += after.position.distance(before.position);
     }
     let traffic = Traffic::of(situation, &world);
-    let event_happens = (!situation.roles.is_empty()).then(|| situation.event_in(&situation.driven(&world)).is_some());
+    let is_asked = !situation.roles.is_empty() && !matches!(others, Others::Continued(_));
+    let event_happens = is_asked.then(|| situation.event_in(&situation.driven(&world)).is_some());
     Ok(Driven {
         world,
         outcome,

@@ -66,7 +66,7 @@ impl<'a> AgentRow<'a> {
         let is_observed_at_all = reference.at(0).is_some();
         let is_residual = normalizer.parametrization != StateParametrization::Scene && is_observed_at_all;
         let (frame_heading_rad, unit) = if is_residual {
-            (reference.frame_heading_rad() + frame.ego_from_scene.rotation_rad, normalizer.agent_units())
+            (reference.frame_heading_rad() + frame.ego_from_scene.rotation_rad(), normalizer.agent_units())
         } else {
             (0.0, normalizer.scene_units())
         };

@@ -170,7 +170,7 @@ fn ways_back(ahead_m: &[f64], least_m: f64) -> impl Iterator<Item = [usize; 2]> 
     ways.into_iter()
 }
 
-const fn pose(state: &State) -> Transform2 {
+fn pose(state: &State) -> Transform2 {
     Transform2::from_pose(state.position, state.heading_rad)
 }
 

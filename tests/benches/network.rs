@@ -128,7 +128,7 @@ fn compare(options: &Options, preset: Preset) -> Result<()> {
     let networks = || -> Result<(Params, SceneDenoiser, SceneDenoiser)> {
         let mut params = Params::new(&Compute::cpu());
         let denoiser = SceneDenoiser::new(&mut params, &spec.network, 3, spec.edm, SEED)?;
-        let frozen = SceneDenoiser::new(&mut params.frozen(), &spec.network, 3, spec.edm, SEED)?;
+        let frozen = SceneDenoiser::new(&mut params.clone().settled(), &spec.network, 3, spec.edm, SEED)?;
         Ok((params, denoiser, frozen))
     };
     let draws = SceneDraws {

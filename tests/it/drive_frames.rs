@@ -13,18 +13,20 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-const TURN: Transform2 = Transform2 { translation: Vec2::new(7000.0, -3000.0), rotation_rad: 2.0 };
+fn turn() -> Transform2 {
+    Transform2::from_pose(Vec2::new(7000.0, -3000.0), 2.0)
+}
 
 /// The maps of the corpus in the other frame.
 struct Turned<'r>(&'r CorpusReader);
 
 impl MapSource for Turned<'_> {
     fn map(&self, id: &MapId) -> Result<LaneGraph> {
-        Ok(self.0.map(id)?.into_frame(&TURN))
+        Ok(self.0.map(id)?.into_frame(&turn()))
     }
 
     fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph> {
-        Ok(self.0.lanes(id, lane_ids)?.into_frame(&TURN))
+        Ok(self.0.lanes(id, lane_ids)?.into_frame(&turn()))
     }
 }
 
@@ -34,7 +36,7 @@ fn write_turned(dir: &Path) -> Vec<ScenarioRecord> {
     let mut records: Vec<ScenarioRecord> = (0..reader.len()).map(|i| reader.scenario(i).unwrap()).collect();
     for record in &mut records {
         let scene = &mut record.scenario.scene;
-        scene.world_from_scene = TURN.compose(&scene.world_from_scene);
+        scene.world_from_scene = turn().compose(&scene.world_from_scene);
     }
     let turned = Turned(&reader);
     let mut writer = CorpusWriter::create(dir, &turned).unwrap();
@@ -141,7 +143,7 @@ fn a_planner_that_answers_with_the_scenario_drives_like_the_log_in_any_frame() {
 fn check_observations(records: &[ScenarioRecord], seen: &str, driven: &[Row]) {
     let key = |row: &Row| (row["scenario_id"].clone(), row["track_id"].clone(), row["timestep"].parse().unwrap());
     let by_state: BTreeMap<(String, String, usize), &Row> = driven.iter().map(|row| (key(row), row)).collect();
-    let turned = |record: &ScenarioRecord| record.scenario.scene.world_from_scene.rotation_rad;
+    let turned = |record: &ScenarioRecord| record.scenario.scene.world_from_scene.rotation_rad();
     let turns: BTreeMap<&str, f64> =
         records.iter().map(|record| (record.scenario.id.as_str(), turned(record))).collect();
     let (mut last, mut fastest_mps) = (None, 0.0_f64);

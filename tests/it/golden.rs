@@ -10,7 +10,8 @@ use std::path::Path;
 /// Other processors add in another order, which a few training steps magnify: figures of samples may differ so much.
 const TOLERANCE: f64 = 0.02;
 /// Figures that change with the samples, without jumps.
-const METRICS: [&str; 4] = ["min_fde_m", "min_scene_ade_m", "mfd_m", "pair_min_distance_m"];
+const METRICS: [&str; 6] =
+    ["min_fde_m", "min_scene_ade_m", "mfd_m", "pair_min_distance_m", "realism_kinematic", "realism_meta_metric"];
 
 /// Demands that the run in the folder `root` is as its pipeline's golden file says.
 pub(crate) fn check(pipeline: &str, root: &Path) {

@@ -16,8 +16,8 @@ const SPACING_M: f64 = 0.5;
 /// Ways whose reachable parts end within this of each other are the same, meters.
 const SAME_M: f64 = 1.0;
 /// How vehicles slow down for no reason that is seen: the deceleration at its peak, m/s², and the speed that they lose,
-/// m/s, but no more than this share of it. In the bundled recordings, 95 % of all brakings lose at most 6.7 m/s, with at
-/// most 4.4 m/s²; those of vehicles with nobody within 50 m ahead lose 3.8 m/s in the median, with 3.4 m/s², in 1.75 s.
+/// m/s, but no more than this share of it. In the bundled recordings, 95 % of all brakings lose at most 6.7 m/s, with
+/// at most 4.4 m/s²; those of vehicles with nobody within 50 m ahead lose 3.8 m/s in the median, with 3.4 m/s².
 const SLOWS: [[f64; 2]; 4] = [[1.2, 2.0], [2.0, 3.5], [3.0, 4.5], [4.0, 6.5]];
 const MOST_LOST: f64 = 0.6;
 /// By how much firmer the firmest driver brakes than the gentlest one, and how much less speed it loses, as shares.
@@ -78,6 +78,8 @@ pub(in crate::behavior) struct Rail {
     bounds: Bounds,
     /// The largest speeds at each place that still allow braking, and coasting, for the bends ahead, m/s.
     allowed_mps: Vec<[f64; 2]>,
+    /// The least of them.
+    least_allowed_mps: [f64; 2],
 }
 
 /// The distance driven, meters, and the speed, m/s, at each timestep after the present.
@@ -115,8 +117,8 @@ impl Pace {
         self
     }
 
-    /// Adds braking from `from_s` seconds after the present on that builds up to `mps2`, fades, and costs this much speed,
-    /// m/s.
+    /// Adds braking from `from_s` seconds after the present on that builds up to `mps2`, fades, and costs this much
+    /// speed, m/s.
     #[must_use]
     pub(in crate::behavior) fn losing(mut self, from_s: f64, mps2: f64, loses_mps: f64) -> Self {
         let [pressed_s, released_s] = match mps2 < URGENT_MPS2 {
@@ -217,15 +219,19 @@ impl Driver {
     /// to let go of the brake. It never reverses, gives no gas toward a bend, and brakes for it.
     pub(in crate::behavior) fn travel(&self, rail: usize, pace: &Pace) -> Travel {
         let (mut driven_m, mut speed_mps, step_s) = (0.0, self.state.speed_mps(), self.dt_s / N_STEPS as f64);
-        let mut mps2 = self.observed_mps2;
+        let (mut mps2, rail) = (self.observed_mps2, &self.rails[rail]);
         let mut travel =
             Travel { driven_m: Vec::with_capacity(self.n_steps), speeds_mps: Vec::with_capacity(self.n_steps) };
         for step in 0..self.n_steps * N_STEPS {
-            let [brakes_mps, coasts_mps] = self.rails[rail].allowed_mps(driven_m);
-            let to_spare_mps = |allowed_mps: f64| pace.briskness * allowed_mps - speed_mps;
-            let most_mps2 = (to_spare_mps(brakes_mps) * PEDAL_RATE_HZ).max(-BRAKES_MPS2);
-            let most_mps2 = most_mps2.min((to_spare_mps(coasts_mps) / LETS_GO_S).max(0.0));
-            let wanted_mps2 = pace.at(step as f64 * step_s).min(most_mps2);
+            let most_mps2 = |allowed_mps: [f64; 2]| {
+                let [brakes, coasts] = allowed_mps.map(|allowed_mps| pace.briskness * allowed_mps - speed_mps);
+                (brakes * PEDAL_RATE_HZ).max(-BRAKES_MPS2).min((coasts / LETS_GO_S).max(0.0))
+            };
+            let mut wanted_mps2 = pace.at(step as f64 * step_s);
+            // Where no bend of the rail matters, its places need no look.
+            if wanted_mps2 > most_mps2(rail.least_allowed_mps) {
+                wanted_mps2 = wanted_mps2.min(most_mps2(rail.allowed_mps(driven_m)));
+            }
             let easing_mps3 = pace.eases_mps3(step as f64 * step_s);
             mps2 = wanted_mps2.clamp(mps2 - BRAKING_JERK_MPS3 * step_s, mps2 + easing_mps3 * step_s);
             // Nobody stops with a jolt.
@@ -273,7 +279,9 @@ impl Rail {
                 allowed_mps[i - 1][kind] = allowed_mps[i - 1][kind].min(before_mps);
             }
         }
-        Some(Self { bounds: Bounds::around(places.iter().map(|(at, _)| *at))?, places, allowed_mps })
+        let least = |kind: usize| allowed_mps.iter().map(|mps| mps[kind]).fold(f64::INFINITY, f64::min);
+        let (bounds, least_allowed_mps) = (Bounds::around(places.iter().map(|(at, _)| *at))?, [least(0), least(1)]);
+        Some(Self { bounds, places, allowed_mps, least_allowed_mps })
     }
 
     fn end(&self) -> Vec2 {

@@ -19,8 +19,8 @@ const HARDEST_MPS2: f64 = 7.75;
 /// When braking begins, earlier by up to this, as drivers differ, seconds.
 const BEGINS_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 const EARLIER_S: f64 = 0.3;
-/// How much slower an agent becomes than the one ahead, and below which speed that one stands, m/s.
-const SLOWER_MPS: f64 = 0.7;
+/// How much slower an agent becomes than the one ahead, if it must, and below which speed that one stands, m/s.
+const SLOWER_MPS: [f64; 3] = [0.7, 1.5, 2.5];
 const STANDS_MPS: f64 = 1.0;
 /// How hard the one ahead brakes for a reason of its own, m/s², and how long before the agent, seconds: drivers need
 /// that long to react to brake lights that they expect, or not (Green 2000), or after an ordinary glance away.
@@ -41,8 +41,8 @@ enum Reason {
 }
 
 impl Reason {
-    /// The travel of a driver that brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None` if
-    /// that is not enough, or much less would be.
+    /// The travel of a driver that brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None`
+    /// if that is not enough, or much less would be.
     fn braking(&self, driver: &Driver, rail: usize, (from_s, mps2): (f64, f64), dt_s: f64) -> Option<Travel> {
         let steady = Pace::steady(driver.braking_mps2().min(0.0));
         let before = driver.travel(rail, &steady);
@@ -54,9 +54,12 @@ impl Reason {
                 driven_m[begins..].windows(2).map(|pair| (pair[1] - pair[0]) / dt_s).fold(own_mps, f64::min)
             }
         };
-        let to_their_speed = steady.clone().losing(from_s, mps2, own_mps - their_mps + SLOWER_MPS);
-        let paces = (their_mps > STANDS_MPS).then_some(to_their_speed).into_iter().chain([steady.then(from_s, -mps2)]);
-        let mut travels = paces.map(|pace| driver.travel(rail, &pace));
+        // Nobody stops behind somebody that goes on.
+        let goes_on = their_mps > STANDS_MPS;
+        let slower = SLOWER_MPS.iter().filter(|_| goes_on);
+        let slower = slower.map(|mps| steady.clone().losing(from_s, mps2, own_mps - their_mps + mps));
+        let stops = (!goes_on).then(|| steady.clone().then(from_s, -mps2));
+        let mut travels = slower.chain(stops).map(|pace| driver.travel(rail, &pace));
         travels.find(|travel| self.explains(not_enough_mps2(mps2), (begins, own_mps), &travel.driven_m, dt_s))
     }
 
@@ -131,14 +134,19 @@ fn reasons(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx:
     let its_reasons = its_own.map(|own| in_front(scene, lanes, &own, ahead.agent_idx).0).unwrap_or_default();
     let goes_on = Pace::steady(leader.braking_mps2().min(0.0));
     let reacted = REACTIONS_S.map(|reaction_s| from_s - reaction_s).into_iter();
+    let mut unexplained = Vec::new();
     for starts_s in reacted.filter(|starts_s| *starts_s >= SOONEST_S) {
         let explained = LEADER_MPS2.into_iter().flat_map(|mps2| {
             let braking = (starts_s, mps2);
             its_reasons.iter().filter_map(move |its| its.braking(leader, 0, braking, scene.dt_s))
         });
         reasons.extend(explained.map(|travel| led(leader, *ahead, travel)));
-        reasons.extend(leader.slowing(&goes_on, starts_s).map(|pace| led(leader, *ahead, leader.travel(0, &pace))));
+        unexplained.extend(leader.slowing(&goes_on, starts_s).map(|pace| led(leader, *ahead, leader.travel(0, &pace))));
     }
+    // Not every one slows down alike.
+    let n_first = (leader.style * unexplained.len() as f64) as usize;
+    unexplained.rotate_left(n_first);
+    reasons.extend(unexplained);
     reasons
 }
 

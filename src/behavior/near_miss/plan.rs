@@ -26,8 +26,10 @@ const SOONEST_S: f64 = 0.3;
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
-/// How much slower than the one ahead somebody becomes that has braked, m/s.
-const SLOWER_MPS: f64 = 0.5;
+/// How much slower than the one ahead somebody becomes that has braked, if it must, and below which speed that one
+/// stands, m/s.
+const SLOWER_MPS: [f64; 3] = [0.5, 1.5, 2.5];
+const STANDS_MPS: f64 = 1.0;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
@@ -160,10 +162,11 @@ impl<'a> Search<'a> {
         }
         let own_mps = own.drive.speeds_mps[begins];
         let their_mps = other.drive.speeds_mps[begins..].iter().copied().fold(f64::INFINITY, f64::min);
-        // Who brakes behind somebody that goes on lets go of the brake, if that is early enough.
-        let loses_mps = if is_behind { (own_mps - their_mps + SLOWER_MPS).min(own_mps) } else { own_mps };
+        // Who brakes behind somebody that goes on lets go of the brake.
+        let slower = SLOWER_MPS.iter().map(|mps| own_mps - their_mps + mps).filter(|mps| *mps < own_mps);
+        let losses_mps: Vec<f64> = if is_behind && their_mps > STANDS_MPS { slower.collect() } else { vec![own_mps] };
         let tried = BRAKES_MPS2.map(|mps2| self.drivers[evader].firmly(mps2));
-        let tried = tried.iter().flat_map(|mps2| [loses_mps, own_mps].map(|loses_mps| (*mps2, loses_mps)));
+        let tried = tried.iter().flat_map(|mps2| losses_mps.iter().map(|loses_mps| (*mps2, *loses_mps)));
         tried.into_iter().find_map(|(deceleration_mps2, loses_mps)| {
             let building_up_s = building_up_s(pace.at(at_once_s), -deceleration_mps2);
             let from_s = (at_once_s - building_up_s / 2.0).max(SOONEST_S);

@@ -92,10 +92,8 @@ pub(super) fn check_scenario(
     let n_tracks = check_tracks(&states, rows.clone(), n_timesteps, dt_s, &mut place);
     let transform = scenarios.of_struct_column("world_from_scene")?;
     let coordinate = |name: &str| transform.number::<Float64Type>(name, i);
-    let world_from_scene = Transform2 {
-        translation: Vec2::new(coordinate("x_m")?, coordinate("y_m")?),
-        rotation_rad: coordinate("rotation_rad")?,
-    };
+    let origin = Vec2::new(coordinate("x_m")?, coordinate("y_m")?);
+    let world_from_scene = Transform2::from_pose(origin, coordinate("rotation_rad")?);
     check_frames(&states, rows.clone(), &world_from_scene, &mut place);
 
     let row = chunk.first_row + i;

@@ -113,7 +113,7 @@ fn who_comes_later_is_added_and_who_leaves_is_deleted() {
 #[test]
 fn headings_go_on_beyond_half_a_turn() {
     let mut scene = testing::scene();
-    scene.world_from_scene.rotation_rad = 0.0;
+    scene.world_from_scene = crate::geometry::Transform2::from_pose(scene.world_from_scene.translation, 0.0);
     let turning = |timestep: usize| {
         let heading_rad = crate::geometry::wrap_angle(3.0 + 0.1 * timestep as f64);
         Some(State { heading_rad, ..State::default() })

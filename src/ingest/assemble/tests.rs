@@ -212,7 +212,7 @@ fn standing_tracks_take_the_direction_of_their_lane() {
         let (scene, counts) =
             assemble(RawScene { heading_gaps, ..raw(vec![parked(x)]) }, Some(&index), &config()).expect("complete");
         let headings: Vec<f64> = scene.tracks[0].trajectory.valid().map(|(_, state)| state.heading_rad).collect();
-        (scene.world_from_scene.rotation_rad, headings[0], headings[4], counts.assumed)
+        (scene.world_from_scene.rotation_rad(), headings[0], headings[4], counts.assumed)
     };
     let (world, first, last, assumed) = heading(4.0);
     assert!((world - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && first.abs() < 1e-12);
@@ -235,13 +235,13 @@ fn who_never_moves_takes_the_direction_of_the_lane_it_stands_on() {
         (scene.world_from_scene, counts)
     };
     let (world, counts) = assembled(0.5);
-    assert!((world.rotation_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12, "{world:?}");
+    assert!((world.rotation_rad() - std::f64::consts::FRAC_PI_2).abs() < 1e-12, "{world:?}");
     assert!(world.point(Vec2::ZERO).distance(Vec2::new(0.5, 8.0)) < 1e-12, "{world:?}");
     assert_eq!(counts.assumed["headings_from_lanes"], 1);
     // Between both, and beside them.
     for x in [-1.75, 2.5] {
         let (world, counts) = assembled(x);
-        assert_eq!((world.rotation_rad, world.point(Vec2::ZERO)), (0.0, Vec2::new(x, 10.0)));
+        assert_eq!((world.rotation_rad(), world.point(Vec2::ZERO)), (0.0, Vec2::new(x, 10.0)));
         let said = &counts.warnings["headings_unknown"];
         assert!(said.count == 1 && said.examples[0].contains("track parked never moves"), "{said:?}");
     }

@@ -105,6 +105,17 @@ mod tests {
     }
 
     #[test]
+    fn cubics_between_two_rows_are_exact() {
+        let cubic = |t: f64| Vec2::new(t * t * t, 2.0 * t * t * t - t);
+        let [from, to] = [1.0, 3.0].map(|time_s| TimedState { time_s, position: cubic(time_s), heading_rad: None });
+        let velocities = [1.0, 3.0].map(|t: f64| Vec2::new(3.0 * t * t, 6.0 * t * t - 1.0));
+        for share in [0.0, 0.25, 0.6, 1.0] {
+            let found = on_cubic([from, to], velocities, share);
+            assert!(found.distance(cubic(1.0 + 2.0 * share)) < 1e-12, "{share}: {found:?}");
+        }
+    }
+
+    #[test]
     fn rows_at_frames_stay_as_they_are_and_long_gaps_stay_empty() {
         let times = [0.1, 0.2, 0.3, 0.6, 0.7, 2.0, 2.1];
         let wild = |t: f64| Vec2::new((37.0 * t).sin(), t);

@@ -1,13 +1,13 @@
 //! The way of an ego: the path that it drives in a scene and on along its lane, and others as seen from there.
 
 use super::Seen;
-use super::bends::{BendSpeeds, rounded};
+use super::bends::BendSpeeds;
 use super::watch::IN_LANE_M;
 use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Footprint;
-use crate::behavior::kept_lane::way_on;
 use crate::behavior::may_walk;
-use crate::geometry::{OrientedBox, Vec2};
+use crate::behavior::way_on::way_on;
+use crate::geometry::{OrientedBox, Vec2, angle_difference, wrap_angle};
 use crate::scene::{Scene, State, Track};
 use std::f64::consts::FRAC_PI_2;
 
@@ -15,6 +15,12 @@ use std::f64::consts::FRAC_PI_2;
 const WAY_ON_M: f64 = 300.0;
 /// The distance over which an ego beside its way comes over to it, meters.
 const COMES_OVER_M: f64 = 7.0;
+
+/// Steps below this have no direction, meters.
+const LEAST_STEP_M: f64 = 0.05;
+/// Within which time the heading comes to be that of the motion, seconds, and the most by which it differs, radians.
+const ALIGNS_S: f64 = 1.0;
+const MOST_SLIP_RAD: f64 = 0.1;
 
 /// The way of an ego.
 #[derive(Clone)]
@@ -48,7 +54,7 @@ impl Way {
         let mut points: Vec<Vec2> = driven.iter().map(|state| state.position).collect();
         let ended = Scene { n_timesteps: present + driven.len(), ..scene.clone() };
         let (last, on) = (points[points.len() - 1], way_on(&ended, ego_idx, WAY_ON_M));
-        points.extend(rounded(&[vec![last], on].concat()));
+        points.extend(on);
         if points.iter().all(|point| point.distance(now.position) < 1.0) {
             points = vec![now.position, now.position + Vec2::from_angle(now.heading_rad) * WAY_ON_M];
         }
@@ -76,9 +82,15 @@ impl Way {
         let (center, along_rad) = self.route.pose_at(driven_m + moved_m);
         let aside_m = place.offset_m * (-moved_m / COMES_OVER_M).exp();
         let position = center + Vec2::from_angle(along_rad + FRAC_PI_2) * aside_m;
-        // Headings of very short steps are noise.
-        let heading_rad = if moved_m > 0.05 { (position - state.position).angle() } else { state.heading_rad };
-        State { position, heading_rad, velocity: Vec2::from_angle(heading_rad) * then_mps }
+        // Directions of very short steps are noise. A heading that differs from that of the motion, as recorded and
+        // sampled ones do, comes to be the same.
+        if moved_m <= LEAST_STEP_M || speed_mps * dt_s <= LEAST_STEP_M {
+            return State { position, velocity: Vec2::from_angle(state.heading_rad) * then_mps, ..*state };
+        }
+        let course_rad = (position - state.position).angle();
+        let slip_rad = angle_difference(state.heading_rad, state.velocity.angle()) * (-dt_s / ALIGNS_S).exp();
+        let heading_rad = wrap_angle(course_rad + slip_rad.clamp(-MOST_SLIP_RAD, MOST_SLIP_RAD));
+        State { position, heading_rad, velocity: Vec2::from_angle(course_rad) * then_mps }
     }
 
     /// The place of a road user.

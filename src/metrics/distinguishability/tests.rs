@@ -90,7 +90,7 @@ fn features_of_a_constant_jerk_are_its_derivatives() {
     assert_all(&Surroundings::new(&scene).features_of(0), &expected);
 
     // In another frame, everything is the same.
-    let frame = Transform2 { translation: Vec2::new(1000.0, -500.0), rotation_rad: 0.5 };
+    let frame = Transform2::from_pose(Vec2::new(1000.0, -500.0), 0.5);
     let moved = Scene {
         tracks: scene
             .tracks

@@ -1,5 +1,7 @@
 //! Affine map, bias and activation.
 
+use std::borrow::Cow;
+
 use candle_core::{CpuStorage, CustomOp3, D, Layout, Result, Shape, Tensor};
 use rayon::prelude::*;
 
@@ -10,8 +12,11 @@ use super::kernels::vectorized;
 use super::rows::{gather, spans, valid_rows};
 use crate::nn::precision::Precision;
 
-/// Rows of one task, few enough that their inputs and outputs stay in the cache between product and activation.
-const N_ROWS: usize = 128;
+/// Rows of one task, few enough that their inputs and outputs stay in the cache between product and activation, and a
+/// multiple of those of the kernels for AVX2 (6) and AVX-512 (8).
+const N_ROWS: usize = 120;
+/// Rows whose gradients of weights are summed in one product.
+const N_SUMMED: usize = 256;
 /// Rows of a matrix that are transposed together: one cache line of the result.
 const N_TRANSPOSED: usize = 16;
 /// Outputs whose weights one task differentiates, or inputs whose weights it transposes.
@@ -53,7 +58,9 @@ pub(super) fn fused(
         None => (0..(x.elem_count() / x.dim(D::Minus1)?) as u32).collect(),
         Some(valid) => valid_rows(&values(&valid.contiguous()?)?),
     };
-    x.contiguous()?.apply_op3(&weight.contiguous()?, &bias.contiguous()?, FusedLinear { activation, rows })
+    // Weights that are stored transposed stay where they are.
+    let weight = if weight.t()?.is_contiguous() { weight.clone() } else { weight.contiguous()? };
+    x.contiguous()?.apply_op3(&weight, &bias.contiguous()?, FusedLinear { activation, rows })
 }
 
 /// x (.., K), W (N, K), b (N) to (.., N), only on `rows`; the others are 0.
@@ -80,13 +87,12 @@ impl FusedLinear {
         gradient
     }
 
-    fn gradient_of_x(&self, y: &[f32], grad: &[f32], weight: &[f32], n_out: usize) -> Vec<f32> {
-        let n_in = weight.len() / n_out;
+    fn gradient_of_x(&self, y: &[f32], grad: &[f32], weight: Matrix<'_>, [n_in, n_out]: [usize; 2]) -> Vec<f32> {
         let mut dx = vec![0.0; y.len() / n_out * n_in];
         spans(&mut dx, n_in, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
             let gradient = self.gradient(y, grad, span.rows, n_out, 0, n_out);
             span.write(|dx| {
-                matmul(dx, Into::Replace, 1.0, Matrix::new(&gradient, n_out), Matrix::new(weight, n_in));
+                matmul(dx, Into::Replace, 1.0, Matrix::new(&gradient, n_out), weight);
             });
         });
         dx
@@ -103,7 +109,7 @@ impl FusedLinear {
     ) -> (Vec<f32>, Vec<f32>) {
         let (mut dw, mut db) = (vec![0.0; n_out * n_in], vec![0.0; n_out]);
         // All tasks share the inputs, which are gathered once.
-        let shared: Vec<_> = (self.rows.par_chunks(2 * N_ROWS)).map(|rows| (rows, gather(x, n_in, rows))).collect();
+        let shared: Vec<_> = (self.rows.par_chunks(N_SUMMED)).map(|rows| (rows, gather(x, n_in, rows))).collect();
         let tasks = dw.par_chunks_mut(N_OUTPUTS * n_in).zip(db.par_chunks_mut(N_OUTPUTS)).enumerate();
         tasks.for_each(|(task, (dw, db))| {
             let first = task * N_OUTPUTS;
@@ -133,13 +139,16 @@ impl CustomOp3 for FusedLinear {
         bias: &CpuStorage,
         bias_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
-        let (x, weight, bias) = (slice(x, x_layout)?, slice(weight, weight_layout)?, slice(bias, bias_layout)?);
+        let (x, bias) = (slice(x, x_layout)?, slice(bias, bias_layout)?);
         let (n_out, n_in) = weight_layout.shape().dims2()?;
         let mut shape = x_layout.dims().to_vec();
         shape.pop();
         shape.push(n_out);
-        // Transposed once here; otherwise every product would pack its weights anew.
-        let weight = transposed(weight, n_in);
+        // Otherwise every product would pack its weights anew.
+        let weight = match weight_layout.is_contiguous() {
+            true => Cow::Owned(transposed(slice(weight, weight_layout)?, n_in)),
+            false => Cow::Borrowed(slice(weight, &weight_layout.transpose(0, 1)?)?),
+        };
         let mut y = vec![0.0; x.len() / n_in * n_out];
         spans(&mut y, n_out, &self.rows, N_ROWS).par_iter_mut().for_each(|span| {
             let x = gather(x, n_in, span.rows);
@@ -168,10 +177,13 @@ impl CustomOp3 for FusedLinear {
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
         let grad = grad.contiguous()?;
         let (n_out, n_in) = weight.dims2()?;
-        let (x_values, weight_values, y_values, grad) = (values(x)?, values(weight)?, values(y)?, values(&grad)?);
-        let (x_slice, weight_slice, y, grad) = (&*x_values, &*weight_values, &*y_values, &*grad);
+        let is_transposed = !weight.is_contiguous();
+        let stored = if is_transposed { weight.t()? } else { weight.clone() };
+        let (x_values, stored, y_values, grad) = (values(x)?, values(&stored)?, values(y)?, values(&grad)?);
+        let (x_slice, y, grad) = (&*x_values, &*y_values, &*grad);
+        let weight_matrix = if is_transposed { Matrix::new(&stored, n_out).t() } else { Matrix::new(&stored, n_in) };
         let (dx, dw) = rayon::join(
-            || x.track_op().then(|| self.gradient_of_x(y, grad, weight_slice, n_out)),
+            || x.track_op().then(|| self.gradient_of_x(y, grad, weight_matrix, [n_in, n_out])),
             || (weight.track_op() || bias.track_op()).then(|| self.gradient_of_weights(x_slice, y, grad, n_in, n_out)),
         );
         let (dw, db) = dw.unzip();

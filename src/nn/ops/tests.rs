@@ -93,10 +93,15 @@ fn linear_agrees() {
             let masks = [None, Some(0.0), Some(0.6), Some(1.0)];
             for share in masks {
                 let valid = share.map(|share| mask(&rows, share, 4));
-                check(
-                    &|a| linear(&a[0], &a[1], &a[2], activation, valid.as_ref(), Precision::F32),
-                    &arguments,
-                    &format!("{rows:?} {share:?}"),
+                let apply =
+                    |a: &[Tensor], w: &Tensor| linear(&a[0], w, &a[2], activation, valid.as_ref(), Precision::F32);
+                check(&|a| apply(a, &a[1]), &arguments, &format!("{rows:?} {share:?}"));
+                let stored = |w: &Tensor| w.t()?.contiguous()?.t();
+                check(&|a| apply(a, &stored(&a[1])?), &arguments, &format!("{rows:?} {share:?}, transposed"));
+                let [plain, transposed] = [arguments[1].clone(), stored(&arguments[1]).unwrap()];
+                assert_eq!(
+                    values(&apply(&arguments, &plain).unwrap()),
+                    values(&apply(&arguments, &transposed).unwrap())
                 );
             }
         }

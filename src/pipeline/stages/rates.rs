@@ -57,7 +57,7 @@ impl Stage for Rates<'_> {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn check(&self) -> Result<()> {

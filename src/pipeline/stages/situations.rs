@@ -28,7 +28,7 @@ impl Stage for Situations<'_> {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn check(&self) -> Result<()> {

@@ -1,7 +1,7 @@
 //! Parts of the page that consist only of tables and charts.
 
 use super::{Section, table};
-use crate::report::plain::{PlainSection, PlainTable};
+use crate::report::plain::{PlainRow, PlainSection, PlainTable};
 use crate::report::svg::line_chart;
 use maud::{Markup, html};
 
@@ -24,8 +24,8 @@ pub(super) fn plain_table(plain: &PlainTable) -> Markup {
     };
     let body = html! {
         @for row in &plain.rows {
-            tr {
-                @for (i, cell) in row.iter().take(plain.columns.len()).enumerate() {
+            tr class=[row.is_reference.then_some("reference")] {
+                @for (i, cell) in row.cells.iter().take(plain.columns.len()).enumerate() {
                     @if i == 0 { th scope="row" { (cell) } } @else { td class=[class(i)] { (cell) } }
                 }
             }
@@ -34,8 +34,8 @@ pub(super) fn plain_table(plain: &PlainTable) -> Markup {
     table(&plain.caption, &head, &body)
 }
 
-fn is_number(row: &[String], column: usize) -> bool {
-    let first = row.get(column).and_then(|cell| cell.chars().next());
+fn is_number(row: &PlainRow, column: usize) -> bool {
+    let first = row.cells.get(column).and_then(|cell| cell.chars().next());
     first.is_none_or(|c| c.is_ascii_digit() || matches!(c, '−' | '–' | '+'))
 }
 
@@ -44,14 +44,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_stand_to_the_right() {
+    fn numbers_stand_to_the_right_and_references_are_marked() {
         let mut plain = PlainTable::new("Which", &["Group", "Value", "Word"]);
         plain.push(vec!["<a>".into(), "−1.5 m".into(), "2 of them".into()]);
         plain.push(vec!["b".into(), "–".into(), "none".into()]);
+        plain.rows[1].is_reference = true;
         let page = plain_table(&plain).into_string();
         for part in [
             r#"<th scope="col" class="n">Value</th><th scope="col">Word</th>"#,
             r#"<tr><th scope="row">&lt;a&gt;</th><td class="n">−1.5 m</td><td>2 of them</td></tr>"#,
+            r#"<tr class="reference">"#,
         ] {
             assert!(page.contains(part), "{part} is missing in {page}");
         }

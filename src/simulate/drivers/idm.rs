@@ -7,12 +7,12 @@ use crate::simulate::driver::{Driver, Failed};
 use crate::simulate::{Situation, World};
 
 /// The headway to which a driver falls back after an event, within which time, seconds, with which largest speed, m/s,
-/// within which it comes to that speed, seconds, and with which largest acceleration, m/s².
+/// within which it loses speed for it, and within which it gains speed again, seconds.
 const FOLLOWS_S: f64 = 0.9;
 const OPENS_S: f64 = 3.0;
 const MOST_OPENS_MPS: f64 = 2.0;
 const COMES_TO_S: f64 = 2.0;
-const GAS_MPS2: f64 = 0.5;
+const GAINS_S: f64 = 6.0;
 /// The distance that is left when both are as fast, and the least over which speed is lost, meters.
 const LEAVES_M: f64 = 2.0;
 const LEAST_M: f64 = 0.5;
@@ -50,7 +50,8 @@ impl Idm {
 fn calm_mps2(model_mps2: f64, ego_mps: f64, ahead: &Seen) -> f64 {
     let needed_mps2 = -ahead.closing_mps.powi(2) / (2.0 * (ahead.gap_m - LEAVES_M).max(LEAST_M));
     let opens_mps = ((FOLLOWS_S * ego_mps - ahead.gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
-    let falls_back_mps2 = (-(ahead.closing_mps + opens_mps) / COMES_TO_S).min(GAS_MPS2);
+    let to_gain_mps = -(ahead.closing_mps + opens_mps);
+    let falls_back_mps2 = to_gain_mps / if to_gain_mps > 0.0 { GAINS_S } else { COMES_TO_S };
     let calm_mps2 = if ahead.closing_mps > 0.0 { needed_mps2.min(falls_back_mps2) } else { falls_back_mps2 };
     model_mps2.max(calm_mps2)
 }
@@ -119,7 +120,7 @@ mod tests {
         assert!((calm(-7.5, 2.0, -0.5) + 0.75).abs() < 1e-12);
         assert!((calm(-6.0, 10.0, 5.0) + 2.5).abs() < 1e-12);
         // It comes up again where the gap opens faster.
-        assert!((calm(-1.0, 6.0, -1.5) - 0.25).abs() < 1e-12 && (calm(-1.0, 6.0, -4.0) - 0.5).abs() < 1e-12);
+        assert!((calm(-1.0, 6.0, -1.5) - 0.5 / 6.0).abs() < 1e-12 && (calm(-1.0, 6.0, -4.0) - 0.5).abs() < 1e-12);
         // It brakes for what is needed, and no harder than the model.
         assert!((calm(-9.0, 4.0, 5.0) + 6.25).abs() < 1e-12);
         assert_eq!([calm(0.5, 2.0, -0.5), calm(-5.0, 2.5, 5.0)], [0.5, -5.0]);

@@ -4,7 +4,7 @@
 //! What they do next, and how everybody answers to them, is decided in the closed loop that follows. Only windows in
 //! which their whole past is sampled become scenes.
 
-use crate::behavior::kept_lane::way_on;
+use crate::behavior::way_on::way_on;
 use crate::geometry::{OrientedBox, Polyline, Vec2};
 use crate::metrics::Road;
 use crate::scene::{AgentClass, Extent, Scene, State, Track, TrackId, TrackRole, Trajectory};

@@ -10,10 +10,11 @@ use crate::scene::{Scene, State};
 use crate::simulate::situation::Situation;
 
 /// Full braking, and the decelerations to be tried, m/s²; how often the interval below the weakest that suffices is
-/// halved.
+/// halved, unless that is urgent.
 const FULL_MPS2: f64 = 8.0;
 const BRAKES_MPS2: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, FULL_MPS2];
 const N_HALVED: usize = 3;
+const URGENT_MPS2: f64 = 4.0;
 /// By how much harder a driver brakes at first, and less at the end, as a share; no more so in full braking.
 const EASES: f64 = 0.2;
 /// The pedal is pressed within this time, seconds, but no slower than with this jerk, m/s³.
@@ -75,7 +76,9 @@ fn avoiding(situation: &Situation, scene: &Scene, agent_idx: usize, own: &[State
         return braked(FULL_MPS2, horizon_s);
     };
     let mut bounds = [first.checked_sub(1).map_or(0.0, |before| BRAKES_MPS2[before]), BRAKES_MPS2[first]];
-    for _ in 0..N_HALVED {
+    // Nobody measures out how to brake in an emergency.
+    let n_halved = if BRAKES_MPS2[first] > URGENT_MPS2 { 0 } else { N_HALVED };
+    for _ in 0..n_halved {
         let middle_mps2 = f64::midpoint(bounds[0], bounds[1]);
         bounds[usize::from(suffices(&braked(middle_mps2, horizon_s)))] = middle_mps2;
     }
@@ -175,7 +178,7 @@ mod tests {
         let found = braked(&steady(0.0, 10.0), 4.0, 3.0);
         assert!((found[20].speed_mps() - 2.9).abs() < 0.05, "{}", found[20].speed_mps());
         assert!((found[30].position.x - 14.3).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
-        // For a second, it loses 4 m/s, less as much at first, and more at the end: 3.6² / 16 m/s, half a timestep early.
+        // For a second, it loses 4 m/s, less as much at first, and 3.6² / 16 m/s more at the end.
         let found = braked(&steady(0.0, 10.0), 4.0, 1.0);
         assert!(
             (found[20].speed_mps() - 6.25).abs() < 0.05 && (found[30].speed_mps() - found[20].speed_mps()).abs() < 1e-9

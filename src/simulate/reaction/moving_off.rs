@@ -3,7 +3,7 @@
 //! touches nobody, unless its lane has a light, whose state is unknown.
 
 use super::{future, replace};
-use crate::behavior::kept_lane::way_on;
+use crate::behavior::way_on::way_on;
 use crate::geometry::{OrientedBox, Polyline, Vec2};
 use crate::scene::{Lane, Scene, State};
 use crate::simulate::situation::Situation;

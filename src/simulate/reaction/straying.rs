@@ -2,8 +2,8 @@
 //! of them across the road; some of those that have changed lanes it drives on over the edge.
 
 use super::{at_stations, future, replace, stations};
-use crate::behavior::kept_lane::way_on;
-use crate::geometry::{Polyline, Vec2};
+use crate::behavior::way_on::way_on;
+use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
 use crate::scene::{Scene, State};
 use crate::simulate::rollout::OFF_ROAD_SLACK_M;
 use crate::simulate::situation::Situation;
@@ -14,15 +14,22 @@ const ALONG_RAD: f64 = 0.2;
 const ACROSS_RAD: f64 = 0.4;
 const STRIDE: usize = 3;
 
-/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene.
-pub(in crate::simulate) fn keep_to_lanes(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
+/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene, and
+/// those of `settling` that drive along a lane, whatever they do.
+pub(in crate::simulate) fn keep_to_lanes(
+    situation: &Situation,
+    scene: &mut Scene,
+    agents: &[usize],
+    settling: &[usize],
+) {
     let is_along = |state: &State, most_rad: f64| situation.across_lanes_rad(state).is_none_or(|rad| rad <= most_rad);
     let is_off = |state: &State| situation.off_road_m(state).is_some_and(|off_m| off_m > OFF_ROAD_SLACK_M);
     for agent_idx in agents.iter().copied().filter(|idx| situation.scene.tracks[*idx].class.is_motorized()) {
         let own = future(scene, agent_idx);
         let strays = own.first().is_some_and(|now| {
             let later = || own.iter().rev().step_by(STRIDE);
-            is_along(now, ALONG_RAD) && later().any(|then| !is_along(then, ACROSS_RAD))
+            let settles = settling.contains(&agent_idx) && situation.across_lanes_rad(now).is_some();
+            is_along(now, ALONG_RAD) && (settles || later().any(|then| !is_along(then, ACROSS_RAD)))
                 || !is_off(now) && later().any(is_off)
         });
         if !strays {
@@ -44,7 +51,12 @@ fn along_lane(scene: &Scene, agent_idx: usize, own: &[State]) -> Option<Vec<Stat
     if way.length_m() < driven_m {
         return None;
     }
-    let headings = way.0.windows(2).map(|pair| (pair[1] - pair[0]).angle());
+    // A heading that differs from the direction of motion comes to be the same on the way of a second.
+    let slip_rad = if now.speed_mps() > 1.0 { angle_difference(now.heading_rad, now.velocity.angle()) } else { 0.0 };
+    let headings = way.0.windows(2).enumerate().map(|(i, pair)| {
+        let share = (-(i as f64) / now.speed_mps().max(1.0)).exp();
+        wrap_angle((pair[1] - pair[0]).angle() + slip_rad * share)
+    });
     let points = way.0.iter().skip(1).zip(headings);
     let along = points.map(|(position, heading_rad)| State { position: *position, heading_rad, velocity: Vec2::ZERO });
     let path: Vec<State> = std::iter::once(*now).chain(along).collect();
@@ -87,7 +99,7 @@ mod tests {
         };
         let situation = Situation::without_event("lanes", drive(0.0), 0, None).unwrap();
         let mut sampled = drive(0.7);
-        keep_to_lanes(&situation, &mut sampled, &[0]);
+        keep_to_lanes(&situation, &mut sampled, &[0], &[]);
         let last = sampled.state(0, sampled.n_timesteps - 1).unwrap();
         (last.position, last.heading_rad)
     }

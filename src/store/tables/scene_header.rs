@@ -91,7 +91,7 @@ pub(crate) fn encode(scenes: &[&Scene]) -> Result<Vec<ArrayRef>> {
         vec![
             world_from_scene(|t| t.translation.x),
             world_from_scene(|t| t.translation.y),
-            world_from_scene(|t| t.rotation_rad),
+            world_from_scene(Transform2::rotation_rad),
         ],
     )?;
     let source = |text: fn(&SceneSource) -> &str| texts(scenes.iter().map(|scene| text(&scene.source)));
@@ -126,7 +126,7 @@ fn check(scene: &Scene) -> Result<()> {
         return refuse("it has lanes but names no map");
     }
     let t = &scene.world_from_scene;
-    if !(scene.dt_s.is_finite() && t.translation.is_finite() && t.rotation_rad.is_finite()) {
+    if !(scene.dt_s.is_finite() && t.translation.is_finite() && t.rotation_rad().is_finite()) {
         return refuse("its timing or frame is not finite");
     }
     Ok(())
@@ -162,10 +162,10 @@ pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<SceneHeader> {
         dt_s: columns.number::<Float64Type>("dt_s", row)?,
         n_timesteps: columns.number::<UInt32Type>("n_timesteps", row)? as usize,
         n_history: columns.number::<UInt32Type>("n_history", row)? as usize,
-        world_from_scene: Transform2 {
-            translation: Vec2::new(coordinate("x_m")?, coordinate("y_m")?),
-            rotation_rad: coordinate("rotation_rad")?,
-        },
+        world_from_scene: Transform2::from_pose(
+            Vec2::new(coordinate("x_m")?, coordinate("y_m")?),
+            coordinate("rotation_rad")?,
+        ),
         ego_idx: 0,
         tracks: Vec::new(),
         map_id: columns.optional_text("map_id", row)?.map(MapId::from),
