@@ -134,6 +134,9 @@ fn a_full_disk_is_a_fault_of_the_machine_and_leaves_no_half_result() {
         assert!(workspace.path("out").is_dir() == (args[1] == "--from"), "{args:?}");
         fs_err::remove_dir_all(&out).ok();
     }
+    // Where a path leads is the user's affair.
+    let outcome = djinn(&["corpus", "filter", corpus, "--where", "verified", "--out", "Cargo.toml/out"]).expect(1);
+    assert!(outcome.stderr.contains("Cargo.toml"), "{}", outcome.stderr);
 }
 
 #[test]

@@ -60,7 +60,9 @@ impl From<corpus::Error> for Failure {
         match error {
             corpus::Error::Store(error) => error.into(),
             corpus::Error::Files(error) => error.into(),
-            corpus::Error::Io(io) if io.kind() == ErrorKind::NotFound => Self::input(io),
+            corpus::Error::Io(io) if matches!(io.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+                Self::input(io)
+            }
             corpus::Error::Io(io) => Self::fault(io),
             error => Self::input(error),
         }

@@ -9,12 +9,9 @@ use crate::metrics::eased_mps2;
 use crate::scene::{Scene, State};
 use crate::simulate::situation::Situation;
 
-/// Full braking, and the decelerations to be tried, m/s²; how often the interval below the weakest that suffices is
-/// halved, unless that is urgent.
+/// Full braking, and the decelerations to be tried, m/s².
 const FULL_MPS2: f64 = 8.0;
 const BRAKES_MPS2: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, FULL_MPS2];
-const N_HALVED: usize = 3;
-const URGENT_MPS2: f64 = 4.0;
 /// By how much harder a driver brakes at first, and less at the end, as a share; no more so in full braking.
 const EASES: f64 = 0.2;
 /// The pedal is pressed within this time, seconds, but no slower than with this jerk, m/s³.
@@ -72,18 +69,9 @@ fn avoiding(situation: &Situation, scene: &Scene, agent_idx: usize, own: &[State
     let braked = |mps2: f64, lasts_s: f64| braked(own, from_mps2, Braking { mps2, lasts_s }, dt_s);
     let horizon_s = own.len() as f64 * dt_s;
     let suffices = |own: &Vec<State>| !drives_into_another(situation, scene, (agent_idx, own), MARGIN_M);
-    let Some(first) = BRAKES_MPS2.iter().position(|mps2| suffices(&braked(*mps2, horizon_s))) else {
+    let Some(mps2) = BRAKES_MPS2.into_iter().find(|mps2| suffices(&braked(*mps2, horizon_s))) else {
         return braked(FULL_MPS2, horizon_s);
     };
-    let mut bounds = [first.checked_sub(1).map_or(0.0, |before| BRAKES_MPS2[before]), BRAKES_MPS2[first]];
-    // Nobody measures out how to brake in an emergency.
-    let n_halved = if BRAKES_MPS2[first] > URGENT_MPS2 { 0 } else { N_HALVED };
-    for _ in 0..n_halved {
-        let middle_mps2 = f64::midpoint(bounds[0], bounds[1]);
-        bounds[usize::from(suffices(&braked(middle_mps2, horizon_s)))] = middle_mps2;
-    }
-    // Halfway to the weakest that was tried and suffices, for what cannot be foreseen.
-    let mps2 = f64::midpoint(bounds[1], BRAKES_MPS2[first]);
     let n_shorter = (horizon_s / BRAKES_S) as usize;
     let mut shorter = (1..=n_shorter).map(|n| braked(mps2, n as f64 * BRAKES_S));
     shorter.find(suffices).unwrap_or_else(|| braked(mps2, horizon_s))
