@@ -7,7 +7,7 @@ use crate::scene::{Scene, State};
 
 /// Points of a way are this far apart, meters.
 const SPACING_M: f64 = 1.0;
-/// Each point of the middle of a lane is the mean of so many before and after it, twice over.
+/// Each point of the middle of a lane is the mean of itself and of so many before and after it, twice over.
 const ROUNDED_OVER: usize = 3;
 /// An agent comes over to the middle as a spring does that is at rest after some six times as much, meters, and seconds
 /// at its speed.
