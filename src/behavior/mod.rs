@@ -17,7 +17,7 @@ mod cut_out;
 pub(crate) mod driven_path;
 mod event;
 mod failure_to_yield;
-mod following;
+pub(crate) mod following;
 mod hard_brake;
 mod intrusion;
 pub(crate) mod kept_lane;

@@ -1,7 +1,7 @@
 //! Braking hard along the lane for a reason: behind somebody ahead, who may brake first, or before a line at which to
 //! stop.
 
-use super::driver::Travel;
+use super::driver::{SLOWER_MPS, STANDS_MPS, Travel};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cause::{MOST_LATE_S, STANDSTILL_GAP_M, not_enough_mps2};
 use crate::behavior::following::{Ahead, Follower};
@@ -19,9 +19,6 @@ const HARDEST_MPS2: f64 = 7.75;
 /// When braking begins, earlier by up to this, as drivers differ, seconds.
 const BEGINS_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 const EARLIER_S: f64 = 0.3;
-/// How much slower an agent becomes than the one ahead, if it must, and below which speed that one stands, m/s.
-const SLOWER_MPS: [f64; 3] = [0.7, 1.5, 2.5];
-const STANDS_MPS: f64 = 1.0;
 /// How hard the one ahead brakes for a reason of its own, m/s², and how long before the agent, seconds: drivers need
 /// that long to react to brake lights that they expect, or not (Green 2000), or after an ordinary glance away.
 const LEADER_MPS2: [f64; 3] = [3.5, 4.5, 6.0];

@@ -8,7 +8,7 @@ use super::drive::Drive;
 use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, Pace, building_up_s};
+use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::scene::{Extent, Scene, State};
@@ -26,10 +26,6 @@ const SOONEST_S: f64 = 0.3;
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
-/// How much slower than the one ahead somebody becomes that has braked, if it must, and below which speed that one
-/// stands, m/s.
-const SLOWER_MPS: [f64; 3] = [0.5, 1.5, 2.5];
-const STANDS_MPS: f64 = 1.0;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
