@@ -109,6 +109,11 @@ pub trait Behavior: Send + Sync {
             _ => maneuver::outcomes(self, scene, agents),
         }
     }
+    /// Whether the road users of an event that the miner found move as drivers do, so that it may be accepted. Recorded
+    /// ones are not asked.
+    fn is_as_driven(&self, _event: &BehaviorEvent) -> bool {
+        true
+    }
     /// The parameters for which its templates are solved; empty if it has no templates.
     fn template_parameters(&self) -> &'static [&'static str] {
         &[]

@@ -104,7 +104,7 @@ impl Generator<'_> {
         let ending = record.ending();
         let ends_well = ending.is_none_or(|(_, ending)| ending.remaining_mps.is_none());
         let is_explained = record.explanation() != Some(None);
-        let is_valid = ends_well && is_explained && is_within_limits;
+        let is_valid = ends_well && is_explained && is_within_limits && record.is_as_driven(self.behaviors);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }
