@@ -227,3 +227,34 @@ fn led(leader: &Driver, Ahead { gap_m, agent_idx, .. }: Ahead, Travel { driven_m
     let positions = leader.positions(0, &driven_m);
     Reason::Leader { gap_m, driven_m, agent_idx, positions }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::Behavior;
+    use crate::behavior::testing::{going_on, two_lanes};
+    use crate::scene::testing::Drive;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn a_driver_brakes_hard_for_somebody_slow_who_comes_over_close_ahead() {
+        let hard = HardBrake::default();
+        let n_with = |their_mps: f64, y: f64| {
+            let drives = [Drive::straight(0.0, 0.0, 0.0, 15.0), Drive::straight(32.0, y, 0.0, their_mps)];
+            let scene = going_on(&drives, two_lanes());
+            let maneuvers = hard.brakings(&scene, 0);
+            let comes_over = |maneuver: &&Maneuver| {
+                let (agent_idx, positions) = &maneuver.others[0];
+                // Its box is in the lane no later than the ego begins to brake.
+                *agent_idx == 1 && positions[0].y.abs() > 3.0 && positions.last().is_some_and(|at| at.y.abs() < 1.0)
+            };
+            let n_over = maneuvers.iter().filter(comes_over).count();
+            assert_eq!(n_over, maneuvers.len(), "nobody else is there");
+            (n_over, hard.template(&scene, &[0], &BTreeMap::new(), 0).is_some())
+        };
+        let (n_slow, has_template) = n_with(7.0, 3.5);
+        assert!(n_slow > 0 && has_template, "{n_slow}");
+        // Hardly slower, and two lanes away.
+        assert_eq!([n_with(14.0, 3.5), n_with(7.0, 7.0)], [(0, false); 2]);
+    }
+}
