@@ -43,8 +43,8 @@ fn claims(model: &ReportModel) -> Markup {
             li {
                 b { "Known: " }
                 "rates of recorded events, which were counted. The interval holds the true rate 19 times of 20, also \
-                where events come in clusters, unless there is one recording. “Below” means that none was found, and \
-                how often it may happen nevertheless."
+                where events come in clusters, unless there is one recording. Where none was found, it says how often \
+                it may happen nevertheless."
             }
             @if is_given(RateMethod::Extrapolated) {
                 li {
