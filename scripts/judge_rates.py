@@ -8,7 +8,7 @@
 `gather` simulates recordings of ten minutes, mines them, keeps for each its exposure and its events, every one once, and
 removes the recordings; stop it at any time, and go on. It counts on its own, without djinn's counting. `judge` draws hours
 out of all of them, estimates rates from these alone, and tells how often the interval holds the rate of all hours; `tails`
-does so for extrapolated ones, and `known` for draws from known distributions.
+does so for extrapolated ones, and `known` for draws from known distributions; `least` tells how narrow these can be.
 """
 
 import argparse
@@ -166,29 +166,37 @@ def interval(n, exposure, is_clustered):
 
 
 # Severities whose tails are judged: behavior, parameter, and 1 where larger values are more severe.
-SEVERITIES = [("cut_in", "ttc_s", -1), ("near_miss", "pet_s", -1), ("hard_brake", "max_deceleration_mps2", 1),
+SEVERITIES = [("cut_in", "ttc_s", -1), ("cut_in_paper", "ttc_s", -1), ("near_miss", "pet_s", -1), ("hard_brake", "max_deceleration_mps2", 1),
               ("tailgating", "time_headway_s", -1), ("pedestrian_steps_out", "time_to_arrival_s", -1)]  # fmt: skip
 
 
 def tails(options):
     """Prints a table: how often extrapolated intervals hold the rate of a level that is expected in a third of the draws."""
     rng = np.random.default_rng(options.seed)
-    n_runs = round(options.hours * 6)
+    # Pieces of recordings are drawn, all of one length, so that rates are per piece.
+    n_drawn = round(options.hours * 60 / options.minutes)
     print(HEAD.format("place and severity", "level"))
     for place in sorted({path.name.rsplit("_", 2)[0] for path in options.folder.glob("*.json")}):
         runs = [run for path in sorted(options.folder.glob(f"{place}_*.json")) for run in json.loads(path.read_text())]
-        km = np.array([run["vehicle_km"] for run in runs]) / 1000
+        pieces = [piece for run in runs for piece in cut(run["events"], options.minutes)]
         print(f"{place}: {len(runs) / 6:.0f} h", file=sys.stderr)
         for behavior, parameter, sign in SEVERITIES:
-            found = [np.array([sign * event[3][parameter] for event in run["events"] if event[0] == behavior and parameter in event[3]]) for run in runs]
+            found = [np.array([sign * event[3][parameter] for event in piece if event[0] == behavior and parameter in event[3]]) for piece in pieces]
             severities = np.sort(np.concatenate(found))[::-1]
-            n_beyond = round(len(runs) / n_runs / 3)
+            n_beyond = round(len(pieces) / n_drawn / 3)
             if len(severities) < 100 or n_beyond < 1:
                 continue
             level = (severities[n_beyond - 1] + severities[n_beyond]) / 2
-            draws = (rng.integers(0, len(runs), n_runs) for _ in range(options.draws))
-            draws = (([found[i] for i in drawn], km[drawn]) for drawn in draws)
-            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", len(severities) * n_runs / len(runs), draws, level, n_beyond / km.sum()))
+            draws = (rng.integers(0, len(pieces), n_drawn) for _ in range(options.draws))
+            draws = (([found[i] for i in drawn], np.ones(n_drawn)) for drawn in draws)
+            n = len(severities) * n_drawn / len(pieces)
+            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", n, draws, level, n_beyond / len(pieces)), flush=True)
+
+
+def cut(events, minutes):
+    """The events that begin in each piece of a recording of ten minutes."""
+    first = [int(event[1] * DT_S / 60 / minutes) for event in events]
+    return [[event for event, of in zip(events, first) if of == i] for i in range(round(10 / minutes))]
 
 
 # Distributions of severities: the value that is exceeded with a probability.
@@ -273,6 +281,21 @@ def profile_interval(y, at, phi):
     return np.exp(ln_p[inside[0]]) if inside[0] else 0.0, np.exp(ln_p[inside[-1]])
 
 
+def least(_):
+    """Prints the least factor between the ends of an interval of 95 % that a fit of both parameters allows, by Fisher's information."""
+    sizes = (300, 1500, 3000, 10_000)
+    print("| shape |" + "".join(f" {n:,} events |" for n in sizes) + "\n|---:|" + "---:|" * len(sizes))
+    for shape in (-0.3, -0.2, -0.1, 1e-4, 0.1, 0.2):
+        widths = []
+        for n in sizes:
+            # The level is expected in one draw of three.
+            at = ((3 * n) ** shape - 1) / shape
+            slopes = np.array([np.log1p(shape * at) / shape**2 - at / (shape * (1 + shape * at)), at / (1 + shape * at)])
+            covariance = np.array([[(1 + shape) ** 2, -1 - shape], [-1 - shape, 2 + 2 * shape]]) / n
+            widths.append(np.exp(2 * stats.norm.ppf(0.975) * np.sqrt(slopes @ covariance @ slopes + 1 / n)))
+        print(f"| {shape:.1f} |" + "".join(f" {width:.0f} |" for width in widths))
+
+
 # From tests/golden/rates.json.
 CRITICAL = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641]
 
@@ -288,6 +311,7 @@ def main():
     task.add_argument("--first", type=float, default=0.0, help="where to begin, for a second process beside the first")
     task.add_argument("--seed", type=int, default=1)
     task.add_argument("--djinn", default="djinn")
+    tasks.add_parser("least").set_defaults(run=least)
     for name, run in (("judge", judge), ("tails", tails), ("known", known)):
         task = tasks.add_parser(name)
         task.set_defaults(run=run)
@@ -296,6 +320,8 @@ def main():
         task.add_argument("--draws", type=int, default=400)
         task.add_argument("--hours", type=float, default=5.0, help="of a draw (default: 5)")
         task.add_argument("--seed", type=int, default=1)
+        if run is tails:
+            task.add_argument("--minutes", type=float, default=10.0, help="of the pieces of recordings that are drawn (default: 10)")
     options = parser.parse_args()
     options.run(options)
 

@@ -30,14 +30,43 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
         (table("Rates with their 95 % intervals", &first))
         @if !others.is_empty() { details { summary { "By place" } (table("Rates at each place", &others)) } }
         @if !model.calibration.is_empty() { (calibration(model)) }
-        p class="note" {
-            "Rates of recorded events are counted; the interval, which holds the true rate 19 times of 20, allows for \
-            events that come in clusters if there are several recordings. Where nothing was found, only the upper end \
-            is known: what that still allows. Extrapolated rates (hollow) follow from less severe events: take them \
-            for orders of magnitude. Where a row says why it is not extrapolated, no rate is claimed."
-        }
+        (claims(model))
     };
     Some(Section::new("rates", "How often it happens", body))
+}
+
+/// What is known, what is inferred, and what nobody may read into the figures.
+fn claims(model: &ReportModel) -> Markup {
+    let is_given = |method| model.rates.iter().chain(&model.modeled).any(|row| row.method == method);
+    html! {
+        ul class="note" {
+            li {
+                b { "Known: " }
+                "rates of recorded events, which were counted. The interval holds the true rate 19 times of 20, also \
+                where events come in clusters, unless there is one recording. Where none was found, it says how often \
+                it may happen nevertheless."
+            }
+            @if is_given(RateMethod::Extrapolated) {
+                li {
+                    b { "Extrapolated (hollow): " }
+                    "rates of what was recorded twice or less, from less severe events. Take the interval for an order \
+                    of magnitude."
+                }
+            }
+            @if is_given(RateMethod::Modeled) {
+                li {
+                    b { "Modeled: " }
+                    "rates in simulated traffic. That it agrees with recordings was checked for all events of a \
+                    behavior, not for the rare ones among them."
+                }
+            }
+            li {
+                b { "Not claimed: " }
+                "rates of other places, or of times and weather without recordings; a rate where the last column says \
+                why there is none; and how often generated scenarios happen."
+            }
+        }
+    }
 }
 
 /// The rates in closed loops of the unguided model, and whether they are as recorded.
@@ -119,7 +148,8 @@ fn known_from(row: &RateRow) -> String {
     let what = match row.method {
         RateMethod::OverRecordings => match row.dispersion.filter(|dispersion| *dispersion >= CLUSTERED) {
             Some(dispersion) => {
-                format!("{} recordings; events cluster ({} times)", row.n_recordings, value(dispersion))
+                let wider = value(dispersion.sqrt());
+                format!("{} recordings; clusters of events make the interval {wider} times wider", row.n_recordings)
             }
             None => format!("{} recordings", row.n_recordings),
         },
