@@ -145,14 +145,15 @@ mod tests {
         let mut report = ExportReport::new(ExportFormat::Womd, &selection, &EgoChoice::Scene, EgoMotion::Replayed);
         let notice = crate::export::notice::text(&report);
         assert!(notice.ends_with("\n\nNothing.\n"), "{notice}");
-        for (what, n) in [("no_subject", 0), ("nominal_size", 2), ("nominal_size", 3)] {
+        report.count_left_out("0a", "no_ego");
+        assert!(!crate::export::notice::text(&report).contains("Nothing."));
+        for (what, n) in [("no_subject", 0), ("nominal_size", 12), ("nominal_size", 3)] {
             report.count_assumed(what, n);
         }
-        report.count_left_out("0a", "no_ego");
-        assert_eq!(report.assumed, BTreeMap::from([("nominal_size", 5)]));
+        assert_eq!(report.assumed, BTreeMap::from([("nominal_size", 15)]));
         let notice = crate::export::notice::text(&report);
         let told = "\n\n1 scenarios left out: the ego has no state at present (no_ego).\nthe size of a road user is not \
-                    recorded; a typical one for its class is written (nominal_size): 5 in\n  all.\n";
+                    recorded; a typical one for its class is written (nominal_size): 15\n  in all.\n";
         assert!(notice.ends_with(told), "{notice}");
     }
 }

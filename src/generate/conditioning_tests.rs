@@ -142,12 +142,12 @@ fn only_wanted_states_that_are_generated_are_displaced() {
     }
     assert!(offset(1, N_TIMESTEPS - 1).norm() > 0.1);
     // The past is not wanted, though rules say so.
-    let of = |times: &str| {
-        let goals = GOALS.replace("'goal'", times).replace("goal_std_m = 0.0", "goal_std_m = 1.0");
+    let of = |rules: &str| {
+        let goals = GOALS.replace("extra = [", rules).replace("goal_std_m = 0.0", "goal_std_m = 1.0");
         let records = generate(&sweep(&format!("{goals} [1.0] }}")));
         records.into_iter().map(|record| record.scenario.scene).collect::<Vec<_>>()
     };
-    assert!(of("'all'") == of("'future'"));
+    assert!(of("extra = [{ agents = 'all', times = 'history' }, ") == of("extra = ["));
 }
 
 #[test]
