@@ -1,46 +1,27 @@
 //! Tests of which scenarios are accepted and kept, and that all of them are counted.
 
 use super::config::{EvaluateConfig, Keep};
+use super::testing;
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
 use crate::behavior::{Behavior, BehaviorEvent, CutIn, EventLabel, LaneChange};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scenario::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
-use crate::scene::testing::{Drive, provenance, scene};
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, TrackId};
+use crate::scene::{GuidanceLevel, TrackId};
+use crate::scene::testing::{Drive, scene};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {
     let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, offset_m, 0.0, 10.0)]);
     let violation =
         |check: &Check| Violation { check: *check, track: TrackId::from("1"), timestep: 5, value: 2.0, limit: 1.0 };
-    let roles = Roles::from([("ego", "1"), ("other", "2")]);
-    ScenarioRecord {
-        sweep: "cut_ins".to_owned(),
-        requested_behavior: Some("cut_in".to_owned()),
-        verified,
-        events: Vec::new(),
-        recorded_event: false,
-        shard: 0,
-        request: None,
-        assessment: Some(Assessment {
-            violations: violations.iter().map(violation).collect(),
-            ..Assessment::default()
-        }),
-        scenario: Scenario {
-            id: id.to_owned(),
-            observed: ObservationMask::predictive(2, scene.n_timesteps, scene.n_history),
-            provenance: Provenance {
-                guidance: GuidanceTag {
-                    kind: "classifier:cut_in".to_owned(),
-                    level: GuidanceLevel::of_strength(2.0),
-                    roles,
-                },
-                ..provenance(&scene.id.0)
-            },
-            scene,
-        },
-    }
+    let violations = violations.iter().map(violation).collect();
+    let mut record = testing::record(2.0, verified, false, scene);
+    id.clone_into(&mut record.scenario.id);
+    "cut_ins".clone_into(&mut record.sweep);
+    record.events.clear();
+    record.assessment = Some(Assessment { violations, ..Assessment::default() });
+    record
 }
 
 /// The second car is 0.4 m off throughout, the first one is not: a mean of 0.2 m.

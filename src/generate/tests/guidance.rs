@@ -17,7 +17,7 @@ const OBJECTIVES: &str = "
     objectives = [{ kind = 'acceleration_limit', limit_mps2 = 0.5 }]
 ";
 
-fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
+pub(super) fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
     let mut kinds: Vec<&str> = records.iter().map(|r| r.scenario.provenance.guidance.kind.as_str()).collect();
     kinds.sort_unstable();
     kinds.dedup();
