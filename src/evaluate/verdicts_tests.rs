@@ -7,8 +7,8 @@ use crate::behavior::{Behavior, BehaviorEvent, CutIn, EventLabel, LaneChange};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scenario::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
-use crate::scene::{GuidanceLevel, TrackId};
 use crate::scene::testing::{Drive, scene};
+use crate::scene::{GuidanceLevel, TrackId};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {

@@ -6,8 +6,8 @@ use super::config::ReportConfig;
 use crate::evaluate;
 use crate::metrics::MetricRow;
 use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
-use crate::scene::{GuidanceLevel, Roles};
 use crate::scene::testing::{self, Drive};
+use crate::scene::{GuidanceLevel, Roles};
 
 fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
     let mut record =

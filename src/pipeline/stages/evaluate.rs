@@ -52,7 +52,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        24
+        25
     }
 
     fn check(&self) -> Result<()> {

@@ -64,7 +64,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        29
+        30
     }
 
     fn check(&self) -> Result<()> {
