@@ -3,7 +3,7 @@
 
 use super::config::{EvaluateConfig, Keep};
 use crate::behavior::{Behavior, needs_cause};
-use crate::generate::RejectedSample;
+use crate::generate::{REPEATED_TEMPLATE, RejectedSample};
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
@@ -89,7 +89,8 @@ impl<'a> Verdicts<'a> {
 
     /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        self.count(("generate", &rejected.sweep, rejected.level), NOT_FINITE, true);
+        let reason = if rejected.reason == REPEATED_TEMPLATE { NEAR_DUPLICATE } else { NOT_FINITE };
+        self.count(("generate", &rejected.sweep, rejected.level), reason, true);
     }
 
     /// Completes the judgment of a record and returns the verdict. Records must come in the order of the samples,

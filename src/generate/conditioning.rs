@@ -6,7 +6,8 @@ use super::{Cell, ClassifierFreeConfig, EditConfig, Error, Generator, ResolvedSw
 use crate::diffusion::NoiseSource;
 use crate::geometry::Vec2;
 use crate::guidance::Target;
-use crate::scene::{AgentRef, ObservationMask, Scene, State, Trajectory, UnfitScene};
+use crate::metrics::PairPath;
+use crate::scene::{AgentRef, ObservationMask, Roles, Scene, State, Trajectory, UnfitScene};
 use crate::seed::Seed;
 use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
 use candle_core::Tensor;
@@ -22,12 +23,14 @@ pub(super) struct Conditioned {
     pub(super) agents: (usize, usize),
     /// The agents that follow a template, each with its states after the end of the scene.
     performers: Vec<(usize, Vec<State>)>,
+    /// Whether its template resembles that of an earlier sample of the shard.
+    pub(super) repeats: bool,
 }
 
 impl Conditioned {
     /// A scene with its observed part, without requested agents and templates.
     pub(super) const fn new(scene: Scene, mask: ObservationMask, center_idx: usize) -> Self {
-        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new() }
+        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new(), repeats: false }
     }
 
     pub(super) const fn view(&self) -> SceneView<'_> {
@@ -47,6 +50,11 @@ impl Conditioned {
                 Trajectory::new(states.chain(further.iter().copied().map(Some)).collect());
         }
         scene
+    }
+
+    /// How the requested agents move in its template; `None` without one.
+    pub(super) fn path(&self, asked: &Roles) -> Option<PairPath> {
+        (!self.performers.is_empty()).then(|| PairPath::of(&self.with_maneuver(self.scene.clone()), asked)).flatten()
     }
 
     fn is_performer(&self, agent_idx: usize) -> bool {
@@ -74,14 +82,14 @@ pub(super) struct Wanted {
 
 impl Generator<'_> {
     /// The scene of a cell, with these requested `agents`, as the denoiser sees it for all samples or, with a template,
-    /// for this one.
+    /// for the one with this number; its template is so many `further` than the usual one.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         agents: (usize, usize),
-        sample_idx: usize,
+        [sample_idx, further]: [usize; 2],
     ) -> Result<Conditioned, Error> {
         let refuse = |UnfitScene(why)| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
         let mut scene = recorded.clone();
@@ -92,7 +100,7 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
-        let performers = self.follow_template(sweep, (cell, sample_idx), recorded, &mut scene);
+        let performers = self.follow_template(sweep, (cell, [sample_idx, further]), recorded, &mut scene);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -115,7 +123,7 @@ impl Generator<'_> {
                 && scene.state(agent_idx, timestep).is_some();
             is_of_template || mask.is_observed(agent_idx, timestep)
         });
-        Ok(Conditioned { scene, mask, agents, performers })
+        Ok(Conditioned { scene, mask, agents, performers, repeats: false })
     }
 
     /// Puts the template of a sample into `scene`: one that reaches the sample's target, or else any. Returns the
@@ -123,20 +131,21 @@ impl Generator<'_> {
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
-        (cell, sample_idx): (&Cell, usize),
+        (cell, [sample_idx, further]): (&Cell, [usize; 2]),
         recorded: &Scene,
         scene: &mut Scene,
     ) -> Vec<(usize, Vec<State>)> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
         // The number of earlier samples of the pair with this target.
-        let variant = sample_idx / cell.targets.len().max(1);
+        let variant = sample_idx / cell.targets.len().max(1) + further;
         let mut target = cell.target(sample_idx);
         target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
         let planned = sweep.planned(recorded);
         let template = behavior.template(&planned, &asked, &target, variant);
-        let anything =
-            || (!target.is_empty()).then(|| behavior.template(&planned, &asked, &Target::new(), sample_idx))?;
+        let anything = || {
+            (!target.is_empty()).then(|| behavior.template(&planned, &asked, &Target::new(), sample_idx + further))?
+        };
         let Some(template) = template.or_else(anything) else { return Vec::new() };
         let performers: Vec<usize> = template.agents().collect();
         let mut performed = planned.into_owned();

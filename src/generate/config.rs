@@ -3,7 +3,7 @@
 use super::{Error, RequestConfig, ResolvedGeneration, SweepConfig};
 use crate::behavior::Behavior;
 use crate::diffusion::SamplerConfig;
-use crate::metrics::Group;
+use crate::metrics::{DUPLICATE_DISTANCE_M, Group};
 use crate::scene::Split;
 use crate::settings::{self, Issue};
 use schemars::JsonSchema;
@@ -90,6 +90,7 @@ impl GenerateConfig {
             batch_size: self.batch_size,
             scenes_per_shard: self.scenes_per_shard,
             seed: self.seed,
+            duplicate_distance_m: DUPLICATE_DISTANCE_M,
             sweeps: Vec::new(),
             n_sweeps: self.sweeps.len(),
             requests: Vec::new(),
