@@ -114,6 +114,12 @@ mod tests {
         for i in 0..corpus.len() {
             let ScenarioRecord { sweep, scenario, .. } = corpus.scenario(i).unwrap();
             assert_eq!(scenario_id(&sweep, &scenario.provenance), scenario.id);
+            let at = |strength: f64| {
+                let mut provenance = scenario.provenance.clone();
+                provenance.guidance.level = GuidanceLevel::of_strength(strength);
+                scenario_id(&sweep, &provenance)
+            };
+            assert_ne!(at(1.0), at(2.0));
         }
     }
 }
