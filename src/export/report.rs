@@ -152,8 +152,8 @@ mod tests {
         }
         assert_eq!(report.assumed, BTreeMap::from([("nominal_size", 15)]));
         let notice = crate::export::notice::text(&report);
-        let told = "\n\n1 scenarios left out: the ego has no state at present (no_ego).\nthe size of a road user is not \
-                    recorded; a typical one for its class is written (nominal_size): 15\n  in all.\n";
+        let told = "\n\n1 scenarios left out: the ego has no state at present (no_ego).\nthe size of a road user is \
+                    not recorded; a typical one for its class is written (nominal_size): 15\n  in all.\n";
         assert!(notice.ends_with(told), "{notice}");
     }
 }
