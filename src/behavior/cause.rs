@@ -5,7 +5,7 @@ use super::footprint::Footprint;
 use super::kept_lane::{KeptLane, extended};
 use super::lane_relation::SceneLanes;
 use super::speed_profile::smoothed_accelerations_mps2;
-use super::way_on::way_on;
+use super::way_on::{SETTLES_S, way_on};
 use super::{hard_brake, near_miss};
 use crate::geometry::{Path, Vec2};
 use crate::scene::{LaneDuty, Scene, State, Track};
@@ -196,7 +196,7 @@ impl<'a> Way<'a> {
         let now = *track.trajectory.get(from).filter(|state| state.is_finite())?;
         let states = track.trajectory.valid().filter(|(timestep, state)| *timestep >= from && state.is_finite());
         let mut points: Vec<Vec2> = states.map(|(_, state)| state.position).collect();
-        points.extend(way_on(scene, agent_idx, WAY_ON_M));
+        points.extend(way_on(scene, agent_idx, WAY_ON_M, SETTLES_S));
         // Where it stands until the end and is in no lane, its heading says where the way leads.
         points.push(points.last().copied()? + Vec2::from_angle(now.heading_rad) * STANDSTILL_GAP_M);
         Some(Self { scene, agent_idx, path: extended(points.iter()) })

@@ -9,6 +9,17 @@ use std::f64::consts::FRAC_PI_4;
 
 /// An agent in a lane points along it within this, radians.
 const ALONG_RAD: f64 = FRAC_PI_4;
+/// The headway to which a vehicle falls back that somebody has cut off, within which time, seconds, and the largest
+/// difference of speeds at which it does, m/s.
+const FOLLOWS_S: f64 = 0.9;
+const OPENS_S: f64 = 3.0;
+const MOST_OPENS_MPS: f64 = 2.0;
+
+/// How much slower than the one ahead, which is as far as this, a vehicle with this speed drives until it has fallen
+/// back to the usual distance, m/s.
+pub(crate) fn opens_mps(speed_mps: f64, gap_m: f64) -> f64 {
+    ((FOLLOWS_S * speed_mps - gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS)
+}
 
 /// A vehicle and the lane that it keeps.
 pub(super) struct Follower<'a> {

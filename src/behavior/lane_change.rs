@@ -4,6 +4,7 @@ use super::kept_lane::KeptLane;
 use super::lane_relation::{PARALLEL_RAD, SceneLanes};
 use super::lane_tracker::{LaneMove, LaneTrace};
 use super::maneuver::Maneuver;
+use super::sideways::LANE_CHANGE;
 use super::{Behavior, BehaviorEvent, EventLabel};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::{Scene, Trajectory};
@@ -70,7 +71,7 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LaneChange {
-    /// In templates, the agent moves over this many times as fast as drivers do at most. Default 1.
+    /// In templates and what is accepted, the agent moves over this many times as fast as drivers do at most. Default 1.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub hurry: f64,
 }
@@ -193,6 +194,10 @@ impl Behavior for LaneChange {
 
     fn template_parameters(&self) -> &'static [&'static str] {
         &["side"]
+    }
+
+    fn is_as_driven(&self, event: &BehaviorEvent) -> bool {
+        LANE_CHANGE.of(self.hurry, 0.0).holds(event)
     }
 
     fn maneuvers(&self, scene: &Scene, agents: &[usize]) -> Vec<Maneuver> {

@@ -17,7 +17,7 @@ mod cut_out;
 pub(crate) mod driven_path;
 mod event;
 mod failure_to_yield;
-mod following;
+pub(crate) mod following;
 mod hard_brake;
 mod intrusion;
 pub(crate) mod kept_lane;
@@ -108,6 +108,11 @@ pub trait Behavior: Send + Sync {
             [] => vec![Outcome::default()],
             _ => maneuver::outcomes(self, scene, agents),
         }
+    }
+    /// Whether the road users of an event that the miner found move as drivers do, so that it may be accepted. Recorded
+    /// ones are not asked.
+    fn is_as_driven(&self, _event: &BehaviorEvent) -> bool {
+        true
     }
     /// The parameters for which its templates are solved; empty if it has no templates.
     fn template_parameters(&self) -> &'static [&'static str] {

@@ -1,7 +1,12 @@
 //! How do vehicles move over to the lane beside: how fast, how hard, for how long?
 //!
 //! Where a template is joined to the observed motion, its speed across becomes up to 8 % higher than planned, so the
-//! fastest speeds here are that much below the fastest that were recorded.
+//! fastest speeds here are a tenth below the fastest that were recorded.
+
+use super::BehaviorEvent;
+
+/// The fastest speeds are multiplied by this to be those that were recorded.
+const JOINED: f64 = 1.1;
 
 /// How drivers move over.
 #[derive(Debug, Clone, Copy)]
@@ -45,6 +50,11 @@ impl Manner {
             (*mps < most_mps).then(|| (mps * FASTER).min(most_mps))
         });
         speeds.map(move |mps| Sideways::new(aside_m, mps, self.most_mps2))
+    }
+
+    /// Whether drivers move over as fast as this event says, all of those that were recorded at least.
+    pub(super) fn holds(self, event: &BehaviorEvent) -> bool {
+        event.parameters.get("lateral_speed_mps").is_none_or(|mps| *mps <= JOINED * self.mps[1])
     }
 
     /// The fastest way to move aside by `aside_m`.

@@ -2,17 +2,20 @@
 
 use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
-use crate::geometry::{Vec2, angle_difference};
+use crate::geometry::{Vec2, angle_difference, wrap_angle};
 use crate::scene::{Scene, State};
 
 /// Points of a way are this far apart, meters.
 const SPACING_M: f64 = 1.0;
 /// Each point of the middle of a lane is the mean of itself and of so many before and after it, twice over.
 const ROUNDED_OVER: usize = 3;
-/// An agent comes over to the middle as a spring does that is at rest after some six times as much, meters, and seconds
-/// at its speed.
+/// An agent comes over to the middle as a spring does that is at rest after some six times as much, meters.
 const COMES_OVER_M: f64 = 4.5;
-const COMES_OVER_S: f64 = 0.45;
+/// Likewise, seconds at its speed: as drivers settle in a lane, and for who must not get any farther from it.
+pub(crate) const SETTLES_S: f64 = 0.8;
+pub(crate) const CAUGHT_S: f64 = 0.45;
+/// Within which time the heading comes to be that of the motion, seconds.
+const ALIGNS_S: f64 = 1.0;
 /// The largest angle to the lane, radians, and the largest curvature, 1/m, with which it begins.
 const MOST_ACROSS_RAD: f64 = 1.4;
 const MOST_1PM: f64 = 0.1;
@@ -22,9 +25,9 @@ const STANDING_MPS: f64 = 1.0;
 
 /// The points at which an agent continues after the last timestep of its track, which lasts to the end of the scene:
 /// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. From its own
-/// direction and bend it comes over to the middle of the lane, over a longer way the faster it is. Corners of center
-/// lines become bends that vehicles can drive. Empty if it is in no lane.
-pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2> {
+/// direction and bend it comes over to the middle of the lane, within a time of `SETTLES_S` or `CAUGHT_S`. Corners of
+/// center lines become bends that vehicles can drive. Empty if it is in no lane.
+pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64, within_s: f64) -> Vec<Vec2> {
     let ended = Scene { n_history: scene.n_timesteps, ..scene.clone() };
     let lanes = SceneLanes::new(&scene.lanes);
     let lane = KeptLane::as_observed(&ended, &lanes, agent_idx);
@@ -42,7 +45,7 @@ pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2
     let slope = across_rad.clamp(-MOST_ACROSS_RAD, MOST_ACROSS_RAD).tan();
     let bend_1pm = own_1pm.map_or(0.0, |own_1pm| own_1pm - lane_1pm);
     // A spring with a triple pole, which goes on with the same offset, slope and bend.
-    let over_m = COMES_OVER_M.max(COMES_OVER_S * state.speed_mps());
+    let over_m = COMES_OVER_M.max(within_s * state.speed_mps());
     let linear = slope + offset_m / over_m;
     let square = (bend_1pm + (2.0 * linear - offset_m / over_m) / over_m) / 2.0;
     let on = (now + 1..=last).map(|i| {
@@ -51,6 +54,12 @@ pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64) -> Vec<Vec2
         middles[i] + along(i).left() * beside_m
     });
     on.take((length_m / SPACING_M).ceil() as usize).collect()
+}
+
+/// The heading of an agent that moves in this direction, this long after it differed by `slip_rad` from the motion, as
+/// recorded and sampled headings do.
+pub(crate) fn aligned_rad(course_rad: f64, slip_rad: f64, elapsed_s: f64) -> f64 {
+    wrap_angle(course_rad + slip_rad * (-elapsed_s / ALIGNS_S).exp())
 }
 
 /// Points of the middle of a lane from before this station to `length_m` after it or its end, and the index of the one
@@ -103,7 +112,7 @@ mod tests {
         let mut scene = Scene { lanes: Arc::new(lanes), ..testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 1.5)]) };
         scene.n_timesteps = scene.n_history;
         let from = scene.state(0, scene.n_timesteps - 1).unwrap().position;
-        let way: Vec<Vec2> = [from].into_iter().chain(way_on(&scene, 0, 60.0)).collect();
+        let way: Vec<Vec2> = [from].into_iter().chain(way_on(&scene, 0, 60.0, SETTLES_S)).collect();
         let headings: Vec<f64> = way.windows(2).map(|pair| (pair[1] - pair[0]).angle()).collect();
         let turns: Vec<f64> = headings.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert!(headings[0].abs() < 1e-9 && (headings[59] - turn_rad).abs() < 1e-6, "{headings:?}");
@@ -116,7 +125,7 @@ mod tests {
         let lanes = lane_graph("lanes = [{ id = 1, centerline = [[-50, 0], [150, 0]] }]");
         let scene = Scene { lanes: Arc::new(lanes), ..testing::scene(&[Drive::straight(0.0, 0.3, 0.1, 5.0)]) };
         let last = scene.state(0, scene.n_timesteps - 1).unwrap();
-        let way = way_on(&scene, 0, 60.0);
+        let way = way_on(&scene, 0, 60.0, SETTLES_S);
         let first_rad = (way[0] - last.position).angle();
         assert!(way.len() == 60 && (first_rad - 0.1).abs() < 0.03, "{first_rad}");
         let bends = way.windows(3).map(|w| ((w[2] - w[1]).angle() - (w[1] - w[0]).angle()).abs());
@@ -126,7 +135,7 @@ mod tests {
         // s times 9 m.
         let fast = testing::scene(&[Drive::straight(0.0, 0.4, 0.0, 20.0)]);
         let fast = Scene { lanes: Arc::clone(&scene.lanes), ..fast };
-        let way = way_on(&fast, 0, 60.0);
+        let way = way_on(&fast, 0, 60.0, CAUGHT_S);
         for (i, share) in [(8, 2.5 / std::f64::consts::E), (17, 5.0 * (-2.0_f64).exp())] {
             assert!((way[i].y - 0.4 * share).abs() < 1e-9, "{:?}", way[i]);
         }
@@ -145,7 +154,7 @@ mod tests {
         });
         scene.tracks[0].trajectory = Trajectory::new(states.collect());
         let from = scene.state(0, last).unwrap().position;
-        let way: Vec<Vec2> = [from].into_iter().chain(way_on(&scene, 0, 40.0)).collect();
+        let way: Vec<Vec2> = [from].into_iter().chain(way_on(&scene, 0, 40.0, CAUGHT_S)).collect();
         let headings: Vec<f64> = way.windows(2).map(|pair| (pair[1] - pair[0]).angle()).collect();
         // In half a meter it lets go of little of 1/100 per meter.
         assert!((headings[0] - 0.0527).abs() < 0.001, "{}", headings[0]);

@@ -305,8 +305,8 @@ mod tests {
             let row = row("s", "planner", Survived, true, 0.0);
             Failures::of([&DriveRow { behavior: Some(behavior.to_owned()), ..row }])
         };
-        let counts = ["near_miss", "cut_in"].map(|id| (lost(id).n_event_happens, lost(id).n_event_avoided));
-        assert_eq!(counts, [(0, 1), (0, 0)]);
+        let counts = |f: Failures| (f.n_hit, f.n_event_happens, f.n_event_avoided);
+        assert_eq!(["near_miss", "cut_in"].map(|id| counts(lost(id))), [(0, 0, 1), (0, 0, 0)]);
         let ids: Vec<&str> = report.that_matter.iter().map(|matters| matters.scenario_id.as_str()).collect();
         assert_eq!(ids, ["s2", "s0"]);
         let parts: Vec<(u64, u64)> =

@@ -232,6 +232,8 @@ mod tests {
         for record in records() {
             let (situation, scene) = (situation(&record), &record.scenario.scene);
             let expected = CarefulReplay::of(scene, situation.ego_idx).unwrap().judgment(None);
+            let driven = replayed(&situation, &mut Log).unwrap();
+            assert_eq!((driven.outcome, driven.world.n_timesteps()), (Outcome::Survived, scene.n_timesteps));
             let driven = careful(&situation).unwrap();
             assert_eq!(
                 driven.outcome == Outcome::Survived,

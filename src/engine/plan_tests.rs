@@ -1,11 +1,13 @@
 //! Which stages run again after which changes? On stages that write a line of text.
 
 use super::device::ComputeChoice;
+use super::log::LOG_FILE;
 use super::plan::plan;
 use super::planned::Action;
 use super::run_folder::{RUN_FILE, RunAbout, RunFolder, RunManifest, StageStatus, TIMINGS_FILE, run_stages};
 use super::shards::Makers;
 use super::testing::{KINDS, kind};
+use super::timings::Timings;
 use super::{Blame, Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
 use crate::files::write_atomically;
 use crate::progress::Heard;
@@ -59,6 +61,7 @@ impl Stage for Toy<'_> {
 impl Whole for Toy<'_> {
     fn run(&self, context: &StageContext<'_>) -> Result<Value> {
         self.ran.borrow_mut().push(self.kind);
+        context.progress.start("texts", 2, "lines");
         if self.text == "unlike" {
             // As another version of the program would write it.
             write(&context.root.join(self.output[0]), &format!("{:?}", std::time::Instant::now()))?;
@@ -227,7 +230,13 @@ fn what_is_done_is_not_done_again() {
         let (actions, ran, outcome) = pipeline.run();
         outcome.unwrap();
         assert_eq!((actions, ran.len()), (vec![Action::Reuse, Action::Reuse], 0));
-        assert_eq!(fs_err::read_to_string(pipeline.root.join("events.parquet")).unwrap(), "ba1,2");
+        let read = |name: &str| fs_err::read_to_string(pipeline.root.join(name)).unwrap();
+        assert_eq!(read("events.parquet"), "ba1,2");
+        // What was done is told.
+        assert!(read(LOG_FILE).contains("Z mine: texts: started (2 lines)\n"), "{}", read(LOG_FILE));
+        let timings: Timings = read_json(&pipeline.root.join(TIMINGS_FILE)).unwrap();
+        let [timing] = &timings.stages["mine"][..] else { panic!("{timings:?}") };
+        assert!(timing.seconds.is_some() && timing.peak_memory_bytes.is_some_and(|n| n > 1 << 20), "{timing:?}");
     });
 }
 

@@ -359,6 +359,21 @@ mod tests {
     }
 
     #[test]
+    fn what_is_known_of_an_input_is_of_its_path_alone() {
+        let content = json!({ "n_bytes": 1, "n_files": 1, "hash": "a" });
+        let record = read(&json!({ "inputs": { "recording": { "path": { "path": "here", "content": content } } } }));
+        let is_known = |path: &str| record.known_content("recording", Path::new(path)).is_some();
+        assert!(is_known("here") && !is_known("there"));
+    }
+
+    #[test]
+    fn three_changes_are_named_and_the_others_counted() {
+        let record = |n: u8| read(&json!({ "config": { "a": n, "b": n, "c": n, "d": n, "e": n } }));
+        let said = record(2).changes_since(crate::engine::testing::kind("mine"), &record(1));
+        assert_eq!(said, "changed: mine.a 1 -> 2, mine.b 1 -> 2, mine.c 1 -> 2 and 2 more");
+    }
+
+    #[test]
     fn presets_and_the_precision_of_the_run_are_not_of_the_section() {
         let record = |config: Value| read(&json!({ "config": config }));
         let earlier = record(json!({ "steps": 10, "precision": "f32", "resolved": { "width": 8 } }));

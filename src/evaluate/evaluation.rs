@@ -5,13 +5,14 @@ use super::config::EvaluateConfig;
 use super::distinguishability::{CellKey, Distinguished};
 use super::error::Result;
 use super::gates;
-use super::measure::{MeasuredCell, MeasuredShard};
+use super::measure::{MeasuredCell, MeasuredShard, metric_docs};
 use super::measures::MetricDoc;
 use super::metric_rows::{CellNames, FinishedRows, MetricRows};
 use super::sampling::SamplingTally;
 use super::summary::EvaluationSummary;
 use super::validity::ValidityTable;
 use super::verdicts::Verdicts;
+use crate::behavior::Behavior;
 use crate::coverage::{CoverageRow, CoverageTally};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, MetricRow};
@@ -94,18 +95,19 @@ pub struct Evaluation<'a> {
 }
 
 impl<'a> Evaluation<'a> {
-    /// Begins an evaluation with these metrics, of shards whose tracks have been classified.
+    /// Begins an evaluation of events of these behaviors, of shards whose tracks have been classified.
     pub fn new(
         config: &'a EvaluateConfig,
-        docs: Vec<MetricDoc>,
+        behaviors: &'a [Box<dyn Behavior>],
         distinguished: Distinguished,
         files: &EvaluationFiles<'_>,
     ) -> Result<Self> {
+        let docs = metric_docs(config, behaviors);
         Ok(Self {
             distinguished,
             rows: MetricRows::create(docs.clone(), files.scratch)?,
             docs,
-            verdicts: Verdicts::new(config),
+            verdicts: Verdicts::new(config, behaviors),
             verdict_table: TableWriter::create(files.verdicts)?,
             validity: ValidityTable::default(),
             sampling: SamplingTally::default(),

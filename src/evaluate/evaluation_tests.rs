@@ -4,7 +4,7 @@ use super::config::{EvaluateConfig, Keep};
 use super::distinguishability::TrackPool;
 use super::evaluation::{Evaluation, EvaluationFiles};
 use super::gate_config::GatesConfig;
-use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
+use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures};
 use super::summary::EvaluationSummary;
 use crate::generate::RejectedSample;
 use crate::metrics::MetricRow;
@@ -58,8 +58,7 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
     let files = EvaluationFiles { verdicts: &verdicts, scratch: &out };
     let mut tracks = TrackPool::default();
     measured.iter().flatten().for_each(|(figures, _)| figures.pool_tracks(&mut tracks));
-    let mut evaluation =
-        Evaluation::new(&config, metric_docs(&config, &[]), tracks.tell_apart(&Silent), &files).unwrap();
+    let mut evaluation = Evaluation::new(&config, &[], tracks.tell_apart(&Silent), &files).unwrap();
     let kept = measured.into_iter().flatten().map(|(_, shard)| evaluation.add(shard).unwrap());
     let kept = kept.flat_map(|kept| kept.records).map(|record| record.scenario.id).collect();
     let rejected = RejectedSample {

@@ -106,7 +106,7 @@ fn scene_idx(cell: &CellSamples<'_>, store: &SceneStore) -> Result<usize> {
 }
 
 /// The descriptions of the measures of a configuration, for reading the tables.
-pub fn metric_docs(config: &EvaluateConfig, behaviors: &[Box<dyn Behavior>]) -> Vec<MetricDoc> {
+pub(super) fn metric_docs(config: &EvaluateConfig, behaviors: &[Box<dyn Behavior>]) -> Vec<MetricDoc> {
     Measures::new(&config.metric_settings(), config.modes, behaviors).docs()
 }
 

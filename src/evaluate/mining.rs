@@ -142,15 +142,7 @@ mod tests {
     }
 
     fn event(behavior: &str, label: EventLabel) -> BehaviorEvent {
-        BehaviorEvent {
-            behavior: behavior.to_owned(),
-            scene_id: SceneId::from("any"),
-            label,
-            roles: crate::scene::Roles::default(),
-            start_timestep: 0,
-            end_timestep: 0,
-            parameters: BTreeMap::new(),
-        }
+        BehaviorEvent { label, ..crate::store::testing::event(&SceneId::from("any"), behavior, &[]) }
     }
 
     #[test]

@@ -43,7 +43,7 @@ pub use evaluation::{Evaluated, Evaluation, EvaluationFiles, KeptScenarios};
 pub use gate_config::GatesConfig;
 pub use gates::of_requests;
 pub use map_fits::{MapFitRow, MapFits};
-pub use measure::{MeasuredShard, Measurer, Shard, ShardFigures, metric_docs};
+pub use measure::{MeasuredShard, Measurer, Shard, ShardFigures};
 pub use measures::MetricDoc;
 pub use mining::{BehaviorCount, BehaviorDoc, MiningSummary, MiningTally};
 pub use sampling::SamplingRow;

@@ -3,12 +3,12 @@
 use super::cells::{CellFigures, CellSamples};
 use super::judge::Judge;
 use super::measures::{Measures, MetricDoc};
-use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::behavior::BehaviorEvent;
 use crate::metrics::MetricSettings;
 use crate::scenario::ScenarioRecord;
 use crate::scene::testing::{self, Drive};
 use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, Scene};
-use std::collections::BTreeMap;
+use crate::store::testing::event;
 
 /// A cell of one sample beside its recording, with its figures and the descriptions of the metrics.
 pub(super) fn evaluated_cell<'r>(
@@ -30,15 +30,8 @@ pub(crate) fn recorded() -> Scene {
 /// A sample of it that requests a cut-in of track 2 ahead of track 1.
 pub(crate) fn record(strength: f64, verified: bool, recorded_event: bool, scene: Scene) -> ScenarioRecord {
     let roles = Roles::from([("ego", "1"), ("other", "2")]);
-    let event = BehaviorEvent {
-        behavior: "cut_in".into(),
-        scene_id: scene.id.clone(),
-        label: EventLabel::Positive,
-        roles: roles.clone(),
-        start_timestep: 5,
-        end_timestep: 8,
-        parameters: BTreeMap::from([("gap_m".to_owned(), 4.123)]),
-    };
+    let event = event(&scene.id, "cut_in", &[("gap_m", 4.123)]);
+    let event = BehaviorEvent { roles: roles.clone(), start_timestep: 5, ..event };
     let provenance = Provenance {
         classifier: Some("c".into()),
         sample_idx: 4,

@@ -2,8 +2,8 @@
 //! in the order of the samples.
 
 use super::config::{EvaluateConfig, Keep};
-use crate::behavior::needs_cause;
-use crate::generate::RejectedSample;
+use crate::behavior::{Behavior, needs_cause};
+use crate::generate::{REPEATED_TEMPLATE, RejectedSample};
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
@@ -16,6 +16,8 @@ const NOTHING_ASKED: &str = "nothing_asked";
 const NOT_VERIFIED: &str = "not_verified";
 /// The reason not to accept a scenario whose event happens without a cause.
 const NO_CAUSE: &str = "no_cause";
+/// The reason not to accept a scenario in which somebody moves as drivers do not.
+const NOT_AS_DRIVEN: &str = "not_as_driven";
 /// The reason not to accept a scenario that resembles an earlier one.
 const NEAR_DUPLICATE: &str = "near_duplicate";
 /// The reason why a sample is not a scenario.
@@ -73,20 +75,22 @@ pub fn left_out_by_sweep(rows: &[LeftOutRow]) -> BTreeMap<String, BTreeMap<Strin
 /// Decides and counts.
 pub(super) struct Verdicts<'a> {
     config: &'a EvaluateConfig,
+    behaviors: &'a [Box<dyn Behavior>],
     accepted: PathIndex,
     rows: Vec<AcceptanceRow>,
     left_out: Vec<LeftOutRow>,
 }
 
 impl<'a> Verdicts<'a> {
-    /// A tally without decisions.
-    pub(super) fn new(config: &'a EvaluateConfig) -> Self {
-        Self { config, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new() }
+    /// A tally without decisions on events of these behaviors.
+    pub(super) fn new(config: &'a EvaluateConfig, behaviors: &'a [Box<dyn Behavior>]) -> Self {
+        Self { config, behaviors, accepted: PathIndex::default(), rows: Vec::new(), left_out: Vec::new() }
     }
 
     /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        self.count(("generate", &rejected.sweep, rejected.level), NOT_FINITE, true);
+        let reason = if rejected.reason == REPEATED_TEMPLATE { NEAR_DUPLICATE } else { NOT_FINITE };
+        self.count(("generate", &rejected.sweep, rejected.level), reason, true);
     }
 
     /// Completes the judgment of a record and returns the verdict. Records must come in the order of the samples,
@@ -104,7 +108,7 @@ impl<'a> Verdicts<'a> {
             let is_near = distance_m < self.config.duplicate_distance_m;
             assessment.near_duplicate_of = is_near.then(|| nearest.to_owned());
         }
-        let reasons = reasons_against(record, &assessment, self.config.require_cause);
+        let reasons = self.reasons_against(record, &assessment);
         assessment.accepted = reasons.is_empty();
         let is_kept = match self.config.keep {
             Keep::Accepted => assessment.accepted,
@@ -136,6 +140,25 @@ impl<'a> Verdicts<'a> {
     /// The counts, in the order of first appearance.
     pub(super) fn finish(self) -> (Vec<AcceptanceRow>, Vec<LeftOutRow>) {
         (self.rows, self.left_out)
+    }
+
+    /// Why a scenario is not accepted; empty if it is.
+    fn reasons_against(&self, record: &ScenarioRecord, assessment: &Assessment) -> Vec<&'static str> {
+        let mut reasons = Vec::new();
+        if !record.verified {
+            reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
+        }
+        // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason
+        // already.
+        reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
+        reasons.extend(assessment.violations.iter().map(|violation| violation.check.name()));
+        let needs_cause =
+            self.config.require_cause && record.main_event().is_some_and(|event| needs_cause(&event.behavior));
+        reasons.extend((needs_cause && assessment.explanation.is_none()).then_some(NO_CAUSE));
+        reasons.extend((!record.is_as_driven(self.behaviors)).then_some(NOT_AS_DRIVEN));
+        reasons
+            .extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE).filter(|why| !reasons.contains(why)));
+        reasons
     }
 
     /// Counts a scenario among those of its sweep and level.
@@ -176,22 +199,6 @@ impl<'a> Verdicts<'a> {
         self.left_out[at].n_found += 1;
         self.left_out[at].n_left_out += u64::from(is_first);
     }
-}
-
-/// Why a scenario is not accepted; empty if it is.
-fn reasons_against(record: &ScenarioRecord, assessment: &Assessment, require_cause: bool) -> Vec<&'static str> {
-    let mut reasons = Vec::new();
-    if !record.verified {
-        reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
-    }
-    // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason
-    // already.
-    reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
-    reasons.extend(assessment.violations.iter().map(|violation| violation.check.name()));
-    let needs_cause = require_cause && record.main_event().is_some_and(|event| needs_cause(&event.behavior));
-    reasons.extend((needs_cause && assessment.explanation.is_none()).then_some(NO_CAUSE));
-    reasons.extend(assessment.near_duplicate_of.as_ref().map(|_| NEAR_DUPLICATE).filter(|why| !reasons.contains(why)));
-    reasons
 }
 
 /// The outcome of a scenario that its request did not take. `None` if the request took it, or there is no request.

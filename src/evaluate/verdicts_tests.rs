@@ -1,45 +1,27 @@
 //! Tests of which scenarios are accepted and kept, and that all of them are counted.
 
 use super::config::{EvaluateConfig, Keep};
+use super::testing;
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
+use crate::behavior::{Behavior, BehaviorEvent, CutIn, EventLabel, LaneChange};
 use crate::generate::RejectedSample;
 use crate::metrics::{Check, Violation};
 use crate::scenario::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
-use crate::scene::testing::{Drive, provenance, scene};
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario, TrackId};
+use crate::scene::testing::{Drive, scene};
+use crate::scene::{GuidanceLevel, TrackId};
 
 /// A scenario of two cars, the second one `offset_m` to the side.
 fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> ScenarioRecord {
     let scene = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, offset_m, 0.0, 10.0)]);
     let violation =
         |check: &Check| Violation { check: *check, track: TrackId::from("1"), timestep: 5, value: 2.0, limit: 1.0 };
-    let roles = Roles::from([("ego", "1"), ("other", "2")]);
-    ScenarioRecord {
-        sweep: "cut_ins".to_owned(),
-        requested_behavior: Some("cut_in".to_owned()),
-        verified,
-        events: Vec::new(),
-        recorded_event: false,
-        shard: 0,
-        request: None,
-        assessment: Some(Assessment {
-            violations: violations.iter().map(violation).collect(),
-            ..Assessment::default()
-        }),
-        scenario: Scenario {
-            id: id.to_owned(),
-            observed: ObservationMask::predictive(2, scene.n_timesteps, scene.n_history),
-            provenance: Provenance {
-                guidance: GuidanceTag {
-                    kind: "classifier:cut_in".to_owned(),
-                    level: GuidanceLevel::of_strength(2.0),
-                    roles,
-                },
-                ..provenance(&scene.id.0)
-            },
-            scene,
-        },
-    }
+    let violations = violations.iter().map(violation).collect();
+    let mut record = testing::record(2.0, verified, false, scene);
+    id.clone_into(&mut record.scenario.id);
+    "cut_ins".clone_into(&mut record.sweep);
+    record.events.clear();
+    record.assessment = Some(Assessment { violations, ..Assessment::default() });
+    record
 }
 
 /// The second car is 0.4 m off throughout, the first one is not: a mean of 0.2 m.
@@ -47,7 +29,7 @@ fn record(id: &str, offset_m: f64, verified: bool, violations: &[Check]) -> Scen
 fn duplicates_are_nearer_than_the_limit() {
     let repeats = |limit_m: f64| {
         let config = EvaluateConfig { duplicate_distance_m: limit_m, ..EvaluateConfig::default() };
-        let mut verdicts = Verdicts::new(&config);
+        let mut verdicts = Verdicts::new(&config, &[]);
         assert!(verdicts.decide(&mut record("first", 5.0, true, &[]), &[]).kept);
         let mut second = record("second", 5.4, true, &[]);
         verdicts.decide(&mut second, &[]);
@@ -65,9 +47,40 @@ fn what_a_request_has_no_room_for_is_not_kept_as_verified() {
     let is_kept = |outcome: RequestOutcome| {
         let mut record = record("a", 5.0, true, &[]);
         record.request = Some(RequestTag { request: "r".to_owned(), round: 0, outcome, bucket: None });
-        Verdicts::new(&config).decide(&mut record, &[]).kept
+        Verdicts::new(&config, &[]).decide(&mut record, &[]).kept
     };
     assert!(is_kept(RequestOutcome::Accepted) && !is_kept(RequestOutcome::Surplus));
+}
+
+#[test]
+fn who_moves_faster_aside_than_drivers_do_or_comes_in_closer_is_not_accepted() {
+    let hurry = |hurry: f64| -> [Box<dyn Behavior>; 2] {
+        [Box::new(CutIn { hurry, ..CutIn::default() }), Box::new(LaneChange { hurry })]
+    };
+    let (ordinary, hurried, config) = (hurry(1.0), hurry(1.5), EvaluateConfig::default());
+    let cut_in = ("cut_in", &["ego", "other"][..]);
+    // The fastest of 346 recorded lane changes moved aside with 1.45 m/s, that of the cut-ins with 1.57 m/s.
+    for (behavior, aside_mps, gap_m, expected) in [
+        (cut_in, 1.57, 3.0, [true, true]),
+        (cut_in, 1.6, 3.0, [false, true]),
+        (cut_in, 2.4, 3.0, [false, false]),
+        (cut_in, 1.0, 2.4, [false, true]),
+        (cut_in, 1.0, -1.0, [false, false]),
+        (("lane_change", &["subject"]), 1.45, 0.0, [true, true]),
+        (("lane_change", &["subject"]), 1.5, 0.0, [false, true]),
+    ] {
+        let found = [&ordinary, &hurried].map(|behaviors| {
+            let mut record = record("a", 5.0, true, &[]);
+            let event = BehaviorEvent::new(behavior, &record.scenario.scene, EventLabel::Positive, &[0, 1], 5..=6);
+            let event = event.with("ego_speed_mps", 10.0).with("lateral_speed_mps", aside_mps).with("gap_m", gap_m);
+            record.requested_behavior = Some(behavior.0.to_owned());
+            record.scenario.provenance.guidance.roles = event.roles.clone();
+            record.events.push(event);
+            Verdicts::new(&config, behaviors).decide(&mut record, &[]).reasons
+        });
+        let expected = expected.map(|is_accepted| if is_accepted { vec![] } else { vec!["not_as_driven".to_owned()] });
+        assert_eq!(found, expected, "{behavior:?} {aside_mps} m/s, {gap_m} m");
+    }
 }
 
 fn records() -> Vec<ScenarioRecord> {
@@ -83,7 +96,7 @@ fn records() -> Vec<ScenarioRecord> {
 
 fn decided(keep: Keep) -> (Vec<ScenarioRecord>, Vec<String>, Vec<AcceptanceRow>, Vec<LeftOutRow>) {
     let config = EvaluateConfig { keep, ..EvaluateConfig::default() };
-    let mut verdicts = Verdicts::new(&config);
+    let mut verdicts = Verdicts::new(&config, &[]);
     let mut all = records();
     let decided: Vec<VerdictRow> = all.iter_mut().map(|record| verdicts.decide(record, &[])).collect();
     let kept: Vec<String> = decided.iter().filter(|row| row.kept).map(|row| row.scenario_id.clone()).collect();
@@ -143,7 +156,7 @@ fn what_generation_left_out_is_counted_too() {
         reason: "track 3 is not finite at timestep 12".to_owned(),
     };
     let config = EvaluateConfig::default();
-    let mut verdicts = Verdicts::new(&config);
+    let mut verdicts = Verdicts::new(&config, &[]);
     [0, 1].map(rejected).iter().for_each(|rejected| verdicts.count_rejected(rejected));
     let (_, left_out) = verdicts.finish();
     let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.level, row.n_left_out)).collect();

@@ -134,3 +134,26 @@ pub(super) fn meaning(code: &str) -> &str {
         other => other,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_and_assumed_is_counted() {
+        let selection = Selection::default();
+        let mut report = ExportReport::new(ExportFormat::Womd, &selection, &EgoChoice::Scene, EgoMotion::Replayed);
+        let notice = crate::export::notice::text(&report);
+        assert!(notice.ends_with("\n\nNothing.\n"), "{notice}");
+        report.count_left_out("0a", "no_ego");
+        assert!(!crate::export::notice::text(&report).contains("Nothing."));
+        for (what, n) in [("no_subject", 0), ("nominal_size", 12), ("nominal_size", 3)] {
+            report.count_assumed(what, n);
+        }
+        assert_eq!(report.assumed, BTreeMap::from([("nominal_size", 15)]));
+        let notice = crate::export::notice::text(&report);
+        let told = "\n\n1 scenarios left out: the ego has no state at present (no_ego).\nthe size of a road user is not \
+                    recorded; a typical one for its class is written (nominal_size): 15\n  in all.\n";
+        assert!(notice.ends_with(told), "{notice}");
+    }
+}

@@ -1,15 +1,15 @@
 //! Scenarios for the tests of this module: small, with positions that are easy to work out by hand.
 
 use super::{ExportOutcome, Exporter, Item, Written};
-use crate::behavior::{BehaviorEvent, EventLabel};
+use crate::behavior::BehaviorEvent;
 use crate::geometry::{Polyline, Transform2, Vec2, angle_difference};
 use crate::ingest::{IngestConfig, scenes_of};
 use crate::scenario::ScenarioRecord;
-use crate::scene::testing::{Drive, scene as straight_scene, without_states};
+use crate::scene::testing::{Drive, provenance, scene as straight_scene, without_states};
 use crate::scene::{
-    AgentClass, Dataset, GuidanceLevel, GuidanceTag, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask,
-    Provenance, Roles, Scenario, Scene,
+    AgentClass, Dataset, Lane, LaneAttributes, LaneGraph, LaneId, ObservationMask, Provenance, Roles, Scenario, Scene,
 };
+use crate::store::testing::event;
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use std::f64::consts::FRAC_PI_2;
@@ -50,15 +50,8 @@ pub(super) fn lane(id: i64) -> Lane {
 
 /// A verified scenario of this scene in which track `2` cuts in before track `1`.
 pub(super) fn record(scene: &Scene) -> ScenarioRecord {
-    let event = BehaviorEvent {
-        behavior: "cut_in".to_owned(),
-        scene_id: scene.id.clone(),
-        label: EventLabel::Positive,
-        roles: Roles::from([("other", "2"), ("ego", "1")]),
-        start_timestep: 4,
-        end_timestep: 9,
-        parameters: [("gap_m".to_owned(), 5.25)].into(),
-    };
+    let (roles, event) = (Roles::from([("other", "2"), ("ego", "1")]), event(&scene.id, "cut_in", &[("gap_m", 5.25)]));
+    let event = BehaviorEvent { roles, start_timestep: 4, end_timestep: 9, ..event };
     ScenarioRecord {
         scenario: Scenario {
             id: "0a1b".to_owned(),
@@ -66,24 +59,7 @@ pub(super) fn record(scene: &Scene) -> ScenarioRecord {
                 timestep < scene.n_history && scene.state(agent_idx, timestep).is_some()
             }),
             scene: scene.clone(),
-            provenance: Provenance {
-                scene_id: scene.id.clone(),
-                observation: "predictive".to_owned(),
-                edit_tau: None,
-                checkpoint: "c0ffee".to_owned(),
-                classifier: None,
-                seed: 7,
-                sample_idx: 2,
-                probability: None,
-                guidance: GuidanceTag {
-                    kind: "none".to_owned(),
-                    level: GuidanceLevel::UNGUIDED,
-                    roles: Roles::default(),
-                },
-                sampler: "heun-20".to_owned(),
-                ego_driver: None,
-                settings: String::new(),
-            },
+            provenance: Provenance { seed: 7, sample_idx: 2, ..provenance(&scene.id.0) },
         },
         sweep: "cut_ins".to_owned(),
         requested_behavior: Some("cut_in".to_owned()),

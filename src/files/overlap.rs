@@ -74,13 +74,9 @@ fn parts(path: &Path) -> Vec<PathPart> {
     let mut parts = Vec::new();
     for component in path.components() {
         match component {
-            Component::Prefix(prefix) => parts.push(PathPart::Root(prefix.as_os_str().into())),
-            // After a prefix, the root belongs to it.
-            Component::RootDir => match parts.last_mut() {
-                Some(PathPart::Root(root)) => root.push(component.as_os_str()),
-                _ => parts.push(PathPart::Root(component.as_os_str().into())),
-            },
-            Component::CurDir => {}
+            Component::RootDir => parts.push(PathPart::Root(component.as_os_str().into())),
+            // Prefixes are those of drives, which Unix does not have.
+            Component::CurDir | Component::Prefix(_) => {}
             Component::ParentDir => parts.push(PathPart::Up),
             Component::Normal(name) => parts.push(PathPart::Name(name.to_owned())),
         }

@@ -88,6 +88,16 @@ fn a_list_may_be_cut_off_and_every_flipped_bit_of_it_is_noticed() {
     assert_eq!(listed(dir.path()).unwrap(), Some(names_of(&["a", "c"])));
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn folders_are_exchanged_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let [a, b] = ["a", "b"].map(|name| dir.path().join(name));
+    put(&a.join("old"), "");
+    put(&b.join("new"), "");
+    assert!(exchange(&a, &b).unwrap() && a.join("new").exists() && b.join("old").exists());
+}
+
 #[test]
 fn a_list_that_leads_elsewhere_is_damaged() {
     for name in ["../thesis.doc", "/etc/passwd", "", ".", "a/../../b", "a//b", "a/./b", "a/", "nul\0"] {
@@ -129,19 +139,24 @@ fn only_what_the_list_names_is_removed() {
     std::mem::forget(half);
     put(&work.join("corpus/y/thesis.doc"), "theirs");
     put(&work.join("corpus/y/c.parquet.partial"), "theirs");
-    let theirs = names_of(&["corpus/y/c.parquet.partial", "corpus/y/thesis.doc"]);
+    // Half of a file that is not ours, and one that begins and ends as half of ours does.
+    let half = unique_partial(Path::new("corpus/y/thesis.doc"));
+    put(&work.join(&half), "theirs");
+    put(&work.join("corpus/y/c.parquet.my.partial"), "theirs");
+    let half = half.to_str().unwrap();
+    let theirs =
+        names_of(&["corpus/y/c.parquet.my.partial", "corpus/y/c.parquet.partial", "corpus/y/thesis.doc", half]);
     let ours = listed(&work).unwrap().unwrap();
     assert_eq!(foreign(&work, &ours).unwrap(), theirs.iter().cloned().collect::<Vec<_>>());
-    assert!(matches!(clear(&work.join("corpus")), Err(Error::Foreign { found, .. }) if found.len() == 2));
+    assert!(matches!(clear(&work.join("corpus")), Err(Error::Foreign { found, .. }) if found.len() == 4));
     clear(&work.join("corpus/x")).unwrap();
     assert_eq!(fs::read_dir(work.join("corpus/x")).unwrap().count(), 0);
 
     remove_leftovers(&work).unwrap();
-    assert_eq!(foreign(&work, &BTreeSet::new()).unwrap().len(), 3, "b, and two of theirs");
+    assert_eq!(foreign(&work, &BTreeSet::new()).unwrap().len(), 5, "b, and four of theirs");
     assert_eq!(remove_listed(&work, &ours).unwrap(), theirs.iter().cloned().collect::<Vec<_>>());
-    assert_eq!(files_below(&work).unwrap().len(), 3, "two of theirs, and the list");
-    fs::remove_file(work.join("corpus/y/thesis.doc")).unwrap();
-    fs::remove_file(work.join("corpus/y/c.parquet.partial")).unwrap();
+    assert_eq!(files_below(&work).unwrap().len(), 5, "four of theirs, and the list");
+    theirs.iter().for_each(|name| fs::remove_file(work.join(name)).unwrap());
     assert!(remove_listed(&work, &ours).unwrap().is_empty() && !work.exists());
     assert!(remove_listed(&work, &ours).unwrap().is_empty(), "what another process has removed is gone");
 }
@@ -192,6 +207,11 @@ fn overlaps_are_seen_through_dots_links_and_what_is_not_there_yet() {
     }
     #[cfg(unix)]
     assert!(resolve(&at("circle1/x")).unwrap_err().to_string().contains("form a loop"));
+    // As many links as Linux follows, and one more.
+    #[cfg(unix)]
+    (1..=41).for_each(|i| std::os::unix::fs::symlink(format!("to{}", i - 1), at(&format!("to{i}"))).unwrap());
+    #[cfg(unix)]
+    assert!(resolve(&at("to40")).unwrap() == at("to0") && resolve(&at("to41")).is_err());
     assert!(resolve(Path::new("x/../y")).unwrap().ends_with("y") && resolve(Path::new("y")).unwrap().is_absolute());
 }
 

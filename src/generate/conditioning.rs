@@ -1,114 +1,16 @@
 //! What is a sample conditioned on? The states that it observes, target states that it leans toward, and the edited
 //! recording it starts from.
 
-use super::observe::{MaskRule, Subject, rule_mask, validate_rules};
-use super::{Cell, Error, Generator, ResolvedSweep};
-use crate::diffusion::{Edm, NoiseSource, SamplerConfig};
+use super::observe::{Subject, rule_mask};
+use super::{Cell, ClassifierFreeConfig, EditConfig, Error, Generator, ResolvedSweep};
+use crate::diffusion::NoiseSource;
 use crate::geometry::Vec2;
 use crate::guidance::Target;
-use crate::scene::{AgentRef, ObservationMask, Scene, SceneEdit, State, Trajectory, UnfitScene};
+use crate::metrics::PairPath;
+use crate::scene::{AgentRef, ObservationMask, Roles, Scene, State, Trajectory, UnfitScene};
 use crate::seed::Seed;
-use crate::settings::{self, Issue};
 use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
 use candle_core::Tensor;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
-/// States that samples lean toward without being bound to them (paper, section 5.1).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ClassifierFreeConfig {
-    /// The wanted states, beyond those that are observed, as rules of a mask; such as the goal of every agent:
-    /// `[{ agents = "all", times = "goal" }]`. They are recorded (or edited) states; those that are not generated are
-    /// ignored.
-    pub extra: Vec<MaskRule>,
-    /// Weights λ, each of which is sampled: 0 ignores the wanted states, 1 observes them, more
-    /// exaggerates. The larger λ is, the faster samples approach the wanted states, and the more steps the sampler
-    /// needs to follow: 20 steps suffice up to about 1.5, 50 up to 4. A sweep varies either its strengths or its
-    /// weights. Weights other than 0 and 1 take two evaluations of the network a step.
-    #[serde(default = "one_weight")]
-    #[schemars(inner(range(min = -1e6, max = 1e6)))]
-    pub weights: Vec<f64>,
-    /// Standard deviation of the noise on wanted positions, meters in each direction; drawn once for each agent and
-    /// sample.
-    #[serde(default = "one_meter")]
-    #[schemars(range(min = 0.0, max = 1000.0))]
-    pub goal_std_m: f64,
-    /// Whether the velocity of wanted states is hidden from the denoiser.
-    #[serde(default = "yes")]
-    pub mask_velocity: bool,
-}
-
-fn one_weight() -> Vec<f64> {
-    vec![1.0]
-}
-
-const fn one_meter() -> f64 {
-    1.0
-}
-
-const fn yes() -> bool {
-    true
-}
-
-/// Recordings that are edited roughly and made realistic by the denoiser (paper, section 5.3): the edited future with
-/// noise of level `tau`, denoised from there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct EditConfig {
-    /// The noise level at which denoising begins, a standard deviation (the paper prints a variance): 0 leaves the
-    /// edited recording as it is, the denoiser's largest noise level discards it except for edited states that are
-    /// observed.
-    #[serde(default = "default_tau")]
-    #[schemars(range(min = 0.0, max = 1e6))]
-    pub tau: f64,
-    /// The changes, in order. None: the recording itself is denoised again.
-    #[serde(default)]
-    pub edits: Vec<SceneEdit>,
-}
-
-const fn default_tau() -> f64 {
-    0.8
-}
-
-impl ClassifierFreeConfig {
-    /// Rejects target states of agents that a behavior with these roles does not have.
-    pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
-        validate_rules("extra", &self.extra, roles)
-    }
-}
-
-impl EditConfig {
-    /// Rejects edits that are impossible, or whose agents a behavior with these roles does not have.
-    pub(super) fn validate(&self, roles: &[&str]) -> settings::Result {
-        for (i, edit) in self.edits.iter().enumerate() {
-            let key = format!("edits.{i}");
-            edit.validate().map_err(|issue| issue.within(&key))?;
-            let is_unknown =
-                |agent: &&AgentRef| matches!(agent, AgentRef::Role(role) if !roles.contains(&role.as_str()));
-            if let Some(agent) = edit.agents().into_iter().find(is_unknown) {
-                return Err(Issue::new(
-                    key,
-                    format_args!("names the agent {agent}, which is not a role of the behavior"),
-                ));
-            }
-        }
-        Ok(())
-    }
-
-    /// Noise levels of the sampler's steps from τ.
-    pub(super) fn schedule(&self, edm: &Edm, sampler: &SamplerConfig) -> Vec<f64> {
-        match self.tau {
-            0.0 => vec![0.0],
-            tau => sampler.schedule(edm, tau),
-        }
-    }
-
-    /// Whether denoising begins below the denoiser's largest noise level, where the edited recording still shows.
-    pub(super) fn keeps_guide(&self, edm: &Edm) -> bool {
-        self.tau < edm.sigma_max
-    }
-}
 
 /// The scene of a cell as the denoiser sees it.
 #[derive(Debug)]
@@ -121,12 +23,14 @@ pub(super) struct Conditioned {
     pub(super) agents: (usize, usize),
     /// The agents that follow a template, each with its states after the end of the scene.
     performers: Vec<(usize, Vec<State>)>,
+    /// Whether its template resembles that of an earlier sample of the shard.
+    pub(super) repeats: bool,
 }
 
 impl Conditioned {
     /// A scene with its observed part, without requested agents and templates.
     pub(super) const fn new(scene: Scene, mask: ObservationMask, center_idx: usize) -> Self {
-        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new() }
+        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new(), repeats: false }
     }
 
     pub(super) const fn view(&self) -> SceneView<'_> {
@@ -146,6 +50,11 @@ impl Conditioned {
                 Trajectory::new(states.chain(further.iter().copied().map(Some)).collect());
         }
         scene
+    }
+
+    /// How the requested agents move in its template; `None` without one.
+    pub(super) fn path(&self, asked: &Roles) -> Option<PairPath> {
+        (!self.performers.is_empty()).then(|| PairPath::of(&self.with_maneuver(self.scene.clone()), asked)).flatten()
     }
 
     fn is_performer(&self, agent_idx: usize) -> bool {
@@ -173,14 +82,14 @@ pub(super) struct Wanted {
 
 impl Generator<'_> {
     /// The scene of a cell, with these requested `agents`, as the denoiser sees it for all samples or, with a template,
-    /// for this one.
+    /// for the one with this number; its template is so many `further` than the usual one.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         agents: (usize, usize),
-        sample_idx: usize,
+        [sample_idx, further]: [usize; 2],
     ) -> Result<Conditioned, Error> {
         let refuse = |UnfitScene(why)| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
         let mut scene = recorded.clone();
@@ -191,7 +100,7 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
-        let performers = self.follow_template(sweep, (cell, sample_idx), recorded, &mut scene);
+        let performers = self.follow_template(sweep, (cell, [sample_idx, further]), recorded, &mut scene);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -214,7 +123,7 @@ impl Generator<'_> {
                 && scene.state(agent_idx, timestep).is_some();
             is_of_template || mask.is_observed(agent_idx, timestep)
         });
-        Ok(Conditioned { scene, mask, agents, performers })
+        Ok(Conditioned { scene, mask, agents, performers, repeats: false })
     }
 
     /// Puts the template of a sample into `scene`: one that reaches the sample's target, or else any. Returns the
@@ -222,20 +131,21 @@ impl Generator<'_> {
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
-        (cell, sample_idx): (&Cell, usize),
+        (cell, [sample_idx, further]): (&Cell, [usize; 2]),
         recorded: &Scene,
         scene: &mut Scene,
     ) -> Vec<(usize, Vec<State>)> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
         // The number of earlier samples of the pair with this target.
-        let variant = sample_idx / cell.targets.len().max(1);
+        let variant = sample_idx / cell.targets.len().max(1) + further;
         let mut target = cell.target(sample_idx);
         target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
         let planned = sweep.planned(recorded);
         let template = behavior.template(&planned, &asked, &target, variant);
-        let anything =
-            || (!target.is_empty()).then(|| behavior.template(&planned, &asked, &Target::new(), sample_idx))?;
+        let anything = || {
+            (!target.is_empty()).then(|| behavior.template(&planned, &asked, &Target::new(), sample_idx + further))?
+        };
         let Some(template) = template.or_else(anything) else { return Vec::new() };
         let performers: Vec<usize> = template.agents().collect();
         let mut performed = planned.into_owned();
@@ -294,7 +204,7 @@ fn first_hidden(scene: &Scene, mask: &ObservationMask) -> Option<(usize, usize)>
 
 /// The scene with the target states of each agent moved by the same normal offset. The present stays: it defines the
 /// frame that the denoiser sees.
-fn displaced(scene: &Scene, std_m: f64, seed: Seed, is_wanted: &dyn Fn(usize, usize) -> bool) -> Scene {
+pub(super) fn displaced(scene: &Scene, std_m: f64, seed: Seed, is_wanted: &dyn Fn(usize, usize) -> bool) -> Scene {
     let mut displaced = scene.clone();
     for (agent_idx, track) in displaced.tracks.iter_mut().enumerate() {
         let mut rng = seed.derive("agent", &[agent_idx as u64]).rng();

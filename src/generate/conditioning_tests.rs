@@ -6,6 +6,7 @@ use crate::diffusion::SamplerConfig;
 use crate::guidance::testing::{N_HISTORY, N_TIMESTEPS, scene};
 use crate::scenario::ScenarioRecord;
 use crate::scene::{Scene, State};
+use crate::seed::Seed;
 use crate::store::as_stored;
 use crate::tensor::StateParametrization;
 
@@ -123,6 +124,30 @@ fn at_weight_one_samples_are_as_if_goals_were_observed() {
         assert!(difference_m(&others(a), &others(b)) < ROUNDING_M);
         assert!(difference_m(&others(a), &others(c)) > 2.0 * ROUNDING_M, "the goal matters");
     }
+}
+
+#[test]
+fn only_wanted_states_that_are_generated_are_displaced() {
+    let (recorded, is_wanted) = (scene(1), |agent_idx: usize, timestep: usize| agent_idx == 1 && timestep > 2);
+    let moved = conditioning::displaced(&recorded, 2.0, Seed(1), &is_wanted);
+    let offset = |agent_idx: usize, timestep: usize| {
+        let [from, to] = [&recorded, &moved].map(|scene| scene.state(agent_idx, timestep).unwrap().position);
+        to - from
+    };
+    for i in 0..3 * N_TIMESTEPS {
+        let (agent_idx, timestep) = (i / N_TIMESTEPS, i % N_TIMESTEPS);
+        let is_moved = agent_idx == 1 && timestep >= N_HISTORY;
+        let expected = if is_moved { offset(1, N_TIMESTEPS - 1) } else { crate::geometry::Vec2::ZERO };
+        assert!(offset(agent_idx, timestep).distance(expected) < 1e-9, "{agent_idx} {timestep}");
+    }
+    assert!(offset(1, N_TIMESTEPS - 1).norm() > 0.1);
+    // The past is not wanted, though rules say so.
+    let of = |rules: &str| {
+        let goals = GOALS.replace("extra = [", rules).replace("goal_std_m = 0.0", "goal_std_m = 1.0");
+        let records = generate(&sweep(&format!("{goals} [1.0] }}")));
+        records.into_iter().map(|record| record.scenario.scene).collect::<Vec<_>>()
+    };
+    assert!(of("extra = [{ agents = 'all', times = 'history' }, ") == of("extra = ["));
 }
 
 #[test]

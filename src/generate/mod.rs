@@ -14,6 +14,7 @@ mod baseline;
 #[cfg(test)]
 mod baseline_tests;
 mod batch;
+mod cell;
 mod conditioning;
 #[cfg(test)]
 mod conditioning_tests;
@@ -23,6 +24,7 @@ mod futures;
 mod generator;
 mod guide;
 mod observe;
+mod pair_selection;
 mod pairs;
 mod plan;
 mod record;
@@ -38,13 +40,14 @@ mod testing;
 mod tests;
 mod verify;
 
-pub use conditioning::{ClassifierFreeConfig, EditConfig};
-pub use config::{GenerateConfig, PairRanking, PairSelectionConfig};
+pub use cell::Cell;
+pub use config::GenerateConfig;
 pub use error::Error;
 pub use futures::{Continued, Futures};
 pub use generator::{Generator, Models, SceneLoader};
 pub use observe::{AgentChoice, MaskRule, ObserveConfig, SecondRange, TimeChoice};
-pub use plan::{Cell, Plan, ShardPlan, Shortfall, held_out_in_order};
+pub use pair_selection::{PairRanking, PairSelectionConfig};
+pub use plan::{Plan, ShardPlan, Shortfall, held_out_in_order};
 pub use regenerate::SampleKey;
 pub use request::{
     Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, EventValues, Hits,
@@ -52,6 +55,9 @@ pub use request::{
     ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
-pub use sample::{RejectedSample, ShardOutput};
-pub use sweep::{Aim, ClassifierScope, Diffusion, ResolvedSweep, SampledModel, SweepConfig, SweepGuidance, SweepModel};
+pub use sample::{REPEATED_TEMPLATE, RejectedSample, ShardOutput};
+pub use sweep::{
+    Aim, ClassifierFreeConfig, ClassifierScope, Diffusion, EditConfig, ResolvedSweep, SampledModel, SweepConfig,
+    SweepGuidance, SweepModel,
+};
 pub use verify::requested_events;

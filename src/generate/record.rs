@@ -101,3 +101,19 @@ fn scenario_id(sweep: &str, provenance: &Provenance) -> String {
     add(&format!("{seed} {sample_idx} {level} {edit_tau:?}"));
     hasher.finalize().to_hex()[..16].to_owned()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::CorpusReader;
+
+    #[test]
+    fn ids_stay_what_they_were() {
+        let fixture = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/corpus/cut_ins");
+        let corpus = CorpusReader::open(std::path::Path::new(fixture)).unwrap();
+        for i in 0..corpus.len() {
+            let ScenarioRecord { sweep, scenario, .. } = corpus.scenario(i).unwrap();
+            assert_eq!(scenario_id(&sweep, &scenario.provenance), scenario.id);
+        }
+    }
+}

@@ -118,7 +118,7 @@ mod tests {
                 .check(0.1, 3.0)
                 .map_or_else(|issue| issue.to_string(), |()| String::new())
         };
-        assert_eq!([refused(8.0, 0.3), refused(600.0, 3.0)], [""; 2]);
+        assert_eq!([refused(8.0, 0.3), refused(600.0, 3.0), refused(0.1, 0.1)], [""; 3]);
         for (found, why) in [
             (refused(8.0, 0.25), "replan_s is 0.25, expected a multiple of the timestep, which is 0.1 s"),
             (refused(8.0, 1e-300), "replan_s is 1e-300, expected a multiple"),
@@ -127,6 +127,10 @@ mod tests {
         ] {
             assert!(found.contains(why), "{found}");
         }
+        // A maneuver takes up to five seconds.
+        let scene = crate::scene::testing::scene(&[]);
+        let planned = [0.1, 3.0, 8.0].map(|horizon_s| SweepRollout { horizon_s, ..SweepRollout::default() });
+        assert_eq!(planned.map(|rollout| rollout.n_timesteps_planned(&scene)), [12, 4 + 30, 4 + 50]);
         assert!(SweepRollout { replan_s: 9.0, ..SweepRollout::default() }.validate().is_err());
     }
 }

@@ -3,6 +3,7 @@
 use super::batch::{Batch, Draw};
 use super::conditioning::Conditioned;
 use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
+use crate::metrics::PairPath;
 use crate::nn::in_pool;
 use crate::progress::Progress;
 use crate::scenario::ScenarioRecord;
@@ -37,6 +38,11 @@ pub struct RejectedSample {
     pub reason: String,
 }
 
+/// Why a sample is not drawn whose requested agents would move as in an earlier one of its shard.
+pub const REPEATED_TEMPLATE: &str = "its template repeats that of an earlier sample";
+/// How many more templates are tried for it.
+const N_FURTHER: usize = 2;
+
 /// A sample of a cell, or why there is none.
 #[derive(Debug, Clone)]
 struct Sampled {
@@ -56,6 +62,10 @@ impl Given {
     fn of(&self, cell: usize, sample_idx: usize) -> &Conditioned {
         let own = &self.of_cells[cell];
         &own[(sample_idx - self.first_sample).min(own.len() - 1)]
+    }
+
+    fn repeats(&self, cell: usize, sample_idx: usize) -> bool {
+        self.of(cell, sample_idx).repeats
     }
 }
 
@@ -85,8 +95,7 @@ impl Generator<'_> {
         let given = self.given(sweep, shard, &scenes)?;
         let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
         for &level in sweep.levels() {
-            for (members, samples) in self.batches(sweep, &scenes) {
-                let samples = samples.start + shard.first_sample..samples.end + shard.first_sample;
+            for (members, samples) in self.batches(sweep, &scenes, &given) {
                 if !is_chosen(level, &members, &samples) {
                     continue;
                 }
@@ -100,6 +109,14 @@ impl Generator<'_> {
                     let own = samples.clone().zip(draws.by_ref().take(samples.len()));
                     sampled[at].extend(own.map(|(sample_idx, draw)| Sampled { level, sample_idx, draw }));
                 }
+            }
+            for (at, own) in sampled.iter_mut().enumerate() {
+                let all = shard.first_sample..shard.first_sample + sweep.n_samples;
+                let repeated = all.filter(|sample_idx| given.repeats(at, *sample_idx)).map(|sample_idx| {
+                    progress.advance(1);
+                    Sampled { level, sample_idx, draw: Err(UnfitScene(REPEATED_TEMPLATE.to_owned())) }
+                });
+                own.extend(repeated);
             }
         }
         let mut output = ShardOutput::default();
@@ -133,28 +150,55 @@ impl Generator<'_> {
         let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
             let agents = agents(cell, scene)?;
             let own = shard.first_sample..shard.first_sample + n_own;
-            own.map(|sample_idx| self.condition(sweep, cell, scene, agents, sample_idx)).collect()
+            let mut paths = Vec::new();
+            own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut paths)).collect()
         });
         Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
     }
 
+    /// The conditioning of a sample with a template in which the requested agents move along none of these `paths`, to
+    /// which theirs is added. If there is none, it repeats one of them.
+    fn condition_anew(
+        &self,
+        sweep: &ResolvedSweep,
+        (cell, scene): (&Cell, &Scene),
+        agents: (usize, usize),
+        sample_idx: usize,
+        paths: &mut Vec<PairPath>,
+    ) -> Result<Conditioned, Error> {
+        let mut given = self.condition(sweep, cell, scene, agents, [sample_idx, 0])?;
+        for further in 1.. {
+            let Some(path) = given.path(&cell.roles) else { break };
+            given.repeats = paths.iter().any(|other| other.distance_m(&path) < self.config.duplicate_distance_m);
+            if !given.repeats {
+                paths.push(path);
+            }
+            if !given.repeats || further > N_FURTHER {
+                break;
+            }
+            given = self.condition(sweep, cell, scene, agents, [sample_idx, further])?;
+        }
+        Ok(given)
+    }
+
     /// Cells (by index) and samples that are denoised together. Scenes of similar size share a batch, so that there is
     /// little padding, and so do all samples of a scene if they fit, so that the scene is encoded once. With templates
-    /// the samples of a scene share nothing, and a batch has one sample per scene.
-    fn batches(&self, sweep: &ResolvedSweep, scenes: &[Scene]) -> Vec<(Vec<usize>, Range<usize>)> {
+    /// the samples of a scene share nothing, and a batch has one sample per scene, without those that repeat another.
+    fn batches(&self, sweep: &ResolvedSweep, scenes: &[Scene], given: &Given) -> Vec<(Vec<usize>, Range<usize>)> {
         let mut order: Vec<usize> = (0..scenes.len()).collect();
         order.sort_by_key(|at| scenes[*at].tracks.len());
-        let (n_samples, batch_size) = (sweep.n_samples, self.config.batch_size);
+        let (n_samples, batch_size, start) = (sweep.n_samples, self.config.batch_size, given.first_sample);
         let mut batches = Vec::new();
         if sweep.uses_template() {
-            for sample in 0..n_samples {
+            for sample in start..start + n_samples {
+                let order: Vec<usize> = order.iter().copied().filter(|at| !given.repeats(*at, sample)).collect();
                 batches.extend(order.chunks(batch_size).map(|members| (members.to_vec(), sample..sample + 1)));
             }
             return batches;
         }
         for members in order.chunks((batch_size / n_samples).max(1)) {
             for first in (0..n_samples).step_by(batch_size) {
-                batches.push((members.to_vec(), first..n_samples.min(first + batch_size)));
+                batches.push((members.to_vec(), start + first..start + n_samples.min(first + batch_size)));
             }
         }
         batches

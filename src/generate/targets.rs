@@ -35,7 +35,7 @@ impl Generator<'_> {
         };
         let (first, second) = pair.agents;
         let seed = self.seed().derive_named("aim", &scene.0).derive("pair", &[first as u64, second as u64]);
-        let weight = if sweep.aim == Aim::Hard { |outcome: &_| LEAST_HARDNESS + hardness(outcome) } else { ease };
+        let weight = if sweep.aim == Aim::Hard { difficulty } else { ease };
         in_drawn_order(&pair.outcomes, weight, seed)
             .take(sweep.n_samples)
             .map(target)
@@ -47,6 +47,11 @@ impl Generator<'_> {
 /// The weight of an outcome: easy ones come more often.
 fn ease(outcome: &Outcome) -> f64 {
     LEAST_EASE + 1.0 - outcome.effort().clamp(0.0, 1.0)
+}
+
+/// The weight of an outcome where hard ones are aimed at.
+fn difficulty(outcome: &Outcome) -> f64 {
+    LEAST_HARDNESS + hardness(outcome)
 }
 
 /// How near an outcome is to what cannot be avoided, from 0 to 1: a quarter with each second to spare. 0 if it cannot
@@ -78,6 +83,7 @@ mod tests {
         // 6 m/s need 6 / 12 + 0.35 s: 5.1 m.
         assert!((at(5.1, 6.0) - 1.0).abs() < 1e-9 && (at(11.1, 6.0) - 0.25).abs() < 1e-9);
         assert_eq!([at(5.0, 6.0), at(5.0, -1.0), hardness(&Outcome::default())], [0.0; 3]);
+        assert_eq!(difficulty(&Outcome::default()), 1e-3, "others are aimed at, too, but seldom");
     }
 
     #[test]

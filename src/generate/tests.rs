@@ -8,11 +8,13 @@ use super::*;
 use crate::behavior::Behavior;
 use crate::guidance::testing::{N_HISTORY, scene};
 use crate::metrics::MetricSettings;
-use crate::model::{Distillation, TrainedClassifier};
+use crate::model::{DenoiserSpec, Distillation, TrainedClassifier};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use crate::store::{SceneIndex, as_stored};
+use crate::tensor::Collator;
 use candle_core::Device;
+use std::sync::Arc;
 
 const SWEEPS: &str = "
     splits = ['train']
@@ -127,6 +129,22 @@ fn the_plan_does_not_depend_on_the_order_of_scenes() {
 }
 
 #[test]
+fn pairs_are_seen_together_and_ranked_by_the_classifier() {
+    with_generator(&config(SWEEPS), 0, |generator| {
+        let sweep = &generator.config.sweeps[1];
+        let scores = |max_agents: usize| -> Vec<f64> {
+            let collator = Arc::new(Collator { max_agents, ..Collator::clone(&generator.collator) });
+            let generator = Generator { collator, metric_settings: generator.metric_settings.clone(), ..*generator };
+            let pairs = generator.candidates(sweep, generator.behavior(sweep).unwrap(), &scene(1)).unwrap();
+            pairs.iter().map(|pair| pair.score).collect()
+        };
+        // Of two agents, one is the nearest of the one at the center.
+        assert_eq!([scores(3).len(), scores(2).len()], [6, 3]);
+        assert!(scores(3).is_sorted_by(|a, b| a > b) && scores(3).iter().all(|score| *score != 0.0), "{:?}", scores(3));
+    });
+}
+
+#[test]
 fn too_few_scenes_are_said_and_none_is_an_error() {
     let config = config(SWEEPS);
     with_generator(&config, 0, |generator| {
@@ -155,10 +173,7 @@ fn samples_that_are_no_numbers_are_rejected_by_name() {
 fn models_must_fit_each_other_and_the_sweeps() {
     let refusal = |toml: &str, classifiers: &[TrainedClassifier]| {
         let (denoiser, behaviors) = (denoiser(0), drift());
-        let config = match config(toml).resolve(&behaviors) {
-            Ok(config) => config,
-            Err(error) => return Some(error.to_string()),
-        };
+        let config = resolve(toml);
         let models = Models { denoiser: &denoiser, classifiers, distilled: None, baseline: None };
         Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu)
             .err()
@@ -167,11 +182,6 @@ fn models_must_fit_each_other_and_the_sweeps() {
     assert_eq!(refusal(SWEEPS, &[classifier()]), None);
     assert!(refusal(SWEEPS, &[]).unwrap().contains("no classifier for drift"));
     assert_eq!(refusal(&SWEEPS.replace("[0.0, 3.0]", "[0.0]"), &[]), None);
-    assert!(
-        refusal(&SWEEPS.replace("'drift'", "'drifts'"), &[])
-            .unwrap()
-            .contains("sweeps.1.behavior is \"drifts\", expected one of mine.behaviors, which are drift")
-    );
     let sampler = "n_scenes = 5\n    sampler = { kind = 'heun', n_steps = 4, grid = { sigma_max = 400 } }";
     let beyond = SWEEPS.replace("n_scenes = 5", sampler);
     assert!(refusal(&beyond, &[classifier()]).unwrap().contains("above the denoiser's largest, 80"));
@@ -182,15 +192,17 @@ fn models_must_fit_each_other_and_the_sweeps() {
 
 #[test]
 fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
-    let refusal = |distillation: Option<Distillation>, rest: &str| {
+    let refused = |distillation: Option<Distillation>, rest: &str, change: fn(&mut DenoiserSpec)| {
         let (denoiser, mut distilled) = (denoiser(0), denoiser(0));
         distilled.spec.distillation = distillation;
+        change(&mut distilled.spec);
         let config = resolve(&format!("[[sweeps]]\nname = 'a'\nn_scenes = 2\nmodel = 'distilled'\n{rest}"));
         let models = Models { denoiser: &denoiser, classifiers: &[], distilled: Some(&distilled), baseline: None };
         Generator::new(&config, models, &[], &load, MetricSettings::default(), &Device::Cpu)
             .err()
             .map(|error| error.to_string())
     };
+    let refusal = |distillation: Option<Distillation>, rest: &str| refused(distillation, rest, |_| {});
     let steps = || Some(Distillation::Steps { sigmas: vec![30.0, 2.0, 0.0] });
     let euler = |last: f64| {
         format!("sampler = {{ kind = 'euler', n_steps = 2, grid = {{ sigma_max = 30, sigma_min = {last} }} }}")
@@ -202,6 +214,15 @@ fn a_distilled_denoiser_is_asked_at_its_own_noise_levels() {
     ] {
         let message = refusal(distillation, &sampler).unwrap();
         assert!(message.contains("sweep a") && message.contains(part), "{message}");
+    }
+    let changes: [fn(&mut DenoiserSpec); 3] = [
+        |spec| spec.edm.sigma_max = 40.0,
+        |spec| spec.n_timesteps += 1,
+        |spec| spec.normalizer.motion_lateral_unit_m *= 1.01,
+    ];
+    for change in changes {
+        let message = refused(steps(), &euler(2.0), change).unwrap();
+        assert!(message.contains("different scales or timesteps than the denoiser"), "{message}");
     }
     // Edits begin at one of its levels.
     assert_eq!(refusal(steps(), &format!("{}\nedit = {{ tau = 2.0 }}", euler(2.0))), None);

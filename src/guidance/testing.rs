@@ -1,11 +1,9 @@
 //! Scenes for tests of guidance, training and generation: some hold a cut-in, others could.
 
 use crate::diffusion::Edm;
-use crate::geometry::{Transform2, Vec2};
+use crate::geometry::Vec2;
 use crate::model::{DenoiserKind, DenoiserSpec, NetworkConfig};
-use crate::scene::{
-    AgentClass, Dataset, Scene, SceneSource, SituationKind, Split, State, Track, TrackRole, Trajectory,
-};
+use crate::scene::{Scene, SceneSource, State, Track, testing};
 use crate::seed::Seed;
 use crate::tensor::{NormalizerFit, StateParametrization};
 
@@ -26,13 +24,7 @@ pub(crate) fn scene(idx: usize) -> Scene {
                 velocity: Vec2::new(speed_mps, 0.0),
             }
         };
-        Track {
-            id: id.into(),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: None,
-            trajectory: Trajectory::new((0..N_TIMESTEPS).map(|timestep| Some(state(timestep))).collect()),
-        }
+        Track { extent: None, ..testing::vehicle(id, (0..N_TIMESTEPS).map(|timestep| Some(state(timestep)))) }
     };
     let mut draw = |low: f64, high: f64| low + (high - low) * rng.uniform();
     let shift_m = if is_positive { draw(-4.0, -3.0) } else { draw(-0.5, 0.5) };
@@ -41,27 +33,17 @@ pub(crate) fn scene(idx: usize) -> Scene {
         track("behind", Vec2::ZERO, draw(6.0, 10.0), draw(-0.3, 0.3), draw(-3.0, 3.0)),
         track("ahead", Vec2::new(draw(3.0, 8.0), 3.5), draw(6.0, 10.0), shift_m, draw(-3.0, 3.0)),
     ];
+    let base = testing::scene(&[]);
     Scene {
         id: format!("interaction/train/TEST/{idx}").as_str().into(),
-        source: SceneSource {
-            dataset: Dataset::Interaction,
-            version: String::new(),
-            split: Split::Train,
-            place: "TEST".to_owned(),
-            file: String::new(),
-            case_id: idx.to_string(),
-            first_frame: String::new(),
-            situation: SituationKind::Recorded,
-            continues: None,
-        },
+        source: SceneSource { place: "TEST".to_owned(), case_id: idx.to_string(), ..base.source },
         dt_s: DT_S,
         n_timesteps: N_TIMESTEPS,
         n_history: N_HISTORY,
-        world_from_scene: Transform2::IDENTITY,
-        ego_idx: 0,
         tracks,
         map_id: None,
         lanes: std::sync::Arc::default(),
+        ..base
     }
 }
 

@@ -115,7 +115,7 @@ fn join(track: &Track, later: &Track) -> Track {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ingest::map_id;
+    use crate::ingest::test_data;
     use crate::scene::testing::{Drive, scene, without_states};
 
     fn mended(change: impl Fn(&mut crate::scene::Scene)) -> [Vec<String>; 2] {
@@ -124,18 +124,7 @@ mod tests {
         let scene = without_states(scene(&drives), 0, |timestep| timestep > 4);
         let mut scene = without_states(without_states(scene, 1, |timestep| timestep < 8), 2, |t| t == 5 || t == 6);
         change(&mut scene);
-        let mut raw = RawScene {
-            id: scene.id,
-            source: scene.source,
-            dt_s: scene.dt_s,
-            n_timesteps: scene.n_timesteps,
-            n_history: scene.n_history,
-            tracks: scene.tracks,
-            heading_gaps: Vec::new(),
-            map_id: map_id(crate::scene::Dataset::Interaction, "X"),
-            own_map: None,
-            findings: Vec::new(),
-        };
+        let mut raw = test_data::raw(scene);
         let mut counts = IngestReport::default();
         mend(&mut raw, &mut counts);
         let tracks = raw.tracks.iter().map(|track| format!("{}: {}", track.id, track.trajectory.n_valid()));

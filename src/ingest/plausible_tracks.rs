@@ -183,11 +183,9 @@ pub(super) fn judge_place(raw: &mut RawScene, present: usize, map: &LaneIndex) {
 mod tests {
     use super::*;
     use crate::ingest::lane_topology::tests::lane;
-    use crate::ingest::map_id;
-    use crate::scene::{
-        Dataset, Derivation, Extent, LaneGraph, SceneId, SceneSource, SituationKind, Split, TrackId, TrackRole,
-        Trajectory,
-    };
+    use crate::ingest::test_data;
+    use crate::scene::testing;
+    use crate::scene::{Derivation, Extent, LaneGraph, Scene};
     use std::sync::Arc;
 
     type Change = dyn Fn(usize, &mut State);
@@ -202,39 +200,11 @@ mod tests {
             change(timestep, &mut state);
             Some(state)
         });
-        Track {
-            id: TrackId(id.to_string()),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: Some(Extent { length_m: 4.5, width_m: 1.8 }),
-            trajectory: Trajectory::new(states.collect()),
-        }
+        testing::vehicle(&id.to_string(), states)
     }
 
     fn scene(tracks: Vec<Track>) -> RawScene {
-        let source = SceneSource {
-            dataset: Dataset::Interaction,
-            version: String::new(),
-            split: Split::Val,
-            place: "X".to_owned(),
-            file: "X.csv".to_owned(),
-            case_id: "1".to_owned(),
-            first_frame: "1".to_owned(),
-            situation: SituationKind::Recorded,
-            continues: None,
-        };
-        RawScene {
-            id: SceneId::from("X/1"),
-            source,
-            dt_s: 0.1,
-            n_timesteps: 20,
-            n_history: 10,
-            tracks,
-            heading_gaps: Vec::new(),
-            map_id: map_id(Dataset::Interaction, "X"),
-            own_map: None,
-            findings: Vec::new(),
-        }
+        test_data::raw(Scene { n_timesteps: 20, n_history: 10, tracks, ..testing::scene(&[]) })
     }
 
     /// The judged scene of five cars, `n_changed` of which are changed.
@@ -347,6 +317,6 @@ mod tests {
         assert_eq!(findings(3.0), []);
         let found = findings(-60.0);
         assert_eq!((found[0].what, found[0].n), ("vehicles_beside_all_lanes", 2));
-        assert!(found[0].detail.ends_with("0 of 2 are within 10 m of a lane of interaction/X"), "{found:?}");
+        assert!(found[0].detail.ends_with("0 of 2 are within 10 m of a lane of Test"), "{found:?}");
     }
 }

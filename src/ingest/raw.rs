@@ -1,6 +1,5 @@
 //! The steps between a file and a scene: units of raw bytes, scenes in the recording's frame, and rejects.
 
-use super::table::Change;
 use crate::scene::{Dataset, LaneGraph, MapId, SceneId, SceneSource, SituationKind, Split, Track};
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -74,6 +73,17 @@ pub struct SeenTrack {
     /// Where it pointed while it stood for long, each until a time, both as in the rows: seconds, and radians from x
     /// to y.
     pub stood_rad: Vec<(f64, f64)>,
+}
+
+/// Why an id is another agent's from some row on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Change {
+    Size,
+    Class,
+    /// No vehicle comes there from where the agent was.
+    Place,
+    /// Nobody had it for long.
+    Time,
 }
 
 /// The second file of a [`RawUnit`].

@@ -1,6 +1,6 @@
 //! Finds the development data for the tests that use it, and reads small recordings whole.
 
-use super::{Error, IngestConfig, IngestReport, ingest};
+use super::{Error, IngestConfig, IngestReport, RawScene, ingest};
 use crate::progress::Silent;
 use crate::scene::Scene;
 use std::path::PathBuf;
@@ -29,4 +29,12 @@ pub(crate) fn scenes(config: &IngestConfig) -> Result<(Vec<Scene>, IngestReport)
         Ok(())
     })?;
     Ok((scenes, report))
+}
+
+/// The scene as a reader gives it, without doubts.
+pub(crate) fn raw(scene: Scene) -> RawScene {
+    let Scene { id, source, dt_s, n_timesteps, n_history, tracks, map_id, .. } = scene;
+    let (heading_gaps, findings) = (Vec::new(), Vec::new());
+    let map_id = map_id.unwrap_or_else(|| "Test".into());
+    RawScene { id, source, dt_s, n_timesteps, n_history, tracks, heading_gaps, map_id, own_map: None, findings }
 }

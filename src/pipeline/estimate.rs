@@ -106,7 +106,7 @@ fn describe(
         };
         lines.push(format!("    bucket {bucket}: {}: {n} wanted{pairs}", request.buckets.ranges(bucket)));
     }
-    most_evaluations
+    if pool.is_some_and(|pool| pool.cells.is_empty()) { 0 } else { most_evaluations }
 }
 
 /// The speed of the denoiser on a recorded scene, in evaluations of single samples per second. `None` without one of
@@ -129,7 +129,9 @@ fn evaluations_per_second(
         return Ok(None);
     };
     let is_alike = |scene: &Scene| scene.n_history == spec.n_history && scene.n_timesteps == spec.n_timesteps;
-    let recorded = SceneStore::open(&layout.scenes).ok().and_then(|store| store.scene(0).ok()).filter(is_alike);
+    // Recordings may begin with scenes without a future.
+    let store = SceneStore::open(&layout.scenes).ok();
+    let recorded = store.and_then(|store| (0..store.len()).filter_map(|idx| store.scene(idx).ok()).find(is_alike));
     let Some(scene) = recorded else { return Ok(None) };
     let mask = ObservationMask::predictive(scene.tracks.len(), scene.n_timesteps, scene.n_history);
     let view = SceneView { scene: &scene, ego_idx: scene.ego_idx, mask: &mask };

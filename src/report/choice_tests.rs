@@ -3,36 +3,20 @@
 use super::accepted::{Accepted, HardnessSummary};
 use super::choice::{Choice, Chosen};
 use super::config::ReportConfig;
+use crate::evaluate;
 use crate::metrics::MetricRow;
 use crate::scenario::{BucketTag, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 use crate::scene::testing::{self, Drive};
-use crate::scene::{GuidanceLevel, GuidanceTag, ObservationMask, Provenance, Roles, Scenario};
+use crate::scene::{GuidanceLevel, Roles};
 
 fn record(sweep: &str, scene: &str, strength: f64, sample_idx: usize) -> ScenarioRecord {
-    let recorded = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
-    let guidance = GuidanceTag {
-        kind: "classifier:cut_in".into(),
-        level: GuidanceLevel::of_strength(strength),
-        roles: Roles::default(),
-    };
-    let provenance = Provenance { sample_idx, guidance, ..testing::provenance(scene) };
-    let observed = ObservationMask::predictive(1, recorded.n_timesteps, recorded.n_history);
-    ScenarioRecord {
-        scenario: Scenario {
-            id: format!("{sweep}-{scene}-{strength}-{sample_idx}"),
-            scene: recorded,
-            observed,
-            provenance,
-        },
-        sweep: sweep.into(),
-        requested_behavior: None,
-        verified: false,
-        events: vec![],
-        recorded_event: false,
-        assessment: None,
-        shard: 0,
-        request: None,
-    }
+    let mut record =
+        evaluate::testing::record(strength, false, false, testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]));
+    record.scenario.id = format!("{sweep}-{scene}-{strength}-{sample_idx}");
+    let provenance = &mut record.scenario.provenance;
+    (provenance.scene_id, provenance.sample_idx) = (scene.into(), sample_idx);
+    provenance.guidance.roles = Roles::default();
+    ScenarioRecord { sweep: sweep.into(), requested_behavior: None, ..record }
 }
 
 fn asked(scene: &str, sample_idx: usize, verified: bool, recorded_event: bool) -> ScenarioRecord {

@@ -126,7 +126,7 @@ mod tests {
     use super::*;
     use crate::scene::SceneId;
     use crate::scene::testing::{self, Drive};
-    use std::collections::BTreeMap;
+    use crate::store::testing::event;
 
     fn scene() -> Scene {
         testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(0.0, 6.0, 0.0, 10.0)])
@@ -147,15 +147,8 @@ mod tests {
 
     #[test]
     fn event_parameters_get_titles_and_units() {
-        let event = |gap_m: f64| BehaviorEvent {
-            behavior: "cut_in".into(),
-            scene_id: SceneId::from("s"),
-            label: crate::behavior::EventLabel::Positive,
-            roles: crate::scene::Roles::default(),
-            start_timestep: 0,
-            end_timestep: 1,
-            parameters: BTreeMap::from([("gap_m".to_owned(), gap_m), ("relative_speed_mps".to_owned(), -1.0)]),
-        };
+        let scene_id = SceneId::from("s");
+        let event = |gap_m: f64| event(&scene_id, "cut_in", &[("gap_m", gap_m), ("relative_speed_mps", -1.0)]);
         let parameters = |gaps_m: &[f64]| {
             let mut parameters = EventParameters::default();
             gaps_m.iter().for_each(|gap_m| parameters.add(&event(*gap_m)));

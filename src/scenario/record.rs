@@ -1,7 +1,7 @@
 //! A generated scenario with its request, the findings in it and its judgment.
 
 use super::{Assessment, RequestTag};
-use crate::behavior::{BehaviorEntry, BehaviorEvent, EventLabel, Explanation, explanation, needs_cause};
+use crate::behavior::{Behavior, BehaviorEntry, BehaviorEvent, EventLabel, Explanation, explanation, needs_cause};
 use crate::metrics::Ending;
 use crate::scene::{Scenario, Track};
 
@@ -63,6 +63,13 @@ impl ScenarioRecord {
     pub fn explanation(&self) -> Option<Option<Explanation>> {
         let event = self.main_event().filter(|event| needs_cause(&event.behavior))?;
         Some(explanation(&self.scenario.scene, event))
+    }
+
+    /// Whether the road users of its event move as drivers do, as the requested one of these behaviors says.
+    pub fn is_as_driven(&self, behaviors: &[Box<dyn Behavior>]) -> bool {
+        self.main_event().is_none_or(|event| {
+            behaviors.iter().filter(|behavior| behavior.id() == event.behavior).all(|it| it.is_as_driven(event))
+        })
     }
 
     /// The index of that vehicle among the tracks.

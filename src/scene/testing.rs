@@ -37,15 +37,22 @@ impl Drive {
     }
 }
 
-/// A scene of vehicles `1`, `2`, … at 10 Hz with 4 observed of 12 timesteps, and one straight lane of 61 points.
-pub(crate) fn scene(drives: &[Drive]) -> Scene {
-    let (n_timesteps, n_history, dt_s) = (12, 4, 0.1);
-    let track = |(idx, drive): (usize, &Drive)| Track {
-        id: TrackId((idx + 1).to_string()),
+/// A vehicle with these states.
+pub(crate) fn vehicle(id: &str, states: impl Iterator<Item = Option<State>>) -> Track {
+    Track {
+        id: id.into(),
         class: AgentClass::Vehicle,
         role: TrackRole::Context,
         extent: Some(Extent { length_m: 4.5, width_m: 1.8 }),
-        trajectory: Trajectory::new((0..n_timesteps).map(|t| Some(drive.state(t as f64 * dt_s))).collect()),
+        trajectory: Trajectory::new(states.collect()),
+    }
+}
+
+/// A scene of vehicles `1`, `2`, … at 10 Hz with 4 observed of 12 timesteps, and one straight lane of 61 points.
+pub(crate) fn scene(drives: &[Drive]) -> Scene {
+    let (n_timesteps, n_history, dt_s) = (12, 4, 0.1);
+    let track = |(idx, drive): (usize, &Drive)| {
+        vehicle(&(idx + 1).to_string(), (0..n_timesteps).map(|t| Some(drive.state(t as f64 * dt_s))))
     };
     let line = |y: f64| Polyline((0..61).map(|i| Vec2::new(f64::from(i) * 2.0 - 40.0, y)).collect());
     let lane = Lane::unconnected(7, line(0.0), [1.75, -1.75].map(line));

@@ -1,13 +1,13 @@
 //! Writes one agent into a batch: its entries, their base, and the network's input.
 
 use super::batch_buffers::BatchBuffers;
-use super::collate::{Collator, FutureValidity, SceneView};
+use super::collate::Collator;
 use super::hidden_states::generated_timesteps;
 use super::motion::MotionChain;
 use super::motion_modes::MotionModes;
 use super::observation_errors::FadingErrors;
 use super::reference::Reference;
-use super::{AgentFrame, FeatureLayout, StateParametrization};
+use super::{AgentFrame, FeatureLayout, FutureValidity, SceneView, StateParametrization};
 use crate::geometry::{Vec2, angle_difference, unwrap_angles};
 use crate::scene::{Scene, Track};
 

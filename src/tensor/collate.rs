@@ -5,36 +5,12 @@ use super::batch_buffers::BatchBuffers;
 use super::features::lane_polylines;
 use super::motion_modes::MotionModes;
 use super::observation_errors::without_errors;
-use super::{AgentFrame, FeatureLayout, Normalizer, SceneBatch, Sight};
+use super::{AgentFrame, FeatureLayout, FutureValidity, Normalizer, SceneBatch, SceneView, Sight};
 use crate::geometry::Transform2;
-use crate::scene::{ObservationMask, Scene};
+use crate::scene::Scene;
 use candle_core::{Device, Result, bail};
 use rayon::prelude::*;
 use std::borrow::Cow;
-
-/// Which unobserved states are generated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FutureValidity {
-    /// The recorded ones: for training and for losses.
-    Recorded,
-    /// Every stretch of hidden states that follows or precedes an observed state of the agent, recorded or not: for
-    /// sampling. Where the mask shows that the agent was not tracked, it stays absent.
-    Everything,
-    /// The stretches of [`Self::Everything`], in which recorded states are scored: for training a network on the inputs
-    /// that it gets in sampling. States that were not recorded continue the last recorded motion.
-    Continued,
-}
-
-/// A scene as one row of a batch: the agent at its origin, and its mask.
-#[derive(Debug, Clone, Copy)]
-pub struct SceneView<'a> {
-    /// The scene.
-    pub scene: &'a Scene,
-    /// The agent at the origin. If it is not tracked at the last timestep of the history, the scene frame is used.
-    pub ego_idx: usize,
-    /// Which states are observed; one entry for each track and timestep of the scene.
-    pub mask: &'a ObservationMask,
-}
 
 /// Turns scenes into batches.
 #[derive(Debug, Clone)]

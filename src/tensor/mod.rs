@@ -32,6 +32,7 @@ mod pair_features;
 mod reference;
 mod repeated_rows;
 mod scene_batch;
+mod scene_view;
 mod sight;
 mod surroundings;
 #[cfg(test)]
@@ -41,7 +42,7 @@ mod tests;
 mod texture;
 
 pub use agent_frame::AgentFrame;
-pub use collate::{Collator, FutureValidity, SceneView};
+pub use collate::Collator;
 pub use features::{FeatureLayout, LANE_POINTS};
 pub use forward::LeastProgress;
 pub use lane_pieces::{LanePiece, LanePoint, PIECE_FLAGS, PIECE_POINTS};
@@ -51,5 +52,6 @@ pub use normalizer::{Normalizer, NormalizerFit, StateParametrization};
 pub use pair_features::PairFeatures;
 pub use repeated_rows::RepeatedRows;
 pub use scene_batch::{SceneBatch, SceneTensors, Surroundings};
+pub use scene_view::{FutureValidity, SceneView};
 pub use sight::Sight;
 pub use surroundings::{AgentSurroundings, RowSurroundings, SeenPiece, SurroundingsLayout};

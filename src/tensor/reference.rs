@@ -124,7 +124,7 @@ impl<'a> Reference<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{AgentClass, TrackRole, Trajectory};
+    use crate::scene::testing::vehicle;
 
     fn track() -> Track {
         // Accelerates from 10 m/s by 1 m/s a step along x.
@@ -133,13 +133,7 @@ mod tests {
             heading_rad: 0.1 * t as f64,
             velocity: Vec2::new(10.0 + t as f64, 0.0),
         };
-        Track {
-            id: "1".into(),
-            class: AgentClass::Vehicle,
-            role: TrackRole::Context,
-            extent: None,
-            trajectory: Trajectory::new((0..8).map(|t| Some(state(t))).collect()),
-        }
+        Track { extent: None, ..vehicle("1", (0..8).map(|t| Some(state(t)))) }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use crate::nn::{Compute, Params};
 use crate::progress::{Progress, Silent};
 use crate::scene::{Roles, Scene};
 use crate::seed::Seed;
+use crate::store::testing::event as event_of;
 use crate::tensor::{FutureValidity, StateParametrization};
 use candle_core::{Device, Tensor};
 use std::path::Path;
@@ -23,15 +24,8 @@ const fn scenes(n: usize) -> MadeScenes<fn(usize) -> Scene> {
 }
 
 fn event(idx: usize, label: EventLabel) -> BehaviorEvent {
-    BehaviorEvent {
-        behavior: "cut_in".to_owned(),
-        scene_id: scene(idx).id,
-        label,
-        roles: Roles::from([("ego", "behind"), ("other", "ahead")]),
-        start_timestep: 0,
-        end_timestep: 1,
-        parameters: std::collections::BTreeMap::new(),
-    }
+    let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
+    BehaviorEvent { label, roles, ..event_of(&scene(idx).id, "cut_in", &[]) }
 }
 
 fn pairs(indices: std::ops::Range<usize>, max_pairs: usize) -> Vec<LabeledPair> {

@@ -2,7 +2,7 @@
 
 use super::objective_loss::check_objectives;
 use super::section::{SceneTraining, scene_training_section};
-use super::{Error, FitConfig, OwnScenes, Preset, SceneChoice, Within};
+use super::{Error, FitConfig, OwnScenes, Preset, SceneChoice};
 use crate::diffusion::{Edm, NoiseDistribution};
 use crate::guidance::ObjectiveConfig;
 use crate::model::NetworkConfig;
@@ -146,6 +146,19 @@ pub struct DenoiserTraining {
     /// Tasks, batches, evaluations and the schedule.
     #[serde(flatten)]
     pub common: SceneTraining,
+}
+
+/// What a training that is given time may choose from.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Within {
+    /// The time for all of it, seconds.
+    pub seconds: f64,
+    /// The learning rates that are tried; the first where there is no time to try any.
+    pub learning_rates: Vec<f64>,
+    /// The scales of motion that are tried, of a training that starts from a checkpoint.
+    pub scales: Vec<Scales>,
+    /// Held-out scenes of each evaluation; `None`: as many as there is time for.
+    pub n_eval_scenes: Option<usize>,
 }
 
 impl DenoiserTrainingConfig {

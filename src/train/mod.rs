@@ -60,7 +60,7 @@ pub use classifier::{
 };
 pub use classifier_report::NoiseLevelReport;
 pub use denoiser::train_denoiser;
-pub use denoiser_config::{Balance, DenoiserTraining, DenoiserTrainingConfig, Scales};
+pub use denoiser_config::{Balance, DenoiserTraining, DenoiserTrainingConfig, Scales, Within};
 pub use denoising::{DenoisingTask, SCENE_ERROR};
 pub use distill::distill_denoiser;
 pub use distill_config::{DistillTraining, DistillTrainingConfig};
@@ -75,7 +75,7 @@ pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, Weighted
 pub use section::{MoreScenes, OwnScenes, SceneChoice, SceneTraining};
 pub use step_distillation::{StepDistillation, StepDistillationTask};
 pub use task::TrainTask;
-pub use timed::{CHOSEN_FILE, Chosen, Tried, Within};
+pub use timed::{CHOSEN_FILE, Chosen, Tried};
 use trainable::Trainable;
 pub use trainable::{JobTime, MODEL_FILE, TrainJob, TrainOutcome};
 pub use training_data::{TrainingData, TrainingSource};

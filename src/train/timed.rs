@@ -10,7 +10,7 @@
 use super::denoiser::TrainedFrom;
 use super::fit::take_steps;
 use super::pace::Pace;
-use super::{DenoiserTraining, Error, FitConfig, JobTime, Scales, SceneTraining, TrainTask};
+use super::{DenoiserTraining, Error, FitConfig, JobTime, Scales, SceneTraining, TrainTask, Within};
 use crate::files::write_atomically;
 use crate::tensor::TaskWeights;
 use fs_err as fs;
@@ -36,19 +36,6 @@ const N_EVALUATIONS: [f64; 2] = [2.0, 20.0];
 const EVERY: f64 = 8.0;
 /// Steps that are taken at least, so that they can be timed again.
 const LEAST_STEPS: u64 = 10;
-
-/// What a training that is given time may choose from.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Within {
-    /// The time for all of it, seconds.
-    pub seconds: f64,
-    /// The learning rates that are tried; the first where there is no time to try any.
-    pub learning_rates: Vec<f64>,
-    /// The scales of motion that are tried, of a training that starts from a checkpoint.
-    pub scales: Vec<Scales>,
-    /// Held-out scenes of each evaluation; `None`: as many as there is time for.
-    pub n_eval_scenes: Option<usize>,
-}
 
 /// A trial of some settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -4,6 +4,7 @@
 //! cargo bench --profile dev -- run_time                # seconds for a scene against the number of its agents
 //! cargo bench --profile dev -- run_time 8 16 --steps 25
 //! cargo bench --profile dev -- network SCENES            # beside PyTorch, on the folder `scenes` of a run
+//! cargo bench -- stages                                  # whole runs beside the last release's
 //! ```
 //!
 //! The profile `dev` has optimized dependencies, and so saves a second build of the world;
@@ -18,6 +19,7 @@ mod cpu_time;
 mod network;
 mod run_time;
 mod scenes;
+mod stages;
 
 use std::process::ExitCode;
 
@@ -27,7 +29,8 @@ fn main() -> ExitCode {
     let result = match arguments.split_first() {
         Some((name, rest)) if name == "run_time" => run_time::run(rest),
         Some((name, rest)) if name == "network" => network::run(rest),
-        _ => Err("name a benchmark: run_time [AGENTS …] [--steps N …] or network SCENES".to_owned()),
+        Some((name, rest)) if name == "stages" => stages::run(rest),
+        _ => Err("name a benchmark: run_time [AGENTS …] [--steps N …], network SCENES or stages".to_owned()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,5 +1,6 @@
 //! Does the code keep the rules that ARCHITECTURE.md states? The tables there are read here: they are the rules.
 
+use crate::support::{files_below, read, root};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -14,26 +15,6 @@ struct Source {
     module: Vec<String>,
     text: String,
     code: String,
-}
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-fn read(name: &str) -> String {
-    fs_err::read_to_string(root().join(name)).unwrap()
-}
-
-fn files_below(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
-    for entry in fs_err::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            files_below(&path, extension, found);
-        } else if path.extension().is_some_and(|e| e == extension) {
-            found.push(path);
-        }
-    }
-    found.sort();
 }
 
 fn rust_files(folder: &str) -> Vec<PathBuf> {

@@ -1,7 +1,7 @@
 //! What do people and scripts see of the program: help, exit codes, streams?
 
 use crate::skipped::skipped;
-use crate::support::{Workspace, command, djinn};
+use crate::support::{Outcome, Workspace, command, djinn, root};
 use std::ffi::OsStr;
 use std::io::Read;
 use std::os::unix::ffi::OsStrExt;
@@ -120,15 +120,9 @@ fn a_full_disk_is_a_fault_of_the_machine_and_leaves_no_half_result() {
         vec!["export", "openlabel", corpus, "--out", &out],
     ] {
         let whole = command(&args);
-        let outcome = std::process::Command::new("sh")
-            .args(["-c", "trap '' XFSZ; ulimit -f 1; exec \"$0\" \"$@\""])
-            .arg(whole.get_program())
-            .args(whole.get_args())
-            .current_dir(env!("CARGO_MANIFEST_DIR"))
-            .output()
-            .unwrap();
-        let said = String::from_utf8(outcome.stderr).unwrap();
-        assert_eq!(outcome.status.code(), Some(2), "{args:?}: {said}");
+        let mut limited = std::process::Command::new("sh");
+        limited.args(["-c", "trap '' XFSZ; ulimit -f 1; exec \"$0\" \"$@\""]).arg(whole.get_program());
+        let said = Outcome::of(limited.args(whole.get_args()).current_dir(root())).expect(2).stderr;
         assert!(said.contains("File too large"), "{args:?}: {said}");
         assert!(!workspace.path("out/report.html").exists() && !workspace.path("a/events.parquet").exists());
         assert!(workspace.path("out").is_dir() == (args[1] == "--from"), "{args:?}");
@@ -187,12 +181,10 @@ fn recordings_are_read_wherever_they_lie() {
         fs_err::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join(recording), folder.join(format!("{i}.csv"))).unwrap();
     }
     let args = ["ingest", "--dataset", "argoverse1", "--set", "ingest.maps=none", "--output", &output];
-    let ingest = || command(&args).args(&folders).output().unwrap();
     // The second time, they are known.
     for said in ["ingest: 2 scenes", "everything is up to date"] {
-        let outcome = ingest();
-        let stderr = String::from_utf8(outcome.stderr).unwrap();
-        assert!(outcome.status.success() && stderr.contains(said), "{stderr}");
+        let stderr = Outcome::of(command(&args).args(&folders)).expect(0).stderr;
+        assert!(stderr.contains(said), "{stderr}");
     }
 }
 

@@ -51,12 +51,7 @@ fn a_checkpoint_that_was_moved_is_the_same_and_another_one_is_not() {
 #[cfg(unix)]
 fn with_few_files(n_files: usize, args: &[&str]) -> Outcome {
     let limited = format!("ulimit -n {n_files} && exec \"$0\" \"$@\"");
-    let output = Command::new("sh").args(["-c", &limited, env!("CARGO_BIN_EXE_djinn")]).args(args).output().unwrap();
-    Outcome {
-        code: output.status.code().unwrap_or(-1),
-        stdout: String::from_utf8(output.stdout).unwrap(),
-        stderr: String::from_utf8(output.stderr).unwrap(),
-    }
+    Outcome::of(Command::new("sh").args(["-c", &limited, env!("CARGO_BIN_EXE_djinn")]).args(args))
 }
 
 #[cfg(unix)]

@@ -1,12 +1,8 @@
 //! Do the documents speak of what exists? Configurations in them are parsed, files and options they name must be there.
 
+use crate::support::read;
 use djinn::pipeline::config::parse;
 use djinn::store::TableSchema;
-use std::path::Path;
-
-fn read(name: &str) -> String {
-    fs_err::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(name)).unwrap()
-}
 
 /// The fenced blocks of `language` in a document.
 fn blocks(document: &str, language: &str) -> Vec<String> {

@@ -1,7 +1,7 @@
 //! Does `djinn drive` put planners into the scenarios of a corpus, whatever they answer, and repeat to the same bytes?
 
 use crate::skipped::skipped;
-use crate::support::{Outcome, assert_same, command, djinn, files, python};
+use crate::support::{Outcome, assert_same, command, djinn, files, json, python};
 use arrow::array::{ArrayRef, Float64Array, RecordBatch, StringArray, UInt32Array};
 use djinn::drive::protocol::protocol_schema;
 use djinn::scene::State;
@@ -22,7 +22,7 @@ fn drive(ego: &str, out: &Path, more: &[&str]) -> Outcome {
 }
 
 fn report(out: &Path) -> serde_json::Value {
-    serde_json::from_slice(&fs_err::read(out.join("drive.json")).unwrap()).unwrap()
+    json(&out.join("drive.json"))
 }
 
 fn example(fault: &str) -> String {
@@ -98,9 +98,8 @@ fn a_drive_that_was_killed_goes_on_to_the_same_bytes() {
     let (n_kept, n_begun) = (n_kept() as u64, || fs_err::read_to_string(&begun).unwrap().lines().count() as u64);
     let n_before = n_begun();
     assert!((1..N_SCENARIOS).contains(&n_kept) && !killed.exists());
-    let again = run("2").output().unwrap();
-    let said = String::from_utf8_lossy(&again.stderr);
-    assert!(again.status.success() && said.contains(&format!("{n_kept} scenarios were not driven again")), "{said}");
+    let said = Outcome::of(&mut run("2")).expect(0).stderr;
+    assert!(said.contains(&format!("{n_kept} scenarios were not driven again")), "{said}");
     assert_eq!(n_begun() - n_before, N_SCENARIOS - n_kept);
     assert_same(&files(&whole), &files(&killed));
     assert!(!kept.exists());
@@ -131,9 +130,8 @@ fn a_planner_that_was_edited_meanwhile_begins_anew() {
     assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
     assert_eq!(child.wait().unwrap().code(), Some(75));
     write("pass");
-    let again = begin().output().unwrap();
-    let said = String::from_utf8_lossy(&again.stderr);
-    assert!(again.status.success() && said.contains("begins anew: the files of the planner changed"), "{said}");
+    let said = Outcome::of(&mut begin()).expect(0).stderr;
+    assert!(said.contains("begins anew: the files of the planner changed"), "{said}");
     assert!(!said.contains("not driven again") && !kept.exists(), "{said}");
 }
 

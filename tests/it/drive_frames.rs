@@ -187,6 +187,8 @@ fn check_plans(records: &[ScenarioRecord], driven: &[Row]) {
         let (scene, timestep) = (&record.scenario.scene, row["timestep"].parse::<usize>().unwrap());
         let is_other = record.main_event().unwrap().roles.tracks().any(|track| track.0 == row["track_id"])
             && row["is_center"] == "false";
+        let is_driver = timestep >= scene.n_history && row["is_center"] == "true";
+        assert_eq!(row["moved_by"] == "driver", is_driver, "{row:?}");
         if timestep < scene.n_history || !is_other {
             assert_ne!(row["moved_by"], "plan");
             continue;

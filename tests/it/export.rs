@@ -1,6 +1,6 @@
 //! Does `djinn export` write every format from a corpus, refuse what it must, and lead back to where it came from?
 
-use crate::support::{Outcome, Workspace, assert_same, djinn, files};
+use crate::support::{Outcome, Workspace, assert_same, djinn, files, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -10,10 +10,6 @@ const FORMATS: [&str; 6] = ["interaction", "argoverse2", "womd", "commonroad", "
 fn rows(path: &Path) -> Vec<BTreeMap<String, String>> {
     let mut reader = csv::ReaderBuilder::new().delimiter(b'\t').from_path(path).unwrap();
     reader.deserialize().map(Result::unwrap).collect()
-}
-
-fn json(path: &Path) -> serde_json::Value {
-    serde_json::from_slice(&fs_err::read(path).unwrap()).unwrap()
 }
 
 /// One corpus for all questions: it takes a whole run to make.

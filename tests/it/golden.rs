@@ -2,6 +2,7 @@
 //!
 //! `DJINN_UPDATE_GOLDEN=1 cargo test --test it pipelines` writes the expectations in `tests/golden/` anew.
 
+use crate::support::json;
 use djinn::store::SceneStore;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
@@ -21,7 +22,7 @@ pub(crate) fn check(pipeline: &str, root: &Path) {
         fs_err::write(&path, serde_json::to_string_pretty(&found).unwrap() + "\n").unwrap();
         return;
     }
-    let expected = read(&path);
+    let expected = json(&path);
     for part in ["counts", "scenes"] {
         assert_eq!(found[part], expected[part], "{part} of {}", path.display());
     }
@@ -32,10 +33,6 @@ pub(crate) fn check(pipeline: &str, root: &Path) {
         let is_near = (found - expected).abs() <= TOLERANCE * (1.0 + expected.abs());
         assert!(is_near, "{name} is {found}, expected {expected} as in {}", path.display());
     }
-}
-
-fn read(path: &Path) -> Value {
-    serde_json::from_str(&fs_err::read_to_string(path).unwrap()).unwrap()
 }
 
 /// Counts that no rounding changes: of scenes by split, of events, and of what models learn from.
@@ -52,7 +49,7 @@ fn counts(root: &Path) -> Map<String, Value> {
         ("train_denoiser", &["n_train_scenes", "n_held_out_scenes", "n_parameters"]),
         ("train_classifier", &["n_positive", "n_negative"]),
     ] {
-        let summary = read(&root.join(format!("{stage}.done.json")))["summary"].take();
+        let summary = json(&root.join(format!("{stage}.done.json")))["summary"].take();
         counts.extend(keys.iter().map(|key| (format!("{stage} {key}"), summary[key].clone())));
     }
     counts
@@ -64,19 +61,19 @@ fn scenes(root: &Path) -> BTreeMap<String, Vec<Value>> {
     let ids = |cells: &Value| -> Vec<Value> {
         cells.as_array().unwrap().iter().map(|cell| cell["scene_id"].clone()).collect()
     };
-    for shard in read(&root.join("samples/plan.json"))["shards"].as_array().unwrap() {
+    for shard in json(&root.join("samples/plan.json"))["shards"].as_array().unwrap() {
         scenes.entry(format!("sweep {}", shard["sweep_idx"])).or_default().extend(ids(&shard["cells"]));
     }
     let pool = root.join("samples/request-00-pool.json");
     if pool.exists() {
-        scenes.insert("request 0".to_owned(), ids(&read(&pool)["cells"]));
+        scenes.insert("request 0".to_owned(), ids(&json(&pool)["cells"]));
     }
     scenes
 }
 
 /// Figures of recorded, extrapolated and sampled traffic.
 fn figures(root: &Path) -> BTreeMap<String, Value> {
-    let metrics = read(&root.join("metrics.json"));
+    let metrics = json(&root.join("metrics.json"));
     let row = |row: &Value| {
         let [group, sweep, place, metric] = ["group", "sweep", "place", "metric"].map(|key| row[key].as_str());
         // Which arms a request tries, and how often, depends on the last digits, and closed loops magnify them.

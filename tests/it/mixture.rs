@@ -1,6 +1,6 @@
 //! Can a denoiser be trained on the scenes of several runs, and is what cannot work refused with what to do?
 
-use crate::support::{Workspace, assert_same, djinn, files};
+use crate::support::{Workspace, assert_same, djinn, files, json};
 use djinn::model::TrainedDenoiser;
 use serde_json::Value;
 
@@ -135,7 +135,7 @@ fn a_training_for_a_time_says_what_it_chose_and_what_that_won() {
     // In a crowd, tests may have to wait for the processor.
     assert!(begun.elapsed().as_secs() < 60);
     let run = workspace.path("second/timed/main");
-    let done: Value = serde_json::from_slice(&fs_err::read(run.join("train_denoiser.done.json")).unwrap()).unwrap();
+    let done: Value = json(&run.join("train_denoiser.done.json"));
     let summary = &done["summary"];
     let (chosen, won) = (&summary["chosen"], summary["won"].as_array().unwrap());
     // Nothing can be tried within half a second.

@@ -172,10 +172,7 @@ fn run(workspace: &Workspace, address: &str, more: &[&str]) -> Outcome {
     let variables =
         [("ENDPOINT_URL", address), ("ACCESS_KEY_ID", "djinn"), ("REGION", "us-east-1"), ("ALLOW_HTTP", "true")];
     command.envs(variables.map(|(name, value)| (format!("AWS_{name}"), value)));
-    let output = command.env("AWS_SECRET_ACCESS_KEY", "nobody-may-read-this").output().unwrap();
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    let outcome =
-        Outcome { code: output.status.code().unwrap_or(-1), stdout: text(output.stdout), stderr: text(output.stderr) };
+    let outcome = Outcome::of(command.env("AWS_SECRET_ACCESS_KEY", "nobody-may-read-this"));
     assert!(!outcome.stderr.contains("nobody-may-read-this"));
     outcome
 }

@@ -2,9 +2,8 @@
 //! killed, and by several workers.
 
 use crate::golden;
-use crate::support::{Workspace, assert_same, files, start, wait_for_part};
+use crate::support::{Workspace, assert_same, files, start, wait_for_part, write_all};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
@@ -20,13 +19,6 @@ fn start_run(workspace: &Workspace, output: &str, more: &[&str]) -> Child {
 fn kill(child: &mut Child) {
     child.kill().unwrap();
     child.wait().unwrap();
-}
-
-fn copy(from: &BTreeMap<String, Vec<u8>>, to: &Path) {
-    for (name, bytes) in from {
-        fs_err::create_dir_all(to.join(name).parent().unwrap()).unwrap();
-        fs_err::write(to.join(name), bytes).unwrap();
-    }
 }
 
 /// Numbers from 0 to 1, the same ones from the same seed.
@@ -123,7 +115,7 @@ fn every_pipeline_writes_the_same_bytes_however_it_is_run() {
             .flat_map(|stage| ["--stage", stage])
             .collect();
         workspace.run("workers", &before).expect(0);
-        copy(&files(&workspace.run_folder("workers")), &workspace.run_folder("taken"));
+        write_all(&files(&workspace.run_folder("workers")), &workspace.run_folder("taken"));
         let mut draws = Draws(idx as u64);
         for stage in IN_SHARDS {
             in_parts(&workspace, stage, &mut draws);

@@ -2,7 +2,7 @@
 //! (`scripts/torch_geometric_network.py`) does?
 
 use crate::batch_tensors::tensors;
-use crate::support::djinn;
+use crate::support::{djinn, root};
 use candle_core::{Device, Tensor, Var};
 use djinn::diffusion::{Denoiser, Edm};
 use djinn::model::{DenoiserSpec, GeometryConfig, NetworkConfig, SceneDenoiser, TrainedDenoiser};
@@ -15,15 +15,11 @@ use djinn::tensor::{
     SeenPiece, Surroundings,
 };
 use std::collections::{BTreeMap, HashMap};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// The largest difference allowed, relative to the largest number: ours are computed in single precision.
 const TOLERANCE: f32 = 1e-4;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn golden_path(name: &str) -> PathBuf {
     root().join("tests/golden").join(name)

@@ -1,7 +1,7 @@
 //! Do rates of the model and of a planner's failures follow from the settings to the tables, whatever happens?
 
 use crate::drive::{MODEL, planner};
-use crate::support::{Workspace, assert_same, djinn, files, start};
+use crate::support::{Workspace, assert_same, djinn, files, json, start};
 use djinn::rates::ModeledTraffic;
 use djinn::store::read_binary;
 use serde_json::Value;
@@ -50,10 +50,6 @@ n_samples = 2
 [evaluate]
 keep = "all"
 "#;
-
-fn json(path: &Path) -> Value {
-    serde_json::from_slice(&fs_err::read(path).unwrap()).unwrap()
-}
 
 #[test]
 fn rates_of_the_model_and_of_failures_are_those_of_their_parts() {

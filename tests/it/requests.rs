@@ -57,9 +57,6 @@ fn a_request_is_counted_resumed_and_its_rows_are_generated_again() {
     // The sweeps of the pipeline are sampled all the same.
     let nobody = workspace.run("out", &["--set", far]).expect(0);
     assert!(nobody.stderr.contains("request tight") && nobody.stderr.contains("no pair in them"), "{}", nobody.stderr);
-    let misspelt =
-        workspace.run("out", &["--dry-run", "--set", "generate.requests.0.where={ gap = [0, 1] }"]).expect(1);
-    assert!(misspelt.stderr.contains("gap is not a parameter of cut_in_paper; similar: gap_m"), "{}", misspelt.stderr);
 }
 
 /// The counts of `requests.json` are those of the rows, by a count of its own; and the corpus holds what was accepted.

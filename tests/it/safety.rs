@@ -1,7 +1,7 @@
 //! Do the commands leave alone what they did not write: recordings, files beside results, trained models, other
 //! corpora?
 
-use crate::support::{Outcome, Workspace, command, djinn, files, start};
+use crate::support::{Outcome, Workspace, command, djinn, files, start, write_all};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Stdio;
@@ -14,14 +14,6 @@ const CORPUS: &str = "tests/fixtures/corpus/cut_ins";
 fn put(path: &Path, text: &str) {
     fs_err::create_dir_all(path.parent().unwrap()).unwrap();
     fs_err::write(path, text).unwrap();
-}
-
-fn copy(from: &Path, to: &Path) {
-    for (name, bytes) in files(from) {
-        let path = to.join(name);
-        fs_err::create_dir_all(path.parent().unwrap()).unwrap();
-        fs_err::write(path, bytes).unwrap();
-    }
 }
 
 /// Demands that the command was refused for this reason, and that nothing in the workspace changed.
@@ -42,18 +34,13 @@ fn everything(workspace: &Workspace) -> BTreeMap<String, Vec<u8>> {
 fn recordings_in_the_place_of_scenes_are_left_alone() {
     let workspace = Workspace::new();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    copy(&root.join(RECORDINGS), &workspace.path("scenes"));
+    write_all(&files(&root.join(RECORDINGS)), &workspace.path("scenes"));
     #[cfg(unix)]
     std::os::unix::fs::symlink("scenes", workspace.path("link")).unwrap();
     let before = everything(&workspace);
     let ingest = |input: &str, output: &str| {
         let args = ["ingest", input, "--dataset", "argoverse1", "--output", output];
-        let output = command(&args).current_dir(workspace.path("")).output().unwrap();
-        Outcome {
-            code: output.status.code().unwrap_or(-1),
-            stdout: String::from_utf8(output.stdout).unwrap(),
-            stderr: String::from_utf8(output.stderr).unwrap(),
-        }
+        Outcome::of(command(&args).current_dir(workspace.path("")))
     };
     refused(&workspace, ingest("scenes", "."), &before, &["./scenes: it is the input inputs.0", "nothing was changed"]);
     refused(&workspace, ingest("./scenes", "scenes/.."), &before, &["it is the input"]);
@@ -166,7 +153,7 @@ fn a_kill_leaves_the_old_or_the_new() {
 fn corpora_and_exports_are_not_written_into_what_they_read() {
     let workspace = Workspace::new();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    copy(&root.join(CORPUS), &workspace.path("a"));
+    write_all(&files(&root.join(CORPUS)), &workspace.path("a"));
     put(&workspace.path("full/thesis.doc"), "years of work");
     let (a, inside, full) = (workspace.arg("a"), workspace.arg("a/sub"), workspace.arg("full"));
     let before = everything(&workspace);
@@ -193,7 +180,7 @@ fn corpora_and_exports_are_not_written_into_what_they_read() {
 #[test]
 fn of_two_writers_of_one_corpus_one_is_told_and_the_corpus_is_whole() {
     let workspace = Workspace::new();
-    copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS), &workspace.path("copy"));
+    write_all(&files(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS)), &workspace.path("copy"));
     let (out, other) = (workspace.arg("out"), workspace.arg("copy"));
     let commands = [
         vec!["corpus", "merge", CORPUS, &other, "--out", &out],

@@ -1,6 +1,6 @@
 //! Do the stages work alone and together, and are they redone when, and only when, they must be?
 
-use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files};
+use crate::support::{SMALL_PIPELINE, Workspace, assert_same, djinn, files, json};
 use candle_core::Device;
 use djinn::model::DenoiserSpec;
 use djinn::nn::read_checkpoint;
@@ -17,8 +17,7 @@ fn a_run_its_stages_alone_and_what_is_said_of_them() {
     let before = files(&root);
 
     // Figures over modes are among the metrics.
-    let metrics = fs_err::read_to_string(root.join("metrics.json")).unwrap();
-    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    let metrics = json(&root.join("metrics.json"));
     let aggregates = metrics["aggregates"].as_array().unwrap();
     let has = |metric: &str| aggregates.iter().any(|row| row["metric"] == metric && row["group"] == "unguided");
     assert!(has("modes1_min_scene_ade_m") && has("modes1_min_fde_m"));
@@ -154,8 +153,7 @@ fn the_baseline_is_trained_sampled_and_measured_like_the_denoiser() {
     let plan = run(&["--dry-run"]).expect(0).stdout;
     assert!(plan.contains("#   train_baseline    cached") && plan.matches("  cached").count() == 7, "{plan}");
 
-    let metrics = fs_err::read_to_string(root.join("metrics.json")).unwrap();
-    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    let metrics = json(&root.join("metrics.json"));
     for sweep in ["as_recorded", "futures"] {
         let is_own = |row: &&serde_json::Value| row["sweep"] == sweep && row["group"] == "unguided";
         let mut own = metrics["aggregates"].as_array().unwrap().iter().filter(is_own);

@@ -14,12 +14,42 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
+    /// Runs a command to its end.
+    pub(crate) fn of(command: &mut Command) -> Self {
+        let output = command.output().unwrap();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        Self { code: output.status.code().unwrap_or(-1), stdout: text(output.stdout), stderr: text(output.stderr) }
+    }
+
     /// Checks the exit code; a difference shows what the program said.
     #[track_caller]
     pub(crate) fn expect(self, code: i32) -> Self {
         assert_eq!(self.code, code, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
         self
     }
+}
+
+/// The root of the repository.
+pub(crate) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A file of the repository.
+pub(crate) fn read(name: &str) -> String {
+    fs_err::read_to_string(root().join(name)).unwrap()
+}
+
+/// Finds the files below a folder that have this extension.
+pub(crate) fn files_below(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
+    for entry in fs_err::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files_below(&path, extension, found);
+        } else if path.extension().is_some_and(|e| e == extension) {
+            found.push(path);
+        }
+    }
+    found.sort();
 }
 
 /// The program in the root of the repository, where the paths of the bundled pipelines lead.
@@ -31,12 +61,7 @@ pub(crate) fn command(args: &[&str]) -> Command {
 
 /// Runs the program to its end.
 pub(crate) fn djinn(args: &[&str]) -> Outcome {
-    let output = command(args).output().unwrap();
-    Outcome {
-        code: output.status.code().unwrap_or(-1),
-        stdout: String::from_utf8(output.stdout).unwrap(),
-        stderr: String::from_utf8(output.stderr).unwrap(),
-    }
+    Outcome::of(&mut command(args))
 }
 
 /// Starts the program without waiting for it.
@@ -139,6 +164,20 @@ pub(crate) fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
         }
     }
     found
+}
+
+/// The content of a file in JSON.
+#[track_caller]
+pub(crate) fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&fs_err::read(path).unwrap()).unwrap()
+}
+
+/// Writes files below a folder.
+pub(crate) fn write_all(files: &BTreeMap<String, Vec<u8>>, to: &Path) {
+    for (name, bytes) in files {
+        fs_err::create_dir_all(to.join(name).parent().unwrap()).unwrap();
+        fs_err::write(to.join(name), bytes).unwrap();
+    }
 }
 
 /// Demands the same files with the same bytes.

@@ -9,6 +9,7 @@ mod tests;
 use super::kept_lane::KeptLane;
 use super::lane_relation::SceneLanes;
 use super::pairs::PairSearch;
+use super::sideways::CUT_IN;
 use super::swept_boxes::SweptBoxes;
 use super::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
 use crate::scene::Scene;
@@ -48,6 +49,8 @@ pub(super) const PARAMETERS: &[&str] = &[
 /// A pair without a cut-in is a hard negative if its boxes come closer than this at any two timesteps of the scene,
 /// meters.
 const NEGATIVE_DISTANCE_M: f64 = 5.0;
+/// The least headway at which drivers come in, seconds: of 34 recorded cut-ins, the least begins at 0.27 s.
+const LEAST_DRIVEN_HEADWAY_S: f64 = 0.25;
 /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. This
 /// excludes agents that turn into the lane, enter a roundabout or come toward the ego.
 const ALONG_RAD: f64 = FRAC_PI_6;
@@ -116,8 +119,8 @@ pub struct CutIn {
     pub min_shift_m: f64,
     /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
-    /// In templates and aims, the other moves over this many times as fast as drivers do at most, and at a headway of
-    /// at least 0.25 s over it. Default 1.
+    /// In templates, aims, and what is accepted, the other moves over this many times as fast as drivers do at most, and
+    /// comes in at a headway of at least a quarter of a second over it. Default 1.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub hurry: f64,
 }
@@ -149,6 +152,12 @@ impl Behavior for CutIn {
     fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
         let search = agents.try_into().ok().and_then(|pair| Search::new(self, scene, pair));
         search.and_then(|search| search.outcomes()).unwrap_or_default()
+    }
+
+    fn is_as_driven(&self, event: &BehaviorEvent) -> bool {
+        let value = |name: &str| event.parameters.get(name).copied().unwrap_or_default();
+        let least_m = LEAST_DRIVEN_HEADWAY_S / self.hurry * value("ego_speed_mps");
+        CUT_IN.of(self.hurry, 0.0).holds(event) && value("gap_m") >= least_m
     }
 
     fn template_parameters(&self) -> &'static [&'static str] {

@@ -4,6 +4,7 @@
 use super::CutIn;
 use super::feasible::{CutInPlan, Pair};
 use crate::behavior::Outcome;
+use crate::behavior::following::opens_mps;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::REACTIONS_S;
 use crate::behavior::maneuver::{has_room, spread};
@@ -28,10 +29,6 @@ const HARDEST_MPS2: f64 = 5.0;
 /// The gap that the ego keeps to the other while braking, seconds and meters: the smaller one counts.
 const LEFT_S: f64 = 0.5;
 const LEFT_M: f64 = 2.0;
-/// The headway to which the ego falls back, within which time, seconds, and the largest speed at which it does, m/s.
-const FOLLOWS_S: f64 = 0.9;
-const OPENS_S: f64 = 3.0;
-const MOST_OPENS_MPS: f64 = 2.0;
 /// The largest angle to the lane in the last state, radians.
 const ALONG_AT_END_RAD: f64 = 0.2;
 /// How much later than planned the box may enter the path, seconds.
@@ -155,8 +152,7 @@ impl Pair {
     fn braking(&self, plan: &CutInPlan, max_delay_s: f64, style: Style) -> Option<Braking> {
         let gap_m = plan.outcome.get("gap_m")?;
         // A vehicle that is too close behind falls back.
-        let opens_mps = ((FOLLOWS_S * plan.then_mps - gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
-        let less_mps = (self.own_mps - plan.then_mps + opens_mps).clamp(0.0, self.own_mps);
+        let less_mps = (self.own_mps - plan.then_mps + opens_mps(plan.then_mps, gap_m)).clamp(0.0, self.own_mps);
         let least_m = LEFT_M.min(LEFT_S * plan.then_mps).min(gap_m / 2.0);
         let reached_s = max_delay_s.min(self.horizon_s - IN_LANE_S - plan.time_s);
         REACTIONS_S.into_iter().find_map(|reacts_s| {

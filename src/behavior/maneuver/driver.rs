@@ -15,6 +15,10 @@ pub(in crate::behavior) const ORDINARY_MPS2: [f64; 5] = [-2.0, -1.0, 0.0, 0.6, 1
 const SPACING_M: f64 = 0.5;
 /// Ways whose reachable parts end within this of each other are the same, meters.
 const SAME_M: f64 = 1.0;
+/// How much slower than the one ahead an agent becomes that brakes, if it must, and below which speed that one stands,
+/// m/s.
+pub(in crate::behavior) const SLOWER_MPS: [f64; 3] = [0.7, 1.5, 2.5];
+pub(in crate::behavior) const STANDS_MPS: f64 = 1.0;
 /// How vehicles slow down for no reason that is seen: the deceleration at its peak, m/s², and the speed that they lose,
 /// m/s, but no more than this share of it. In the bundled recordings, 95 % of all brakings lose at most 6.7 m/s, with
 /// at most 4.4 m/s²; those of vehicles with nobody within 50 m ahead lose 3.8 m/s in the median, with 3.4 m/s².

@@ -1,7 +1,8 @@
 //! Braking hard along the lane for a reason: behind somebody ahead, who may brake first, or before a line at which to
 //! stop.
 
-use super::driver::Travel;
+use super::driver::{SLOWER_MPS, STANDS_MPS, Travel};
+use super::moving_over::ways_over;
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cause::{MOST_LATE_S, STANDSTILL_GAP_M, not_enough_mps2};
 use crate::behavior::following::{Ahead, Follower};
@@ -10,6 +11,7 @@ use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::InTheWay;
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene};
+use std::ops::RangeInclusive;
 
 /// Decelerations that are tried, above the least one of an event, because the measured one is smoothed; by how much
 /// harder the firmest driver brakes; and the hardest, m/s².
@@ -19,15 +21,16 @@ const HARDEST_MPS2: f64 = 7.75;
 /// When braking begins, earlier by up to this, as drivers differ, seconds.
 const BEGINS_S: [f64; 6] = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0];
 const EARLIER_S: f64 = 0.3;
-/// How much slower an agent becomes than the one ahead, if it must, and below which speed that one stands, m/s.
-const SLOWER_MPS: [f64; 3] = [0.7, 1.5, 2.5];
-const STANDS_MPS: f64 = 1.0;
 /// How hard the one ahead brakes for a reason of its own, m/s², and how long before the agent, seconds: drivers need
 /// that long to react to brake lights that they expect, or not (Green 2000), or after an ordinary glance away.
 const LEADER_MPS2: [f64; 3] = [3.5, 4.5, 6.0];
 const REACTIONS_S: [f64; 4] = [0.75, 1.0, 1.4, MOST_LATE_S];
 /// The soonest that the one ahead begins to brake, seconds after the present.
 const SOONEST_S: f64 = 0.1;
+/// How much slower somebody is that cuts in, m/s, and how soon after being midway between the lanes somebody is seen
+/// and reacted to, seconds: a corner is in the lane half a second before.
+const LEAST_CLOSING_MPS: f64 = 2.0;
+const SEES_S: RangeInclusive<f64> = -0.2..=0.8;
 /// How far ahead somebody, or a line, is looked for, meters.
 const REACH_M: f64 = 60.0;
 
@@ -96,21 +99,27 @@ impl HardBrake {
             return Vec::new();
         };
         let Some(own) = Follower::as_observed(scene, &lanes, agent_idx) else { return Vec::new() };
-        let mut maneuvers = Vec::new();
+        let cutters = cutters(scene, &lanes, &own, agent_idx);
+        let (mut maneuvers, mut unexplained) = (Vec::new(), Vec::new());
         let harder_mps2 = HARDER_MPS2 * driver.style;
         let tried = MORE_MPS2.iter().map(|more_mps2| self.min_deceleration_mps2 + more_mps2 + harder_mps2);
         for (i, deceleration_mps2) in tried.enumerate().filter(|(_, mps2)| *mps2 <= HARDEST_MPS2) {
             for from_s in BEGINS_S.map(|from_s| from_s - EARLIER_S * driver.style) {
-                let reasons = reasons(scene, &lanes, &own, agent_idx, from_s);
-                let tried = (0..driver.rails.len()).flat_map(|rail| reasons.iter().map(move |reason| (rail, reason)));
-                for (rail, reason) in tried {
+                let [seen, unseen] = reasons(scene, &lanes, &own, agent_idx, from_s);
+                let react = |midway_s: f64| SEES_S.contains(&(from_s - midway_s));
+                let cut_off = cutters.iter().filter(|(midway_s, _)| react(*midway_s)).map(|(_, reason)| reason);
+                let seen = seen.iter().chain(cut_off).map(|reason| (reason, true));
+                let reasons: Vec<_> = seen.chain(unseen.iter().map(|reason| (reason, false))).collect();
+                let tried = (0..driver.rails.len()).flat_map(|rail| reasons.iter().map(move |reason| (rail, *reason)));
+                for (rail, (reason, is_seen)) in tried {
                     let braking = (from_s, deceleration_mps2);
                     let Some(travel) = reason.braking(&driver, rail, braking, scene.dt_s) else { continue };
                     let others = match reason {
                         Reason::Line(_) => Vec::new(),
                         Reason::Leader { agent_idx, positions, .. } => vec![(*agent_idx, positions.clone())],
                     };
-                    maneuvers.push(Maneuver {
+                    let kept = if is_seen { &mut maneuvers } else { &mut unexplained };
+                    kept.push(Maneuver {
                         kind: [i, (from_s * 10.0) as usize],
                         effort: deceleration_mps2 / HARDEST_MPS2,
                         parameters: &["max_deceleration_mps2"],
@@ -121,15 +130,54 @@ impl HardBrake {
                 }
             }
         }
-        maneuvers
+        // Whom nobody sees brake for nothing has a reason that cannot be seen only where there is no other.
+        if maneuvers.is_empty() { unexplained } else { maneuvers }
     }
 }
 
+/// Those beside an agent that can move over ahead of it, with the time at which they are midway between the lanes,
+/// seconds.
+fn cutters(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx: usize) -> Vec<(f64, Reason)> {
+    let state = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
+    let length_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m;
+    let Some((now, place)) = state(agent_idx).and_then(|now| Some((now, own.lane.project(now.position)?))) else {
+        return Vec::new();
+    };
+    let beside = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && scene.tracks[*idx].class.is_motorized());
+    let beside = beside.filter_map(|idx| {
+        let (theirs, there) = state(idx).and_then(|theirs| Some((theirs, own.lane.project(theirs.position)?)))?;
+        let gap_m = there.station_m - place.station_m - (length_m(agent_idx) + length_m(idx)) / 2.0;
+        let is_slower = theirs.speed_mps() + LEAST_CLOSING_MPS < now.speed_mps();
+        (is_slower && (0.0..REACH_M).contains(&gap_m) && !own.lane.holds(theirs.position)).then_some((idx, gap_m))
+    });
+    let ways = beside.flat_map(|(idx, gap_m)| {
+        let ways = ways_over(scene, lanes, idx, 1.0).into_iter();
+        let ways = ways.filter(move |way| way.has_room(scene, idx, &[agent_idx]));
+        ways.filter_map(move |way| {
+            let stations: Option<Vec<f64>> =
+                way.positions.iter().map(|at| Some(own.lane.project(*at)?.station_m)).collect();
+            let stations = stations?;
+            own.lane.holds(*way.positions.last()?).then(|| {
+                let driven_m = stations.iter().map(|station_m| station_m - stations[0]).collect();
+                (way.midway_s, Reason::Leader { gap_m, driven_m, agent_idx: idx, positions: way.positions })
+            })
+        })
+    });
+    ways.collect()
+}
+
 /// What an agent could brake for that begins to at `from_s`: what is ahead as everybody goes on, or somebody ahead that
-/// slows down as drivers do without a reason that is seen, or harder, if what is ahead of that one explains it.
-fn reasons(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx: usize, from_s: f64) -> Vec<Reason> {
+/// slows down as what is ahead of that one explains; and somebody that slows down as drivers do without a reason that
+/// is seen.
+fn reasons(
+    scene: &Scene,
+    lanes: &SceneLanes<'_>,
+    own: &Follower<'_>,
+    agent_idx: usize,
+    from_s: f64,
+) -> [Vec<Reason>; 2] {
     let (mut reasons, leader) = in_front(scene, lanes, own, agent_idx);
-    let Some((ahead, leader)) = &leader else { return reasons };
+    let Some((ahead, leader)) = &leader else { return [reasons, Vec::new()] };
     let its_own = Follower::as_observed(scene, lanes, ahead.agent_idx);
     let its_reasons = its_own.map(|own| in_front(scene, lanes, &own, ahead.agent_idx).0).unwrap_or_default();
     let goes_on = Pace::steady(leader.braking_mps2().min(0.0));
@@ -146,8 +194,7 @@ fn reasons(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>, agent_idx:
     // Not every one slows down alike.
     let n_first = (leader.style * unexplained.len() as f64) as usize;
     unexplained.rotate_left(n_first);
-    reasons.extend(unexplained);
-    reasons
+    [reasons, unexplained]
 }
 
 /// The lines ahead of an agent, and the agent ahead as it goes on, with its driver.
@@ -179,4 +226,35 @@ fn in_front(
 fn led(leader: &Driver, Ahead { gap_m, agent_idx, .. }: Ahead, Travel { driven_m, .. }: Travel) -> Reason {
     let positions = leader.positions(0, &driven_m);
     Reason::Leader { gap_m, driven_m, agent_idx, positions }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::Behavior;
+    use crate::behavior::testing::{going_on, two_lanes};
+    use crate::scene::testing::Drive;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn a_driver_brakes_hard_for_somebody_slow_who_comes_over_close_ahead() {
+        let hard = HardBrake::default();
+        let n_with = |their_mps: f64, y: f64| {
+            let drives = [Drive::straight(0.0, 0.0, 0.0, 15.0), Drive::straight(32.0, y, 0.0, their_mps)];
+            let scene = going_on(&drives, two_lanes());
+            let maneuvers = hard.brakings(&scene, 0);
+            let comes_over = |maneuver: &&Maneuver| {
+                let (agent_idx, positions) = &maneuver.others[0];
+                // Its box is in the lane no later than the ego begins to brake.
+                *agent_idx == 1 && positions[0].y.abs() > 3.0 && positions.last().is_some_and(|at| at.y.abs() < 1.0)
+            };
+            let n_over = maneuvers.iter().filter(comes_over).count();
+            assert_eq!(n_over, maneuvers.len(), "nobody else is there");
+            (n_over, hard.template(&scene, &[0], &BTreeMap::new(), 0).is_some())
+        };
+        let (n_slow, has_template) = n_with(7.0, 3.5);
+        assert!(n_slow > 0 && has_template, "{n_slow}");
+        // Hardly slower, and two lanes away.
+        assert_eq!([n_with(14.0, 3.5), n_with(7.0, 7.0)], [(0, false); 2]);
+    }
 }

@@ -22,7 +22,7 @@ mod unprotected_left_turn;
 mod ways;
 mod wrong_way;
 
-pub(super) use driver::{Driver, ORDINARY_MPS2, Pace, building_up_s};
+pub(super) use driver::{Driver, ORDINARY_MPS2, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
 pub(super) use moving_over::has_room;
 pub(super) use turn::maneuvers as turn_maneuvers;
 

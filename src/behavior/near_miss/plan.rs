@@ -8,9 +8,10 @@ use super::drive::Drive;
 use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, Pace, building_up_s};
+use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
+use crate::geometry::Vec2;
 use crate::scene::{Extent, Scene, State};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -26,10 +27,6 @@ const SOONEST_S: f64 = 0.3;
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
-/// How much slower than the one ahead somebody becomes that has braked, if it must, and below which speed that one
-/// stands, m/s.
-const SLOWER_MPS: [f64; 3] = [0.5, 1.5, 2.5];
-const STANDS_MPS: f64 = 1.0;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
@@ -114,9 +111,20 @@ impl<'a> Search<'a> {
             let tried = rails.flat_map(|rail| paces.iter().enumerate().map(move |pace| (rail, pace)));
             tried.map(|(rail, (nth, pace))| self.course(who, rail, (nth, pace.clone()), pace.effort())).collect()
         });
-        let mut drafts = Vec::new();
+        // Who slows down ahead of the other although nobody is in its way has a reason that cannot be seen only where no
+        // other near miss is possible.
+        let [own, other] =
+            [&self.drivers[0].state, &self.drivers[1].state].map(|now| Vec2::from_angle(now.heading_rad));
+        let follows = own.dot(other) > FOLLOWING_RAD.cos();
+        let is_seen = |who: usize, course: &PlannedDrive| {
+            let steady = courses[who].iter().find(|steady| steady.rail == course.rail && steady.pace.0 == 0);
+            let is_blocked = steady.is_some_and(|steady| steady.clear < steady.drive.outer.len());
+            !follows || course.pace.0 <= GAS_MPS2.len() || is_blocked
+        };
+        let (mut seen, mut unseen) = (Vec::new(), Vec::new());
         for own in &courses[0] {
             for others in &courses[1] {
+                let drafts = if is_seen(0, own) && is_seen(1, others) { &mut seen } else { &mut unseen };
                 match own.drive.meets(&others.drive) {
                     None => drafts.extend(self.crossed([own, others])),
                     Some(step) => {
@@ -126,7 +134,7 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        drafts
+        if seen.is_empty() { unseen } else { seen }
     }
 
     fn course(&self, who: usize, rail: usize, pace: (usize, Pace), effort: f64) -> PlannedDrive {

@@ -171,16 +171,17 @@ fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
 /// slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while the agent
 /// stands.
 fn states(now: &State, dt_s: f64, past: &[Vec2], positions: &[Vec2]) -> Vec<State> {
-    // A vehicle may be recorded with a heading that differs from its motion.
-    let slip_rad = match now.speed_mps() * dt_s < STANDING_STEP_M {
-        true => 0.0,
-        false => angle_difference(now.heading_rad, now.velocity.angle()),
-    };
     let course: Vec<Vec2> = past.iter().chain(positions).copied().collect();
+    let velocity = |idx: usize| velocity_at(|offset| course.get(idx.checked_add_signed(offset)?).copied(), dt_s);
+    // A vehicle may be recorded with a heading that differs from its motion.
+    let at_present = past.len().checked_sub(1).and_then(velocity).unwrap_or(now.velocity);
+    let slip_rad = match at_present.norm() * dt_s < STANDING_STEP_M {
+        true => 0.0,
+        false => angle_difference(now.heading_rad, at_present.angle()),
+    };
     let mut held_rad = now.heading_rad;
     let state = |(step, position): (usize, &Vec2)| {
-        let at = |offset: isize| course.get((past.len() + step).checked_add_signed(offset)?).copied();
-        let velocity = velocity_at(at, dt_s).unwrap_or_default();
+        let velocity = velocity(past.len() + step).unwrap_or_default();
         let slip_rad = slip_rad * (-((step + 1) as f64) * dt_s / FADE_S).exp();
         if velocity.norm() * dt_s >= STANDING_STEP_M {
             held_rad = wrap_angle(velocity.angle() + slip_rad);

@@ -41,7 +41,7 @@ const PARTS: [&str; 20] = [
 ];
 
 /// A file that somebody wrote into a run folder.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Crafted {
     is_cheap: bool,
     /// Names in the record of the finished stage, and in that of the stage at work.
@@ -220,6 +220,20 @@ fn a_record_that_names_files_of_others_is_refused() {
     }
     write_record(&path, &record).unwrap();
     run(&root, &toy("next"), &[]).unwrap();
+}
+
+#[test]
+fn outputs_are_kept_under_names_of_their_own_alone() {
+    for (name, as_name) in [("denoiser", "corpus"), ("config.toml", "config.toml.earlier-0")] {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path();
+        run(root, &toy("old"), &[]).unwrap();
+        let keep = vec![(name.to_owned(), as_name.to_owned())];
+        let crafted = Crafted { list: Some(Vec::new()), is_done: true, keep, ..Crafted::default() };
+        crafted.write(root, root, kind("train_denoiser"));
+        let said = format!("{:?}", run(root, &toy("next"), &[]).err().unwrap());
+        assert!(said.contains(&format!("{name:?} cannot stay as {as_name:?}")), "{said}");
+    }
 }
 
 #[test]

@@ -23,7 +23,7 @@ use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 /// The shortest wait for shards of other workers, and the wait while no time of a shard is known.
-const LEAST_PATIENCE: Duration = Duration::from_secs(2);
+pub(super) const LEAST_PATIENCE: Duration = Duration::from_secs(2);
 const UNKNOWN: Duration = Duration::from_secs(10);
 /// The time between looking for shards of other workers.
 const POLL: Duration = Duration::from_millis(200);

@@ -3,7 +3,7 @@
 use super::folder::ShardFolder;
 use super::gathering::Gathering;
 use super::identity::Identity;
-use super::make::{Shards, Worker};
+use super::make::{LEAST_PATIENCE, Shards, Worker};
 use super::{Division, clean_up, shard_status, tries};
 use crate::engine::testing::{KINDS, kind};
 use crate::engine::{Blame, Failure, Result, StageRecord};
@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 fn identity() -> Identity {
     let stage = StageRecord {
@@ -198,8 +199,9 @@ fn what_others_are_at_is_left_to_them_for_a_while() {
         made.borrow_mut().push(idx);
         Ok((planned.write(idx)?, ()))
     };
+    let began = Instant::now();
     assert!(shards.complete(0..3, &|_| 0, &mut make).unwrap());
-    assert_eq!(*made.borrow(), [0, 2, 1]);
+    assert!(*made.borrow() == [0, 2, 1] && began.elapsed() >= LEAST_PATIENCE, "{made:?}");
     // A shard that failed often enough is not awaited.
     (1..=3).for_each(|number| tries::fail(&planned.folder.try_path(3, number), "1/1", "disk full").unwrap());
     assert!(!shards.complete(2..4, &|_| 0, &mut make).unwrap());
@@ -292,13 +294,12 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
         planned.finish(idx, seconds);
     }
     assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
-    // Two shards are at work; one try died long ago, and ten tries of another shard.
-    for mark in [planned.folder.try_path(1, 1), planned.folder.try_path(2, 2), planned.folder.try_path(3, 1)] {
-        fs_err::write(mark, "").unwrap();
+    // Two shards are at work, one for less than five times the usual time; one try died long ago, and ten tries of
+    // another shard.
+    for (idx, number, age_s) in [(1, 1, 0), (2, 2, 190), (3, 1, 210)] {
+        let mark = fs_err::File::create(planned.folder.try_path(idx, number)).unwrap();
+        mark.file().set_modified(std::time::SystemTime::now() - Duration::from_secs(age_s)).unwrap();
     }
-    let old = std::time::SystemTime::now() - std::time::Duration::from_secs(1_000);
-    let mark = fs_err::OpenOptions::new().write(true).open(planned.folder.try_path(3, 1)).unwrap();
-    mark.file().set_modified(old).unwrap();
     (1..=10).for_each(|number| fs_err::write(planned.folder.try_path(4, number), "").unwrap());
     let found = status();
     assert_eq!((found.n_shards, found.n_done, found.n_running, found.n_missing), (6, 2, 2, 1));

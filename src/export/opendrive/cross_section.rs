@@ -71,7 +71,7 @@ fn offset_m(point: Vec2, heading_rad: f64, boundary: &Polyline) -> Option<f64> {
 }
 
 /// The edges without those that lie on the line between their kept neighbors.
-fn without_foretold(edges: &[Edges]) -> Vec<Edges> {
+pub(super) fn without_foretold(edges: &[Edges]) -> Vec<Edges> {
     let is_foretold = |before: &Edges, here: &Edges, after: &Edges| {
         let share = (here.s_m - before.s_m) / (after.s_m - before.s_m);
         let between = |from: f64, to: f64| share.mul_add(to - from, from);

@@ -1,5 +1,6 @@
 //! OpenDRIVE: does an evaluation of a file by the standard's formulas find the lanes in their places?
 
+use super::cross_section::without_foretold;
 use super::*;
 use crate::export::testing::{self, Node};
 use crate::geometry::{Polyline, Vec2};
@@ -105,6 +106,21 @@ fn points_along_lanes_lie_on_their_roads_within_centimeters() {
     // As long as the arc between its boundaries.
     let length = root.all("road")[0].attr_number("length");
     assert!((length - 11.75 * FRAC_PI_2).abs() < 0.02, "{length}");
+    // Where its edges have crossed, a lane is a line halfway between them.
+    let edges = [[point(0.0, 3.0), point(80.0, -1.0)], [point(0.0, 0.0), point(80.0, 0.0)]].map(Vec::from);
+    let crossed = document(vec![lane(1, edges[0].clone(), edges[1].clone())]);
+    let road = crossed.at("road");
+    for at in across(road, road.attr_number("length") - 0.01) {
+        assert!(at.distance(point(80.0, -0.5)) < 0.05, "{at:?}");
+    }
+}
+
+#[test]
+fn what_neighbors_foretell_is_left_out() {
+    let at = |s_m: f64, left_m: f64| Edges { s_m, across_m: vec![left_m, 0.0] };
+    let edges = [at(0.0, 3.0), at(4.0, 3.2), at(10.0, 3.5), at(20.0, 3.5)];
+    assert_eq!(without_foretold(&edges), [0, 2, 3].map(|i| edges[i].clone()));
+    assert_eq!(records("width", "sOffset", &edges, |edges| edges.across_m[0]).len(), 2);
 }
 
 #[test]
@@ -200,9 +216,16 @@ fn lanes_side_by_side_are_one_road_in_which_lanes_can_be_changed() {
     // Without the exit, roads and lanes follow each other.
     lanes[1].successors.pop();
     let root = document(lanes.drain(..4).collect());
-    let next = root.all("road")[0].at("lanes").at("laneSection").at("right").all("lane")[1].at("link").at("successor");
-    assert_eq!(next.attr("id"), "-2");
-    // If one lane ends earlier, each is a road of its own.
+    let linked = |road: usize, end: &str| {
+        let lane = root.all("road")[road].at("lanes").at("laneSection").at("right").all("lane")[1];
+        lane.at("link").all(end).iter().map(|lane| lane.attr("id").to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!([linked(0, "predecessor"), linked(0, "successor")], [vec![], vec!["-2".to_owned()]]);
+    assert_eq!([linked(1, "predecessor"), linked(1, "successor")], [vec!["-2".to_owned()], vec![]]);
+    // Around an island, or if one lane ends earlier, each is a road of its own.
+    let mut apart = side_by_side([1, 2], [line(0.0, 3.5), line(0.0, 0.0), line(0.0, -5.0)]);
+    apart[1].left.0.insert(1, Vec2::new(20.0, -1.0));
+    assert_eq!(document(apart).all("road").len(), 2);
     let short = vec![Vec2::new(0.0, -3.0), Vec2::new(30.0, -3.0)];
     let root = document(side_by_side([1, 2], [line(0.0, 3.5), line(0.0, 0.0), short]));
     assert_eq!(root.all("road").len(), 2);

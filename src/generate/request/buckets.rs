@@ -217,6 +217,16 @@ mod tests {
     }
 
     #[test]
+    fn targets_are_a_little_inside_of_their_buckets() {
+        let buckets = Buckets::new(&request("per_bucket = 1\nbuckets = { gap_m = [0, 2, 12] }"));
+        // 15 % of 2 m, and at most half a meter.
+        for (bucket, expected) in [[0.3, 1.7], [2.5, 11.5]].into_iter().enumerate() {
+            let found = buckets.target(bucket)["gap_m"];
+            assert!(found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12), "{found:?}");
+        }
+    }
+
+    #[test]
     fn totals_are_distributed_by_weights() {
         let toml =
             "n_total = 10\nbuckets = { side = ['left', 'right'], gap_m = [0, 5, 10] }\nweights = { side = [3, 1] }";

@@ -2,11 +2,10 @@
 
 use crate::seed::SeededRng;
 
-/// A draw from Beta(a, b); a and b are positive.
+/// A draw from Beta(a, b); a and b are positive, and at least one of them is no tiny fraction.
 pub(super) fn beta(rng: &mut SeededRng, a: f64, b: f64) -> f64 {
     let (x, y) = (gamma(rng, a), gamma(rng, b));
-    // Both underflow to 0 where a and b are tiny: then either end is as good as the other.
-    if x + y > 0.0 { x / (x + y) } else { a / (a + b) }
+    x / (x + y)
 }
 
 /// A draw from the gamma distribution of this shape and scale 1 (Marsaglia and Tsang, 2000).

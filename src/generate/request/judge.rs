@@ -104,7 +104,7 @@ impl Generator<'_> {
         let ending = record.ending();
         let ends_well = ending.is_none_or(|(_, ending)| ending.remaining_mps.is_none());
         let is_explained = record.explanation() != Some(None);
-        let is_valid = ends_well && is_explained && is_within_limits;
+        let is_valid = ends_well && is_explained && is_within_limits && record.is_as_driven(self.behaviors);
         Ok(if is_valid { Placement::Hit(bucket) } else { Placement::BeyondLimits(bucket) })
     }
 }
@@ -226,13 +226,14 @@ fn outcome<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::behavior::{BehaviorConfig, BehaviorEvent, EventLabel};
+    use crate::behavior::{BehaviorConfig, BehaviorEvent};
     use crate::generate::testing::{denoiser, load};
     use crate::generate::{GenerateConfig, Models, ShardPlan};
     use crate::geometry::Vec2;
     use crate::guidance::testing::scene;
     use crate::metrics::MetricSettings;
     use crate::scene::{Roles, Scene, State, Trajectory};
+    use crate::store::testing;
     use candle_core::Device;
     use std::collections::BTreeMap;
 
@@ -252,19 +253,12 @@ mod tests {
 
     /// A scenario of the scene in which the agents in the roles show a cut-in with this gap.
     fn record(scene: &Scene, roles: &Roles, gap_m: f64) -> ScenarioRecord {
-        let mut record = crate::store::testing::record(scene, 0);
+        let mut record = testing::record(scene, 0);
         record.scenario.provenance.scene_id = scene.id.clone();
         record.scenario.provenance.guidance.roles = roles.clone();
         (record.verified, record.requested_behavior) = (true, Some("cut_in".to_owned()));
-        record.events = vec![BehaviorEvent {
-            behavior: "cut_in".to_owned(),
-            scene_id: scene.id.clone(),
-            label: EventLabel::Positive,
-            roles: roles.clone(),
-            start_timestep: scene.n_history,
-            end_timestep: scene.n_history + 1,
-            parameters: BTreeMap::from([("gap_m".to_owned(), gap_m)]),
-        }];
+        let (roles, event) = (roles.clone(), testing::event(&scene.id, "cut_in", &[("gap_m", gap_m)]));
+        record.events = vec![BehaviorEvent { roles, start_timestep: scene.n_history, ..event }];
         record
     }
 
@@ -274,6 +268,17 @@ mod tests {
         let [other, own] = [1, 2].map(|agent| scene.tracks[agent].trajectory.entries().to_vec());
         let states = [&own[..scene.n_history], &other[scene.n_history..]].concat();
         scene.tracks[2].trajectory = Trajectory::new(states);
+        scene
+    }
+
+    /// The scene in which the car behind ends right behind the other, at 40 m/s.
+    fn about_to_collide(idx: usize) -> Scene {
+        let mut scene = scene(idx);
+        let ahead = *scene.state(2, scene.n_timesteps - 1).unwrap();
+        let mut states = scene.tracks[1].trajectory.entries().to_vec();
+        let (position, velocity) = (ahead.position - Vec2::new(8.0, 0.0), Vec2::new(40.0, 0.0));
+        *states.last_mut().unwrap() = Some(State { position, velocity, heading_rad: 0.0 });
+        scene.tracks[1].trajectory = Trajectory::new(states);
         scene
     }
 
@@ -328,6 +333,9 @@ mod tests {
         let roles = Roles::from([("ego", "behind"), ("other", "ahead")]);
         let records = || vec![record(&scene(1), &roles, 2.0), record(&collided(1), &roles, 3.0)];
         let (within, beyond) = (RequestOutcome::Accepted, RequestOutcome::BeyondLimits);
+        // No limit allows an end that leads to a collision.
+        let ends_badly = vec![record(&about_to_collide(1), &roles, 2.0)];
+        assert_eq!(judged(ANYTHING, &[cell(1, &roles)], ends_badly).unwrap().0, [beyond]);
         for (limits, expected) in [
             ("", [beyond; 2]),
             ("limits = { min_scene_ade_m = { at_most = 1e3 } }", [beyond; 2]),

@@ -168,3 +168,66 @@ fn has_classes(request: &ResolvedRequest, cell: &Cell, scene: &Scene) -> bool {
         _ => true,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::{Behavior, BehaviorEvent};
+    use crate::generate::request::tests::pool;
+    use crate::generate::testing::{denoiser, index, load};
+    use crate::generate::{GenerateConfig, Models};
+    use crate::metrics::MetricSettings;
+    use candle_core::Device;
+
+    /// Cut-ins with a gap of 3 m, which any two agents can show.
+    struct Easy;
+
+    impl Behavior for Easy {
+        fn id(&self) -> &'static str {
+            "cut_in"
+        }
+
+        fn roles(&self) -> &'static [&'static str] {
+            &["ego", "other"]
+        }
+
+        fn detect(&self, _: &Scene) -> Vec<BehaviorEvent> {
+            Vec::new()
+        }
+
+        fn feasible(&self, _: &Scene, _: &[usize]) -> Vec<Outcome> {
+            vec![Outcome::default().with("gap_m", 3.0)]
+        }
+    }
+
+    #[test]
+    fn a_pool_holds_pairs_that_can_reach_a_bucket_at_the_places_or_says_why_it_is_empty() {
+        let pool = |more: &str| {
+            let config: GenerateConfig = toml::from_str(&format!(
+                "splits = ['train']\n[[arms]]\nname = 'plain'\n[[requests]]\nname = 'r'\nbehavior = 'cut_in'\n\
+                 arms = ['plain']\nper_bucket = 1\nn_scenes = 2\nbudget = {{ n_samples = 9 }}\n{more}"
+            ))
+            .unwrap();
+            let (behaviors, denoiser): ([Box<dyn Behavior>; 1], _) = ([Box::new(Easy)], denoiser(0));
+            let config = config.resolve(&behaviors).unwrap();
+            let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
+            let settings = MetricSettings::default();
+            let generator = Generator::new(&config, models, &behaviors, &load, settings, &Device::Cpu).unwrap();
+            let pool = generator.pool(&config.requests[0], &index(4)).unwrap();
+            (pool.cells.len(), pool.n_infeasible, pool.unmet.unwrap_or_default())
+        };
+        assert_eq!(pool("buckets = { gap_m = [0, 5] }\nwhere = { place = ['TEST'] }"), (2, 0, String::new()));
+        let (n_cells, n_infeasible, unmet) = pool("buckets = { gap_m = [5, 9] }");
+        assert!((n_cells, n_infeasible) == (0, 2) && unmet.contains("request r"), "{n_infeasible}: {unmet}");
+        let (n_cells, n_infeasible, unmet) = pool("buckets = { gap_m = [0, 5] }\nwhere = { place = ['X'] }");
+        assert!((n_cells, n_infeasible) == (0, 0) && unmet.contains("request r"), "{n_infeasible}: {unmet}");
+    }
+
+    #[test]
+    fn windows_of_a_recording_within_three_seconds_are_one_situation() {
+        let ids = ["a@60", "b@0", "a@0", "a@29", "a@30", "a@59"].map(SceneId::from);
+        let mut pool = pool(ids.len());
+        pool.cells.iter_mut().zip(ids).for_each(|(cell, id)| cell.scene_id = id);
+        assert_eq!(pool.situations(), [2, 3, 0, 0, 1, 1]);
+    }
+}

@@ -28,6 +28,8 @@ pub struct ResolvedGeneration {
     pub scenes_per_shard: usize,
     /// Seed of everything random.
     pub seed: u64,
+    /// Templates in which the requested agents move closer to another of the shard than this are not sampled, meters.
+    pub duplicate_distance_m: f64,
     /// The configured sweeps first, then those of requests.
     pub sweeps: Vec<ResolvedSweep>,
     /// The number of configured sweeps.

@@ -183,10 +183,7 @@ impl ResolvedRequest {
         // The hits of a cell are modeled as Poisson: the rates of the arms that were tried on it, times its
         // suitability. The suitability is drawn from its posterior.
         let n_arms = self.arms.len();
-        let rate = |arm: usize| {
-            (PRIOR_HITS + ledger.open_hits_of_arm(arm) as f64) / (PRIOR_SAMPLES + ledger.arms[arm].n_samples as f64)
-        };
-        let rates: Vec<f64> = (0..n_arms).map(rate).collect();
+        let rates: Vec<f64> = (0..n_arms).map(|arm| mean_rate(ledger, arm)).collect();
         let seed = self.slot_seed(context, slot);
         let draw = |cell: usize| {
             let n_samples = &ledger.cells[cell].n_samples;
@@ -252,5 +249,33 @@ impl ResolvedRequest {
     fn slot_seed(&self, context: &RoundContext<'_>, slot: usize) -> Seed {
         let indices = [context.round as u64, slot as u64];
         context.seed.derive_named("request", &self.config.name).derive("slot", &indices)
+    }
+}
+
+/// How often samples of an arm fall into open buckets.
+fn mean_rate(ledger: &Ledger, arm: usize) -> f64 {
+    (PRIOR_HITS + ledger.open_hits_of_arm(arm) as f64) / (PRIOR_SAMPLES + ledger.arms[arm].n_samples as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generate::request::tests::{pool, tight};
+    use crate::generate::request::{CellTally, Hits, ShardTally};
+
+    #[test]
+    fn rates_are_those_of_open_buckets() {
+        let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 300 }");
+        let mut ledger = Ledger::new(&request, &pool(3));
+        // Bucket 0 lacks one, and bucket 1 is full.
+        for (arm, bucket, n_samples, n_accepted, n_surplus) in [(0, 0, 9, 0, 3), (1, 0, 10, 1, 2), (1, 1, 20, 2, 0)] {
+            let hits = BTreeMap::from([(bucket, Hits { n_accepted, n_surplus, ..Hits::default() })]);
+            let cell = CellTally { n_samples, aimed: (arm == 1).then_some(bucket), hits, ..CellTally::default() };
+            ledger.add(&ShardTally { request: "tight".to_owned(), round: 0, arm, cells: vec![cell] });
+        }
+        assert_eq!([0, 1].map(|arm| mean_rate(&ledger, arm)), [3.5 / 10.0, 3.5 / 31.0]);
+        assert_eq!(request.open_hit_rate(&ledger, 0), (3.5, 7.0));
+        // Of all 30 samples that aimed, 5 hit: by Laplace's rule, 6 in 32.
+        assert_eq!(request.open_hit_rate(&ledger, 1), (2.0 * 0.1875 + 3.0, 2.0 * 0.8125 + 7.0));
     }
 }

@@ -1,5 +1,6 @@
 //! Are rounds decided from finished shards alone, within the budget, and in favor of what fills open buckets?
 
+use super::ledger::ArmCounts;
 use super::*;
 use crate::behavior::BehaviorConfig;
 use crate::generate::{Cell, GenerateConfig};
@@ -24,10 +25,9 @@ const ARMS: &str = "
     objectives = [{ kind = 'cut_in' }]
 ";
 
-fn resolve(request: &str) -> Result<ResolvedGeneration, String> {
-    let config: GenerateConfig = toml::from_str(&format!("{ARMS}{request}")).map_err(|error| error.to_string())?;
-    let behaviors = [BehaviorConfig::from_id("cut_in").unwrap().build()];
-    config.resolve(&behaviors).map_err(|error| error.to_string())
+fn resolve(request: &str) -> ResolvedGeneration {
+    let config: GenerateConfig = toml::from_str(&format!("{ARMS}{request}")).unwrap();
+    config.resolve(&[BehaviorConfig::from_id("cut_in").unwrap().build()]).unwrap()
 }
 
 fn request(more: &str) -> String {
@@ -38,7 +38,7 @@ fn request(more: &str) -> String {
 
 pub(super) fn tight(more: &str) -> ResolvedRequest {
     let arms = if more.contains("arms") { "" } else { "arms = ['plain', 'guided']\n" };
-    resolve(&request(&format!("{arms}{more}"))).unwrap().requests.remove(0)
+    resolve(&request(&format!("{arms}{more}"))).requests.remove(0)
 }
 
 pub(super) fn pool(n: usize) -> Pool {
@@ -125,9 +125,8 @@ pub(super) fn world(arm: usize, cell: usize, sample: usize) -> Option<usize> {
 fn arms_become_sweeps_at_each_strength() {
     let resolved = resolve(&request(
         "arms = ['guided', 'plain']\nper_bucket = 2\nbudget = { n_samples = 9 }\nn_scenes = 7\n\
-         pairs = { per_scene = 2 }",
+         limits = { pair_min_ttc_s = { at_least = 1 } }\npairs = { per_scene = 2 }",
     ));
-    let resolved = resolved.unwrap();
     let names: Vec<&str> = resolved.sweeps.iter().map(|sweep| sweep.name.as_str()).collect();
     assert_eq!(names, ["tight/guided@1", "tight/guided@8", "tight/plain"]);
     assert_eq!(resolved.n_sweeps, 0);
@@ -158,8 +157,12 @@ fn no_noise_is_used_twice_after_the_first_round() {
         let request = tight(&format!("{plan}per_bucket = 9\nbudget = {{ n_samples = 900 }}"));
         let (rounds, _, _) = fulfil(&request, &pool(7), 1, world);
         assert!(rounds.len() > 5);
+        // Each arm comes to all cells in turn, and three arms to the same.
+        let shards: Vec<&RoundShard> = rounds.iter().flat_map(|round| &round.shards).collect();
+        let in_turn = [[0, 1, 2, 3], [4, 5, 6, 0], [1, 2, 3, 4]].iter().flat_map(|cells| [cells; 3]);
+        assert!(plan.is_empty() || in_turn.zip(&shards).all(|(cells, shard)| shard.members == cells), "{shards:?}");
         let mut used = BTreeSet::new();
-        for shard in rounds.iter().flat_map(|round| &round.shards) {
+        for shard in shards {
             let is_first = rounds[0].shards.contains(shard);
             for (cell, sample) in shard.members.iter().flat_map(|cell| (0..3).map(move |sample| (*cell, sample))) {
                 let is_new = used.insert((cell, shard.plan.first_sample + sample));
@@ -236,7 +239,7 @@ fn the_budget_is_never_exceeded_and_what_is_full_ends() {
 fn cheap_arms_are_preferred_where_evaluations_are_counted() {
     let arms = "[[arms]]\nname = 'dear'\nn_samples = 3\nsampler = { kind = 'heun', n_steps = 80 }\n";
     let more = "arms = ['plain', 'dear']\nper_bucket = 30\nbudget = { n_evaluations = 60000 }";
-    let request = resolve(&format!("{arms}{}", request(more))).unwrap().requests.remove(0);
+    let request = resolve(&format!("{arms}{}", request(more))).requests.remove(0);
     // Both are as likely to hit.
     let (_, _, ledger) = fulfil(&request, &pool(30), 1, |_, cell, sample| world(2, 3 * cell, sample));
     assert!(ledger.arms[0].n_samples > 2 * ledger.arms[1].n_samples, "{:?}", ledger.arms);
@@ -247,7 +250,7 @@ fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at(
     let other = "[[arms]]\nname = 'other'\nn_samples = 3\nstrengths = [5.0]\nclassifier_scope = 'none'\n\
                  objectives = [{ kind = 'cut_in' }]\n";
     let more = "arms = ['aimed', 'other']\nper_bucket = 5\nbudget = { n_samples = 9000 }";
-    let request = resolve(&format!("{other}{}", request(more))).unwrap().requests.remove(0);
+    let request = resolve(&format!("{other}{}", request(more))).requests.remove(0);
     let pool = pool(30);
     let mut ledger = Ledger::new(&request, &pool);
     let mut add = |arm: usize, aimed: usize, n_samples: u64, hits: Hits| {
@@ -331,7 +334,8 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     let request = tight("per_bucket = 1\nbudget = { n_samples = 1000 }");
     let tally = |round: usize, n_accepted: u64| {
         let hits = BTreeMap::from([(1, Hits { n_accepted, n_surplus: 2, ..Hits::default() })]);
-        let cell = CellTally { cell: 0, n_samples: 6, n_found: n_accepted + 2, hits, ..CellTally::default() };
+        let (n_found, [n_outside, n_beyond_limits]) = (n_accepted + 2, [n_accepted, 2 * n_accepted]);
+        let cell = CellTally { n_samples: 6, n_found, n_outside, n_beyond_limits, hits, ..CellTally::default() };
         ShardTally { request: "tight".to_owned(), round, arm: 0, cells: vec![cell] }
     };
     let mut ledger = Ledger::new(&request, &pool(2));
@@ -339,7 +343,9 @@ fn buckets_cost_what_is_spent_while_they_are_open() {
     ledger.add(&tally(1, 0));
     let each = request.arms[0].n_evaluations;
     assert_eq!(ledger.spent_while_open[..2], [(12, 12 * each), (6, 6 * each)]);
-    assert_eq!((ledger.first_round[0].n_samples, ledger.arms[0].n_samples), (6, 12));
+    let counts = |arm: &ArmCounts| [arm.n_samples, arm.n_found, arm.n_outside, arm.n_beyond_limits];
+    assert_eq!([&ledger.first_round[0], &ledger.arms[0]].map(counts), [[6, 3, 1, 2], [12, 5, 1, 2]]);
+    assert_eq!([Ledger::new(&request, &pool(2)).n_situations(), ledger.n_situations()], [0, 1]);
     let [empty, one] = [0, 1].map(|i| RequestSummary::new(&request, &pool(2), &ledger, 2).buckets[i].clone());
     assert_eq!((empty.n_evaluations_per_accepted(), one.n_evaluations_per_accepted()), (None, Some(6.0 * each as f64)));
     assert_eq!(BucketSummary { n_accepted: 4, ..one }.n_evaluations_per_accepted(), Some(1.5 * each as f64));

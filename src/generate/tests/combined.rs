@@ -1,5 +1,6 @@
 //! Do the forms of guidance act together?
 
+use super::guidance::kinds;
 use super::*;
 use crate::scenario::ScenarioRecord;
 use crate::scene::GuidanceLevel;
@@ -13,13 +14,6 @@ const GUIDED: &str = "
     behavior = 'drift'
 ";
 const GOALS: &str = "classifier_free = { extra = [{ agents = 'all', times = 'goal' }], goal_std_m = 0.5, weights =";
-
-fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
-    let mut kinds: Vec<&str> = records.iter().map(|r| r.scenario.provenance.guidance.kind.as_str()).collect();
-    kinds.sort_unstable();
-    kinds.dedup();
-    kinds
-}
 
 fn at(records: &[ScenarioRecord], strength: f64, weight: f64) -> Vec<&ScenarioRecord> {
     let level = GuidanceLevel { strength, weight };
@@ -49,7 +43,4 @@ fn classifier_objectives_and_wanted_states_act_together() {
     for alone in [at(&leaning, 0.0, 0.7), at(&guided, 3.0, 0.0)] {
         assert!(apart_m(&at(&both, 3.0, 0.7), &alone) > 1e-3);
     }
-    let refused = config(&format!("{GUIDED}strengths = [0.0, 3.0]\n{GOALS} [0.0, 0.7] }}"));
-    let why = with_generator_result(&refused, |_| Ok(())).unwrap_err().to_string();
-    assert!(why.contains("classifier_free.weights has 2 values and strengths has 2"), "{why}");
 }

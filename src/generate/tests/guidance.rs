@@ -17,7 +17,7 @@ const OBJECTIVES: &str = "
     objectives = [{ kind = 'acceleration_limit', limit_mps2 = 0.5 }]
 ";
 
-fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
+pub(super) fn kinds(records: &[ScenarioRecord]) -> Vec<&str> {
     let mut kinds: Vec<&str> = records.iter().map(|r| r.scenario.provenance.guidance.kind.as_str()).collect();
     kinds.sort_unstable();
     kinds.dedup();
@@ -196,5 +196,26 @@ fn who_follows_a_template_is_observed_and_each_sample_has_its_own_whatever_the_b
             let key = SampleKey::of(shard, &record.scenario.provenance).unwrap();
             assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, record.scenario);
         }
+    });
+}
+
+#[test]
+fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
+    // Without an aim, every template of a pair is the same.
+    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    template = true";
+    let templates = SWEEPS.replace("behavior = 'drift'", asked).replace("n_samples = 2", "n_samples = 5");
+    let templates = templates.replace("strengths = [0.0, 3.0]", "");
+    with_generator(&config(&templates), 0, |generator| {
+        let plan = generator.plan(&index(12)).unwrap();
+        let shard = plan.shards.last().unwrap();
+        let output = generator.generate(shard, &Silent).unwrap();
+        assert_eq!(output.records.len(), shard.cells.len());
+        assert!(output.records.iter().all(|record| record.scenario.provenance.sample_idx == shard.first_sample));
+        let reasons: Vec<&str> = output.rejected.iter().map(|rejected| rejected.reason.as_str()).collect();
+        assert_eq!(reasons, vec![REPEATED_TEMPLATE; 4 * shard.cells.len()]);
+        let key = SampleKey::of(shard, &output.records[0].scenario.provenance).unwrap();
+        assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, output.records[0].scenario);
+        let repeated = SampleKey { sample_idx: key.sample_idx + 1, ..key };
+        assert!(generator.regenerate(shard, repeated).unwrap().is_none());
     });
 }

@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::ingest::lane_topology::tests::lane;
-use crate::ingest::raw::map_id;
-use crate::scene::{Dataset, SceneId, SceneSource, SituationKind, Split, TrackId, Trajectory};
+use crate::ingest::test_data;
+use crate::scene::testing;
+use crate::scene::{Dataset, SceneId, Trajectory};
 use proptest::prelude::*;
 
 const N_TIMESTEPS: usize = 5;
@@ -17,13 +18,7 @@ fn track(id: &str, role: TrackRole, position: Vec2, heading_rad: f64, is_valid: 
         let velocity = Vec2::from_angle(heading_rad) * 10.0;
         is_valid(timestep).then_some(State { position: position + moved, heading_rad, velocity })
     });
-    Track {
-        id: TrackId::from(id),
-        class: AgentClass::Vehicle,
-        role,
-        extent: None,
-        trajectory: Trajectory::new(states.collect()),
-    }
+    Track { role, extent: None, ..testing::vehicle(id, states) }
 }
 
 fn context(id: &str, x: f64, y: f64) -> Track {
@@ -31,28 +26,8 @@ fn context(id: &str, x: f64, y: f64) -> Track {
 }
 
 fn raw(tracks: Vec<Track>) -> RawScene {
-    RawScene {
-        id: SceneId::from("interaction/val/X/1"),
-        source: SceneSource {
-            dataset: Dataset::Interaction,
-            version: "v1.2".to_owned(),
-            split: Split::Val,
-            place: "X".to_owned(),
-            file: "val/X_val.csv".to_owned(),
-            case_id: "1".to_owned(),
-            first_frame: "1".to_owned(),
-            situation: SituationKind::Recorded,
-            continues: None,
-        },
-        dt_s: 0.1,
-        n_timesteps: N_TIMESTEPS,
-        n_history: N_HISTORY,
-        tracks,
-        heading_gaps: Vec::new(),
-        map_id: map_id(Dataset::Interaction, "X"),
-        own_map: None,
-        findings: Vec::new(),
-    }
+    let raw = test_data::raw(testing::scene(&[]));
+    RawScene { n_timesteps: N_TIMESTEPS, n_history: N_HISTORY, tracks, ..raw }
 }
 
 fn config() -> IngestConfig {
@@ -168,7 +143,7 @@ fn lanes_are_cropped_and_required() {
     let focal = |x| vec![track("f", TrackRole::Focal, Vec2::new(x, 0.0), 0.0, |_| true)];
     let (scene, _) = assemble(raw(focal(0.0)), Some(&index), &config()).expect("complete");
     assert_eq!(scene.lanes.lanes().iter().map(|lane| lane.id.0).collect::<Vec<_>>(), [1, 2]);
-    assert_eq!(scene.map_id, Some(map_id(Dataset::Interaction, "X")));
+    assert_eq!(scene.map_id, Some("Test".into()));
     let (scene, _) = assemble(raw(focal(290.0)), Some(&index), &config()).expect("complete");
     assert_eq!(scene.lanes.lanes()[0].centerline.0[0], Vec2::new(-280.0, 0.0), "lanes are in the scene frame");
     let reject = assemble(raw(focal(700.0)), Some(&index), &config()).expect_err("far from every lane");
@@ -282,7 +257,7 @@ fn impossible_states_are_rejected_before_they_are_stored() {
     for (x, reason) in [(1e8, "out_of_range"), (1e39, "out_of_range"), (f64::INFINITY, "non_finite")] {
         let reject = assemble(raw(vec![context("a", 0.0, 0.0), context("b", x, 0.0)]), None, &config()).unwrap_err();
         assert_eq!(reject.reason, reason);
-        assert!(reject.detail.contains("val/X_val.csv") && reject.detail.contains("track b"), "{}", reject.detail);
+        assert!(reject.detail.contains("Test_train.csv") && reject.detail.contains("track b"), "{}", reject.detail);
     }
     let mut fast = context("b", 5.0, 0.0);
     let entries = fast

@@ -369,29 +369,6 @@ fn the_argoverse_2_sample_is_read_with_its_map() {
 }
 
 #[test]
-fn the_interaction_archive_is_read_completely() {
-    let Some(path) = test_data("archives/INTERACTION-sim-multi-v1_2.zip") else { return };
-    let report =
-        ingest(&IngestConfig::new(Dataset::Interaction, vec![path]), None, &Silent, &mut |_| Ok(())).expect("whole");
-    let of_split =
-        |split: &str| report.scenes_by.iter().filter(|(key, _)| key.starts_with(split)).map(|(_, n)| n).sum::<u64>();
-    assert_eq!((of_split("train/"), of_split("val/"), of_split("test/")), (5000, 700, 300), "{}", report.summary());
-    assert_eq!(report.scenes_by.len(), 9, "three places in three splits");
-    assert_eq!(report.n_rejects(), 0, "{}", report.summary());
-}
-
-#[test]
-fn interaction_recordings_are_cut_into_windows() {
-    let Some(path) = test_data("samples/interaction/recorded_trackfiles") else { return };
-    let Some(maps) = test_data("samples/interaction/maps") else { return };
-    let config = IngestConfig { map_inputs: vec![maps], ..IngestConfig::new(Dataset::Interaction, vec![path]) };
-    let (batches, report) = run(&config, None).expect("whole");
-    assert_eq!(batches.iter().map(|batch| batch.maps.len()).sum::<usize>(), 3);
-    assert!(report.scenes_by["train/SIM_Merging"] > 3 * report.scenes_by["val/SIM_Merging"]);
-    assert!(scenes(&batches).iter().all(|scene| scene.n_timesteps == 40 && !scene.lanes.is_empty()));
-}
-
-#[test]
 fn a_blank_place_is_called_none() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut text = String::from("id,t,x,y,l,w,place\n");

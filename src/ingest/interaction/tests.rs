@@ -1,10 +1,10 @@
 //! From files to scenes, on small tables that are written here.
 
 mod damaged;
-mod development_data;
 
 use super::*;
 use crate::ingest::archive::visit_entries;
+use crate::ingest::test_data::test_data;
 use crate::ingest::{RawScene, Reject};
 use crate::scene::{AgentClass, Split, TrackRole};
 use std::ops::ControlFlow;
@@ -272,4 +272,20 @@ fn a_recording_takes_twice_its_text_and_a_case_its_text() {
         assert!(unit.n_bytes() > 1000, "{name}");
         assert_eq!(source.n_bytes_parsed(unit), factor * unit.n_bytes(), "{name}");
     }
+}
+
+#[test]
+fn the_toy_recording_of_the_interaction_authors_is_read() {
+    let Some(samples) = test_data("samples/interaction_official") else { return };
+    let config = IngestConfig { holdout_share: 0.0, n_future: Some(5), ..config(&samples) };
+    let scenes = read_scenes(&config);
+    // The second car comes at frame 31 and drives the other way.
+    assert_eq!(outcomes(&scenes).len(), 3);
+    let scene = scenes[1].as_ref().unwrap();
+    let [first, second] = scene.tracks.as_slice() else { panic!("two cars") };
+    let state = first.trajectory.get(0).unwrap();
+    assert_eq!((state.position.x, state.position.y, state.heading_rad), (41.0, 2.5, 0.0));
+    let state = second.trajectory.get(0).unwrap();
+    assert_eq!((state.position.x, state.position.y, state.velocity.x), (90.0, 5.5, 10.0));
+    assert!((state.heading_rad - std::f64::consts::PI).abs() < 1e-4);
 }

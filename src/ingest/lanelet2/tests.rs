@@ -356,25 +356,23 @@ fn assert_sane(graph: &LaneGraph) {
 
 #[test]
 fn both_encodings_of_a_map_agree() {
-    let Some(samples) = test_data("samples/interaction/maps") else { return };
-    for (place, n_lanes, n_neighbors) in
-        [("SIM_Merging", 28, 8), ("SIM_Roundabout", 32, 0), ("SIM_Intersection", 26, 4)]
-    {
-        let (osm, report) = read_file(&samples.join(format!("{place}.osm")));
-        let (osm_xy, _) = read_file(&samples.join(format!("{place}.osm_xy")));
-        assert_eq!(report.summary(), "");
-        assert_eq!((osm.lanes().len(), osm_xy.lanes().len()), (n_lanes, n_lanes));
-        assert_eq!(osm.lanes().iter().filter(|lane| lane.left_neighbor.is_some()).count(), n_neighbors);
-        assert_sane(&osm);
-        for (a, b) in osm.lanes().iter().zip(osm_xy.lanes()) {
-            assert_eq!((a.id, &a.successors, &a.attributes), (b.id, &b.successors, &b.attributes));
-            for (line_a, line_b) in [(&a.left, &b.left), (&a.right, &b.right), (&a.centerline, &b.centerline)] {
-                assert_eq!(line_a.0.len(), line_b.0.len());
-                assert!(line_a.0.iter().zip(&line_b.0).all(|(p, q)| p.distance(*q) < 1e-3));
-            }
+    let [(osm, report), (osm_xy, _)] = ["osm", "osm_xy"].map(|kind| {
+        let map = format!("tests/fixtures/recordings/interaction_v1_1/maps/FIX_Intersection.{kind}");
+        read_file(std::path::Path::new(&map))
+    });
+    assert_eq!(report.summary(), "");
+    // Of its 64 lanelets, 28 have the right bound of another one as their left bound.
+    assert_eq!((osm.lanes().len(), osm_xy.lanes().len()), (64, 64));
+    assert_eq!(osm.lanes().iter().filter(|lane| lane.left_neighbor.is_some()).count(), 28);
+    assert_sane(&osm);
+    for (a, b) in osm.lanes().iter().zip(osm_xy.lanes()) {
+        assert_eq!((a.id, &a.successors, &a.attributes), (b.id, &b.successors, &b.attributes));
+        for (line_a, line_b) in [(&a.left, &b.left), (&a.right, &b.right), (&a.centerline, &b.centerline)] {
+            assert_eq!(line_a.0.len(), line_b.0.len());
+            assert!(line_a.0.iter().zip(&line_b.0).all(|(p, q)| p.distance(*q) < 1e-3));
         }
-        assert!(osm.lanes().iter().any(|lane| !lane.successors.is_empty()));
     }
+    assert!(osm.lanes().iter().any(|lane| !lane.successors.is_empty()));
 }
 
 #[test]

@@ -2,13 +2,13 @@
 
 use super::left_out::LeftOut;
 use super::mapping::TableColumns;
-use super::owners::{Change, Owners, Seen};
+use super::owners::{Owners, Seen};
 use super::rows::Rows;
 use super::tracks::{Clock, MAX_RECORDING_S, is_of_recording};
 use crate::geometry::Vec2;
 use crate::ingest::Reject;
 use crate::ingest::assemble::MAX_COORDINATE_M;
-use crate::ingest::raw::SeenTrack;
+use crate::ingest::raw::{Change, SeenTrack};
 use crate::ingest::recorded_track::RecordedTrack;
 
 /// Rows of a track closer in time than this are at one time, seconds.

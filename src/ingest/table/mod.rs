@@ -39,7 +39,6 @@ mod tracks;
 mod turns;
 
 pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
-pub(super) use owners::Change;
 
 use self::part_plan::{Planner, SIZES, Sizes};
 use self::parts::PartReader;

@@ -4,7 +4,7 @@ use super::headings::LongStands;
 use crate::geometry::Vec2;
 use crate::ingest::assemble::MAX_COORDINATE_M;
 use crate::ingest::plausible_tracks::MAX_SPEED_MPS;
-use crate::ingest::raw::SeenTrack;
+use crate::ingest::raw::{Change, SeenTrack};
 use crate::ingest::standing::Standing;
 use crate::scene::AgentClass;
 use std::collections::VecDeque;
@@ -43,17 +43,6 @@ pub(super) struct Seen {
     /// Length and width, meters.
     size_m: Option<[f64; 2]>,
     class: Option<AgentClass>,
-}
-
-/// Why an id is another agent's from some row on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Change {
-    Size,
-    Class,
-    /// No vehicle comes there from where the agent was.
-    Place,
-    /// Nobody had it for long.
-    Time,
 }
 
 /// What the rows of an id show, by ascending time.
@@ -268,6 +257,8 @@ mod tests {
             ((2.8, 28.0, 4.5, Vehicle), None),
             ((2.8, 68.0, 4.5, Vehicle), Some(Change::Place)),
             ((50.0, 0.0, 4.4, Vehicle), None),
+            // Blank in these rows.
+            ((50.0, 0.0, 0.0, Vehicle), None),
             ((50.0, 0.0, 12.0, Vehicle), Some(Change::Size)),
             ((50.0, 0.0, 4.5, Bus), Some(Change::Class)),
             ((50.0, 9000.0, 4.5, Vehicle), Some(Change::Place)),

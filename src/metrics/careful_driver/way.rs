@@ -6,8 +6,8 @@ use super::watch::IN_LANE_M;
 use crate::behavior::driven_path::DrivenPath;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::may_walk;
-use crate::behavior::way_on::way_on;
-use crate::geometry::{OrientedBox, Vec2, angle_difference, wrap_angle};
+use crate::behavior::way_on::{SETTLES_S, aligned_rad, way_on};
+use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
 use std::f64::consts::FRAC_PI_2;
 
@@ -18,8 +18,7 @@ const COMES_OVER_M: f64 = 7.0;
 
 /// Steps below this have no direction, meters.
 const LEAST_STEP_M: f64 = 0.05;
-/// Within which time the heading comes to be that of the motion, seconds, and the most by which it differs, radians.
-const ALIGNS_S: f64 = 1.0;
+/// The most by which the heading differs from the direction of motion, radians.
 const MOST_SLIP_RAD: f64 = 0.1;
 
 /// The way of an ego.
@@ -53,7 +52,7 @@ impl Way {
         let driven: Vec<&State> = (present..scene.n_timesteps).map_while(|t| scene.state(ego_idx, t)).collect();
         let mut points: Vec<Vec2> = driven.iter().map(|state| state.position).collect();
         let ended = Scene { n_timesteps: present + driven.len(), ..scene.clone() };
-        let (last, on) = (points[points.len() - 1], way_on(&ended, ego_idx, WAY_ON_M));
+        let (last, on) = (points[points.len() - 1], way_on(&ended, ego_idx, WAY_ON_M, SETTLES_S));
         points.extend(on);
         if points.iter().all(|point| point.distance(now.position) < 1.0) {
             points = vec![now.position, now.position + Vec2::from_angle(now.heading_rad) * WAY_ON_M];
@@ -82,14 +81,13 @@ impl Way {
         let (center, along_rad) = self.route.pose_at(driven_m + moved_m);
         let aside_m = place.offset_m * (-moved_m / COMES_OVER_M).exp();
         let position = center + Vec2::from_angle(along_rad + FRAC_PI_2) * aside_m;
-        // Directions of very short steps are noise. A heading that differs from that of the motion, as recorded and
-        // sampled ones do, comes to be the same.
+        // Directions of very short steps are noise.
         if moved_m <= LEAST_STEP_M || speed_mps * dt_s <= LEAST_STEP_M {
             return State { position, velocity: Vec2::from_angle(state.heading_rad) * then_mps, ..*state };
         }
         let course_rad = (position - state.position).angle();
-        let slip_rad = angle_difference(state.heading_rad, state.velocity.angle()) * (-dt_s / ALIGNS_S).exp();
-        let heading_rad = wrap_angle(course_rad + slip_rad.clamp(-MOST_SLIP_RAD, MOST_SLIP_RAD));
+        let slip_rad = angle_difference(state.heading_rad, state.velocity.angle());
+        let heading_rad = aligned_rad(course_rad, slip_rad.clamp(-MOST_SLIP_RAD, MOST_SLIP_RAD), dt_s);
         State { position, heading_rad, velocity: Vec2::from_angle(course_rad) * then_mps }
     }
 
@@ -137,5 +135,27 @@ pub(crate) fn body(track: &Track, state: &State) -> OrientedBox {
         heading_rad: state.heading_rad,
         length_m: extent.length_m,
         width_m: extent.width_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::testing::{self, Drive};
+
+    #[test]
+    fn a_heading_beside_the_motion_aligns_within_a_second() {
+        let scene = testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]);
+        let way = Way::of(&scene, 0).unwrap();
+        // At most a tenth of a radian is kept.
+        for (slip_rad, kept_rad) in [(0.05, 0.05), (-0.05, -0.05), (0.3, 0.1)] {
+            let now = *scene.state(0, scene.current_timestep()).unwrap();
+            let mut state = State { heading_rad: slip_rad, ..now };
+            for _ in 0..10 {
+                state = way.advanced(&state, 0.0, 0.1);
+            }
+            assert!((state.heading_rad - kept_rad * (-1.0_f64).exp()).abs() < 1e-6, "{slip_rad}: {state:?}");
+            assert!((state.position.x - now.position.x - 10.0).abs() < 1e-6 && state.velocity.y.abs() < 1e-6);
+        }
     }
 }

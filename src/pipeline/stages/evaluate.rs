@@ -9,7 +9,7 @@ use crate::engine::shards::{Division, Gathering, Sharded, Shards};
 use crate::engine::{Result, Stage, StageContext, StageInput, StageKind, Work};
 use crate::evaluate::{
     EvaluateConfig, Evaluation, EvaluationFiles, EvaluationSummary, MapFitRow, MapFits, MeasuredShard, Measurer, Shard,
-    ShardFigures, TrackPool, left_out_by_sweep, metric_docs, of_requests,
+    ShardFigures, TrackPool, left_out_by_sweep, of_requests,
 };
 use crate::generate::{Aim, GenerateConfig};
 use crate::metrics::MetricSettings;
@@ -52,7 +52,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        24
+        25
     }
 
     fn check(&self) -> Result<()> {
@@ -152,7 +152,7 @@ impl Sharded for Evaluate<'_> {
             Some(recorded) if self.has_modeled => modeled_rates(&self.layout.modeled, recorded, &ids)?,
             _ => None,
         };
-        let evaluation = Evaluation::new(config, metric_docs(config, behaviors), told, &files)?;
+        let evaluation = Evaluation::new(config, behaviors, told, &files)?;
         let coverage = self.recorded_coverage(&ready, traffic.as_ref())?;
         let mut evaluation = evaluation.with_rates_of(traffic, modeled).with_coverage_of(coverage);
         evaluation.count_rejected(samples.shards.iter().flat_map(|shard| &shard.rejected));

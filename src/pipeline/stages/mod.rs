@@ -39,7 +39,7 @@ use super::layout::Layout;
 use crate::engine::Stage;
 use crate::engine::StageRecord;
 use crate::engine::{Failure, Result};
-use crate::evaluate::{EvaluateConfig, GateResult};
+use crate::evaluate::{EvaluateConfig, GateResult, Keep};
 use crate::ingest::usual_horizon;
 use crate::metrics::DUPLICATE_DISTANCE_M;
 use crate::nn::Precision;
@@ -150,6 +150,7 @@ pub fn generation<'a>(config: &'a PipelineConfig, layout: &'a Layout) -> Option<
         mine: mine.clone().unwrap_or_default(),
         metric_settings: evaluate.as_ref().map(EvaluateConfig::metric_settings).unwrap_or_default(),
         duplicate_distance_m: evaluate.as_ref().map_or(DUPLICATE_DISTANCE_M, |evaluate| evaluate.duplicate_distance_m),
+        keeps_duplicates: evaluate.as_ref().is_some_and(|evaluate| evaluate.keep != Keep::Accepted),
         classified_behavior: train.classifier.as_ref().map(|classifier| classifier.behavior.as_str()),
         // A folder of models that the command line names may hold one that was distilled with other settings.
         learns_from: train::scenes_learned_from(train),

@@ -28,7 +28,7 @@ impl Stage for Situations<'_> {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn check(&self) -> Result<()> {

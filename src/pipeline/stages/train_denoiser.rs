@@ -19,7 +19,7 @@ use std::path::Path;
 impl Recipe for DenoiserTrainingConfig {
     type Spec = DenoiserSpec;
     const STAGE: StageId = StageId::TrainDenoiser;
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const LEARNS_FROM: &'static [StageId] = &[StageId::Ingest];
     const CALIBRATE: Option<Calibrate<DenoiserSpec>> = Some(calibrate);
 

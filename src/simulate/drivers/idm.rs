@@ -1,16 +1,13 @@
 //! The intelligent driver model (Treiber, Hennecke and Helbing 2000) along the way of the ego.
 
 use super::way::{advanced, eased, ego, seen};
+use crate::behavior::following::opens_mps;
 use crate::metrics::{Seen, acceleration_mps2, half_width_m};
 use crate::scene::State;
 use crate::simulate::driver::{Driver, Failed};
 use crate::simulate::{Situation, World};
 
-/// The headway to which a driver falls back after an event, within which time, seconds, with which largest speed, m/s,
-/// within which it loses speed for it, and within which it gains speed again, seconds.
-const FOLLOWS_S: f64 = 0.9;
-const OPENS_S: f64 = 3.0;
-const MOST_OPENS_MPS: f64 = 2.0;
+/// Within which time a driver loses speed to fall back after an event, and within which it gains speed again, seconds.
 const COMES_TO_S: f64 = 2.0;
 const GAINS_S: f64 = 6.0;
 /// The distance that is left when both are as fast, and the least over which speed is lost, meters.
@@ -49,8 +46,7 @@ impl Idm {
 /// short but opens.
 fn calm_mps2(model_mps2: f64, ego_mps: f64, ahead: &Seen) -> f64 {
     let needed_mps2 = -ahead.closing_mps.powi(2) / (2.0 * (ahead.gap_m - LEAVES_M).max(LEAST_M));
-    let opens_mps = ((FOLLOWS_S * ego_mps - ahead.gap_m) / OPENS_S).clamp(0.0, MOST_OPENS_MPS);
-    let to_gain_mps = -(ahead.closing_mps + opens_mps);
+    let to_gain_mps = -(ahead.closing_mps + opens_mps(ego_mps, ahead.gap_m));
     let falls_back_mps2 = to_gain_mps / if to_gain_mps > 0.0 { GAINS_S } else { COMES_TO_S };
     let calm_mps2 = if ahead.closing_mps > 0.0 { needed_mps2.min(falls_back_mps2) } else { falls_back_mps2 };
     model_mps2.max(calm_mps2)

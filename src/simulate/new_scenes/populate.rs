@@ -4,7 +4,7 @@
 //! What they do next, and how everybody answers to them, is decided in the closed loop that follows. Only windows in
 //! which their whole past is sampled become scenes.
 
-use crate::behavior::way_on::way_on;
+use crate::behavior::way_on::{SETTLES_S, way_on};
 use crate::geometry::{OrientedBox, Polyline, Vec2};
 use crate::metrics::Road;
 use crate::scene::{AgentClass, Extent, Scene, State, Track, TrackId, TrackRole, Trajectory};
@@ -127,7 +127,7 @@ fn walker(scene: &Scene, road: &Road, class: AgentClass, rng: &mut SeededRng) ->
     let now = scene.state(vehicle, present)?;
     let ahead_m = now.speed_mps() * (MET_S[0] + rng.uniform() * (MET_S[1] - MET_S[0]));
     let observed = Scene { n_timesteps: scene.n_history, ..scene.clone() };
-    let way = Polyline([vec![now.position], way_on(&observed, vehicle, ahead_m + 1.0)].concat());
+    let way = Polyline([vec![now.position], way_on(&observed, vehicle, ahead_m + 1.0, SETTLES_S)].concat());
     let middle = way.point_at(ahead_m)?;
     let along = Vec2::from_angle(way.project(middle)?.heading_rad);
     let side = if rng.uniform() < 0.5 { 1.0 } else { -1.0 };

@@ -3,7 +3,7 @@
 //! touches nobody, unless its lane has a light, whose state is unknown.
 
 use super::{future, replace};
-use crate::behavior::way_on::way_on;
+use crate::behavior::way_on::{SETTLES_S, way_on};
 use crate::geometry::{OrientedBox, Polyline, Vec2};
 use crate::scene::{Lane, Scene, State};
 use crate::simulate::situation::Situation;
@@ -41,7 +41,7 @@ pub(in crate::simulate) fn go_on(situation: &Situation, world: &World, scene: &m
 /// The states of an agent that starts along its lane. Empty if it is in no lane, or lights control the lane.
 fn started(scene: &Scene, agent_idx: usize, now: &State, n_states: usize) -> Vec<State> {
     let past = Scene { n_timesteps: scene.n_history, ..scene.clone() };
-    let ahead = way_on(&past, agent_idx, STARTS_UP_TO_MPS * n_states as f64 * scene.dt_s);
+    let ahead = way_on(&past, agent_idx, STARTS_UP_TO_MPS * n_states as f64 * scene.dt_s, SETTLES_S);
     let is_on =
         |lane: &Lane, at: Vec2| lane.centerline.project(at).is_some_and(|place| place.offset_m.abs() < MARGIN_M);
     let controlled = || scene.lanes.lanes().iter().filter(|lane| has_light(lane));

@@ -2,8 +2,8 @@
 //! of them across the road; some of those that have changed lanes it drives on over the edge.
 
 use super::{at_stations, future, replace, stations};
-use crate::behavior::way_on::way_on;
-use crate::geometry::{Polyline, Vec2, angle_difference, wrap_angle};
+use crate::behavior::way_on::{CAUGHT_S, SETTLES_S, aligned_rad, way_on};
+use crate::geometry::{Polyline, Vec2, angle_difference};
 use crate::scene::{Scene, State};
 use crate::simulate::rollout::OFF_ROAD_SLACK_M;
 use crate::simulate::situation::Situation;
@@ -26,37 +26,41 @@ pub(in crate::simulate) fn keep_to_lanes(
     let is_off = |state: &State| situation.off_road_m(state).is_some_and(|off_m| off_m > OFF_ROAD_SLACK_M);
     for agent_idx in agents.iter().copied().filter(|idx| situation.scene.tracks[*idx].class.is_motorized()) {
         let own = future(scene, agent_idx);
-        let strays = own.first().is_some_and(|now| {
-            let later = || own.iter().rev().step_by(STRIDE);
-            let settles = settling.contains(&agent_idx) && situation.across_lanes_rad(now).is_some();
-            is_along(now, ALONG_RAD) && (settles || later().any(|then| !is_along(then, ACROSS_RAD)))
-                || !is_off(now) && later().any(is_off)
-        });
-        if !strays {
-            continue;
-        }
-        if let Some(kept) = along_lane(scene, agent_idx, &own) {
+        let Some(now) = own.first() else { continue };
+        let later = || own.iter().rev().step_by(STRIDE);
+        let strays = is_along(now, ALONG_RAD) && later().any(|then| !is_along(then, ACROSS_RAD))
+            || !is_off(now) && later().any(is_off);
+        let settles = || {
+            let in_lane = is_along(now, ALONG_RAD) && situation.across_lanes_rad(now).is_some();
+            in_lane && settling.contains(&agent_idx)
+        };
+        let within_s = match strays {
+            true => CAUGHT_S,
+            false if settles() => SETTLES_S,
+            false => continue,
+        };
+        if let Some(kept) = along_lane(scene, agent_idx, &own, within_s) {
             replace(scene, agent_idx, &kept);
         }
     }
 }
 
 /// These states along the lane that the agent is in at present. `None` if it is in none, or the lane ends before.
-fn along_lane(scene: &Scene, agent_idx: usize, own: &[State]) -> Option<Vec<State>> {
+fn along_lane(scene: &Scene, agent_idx: usize, own: &[State], within_s: f64) -> Option<Vec<State>> {
     let stations = stations(own);
     let (now, driven_m) = (own.first()?, *stations.last()?);
     let past = Scene { n_timesteps: scene.n_history, ..scene.clone() };
-    let ahead = way_on(&past, agent_idx, driven_m + 1.0);
+    let ahead = way_on(&past, agent_idx, driven_m + 1.0, within_s);
     let way = Polyline(std::iter::once(now.position).chain(ahead).collect());
     if way.length_m() < driven_m {
         return None;
     }
-    // A heading that differs from the direction of motion comes to be the same on the way of a second.
     let slip_rad = if now.speed_mps() > 1.0 { angle_difference(now.heading_rad, now.velocity.angle()) } else { 0.0 };
-    let headings = way.0.windows(2).enumerate().map(|(i, pair)| {
-        let share = (-(i as f64) / now.speed_mps().max(1.0)).exp();
-        wrap_angle((pair[1] - pair[0]).angle() + slip_rad * share)
-    });
+    let headings = way
+        .0
+        .windows(2)
+        .enumerate()
+        .map(|(i, pair)| aligned_rad((pair[1] - pair[0]).angle(), slip_rad, i as f64 / now.speed_mps().max(1.0)));
     let points = way.0.iter().skip(1).zip(headings);
     let along = points.map(|(position, heading_rad)| State { position: *position, heading_rad, velocity: Vec2::ZERO });
     let path: Vec<State> = std::iter::once(*now).chain(along).collect();
@@ -75,7 +79,7 @@ mod tests {
 
     /// Where and in which direction an agent ends that drives along x with 4 m/s and is sampled to turn by 0.7 rad, on
     /// a map with these lanes.
-    fn ends(lanes: &[[[f64; 2]; 2]]) -> (Vec2, f64) {
+    fn ends(lanes: &[[[f64; 2]; 2]], settling: &[usize]) -> (Vec2, f64) {
         let lane = |(i, [a, b]): (usize, &[[f64; 2]; 2])| {
             let center = Polyline([a, b].map(|[x, y]| Vec2::new(*x, *y)).to_vec());
             Lane::unconnected(i as i64, center, [Polyline::default(), Polyline::default()])
@@ -99,7 +103,7 @@ mod tests {
         };
         let situation = Situation::without_event("lanes", drive(0.0), 0, None).unwrap();
         let mut sampled = drive(0.7);
-        keep_to_lanes(&situation, &mut sampled, &[0], &[]);
+        keep_to_lanes(&situation, &mut sampled, &[0], settling);
         let last = sampled.state(0, sampled.n_timesteps - 1).unwrap();
         (last.position, last.heading_rad)
     }
@@ -108,10 +112,14 @@ mod tests {
     fn who_turns_across_the_lanes_is_kept_in_its_own_and_who_takes_another_is_not() {
         let road = [[-50.0, 0.0], [100.0, 0.0]];
         let beside = [[-50.0, 3.5], [100.0, 3.5]];
-        let (at, heading_rad) = ends(&[road, beside]);
+        let (at, heading_rad) = ends(&[road, beside], &[]);
         assert!(at.y.abs() < 0.35 && heading_rad.abs() < 0.1 && (at.x - 12.0).abs() < 0.5, "{at:?} {heading_rad}");
         // A lane that leads off, in the direction of the turn.
-        let (turned, heading_rad) = ends(&[road, [[1.0, 0.0], [1.0 + 20.0 * 0.7_f64.cos(), 20.0 * 0.7_f64.sin()]]]);
+        let forked = [road, [[1.0, 0.0], [1.0 + 20.0 * 0.7_f64.cos(), 20.0 * 0.7_f64.sin()]]];
+        let (turned, heading_rad) = ends(&forked, &[]);
         assert!(turned.y > 3.0 && (heading_rad - 0.7).abs() < 1e-9, "{turned:?}");
+        // Whose part in an event has ended takes no other.
+        let (settled, _) = ends(&forked, &[0]);
+        assert!(settled.y.abs() < 0.35 && (settled.x - 12.0).abs() < 0.5, "{settled:?}");
     }
 }

@@ -23,7 +23,7 @@ pub(crate) fn schema() -> TableSchema {
             "reasons",
             list_of(DataType::Utf8),
             "Why it is not accepted, the first reason first: nothing_asked or not_verified, what a request found, \
-             failed checks of validity, near_duplicate; empty where it is.",
+             failed checks of validity, no_cause, not_as_driven, near_duplicate; empty where it is.",
         ),
         column(
             "preventable",

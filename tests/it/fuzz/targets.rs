@@ -325,9 +325,8 @@ fn small_model(folder: &Path) -> Vec<u8> {
 
 /// Puts the corpus of the fixtures into the folder.
 fn copy_corpus(folder: &Path) {
-    for (name, bytes) in crate::support::files(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS)) {
-        write(folder, &format!("corpus/{name}"), &bytes);
-    }
+    let files = crate::support::files(&Path::new(env!("CARGO_MANIFEST_DIR")).join(CORPUS));
+    crate::support::write_all(&files, &folder.join("corpus"));
 }
 
 fn corpus_manifest(folder: &Path) -> Vec<Vec<u8>> {
@@ -386,7 +385,7 @@ fn put_stamped(folder: &Path, root: &Path, name: &str, bytes: &[u8]) {
             _ => {}
         }
     }
-    let mut manifest: Value = serde_json::from_slice(&fs_err::read(folder.join("whole.json")).unwrap()).unwrap();
+    let mut manifest = crate::support::json(&folder.join("whole.json"));
     restamp(&mut manifest, &FileStamp::of(&fs_err::read(folder.join("whole")).unwrap()), &FileStamp::of(bytes));
     write(root, name, bytes);
     write(root, "manifest.json", manifest.to_string().as_bytes());

@@ -7,9 +7,13 @@ fn damaged_tables_are_rejects() {
     // What was left out may explain why too little is left.
     let short = plain(42).replace("\n7,0,0,2", "\n7,0,,2").replace("\n7,0.1,1,2", "").replace("\n7,0.2,2,2", "");
     let far = drive("id,t,x,y", 60, |_, t, x| format!("7,{t},{},2", 1e3 * x));
-    for (text, expected) in
-        [(short, "; 1 rows left out, the first: "), (far, "where no vehicle comes from the rows around")]
-    {
+    let nobody = drive("id,t,x,y", 60, |_, t, x| format!(",{t},{x},2"));
+    for (text, expected) in [
+        (short, "; 1 rows left out, the first: "),
+        (far, "where no vehicle comes from the rows around"),
+        (nobody, "column id is blank in all rows"),
+        ("id,t,x,y\n".to_owned(), "the table has no rows"),
+    ] {
         let found = rejects(file("a.csv", &text).path(), PLAIN);
         assert!(found.contains(expected), "{expected}: {found}");
     }
@@ -57,6 +61,12 @@ fn what_is_bad_costs_no_more_than_itself_and_is_counted() {
         is_kept(&whole.replacen(from, to, 1), what, u64::from(!what.is_empty()), said, all);
     }
     let at_once = whole.replacen("2,1.2,12,8,", "2,1.3,52,8,", 1);
+    // Two of three rows are elsewhere.
+    let row = |(i, line): (usize, &str)| match line.starts_with("2,") && i % 3 != 2 {
+        true => line.replacen(",8,", &format!(",{i}e3,"), 1),
+        false => line.to_owned(),
+    };
+    let mostly_elsewhere = whole.lines().enumerate().map(row).collect::<Vec<_>>().join("\n");
     let is_seen = |line: &&str| !line.starts_with("2,") || line.starts_with("2,0,") || line.starts_with("2,9.9,");
     let seldom = whole.lines().filter(is_seen).collect::<Vec<_>>().join("\n");
     for (text, what, said) in [
@@ -64,6 +74,7 @@ fn what_is_bad_costs_no_more_than_itself_and_is_counted() {
         (of_agent(2, ",car", ","), "agents_of_unlisted_class", "line 3: column c is \"\""),
         (of_agent(2, ",4.5,1.8", ",-4.5,1.8"), "agents_with_bad_values", "line 3: track 2 is -4.5 by 1.8 m"),
         (at_once, "agents_at_two_places_at_one_time", "track 2 is at two positions at one time"),
+        (mostly_elsewhere, "agents_with_bad_values", "track 2 is at ("),
         (seldom, "agents_with_rows_far_apart", "the rows of track 2 are 9.900 s apart"),
     ] {
         is_kept(&text, what, 1, said, [40, 0, 40, 40]);

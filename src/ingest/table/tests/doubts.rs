@@ -21,11 +21,14 @@ fn size_and_class_are_those_of_most_rows() {
     // A car that is a truck at first and blank then, that grows into the image, and is 40 m long in one row.
     let row = |i: usize, t: f64, x: f64| {
         let length = if i == 30 { 40.0 } else { 4.5_f64.min(0.5 + 0.5 * i as f64) };
-        format!("1,{t},{x},0,{length},1.8,{}", ["truck", ""].get(i).unwrap_or(&"car"))
+        let class = ["truck", ""].get(i).unwrap_or(&"car");
+        // The sizes of two others are not known.
+        format!("1,{t},{x},0,{length},1.8,{class}\n2,{t},0,{t},0,0,walker\n3,{t},5,{t},,,walker")
     };
     let (found, scenes) = doubts(&drive("id,t,x,y,l,w,c", 40, row), SIZED);
     let car = track(&scenes[0], "1");
     assert_eq!((car.class, car.extent.map(|extent| extent.length_m)), (AgentClass::Vehicle, Some(4.5)));
+    assert_eq!(["2", "3"].map(|id| track(&scenes[0], id).extent), [None; 2]);
     // More than a quarter off: 0.5 to 3 m, and 40 m.
     let (n, said) = &found["rows_of_another_size"];
     assert!(*n == 7 && said.contains("line 2: track 1 is 0.50 by 1.80 m; its median, 4.50 by 1.80"), "{n} {said}");
@@ -60,7 +63,7 @@ fn headings_that_cannot_be_are_blank_and_follow_from_the_motion() {
         (&|i, _| if i < 9 { 999.0 } else { 90.0 }, &|_, _| 90.0, "headings_beyond_a_circle", 9),
         (&|i, _| if i % 7 == 3 { -90.0 } else { 90.0 }, &|_, _| 90.0, "headings_that_no_vehicle_turns_to", 13),
         (&|_, t| if stands(t) { 0.0 } else { 90.0 }, &|_, _| 90.0, "headings_that_no_vehicle_turns_to", 31),
-        (&|_, _| 90.0, &|i, _| if i % 9 == 3 { -90.0 } else { 90.0 }, "headings_that_no_vehicle_turns_to", 10),
+        (&|_, _| 90.0, &|i, _| if i % 9 == 0 { -90.0 } else { 90.0 }, "headings_that_no_vehicle_turns_to", 10),
     ];
     for (case, (moving, standing, what, n)) in cases.into_iter().enumerate() {
         let row = |i: usize, t: f64, _: f64| format!("1,{t},0,{},{}\n2,{t},9,5,{}", y(t), moving(i, t), standing(i, t));
@@ -129,6 +132,13 @@ fn gaps_are_filled_as_far_as_they_can_be_driven() {
             assert!(fastest_mps < 13.0, "{aside_m}: {} at {fastest_mps} m/s", track.id);
         }
     }
+    // Who is not seen for three seconds is there before and after.
+    let hidden = |i: usize, t: f64, x: f64| {
+        let [more_s, more_m] = if i < 45 { [0.0, 0.0] } else { [3.0, 30.0] };
+        format!("1,{},{},0\n2,{t},{x},4", t + more_s, x + more_m)
+    };
+    let (found, scenes) = doubts(&drive("id,t,x,y", 90, hidden), PLAIN);
+    assert_eq!((found.len(), [0, 2].map(|i| track(&scenes[i], "1").trajectory.n_valid())), (0, [40; 2]), "{found:?}");
 }
 
 #[test]

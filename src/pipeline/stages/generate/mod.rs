@@ -41,9 +41,10 @@ pub struct Generate<'a> {
     pub mine: MineConfig,
     /// The settings of metrics in selections and limits, as in the evaluation.
     pub metric_settings: MetricSettings,
-    /// Scenarios of a request whose agents move closer to an accepted one than this are near-duplicates, as in the
-    /// evaluation, meters.
+    /// Scenarios whose agents move closer to another than this are near-duplicates, as in the evaluation, meters.
     pub duplicate_distance_m: f64,
+    /// Whether the evaluation keeps near-duplicates of sweeps.
+    pub keeps_duplicates: bool,
     /// The behavior that the pipeline's classifier is trained for, if it trains one.
     pub classified_behavior: Option<&'a str>,
     /// The distillation of the pipeline's denoiser, if it does that itself.
@@ -64,7 +65,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        29
+        30
     }
 
     fn check(&self) -> Result<()> {
@@ -100,7 +101,11 @@ impl Stage for Generate<'_> {
         if differs_from_default(&settings) {
             config["metric_settings"] = serde_json::to_value(settings)?;
         }
-        if !self.config.requests.is_empty() && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
+        let has_templates = self.config.sweeps.iter().any(|sweep| sweep.template);
+        if has_templates && self.keeps_duplicates {
+            config["keeps_duplicates"] = json!(true);
+        }
+        if (has_templates || !self.config.requests.is_empty()) && self.duplicate_distance_m != DUPLICATE_DISTANCE_M {
             config["duplicate_distance_m"] = json!(self.duplicate_distance_m);
         }
         config["learns_from"] = serde_json::to_value(&self.learns_from)?;
@@ -163,6 +168,7 @@ impl Generate<'_> {
     /// The resolved section, which includes the sweeps of requests.
     pub(in crate::pipeline) fn resolve(&self) -> Result<ResolvedGeneration> {
         let mut resolved = self.config.resolve(&self.mine.build()?)?;
+        resolved.duplicate_distance_m = if self.keeps_duplicates { 0.0 } else { self.duplicate_distance_m };
         for request in &mut resolved.requests {
             request.duplicate_distance_m = self.duplicate_distance_m;
         }

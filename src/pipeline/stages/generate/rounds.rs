@@ -7,7 +7,7 @@
 //! scenario; the process that finishes decides, and writes the tables again with its decisions.
 
 use super::ready::Ready;
-use super::sample_folder::{SampleSidecar, read_round, write_round};
+use super::sample_folder::{DecidedShard, SampleSidecar, read_round, write_round};
 use super::sharded::{GenerationPlan, SampledShard};
 use crate::engine::shards::{Gathering, Shards};
 use crate::engine::{Failure, Result};
@@ -161,16 +161,6 @@ impl Sampling<'_> {
         let placed = ready.generator.place(request, (pool, shard), &output.records)?;
         Ok(SampledShard { sidecar: ready.write(&shard.plan, shards.dir(), output)?, placed })
     }
-}
-
-/// A shard of a request with the decisions on its scenarios.
-pub(super) struct DecidedShard {
-    /// Its index.
-    pub(super) idx: usize,
-    /// Its record, with its tally, from before the table has the decisions.
-    pub(super) sidecar: SampleSidecar,
-    /// The decision on each scenario.
-    pub(super) tags: Vec<RequestTag>,
 }
 
 /// Decides the rounds of all requests, as far as their shards exist. Returns the shards that count, and the results of

@@ -1,6 +1,5 @@
 //! The folder of generated scenarios: shards, the decisions on them, and a manifest.
 
-use super::rounds::DecidedShard;
 use crate::engine::{Classify, Failure, Result};
 use crate::files::{files_below, link_or_copy};
 use crate::generate::{
@@ -9,7 +8,7 @@ use crate::generate::{
 };
 use crate::metrics::MetricSettings;
 use crate::pipeline::stages::MineConfig;
-use crate::scenario::ScenarioRecord;
+use crate::scenario::{RequestTag, ScenarioRecord};
 use crate::store::{
     FileStamp, MapSource, SceneStore, read_if_whole, read_json, read_samples, write_atomically, write_json_atomically,
     write_samples,
@@ -38,6 +37,16 @@ pub struct SampleSidecar {
     /// Its tally, if it belongs to a request.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<ShardTally>,
+}
+
+/// A shard of a request with the decisions on its scenarios.
+pub(super) struct DecidedShard {
+    /// Its index.
+    pub(super) idx: usize,
+    /// Its record, with its tally, from before the table has the decisions.
+    pub(super) sidecar: SampleSidecar,
+    /// The decision on each scenario.
+    pub(super) tags: Vec<RequestTag>,
 }
 
 /// The last file written to the folder.

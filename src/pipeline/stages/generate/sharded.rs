@@ -1,7 +1,7 @@
 //! The shards of generation: first those of sweeps, then those of requests ([`rounds`]).
 
-use super::rounds::{self, DecidedShard, warn_of_short};
-use super::sample_folder::{SampleFolder, SampleSettings, SampleSidecar, SampledWith};
+use super::rounds::{self, warn_of_short};
+use super::sample_folder::{DecidedShard, SampleFolder, SampleSettings, SampleSidecar, SampledWith};
 use super::{Generate, differs_from_default};
 use crate::engine::shards::{Division, Gathering, Sharded, Shards};
 use crate::engine::{Result, StageContext};

@@ -30,6 +30,7 @@ fn departures_are_judged_and_mended_only_where_the_evaluation_judges_them() {
             mine: MineConfig::default(),
             metric_settings: MetricSettings { validity: validity.clone(), ..MetricSettings::default() },
             duplicate_distance_m: DUPLICATE_DISTANCE_M,
+            keeps_duplicates: false,
             classified_behavior: None,
             distill: None,
             horizon: None,

@@ -47,7 +47,7 @@ impl Stage for Report<'_> {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn check(&self) -> Result<()> {
