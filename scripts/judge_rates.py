@@ -220,16 +220,17 @@ def known(options):
             print(row(name, f"{phi}, {spread:.0%}", n, draws, severities[333], 1 / 90), flush=True)
 
 
-HEAD = "| {} | {} | in a draw | given | holds | median width, times | refused: rare, wide, no fit |\n|---|---|---:|---:|---:|---:|---|"
+HEAD = "| {} | {} | in a draw | given | holds | median width, times | refused: few, no fit, rare, wide |\n|---|---|---:|---:|---:|---:|---|"
 
 
 def row(name, detail, n, draws, level, truth):
     """A row of a table: of the draws with fewer than three events beyond the level."""
     found = [tail_interval(*draw, level) for draw in draws if sum((each > level).sum() for each in draw[0]) < 3]
     given = np.array([each for each in found if not isinstance(each, str)]).reshape(-1, 2)
-    holds, width = np.mean((given[:, 0] <= truth) & (truth <= given[:, 1])), np.median(given[:, 1] / given[:, 0])
-    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in ("rare", "wide", "no fit"))
-    return f"| {name} | {detail} | {n:.0f} | {len(given)} of {len(found)} | {100 * holds:.0f} % | {width:.0f} | {refused} |"
+    holds = f"{100 * np.mean((given[:, 0] <= truth) & (truth <= given[:, 1])):.0f} %" if len(given) else ""
+    width = f"{np.median(given[:, 1] / given[:, 0]):.0f}" if len(given) else ""
+    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in ("few", "no fit", "rare", "wide"))
+    return f"| {name} | {detail} | {n:.0f} | {len(given)} of {len(found)} | {holds} | {width} | {refused} |"
 
 
 def tail_interval(found, exposure, level):
@@ -237,13 +238,14 @@ def tail_interval(found, exposure, level):
     import golden_rates
 
     together, recording = np.concatenate(found), np.repeat(np.arange(len(found)), [len(each) for each in found])
-    severities = np.sort(together)[::-1]
+    severities, is_tried = np.sort(together)[::-1], False
     for share in (1.0, 0.7, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
         threshold = severities[min(int(share * len(severities)), len(severities) - 1)]
         is_beyond = together > threshold
         y = together[is_beyond] - threshold
         if threshold >= level or len(y) < 30:
             continue
+        is_tried = True
         shape, scale = golden_rates.quick_fit(y)
         critical = np.interp(shape, np.arange(-0.5, 1.01, 0.25), CRITICAL)
         if not -0.499 < shape < 0.999 or golden_rates.anderson_darling(y, shape, scale) >= critical:
@@ -265,7 +267,7 @@ def tail_interval(found, exposure, level):
         if high * exposure.sum() * 10 < 1:
             return "rare"
         return "wide" if high > 100 * low else (low, high)
-    return "no fit"
+    return "no fit" if is_tried else "few"
 
 
 def profile_interval(y, at, phi):

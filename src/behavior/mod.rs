@@ -123,9 +123,19 @@ pub trait Behavior: Send + Sync {
     fn maneuvers(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Maneuver> {
         Vec::new()
     }
-    /// A maneuver that brings `agents`, in the order of the roles, to an outcome with each `wanted` parameter in its
-    /// range (from, to), ends included: a different one for each `variant`, cyclically. Uses the observed past and the
-    /// map alone. `None` if there is no such maneuver.
+    /// Different maneuvers that bring `agents`, in the order of the roles, to an outcome with each `wanted` parameter in
+    /// its range (from, to), ends included: the first `n`, or all if there are fewer. Uses the observed past and the
+    /// map alone.
+    fn templates(
+        &self,
+        scene: &Scene,
+        agents: &[usize],
+        wanted: &BTreeMap<String, [f64; 2]>,
+        n: usize,
+    ) -> Vec<Template> {
+        maneuver::templates(self, scene, agents, wanted, n)
+    }
+    /// One of these maneuvers: a different one for each `variant`, cyclically. `None` if there is none.
     fn template(
         &self,
         scene: &Scene,
@@ -133,7 +143,9 @@ pub trait Behavior: Send + Sync {
         wanted: &BTreeMap<String, [f64; 2]>,
         variant: usize,
     ) -> Option<Template> {
-        maneuver::template(self, scene, agents, wanted, variant)
+        let mut templates = self.templates(scene, agents, wanted, variant + 1);
+        let n = templates.len();
+        (n > 0).then(|| templates.swap_remove(variant % n))
     }
 }
 

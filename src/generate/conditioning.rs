@@ -3,6 +3,7 @@
 
 use super::observe::{Subject, rule_mask};
 use super::{Cell, ClassifierFreeConfig, EditConfig, Error, Generator, ResolvedSweep};
+use crate::behavior::Template;
 use crate::diffusion::NoiseSource;
 use crate::geometry::Vec2;
 use crate::guidance::Target;
@@ -74,6 +75,23 @@ impl Conditioned {
     }
 }
 
+/// The templates of a cell that were solved so far, by target.
+#[derive(Debug, Default)]
+pub(super) struct Templates(Vec<(Target, Vec<Template>)>);
+
+impl Templates {
+    /// The template of this variant, cyclically, with this target; at first call `solve` lists those of the target.
+    fn get(&mut self, target: &Target, variant: usize, solve: impl FnOnce() -> Vec<Template>) -> Option<Template> {
+        let known = self.0.iter().position(|(known, _)| known == target);
+        let at = known.unwrap_or_else(|| {
+            self.0.push((target.clone(), solve()));
+            self.0.len() - 1
+        });
+        let templates = &self.0[at].1;
+        templates.get(variant % templates.len().max(1)).cloned()
+    }
+}
+
 /// Target states of a sample: its scene with them moved, and the mask that observes them as well.
 pub(super) struct Wanted {
     pub(super) scene: Scene,
@@ -82,14 +100,15 @@ pub(super) struct Wanted {
 
 impl Generator<'_> {
     /// The scene of a cell, with these requested `agents`, as the denoiser sees it for all samples or, with a template,
-    /// for the one with this number; its template is so many `further` than the usual one.
+    /// for the one with this number; its template is so many `further` than the usual one, and one of the first `n`.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         agents: (usize, usize),
-        [sample_idx, further]: [usize; 2],
+        [sample_idx, further, n]: [usize; 3],
+        templates: &mut Templates,
     ) -> Result<Conditioned, Error> {
         let refuse = |UnfitScene(why)| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
         let mut scene = recorded.clone();
@@ -100,7 +119,8 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
-        let performers = self.follow_template(sweep, (cell, [sample_idx, further]), recorded, &mut scene);
+        let performers =
+            self.follow_template(sweep, (cell, [sample_idx, further, n]), (recorded, &mut scene), templates);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -131,9 +151,9 @@ impl Generator<'_> {
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
-        (cell, [sample_idx, further]): (&Cell, [usize; 2]),
-        recorded: &Scene,
-        scene: &mut Scene,
+        (cell, [sample_idx, further, n]): (&Cell, [usize; 3]),
+        (recorded, scene): (&Scene, &mut Scene),
+        templates: &mut Templates,
     ) -> Vec<(usize, Vec<State>)> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
@@ -142,11 +162,14 @@ impl Generator<'_> {
         let mut target = cell.target(sample_idx);
         target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
         let planned = sweep.planned(recorded);
-        let template = behavior.template(&planned, &asked, &target, variant);
-        let anything = || {
-            (!target.is_empty()).then(|| behavior.template(&planned, &asked, &Target::new(), sample_idx + further))?
+        let mut solved = |target: &Target, variant: usize| {
+            templates.get(target, variant, || behavior.templates(&planned, &asked, target, n))
         };
-        let Some(template) = template.or_else(anything) else { return Vec::new() };
+        let template = match solved(&target, variant) {
+            None if !target.is_empty() => solved(&Target::new(), sample_idx + further),
+            template => template,
+        };
+        let Some(template) = template else { return Vec::new() };
         let performers: Vec<usize> = template.agents().collect();
         let mut performed = planned.into_owned();
         template.apply(&mut performed);

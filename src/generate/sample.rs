@@ -1,7 +1,7 @@
 //! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are checked.
 
 use super::batch::{Batch, Draw};
-use super::conditioning::Conditioned;
+use super::conditioning::{Conditioned, Templates};
 use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
 use crate::metrics::PairPath;
 use crate::nn::in_pool;
@@ -67,6 +67,16 @@ impl Given {
     fn repeats(&self, cell: usize, sample_idx: usize) -> bool {
         self.of(cell, sample_idx).repeats
     }
+}
+
+/// The samples of a cell that were conditioned before one of them.
+#[derive(Debug, Default)]
+struct Before {
+    /// So many templates of a target may be asked for.
+    n: usize,
+    templates: Templates,
+    /// How the requested agents move in those of the samples.
+    paths: Vec<PairPath>,
 }
 
 /// Decides whether to generate a batch, given its level, cells and samples.
@@ -150,23 +160,24 @@ impl Generator<'_> {
         let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
             let agents = agents(cell, scene)?;
             let own = shard.first_sample..shard.first_sample + n_own;
-            let mut paths = Vec::new();
-            own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut paths)).collect()
+            let mut before = Before { n: own.end + N_FURTHER, ..Before::default() };
+            own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut before)).collect()
         });
         Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
     }
 
-    /// The conditioning of a sample with a template in which the requested agents move along none of these `paths`, to
-    /// which theirs is added. If there is none, it repeats one of them.
+    /// The conditioning of a sample with a template in which the requested agents do not move as in a sample `before`,
+    /// to which it is added. If there is none, it repeats one of them.
     fn condition_anew(
         &self,
         sweep: &ResolvedSweep,
         (cell, scene): (&Cell, &Scene),
         agents: (usize, usize),
         sample_idx: usize,
-        paths: &mut Vec<PairPath>,
+        before: &mut Before,
     ) -> Result<Conditioned, Error> {
-        let mut given = self.condition(sweep, cell, scene, agents, [sample_idx, 0])?;
+        let Before { n, templates, paths } = before;
+        let mut given = self.condition(sweep, cell, scene, agents, [sample_idx, 0, *n], templates)?;
         for further in 1.. {
             let Some(path) = given.path(&cell.roles) else { break };
             given.repeats = paths.iter().any(|other| other.distance_m(&path) < self.config.duplicate_distance_m);
@@ -176,7 +187,7 @@ impl Generator<'_> {
             if !given.repeats || further > N_FURTHER {
                 break;
             }
-            given = self.condition(sweep, cell, scene, agents, [sample_idx, further])?;
+            given = self.condition(sweep, cell, scene, agents, [sample_idx, further, *n], templates)?;
         }
         Ok(given)
     }

@@ -68,19 +68,19 @@ impl Behavior for Drift {
     }
 
     /// The second agent drifts the farther to the right, the larger the target gap is.
-    fn template(
+    fn templates(
         &self,
         scene: &Scene,
         agents: &[usize],
         wanted: &BTreeMap<String, [f64; 2]>,
-        _variant: usize,
-    ) -> Option<Template> {
+        _n: usize,
+    ) -> Vec<Template> {
         let [least, most] = wanted.get("gap_m").copied().unwrap_or_default();
-        let now = *scene.state(agents[1], scene.current_timestep())?;
+        let now = *scene.state(agents[1], scene.current_timestep()).unwrap();
         let duration_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
         let drift_m = 3.0 + (least + most) / 4.0;
         let place = |t: f64| Some(now.position + now.velocity * t + Vec2::new(0.0, -drift_m * (t / duration_s)));
-        Template::empty().with(scene, agents[1], place)
+        Template::empty().with(scene, agents[1], place).into_iter().collect()
     }
 }
 

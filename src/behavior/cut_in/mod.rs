@@ -164,14 +164,15 @@ impl Behavior for CutIn {
         &["gap_m", "relative_speed_mps", "side"]
     }
 
-    fn template(
+    fn templates(
         &self,
         scene: &Scene,
         agents: &[usize],
         wanted: &BTreeMap<String, [f64; 2]>,
-        variant: usize,
-    ) -> Option<Template> {
-        Search::new(self, scene, agents.try_into().ok()?)?.solved(wanted, variant)
+        n: usize,
+    ) -> Vec<Template> {
+        let search = agents.try_into().ok().and_then(|pair| Search::new(self, scene, pair));
+        search.and_then(|search| search.solved(wanted, n)).unwrap_or_default()
     }
 
     /// Pairs in the order of tracks, each pair first with the earlier track as the ego, then with the later one.

@@ -64,13 +64,12 @@ impl<'a> Search<'a> {
         Some(plans.filter(|plan| self.way(plan, STYLES[0]).is_some()).map(|plan| plan.outcome).collect())
     }
 
-    /// A way in which the other cuts in with every `wanted` parameter in its range: a different one for each `variant`,
-    /// cyclically. `None` if there is none.
-    pub(super) fn solved(&self, wanted: &BTreeMap<String, [f64; 2]>, variant: usize) -> Option<Template> {
+    /// At most `n` different ways in which the other cuts in with every `wanted` parameter in its range.
+    pub(super) fn solved(&self, wanted: &BTreeMap<String, [f64; 2]>, n: usize) -> Option<Vec<Template>> {
         let mut plans = self.cut_in.plans(&self.pair)?;
         plans.retain(|plan| plan.outcome.may_be_within(wanted));
         plans.sort_by(|a, b| a.outcome.effort().total_cmp(&b.outcome.effort()));
-        // The first few variants spread over all plans, and both pairs and plans over the styles.
+        // The first few spread over all plans, and both pairs and plans over the styles.
         let own = self.ego_idx + self.other_idx;
         let styled =
             (0..STYLES.len()).flat_map(|round| (0..plans.len()).map(move |i| (i, (own + i + round) % STYLES.len())));
@@ -78,12 +77,11 @@ impl<'a> Search<'a> {
         for (i, style) in styled {
             let Some(template) = self.way(&plans[spread(i, plans.len())], STYLES[style]) else { continue };
             templates = distinct(templates.into_iter().chain([template]));
-            if variant < templates.len() {
+            if templates.len() >= n {
                 break;
             }
         }
-        let n = templates.len().max(1);
-        templates.into_iter().nth(variant % n)
+        Some(templates)
     }
 
     /// The way to follow a plan with nobody in the way.

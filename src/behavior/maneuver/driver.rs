@@ -24,6 +24,8 @@ pub(in crate::behavior) const STANDS_MPS: f64 = 1.0;
 /// at most 4.4 m/s²; those of vehicles with nobody within 50 m ahead lose 3.8 m/s in the median, with 3.4 m/s².
 const SLOWS: [[f64; 2]; 4] = [[1.2, 2.0], [2.0, 3.5], [3.0, 4.5], [4.0, 6.5]];
 const MOST_LOST: f64 = 0.6;
+/// How fast they then gain speed again, m/s²: this at most, by driver.
+const REGAINS_MPS2: f64 = 0.8;
 /// By how much firmer the firmest driver brakes than the gentlest one, and how much less speed it loses, as shares.
 const FIRMER: f64 = 0.2;
 const LOSES_LESS: f64 = 0.5;
@@ -136,6 +138,12 @@ impl Pace {
         self
     }
 
+    /// The plan with this acceleration after its last change, m/s².
+    fn ending_with(mut self, mps2: f64) -> Self {
+        self.changes.last_mut().into_iter().for_each(|last| last.mps2 = mps2);
+        self
+    }
+
     /// The plan with this multiple of the ordinary speed in bends; the lateral acceleration grows with its square.
     #[must_use]
     pub(in crate::behavior) fn brisk(self, briskness: f64) -> Self {
@@ -210,7 +218,7 @@ impl Driver {
             let mps2 = self.firmly(mps2);
             let loses_mps =
                 (loses_mps * (1.0 - LOSES_LESS * (self.style - 0.5))).min(MOST_LOST * self.state.speed_mps());
-            pace.clone().losing(from_s, mps2, loses_mps)
+            pace.clone().losing(from_s, mps2, loses_mps).ending_with(REGAINS_MPS2 * self.style)
         })
     }
 

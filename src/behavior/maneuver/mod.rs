@@ -103,15 +103,15 @@ pub(super) fn outcomes(behavior: &(impl Behavior + ?Sized), scene: &Scene, agent
     plans(behavior, scene, agents, N_TO_TELL).into_iter().map(|plan| plan.outcome).collect()
 }
 
-/// The template of a plan whose outcome has every `wanted` parameter in its range: a different one for each `variant`,
-/// cyclically, those in the middle of the ranges first. `None` if there is no such plan.
-pub(super) fn template(
+/// At most `n` different templates of plans whose outcomes have every `wanted` parameter in its range, those in the
+/// middle of the ranges first.
+pub(super) fn templates(
     behavior: &(impl Behavior + ?Sized),
     scene: &Scene,
     agents: &[usize],
     wanted: &BTreeMap<String, [f64; 2]>,
-    variant: usize,
-) -> Option<Template> {
+    n: usize,
+) -> Vec<Template> {
     // The sum of the distances from the middles of the ranges, as shares of half their widths.
     let beside = |plan: &Plan| {
         let shares = wanted.iter().map(|(name, [least, most])| {
@@ -125,9 +125,8 @@ pub(super) fn template(
     let mut within: Vec<(f64, Plan)> = within.collect();
     within.sort_by(|a, b| a.0.total_cmp(&b.0));
     let templates = distinct(within.iter().filter_map(|(_, plan)| plan.template(scene, agents)));
-    let n = templates.len().max(1);
-    let chosen = if wanted.is_empty() { spread(variant, n) } else { variant % n };
-    templates.into_iter().nth(chosen)
+    let at = |variant: usize| if wanted.is_empty() { spread(variant, templates.len()) } else { variant };
+    (0..n.min(templates.len())).map(|variant| templates[at(variant)].clone()).collect()
 }
 
 /// The index of the `variant`-th of `n`: each index once before any is repeated, and the first few spread over all.

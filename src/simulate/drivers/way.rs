@@ -6,12 +6,20 @@ use crate::simulate::Situation;
 use crate::simulate::driver::Failed;
 use crate::simulate::world::World;
 
+/// How fast deceleration grows without need, m/s³: about the largest jerk of passengers' comfort (8.37, nuPlan).
+const GENTLE_MPS3: f64 = 8.0;
 /// The last moment, over which braking is judged, seconds.
 const LAST_MOMENT_S: f64 = 0.3;
 
 /// The acceleration at which an ego that wants this one arrives within a timestep, m/s².
 pub(super) fn eased(situation: &Situation, world: &World, wanted_mps2: f64) -> f64 {
     own_mps2(situation, world).map_or(wanted_mps2, |own_mps2| eased_mps2(wanted_mps2, own_mps2, situation.scene.dt_s))
+}
+
+/// As [`eased`], for an ego that is in no need to brake at once.
+pub(super) fn eased_gently(situation: &Situation, world: &World, wanted_mps2: f64) -> f64 {
+    let least_mps2 = own_mps2(situation, world).map_or(wanted_mps2, |own| own - GENTLE_MPS3 * situation.scene.dt_s);
+    eased(situation, world, wanted_mps2.max(least_mps2))
 }
 
 /// The acceleration of the ego over the last timestep, m/s².

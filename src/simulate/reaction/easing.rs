@@ -2,6 +2,7 @@
 //! model would not have driven, more often than not. Nobody lets go of a pedal within a tenth of a second.
 
 use super::{at_stations, future, replace, stations};
+use crate::geometry::{angle_difference, wrap_angle};
 use crate::scene::{Scene, State};
 use crate::simulate::situation::Situation;
 
@@ -9,22 +10,45 @@ use crate::simulate::situation::Situation;
 const EASED_MPS3: f64 = 8.0;
 /// Accelerations are of so many steps before and after the present.
 const N_STEPS: usize = 3;
+/// A turn goes on as it was, and comes to be that of the future within this time, seconds; the largest difference of
+/// headings, and the least that is one, radians.
+const TURNS_S: f64 = 0.5;
+const MOST_RAD: f64 = 0.03;
+const LEAST_RAD: f64 = 0.001;
+/// Slower vehicles do not turn, m/s.
+const MOVES_MPS: f64 = 1.0;
 
-/// Lets the acceleration of those of `agents` that are vehicles pass smoothly into that of the future of this scene: on
-/// their path, and a little slower or faster from then on.
+/// Lets the acceleration and the turn of those of `agents` that are vehicles pass smoothly into those of the future of
+/// this scene: on their path, and a little slower or faster from then on.
 pub(in crate::simulate) fn ease(situation: &Situation, scene: &mut Scene, agents: &[usize]) {
     let present = scene.current_timestep();
     for agent_idx in agents.iter().copied().filter(|idx| situation.scene.tracks[*idx].class.is_motorized()) {
         let since = present.saturating_sub(N_STEPS)..=present;
         let past: Vec<State> = since.filter_map(|t| scene.state(agent_idx, t).copied()).collect();
         let own = future(scene, agent_idx);
-        if past.len() == N_STEPS + 1
-            && own.len() > N_STEPS
-            && let Some(eased) = eased(&past, &own, scene.dt_s)
-        {
+        if past.len() < N_STEPS + 1 || own.len() <= N_STEPS {
+            continue;
+        }
+        let eased = eased(&past, &own, scene.dt_s);
+        let turned = turned(&past, eased.as_deref().unwrap_or(&own), scene.dt_s);
+        if let Some(eased) = turned.or(eased) {
             replace(scene, agent_idx, &eased);
         }
     }
+}
+
+/// The states from the present on, with headings that begin to change as those of the `past`. `None` if they do, or the
+/// vehicle hardly moves.
+fn turned(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
+    let [before, now] = [past[N_STEPS - 1], past[N_STEPS]];
+    let turns_rad = angle_difference(now.heading_rad, before.heading_rad);
+    let beside_rad = angle_difference(now.heading_rad + turns_rad, own[1].heading_rad);
+    let is_turn = own[1].speed_mps() > MOVES_MPS && (LEAST_RAD..MOST_RAD).contains(&beside_rad.abs());
+    let state = |(i, state): (usize, &State)| {
+        let share = if i == 0 { 0.0 } else { (-((i - 1) as f64) * dt_s / TURNS_S).exp() };
+        State { heading_rad: wrap_angle(state.heading_rad + beside_rad * share), ..*state }
+    };
+    is_turn.then(|| own.iter().enumerate().map(state).collect())
 }
 
 /// The states from the present on, with a speed and an acceleration that begin with those of the `past`; the
@@ -57,6 +81,24 @@ mod tests {
     use super::super::tests::{DT_S, steady};
     use super::*;
     use crate::geometry::Vec2;
+
+    #[test]
+    fn a_turn_passes_smoothly_into_that_of_the_future() {
+        // Turning by 0.01 a timestep until the present, and no more from then on.
+        let turn = |i: usize, state: &State| State { heading_rad: 0.01 * (i as f64 - N_STEPS as f64), ..*state };
+        let past: Vec<State> = steady(-3.0, 10.0)[..=N_STEPS].iter().enumerate().map(|(i, s)| turn(i, s)).collect();
+        let own = steady(0.0, 10.0);
+        let found = turned(&past, &own, DT_S).unwrap();
+        assert!((found[1].heading_rad - 0.01).abs() < 1e-12 && found[0] == own[0]);
+        assert!((found[6].heading_rad - 0.01 * (-1.0_f64).exp()).abs() < 1e-12);
+        assert!(found.iter().zip(&own).all(|(a, b)| a.position == b.position && a.velocity == b.velocity));
+        // It goes on so already, it is a jump that nobody eases, and it crawls.
+        let straight = steady(-3.0, 10.0)[..=N_STEPS].to_vec();
+        assert_eq!(turned(&straight, &own, DT_S), None);
+        let jumped: Vec<State> = past.iter().map(|s| State { heading_rad: s.heading_rad + 0.1, ..*s }).collect();
+        assert_eq!(turned(&jumped, &own, DT_S), None);
+        assert_eq!(turned(&past, &steady(0.0, 0.5), DT_S), None);
+    }
 
     #[test]
     fn a_pedal_is_let_go_as_drivers_do() {
