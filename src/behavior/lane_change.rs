@@ -71,7 +71,8 @@ const NEGATIVE_MARGIN_M: f64 = 0.5;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LaneChange {
-    /// In templates and what is accepted, the agent moves over this many times as fast as drivers do at most. Default 1.
+    /// In templates and what is accepted, the agent moves over this many times as fast as drivers do at most.
+    /// Default 1.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub hurry: f64,
 }

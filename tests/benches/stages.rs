@@ -1,7 +1,7 @@
 //! What do whole runs of the program cost, in processor seconds, and what do they bring for each?
 //!
-//! `pipelines/performance/stages.csv` holds what the last release took on one machine: compare on that machine, idle, or
-//! run both programs. `--update` writes the file anew.
+//! `pipelines/performance/stages.csv` holds what the last release took on one machine: compare on that machine, idle,
+//! or run both programs. `--update` writes the file anew.
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -16,8 +16,8 @@ struct Job {
     count: fn(&Path) -> Result<f64, String>,
 }
 
-/// Prints a row for each job: median processor seconds, what they bring a core second, and the ratio of its cost to that
-/// in the file.
+/// Prints a row for each job: median processor seconds, what they bring a core second, and the ratio of its cost to
+/// that in the file.
 pub(crate) fn run(arguments: &[String]) -> Result<(), String> {
     let usage = "stages [--program DJINN] [--rounds N] [--update]";
     let (mut program, mut n_rounds, mut update) = (PathBuf::from(env!("CARGO_BIN_EXE_djinn")), 3, false);

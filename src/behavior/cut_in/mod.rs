@@ -119,7 +119,7 @@ pub struct CutIn {
     pub min_shift_m: f64,
     /// Whether to exclude pairs whose boxes overlap at the same time, at present or in the future. Default false.
     pub collision_free: bool,
-    /// In templates, aims, and what is accepted, the other moves over this many times as fast as drivers do at most, and
+    /// In templates, aims and what is accepted, the other moves over this many times as fast as drivers do at most, and
     /// comes in at a headway of at least a quarter of a second over it. Default 1.
     #[schemars(range(min = 0.5, max = 3.0))]
     pub hurry: f64,
