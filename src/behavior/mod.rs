@@ -123,9 +123,9 @@ pub trait Behavior: Send + Sync {
     fn maneuvers(&self, _scene: &Scene, _agents: &[usize]) -> Vec<Maneuver> {
         Vec::new()
     }
-    /// Different maneuvers that bring `agents`, in the order of the roles, to an outcome with each `wanted` parameter in
-    /// its range (from, to), ends included: the first `n`, or all if there are fewer. Uses the observed past and the
-    /// map alone.
+    /// Different maneuvers that bring `agents`, in the order of the roles, to an outcome with each `wanted` parameter
+    /// in its range (from, to), ends included: the first `n`, or all if there are fewer. Uses the observed past and
+    /// the map alone.
     fn templates(
         &self,
         scene: &Scene,
