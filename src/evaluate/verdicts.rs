@@ -3,7 +3,7 @@
 
 use super::config::{EvaluateConfig, Keep};
 use crate::behavior::{Behavior, needs_cause};
-use crate::generate::{REPEATED_TEMPLATE, RejectedSample};
+use crate::generate::RejectedSample;
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
@@ -89,7 +89,7 @@ impl<'a> Verdicts<'a> {
 
     /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        let reason = if rejected.reason == REPEATED_TEMPLATE { NEAR_DUPLICATE } else { NOT_FINITE };
+        let reason = if rejected.repeats() { NEAR_DUPLICATE } else { NOT_FINITE };
         self.count(("generate", &rejected.sweep, rejected.level), reason, true);
     }
 

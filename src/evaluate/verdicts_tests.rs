@@ -157,8 +157,11 @@ fn what_generation_left_out_is_counted_too() {
     };
     let config = EvaluateConfig::default();
     let mut verdicts = Verdicts::new(&config, &[]);
-    [0, 1].map(rejected).iter().for_each(|rejected| verdicts.count_rejected(rejected));
+    let repeated =
+        RejectedSample { reason: "its template repeats that of an earlier sample".to_owned(), ..rejected(2) };
+    [rejected(0), rejected(1), repeated].iter().for_each(|rejected| verdicts.count_rejected(rejected));
     let (_, left_out) = verdicts.finish();
     let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.level, row.n_left_out)).collect();
-    assert_eq!(counts, [("not_finite", GuidanceLevel::of_strength(2.0), 2)]);
+    let level = GuidanceLevel::of_strength(2.0);
+    assert_eq!(counts, [("not_finite", level, 2), ("near_duplicate", level, 1)]);
 }

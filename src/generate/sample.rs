@@ -39,9 +39,16 @@ pub struct RejectedSample {
 }
 
 /// Why a sample is not drawn whose requested agents would move as in an earlier one of its shard.
-pub const REPEATED_TEMPLATE: &str = "its template repeats that of an earlier sample";
+const REPEATED_TEMPLATE: &str = "its template repeats that of an earlier sample";
 /// How many more templates are tried for it.
 const N_FURTHER: usize = 2;
+
+impl RejectedSample {
+    /// Whether it was not drawn, because it would have repeated another; otherwise something is wrong with it.
+    pub fn repeats(&self) -> bool {
+        self.reason == REPEATED_TEMPLATE
+    }
+}
 
 /// A sample of a cell, or why there is none.
 #[derive(Debug, Clone)]

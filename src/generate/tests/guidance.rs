@@ -211,8 +211,8 @@ fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
         let output = generator.generate(shard, &Silent).unwrap();
         assert_eq!(output.records.len(), shard.cells.len());
         assert!(output.records.iter().all(|record| record.scenario.provenance.sample_idx == shard.first_sample));
-        let reasons: Vec<&str> = output.rejected.iter().map(|rejected| rejected.reason.as_str()).collect();
-        assert_eq!(reasons, vec![REPEATED_TEMPLATE; 4 * shard.cells.len()]);
+        assert_eq!(output.rejected.len(), 4 * shard.cells.len());
+        assert!(output.rejected.iter().all(RejectedSample::repeats));
         let key = SampleKey::of(shard, &output.records[0].scenario.provenance).unwrap();
         assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, output.records[0].scenario);
         let repeated = SampleKey { sample_idx: key.sample_idx + 1, ..key };

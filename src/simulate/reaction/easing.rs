@@ -11,10 +11,10 @@ const EASED_MPS3: f64 = 8.0;
 /// Accelerations are of so many steps before and after the present.
 const N_STEPS: usize = 3;
 /// A turn goes on as it was, and comes to be that of the future within this time, seconds; the largest difference of
-/// headings, and the least that is one, radians.
+/// yaw rates, and the least that is one, rad/s.
 const TURNS_S: f64 = 0.5;
-const MOST_RAD: f64 = 0.03;
-const LEAST_RAD: f64 = 0.001;
+const MOST_RADPS: f64 = 0.15;
+const LEAST_RADPS: f64 = 0.01;
 /// Slower vehicles do not turn, m/s.
 const MOVES_MPS: f64 = 1.0;
 
@@ -42,11 +42,13 @@ pub(in crate::simulate) fn ease(situation: &Situation, scene: &mut Scene, agents
 fn turned(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
     let [before, now] = [past[N_STEPS - 1], past[N_STEPS]];
     let turns_rad = angle_difference(now.heading_rad, before.heading_rad);
-    let beside_rad = angle_difference(now.heading_rad + turns_rad, own[1].heading_rad);
-    let is_turn = own[1].speed_mps() > MOVES_MPS && (LEAST_RAD..MOST_RAD).contains(&beside_rad.abs());
+    let more_radps = angle_difference(now.heading_rad + turns_rad, own[1].heading_rad) / dt_s;
+    let is_turn = own[1].speed_mps() > MOVES_MPS && (LEAST_RADPS..MOST_RADPS).contains(&more_radps.abs());
     let state = |(i, state): (usize, &State)| {
-        let share = if i == 0 { 0.0 } else { (-((i - 1) as f64) * dt_s / TURNS_S).exp() };
-        State { heading_rad: wrap_angle(state.heading_rad + beside_rad * share), ..*state }
+        // From the first timestep on, the difference of yaw rates fades: ω t exp(-t / τ).
+        let (elapsed_s, fades_s) = (i as f64 * dt_s, i as f64 * dt_s - dt_s);
+        let beside_rad = more_radps * elapsed_s * (-fades_s / TURNS_S).exp();
+        State { heading_rad: wrap_angle(state.heading_rad + beside_rad), ..*state }
     };
     is_turn.then(|| own.iter().enumerate().map(state).collect())
 }
@@ -90,12 +92,12 @@ mod tests {
         let own = steady(0.0, 10.0);
         let found = turned(&past, &own, DT_S).unwrap();
         assert!((found[1].heading_rad - 0.01).abs() < 1e-12 && found[0] == own[0]);
-        assert!((found[6].heading_rad - 0.01 * (-1.0_f64).exp()).abs() < 1e-12);
+        assert!((found[6].heading_rad - 0.06 * (-1.0_f64).exp()).abs() < 1e-12);
         assert!(found.iter().zip(&own).all(|(a, b)| a.position == b.position && a.velocity == b.velocity));
         // It goes on so already, it is a jump that nobody eases, and it crawls.
         let straight = steady(-3.0, 10.0)[..=N_STEPS].to_vec();
         assert_eq!(turned(&straight, &own, DT_S), None);
-        let jumped: Vec<State> = past.iter().map(|s| State { heading_rad: s.heading_rad + 0.1, ..*s }).collect();
+        let jumped: Vec<State> = past.iter().map(|s| State { heading_rad: s.heading_rad + 0.2, ..*s }).collect();
         assert_eq!(turned(&jumped, &own, DT_S), None);
         assert_eq!(turned(&past, &steady(0.0, 0.5), DT_S), None);
     }

@@ -58,7 +58,7 @@ pub struct SampleManifest {
     pub n_scenarios: u64,
     /// The number of verified ones.
     pub n_verified: u64,
-    /// Number of samples that did not become scenarios.
+    /// Number of samples that did not become scenarios, without those that would have repeated another.
     pub n_rejected: u64,
     /// The models and settings with which they were sampled.
     pub sampled_with: SampledWith,
@@ -169,7 +169,7 @@ impl SampleFolder {
         let manifest = SampleManifest {
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
-            n_rejected: shards.iter().map(|shard| shard.rejected.len() as u64).sum(),
+            n_rejected: shards.iter().flat_map(|shard| &shard.rejected).filter(|it| !it.repeats()).count() as u64,
             shards,
             sampled_with,
         };
