@@ -99,7 +99,7 @@ fn jobs(root: &Path, scratch: &Path) -> Vec<Job> {
         Job {
             name: "drive",
             arguments: drive.into_iter().chain([text(scratch.join("drive"))]).collect(),
-            unit: "closed loops of 8 s",
+            unit: "scenarios driven for 8 s",
             count: |_| Ok(100.0),
         },
     ]

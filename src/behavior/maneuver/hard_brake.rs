@@ -130,7 +130,7 @@ impl HardBrake {
                 }
             }
         }
-        // Whom nobody sees brake for nothing has a reason that cannot be seen only where there is no other.
+        // A leader that slows down for a reason out of sight is the last resort.
         if maneuvers.is_empty() { unexplained } else { maneuvers }
     }
 }

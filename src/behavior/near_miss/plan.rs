@@ -111,8 +111,7 @@ impl<'a> Search<'a> {
             let tried = rails.flat_map(|rail| paces.iter().enumerate().map(move |pace| (rail, pace)));
             tried.map(|(rail, (nth, pace))| self.course(who, rail, (nth, pace.clone()), pace.effort())).collect()
         });
-        // Who slows down ahead of the other although nobody is in its way has a reason that cannot be seen only where
-        // no other near miss is possible.
+        // A leader that slows down for a reason out of sight, with nobody in its way, is the last resort.
         let [own, other] =
             [&self.drivers[0].state, &self.drivers[1].state].map(|now| Vec2::from_angle(now.heading_rad));
         let follows = own.dot(other) > FOLLOWING_RAD.cos();
