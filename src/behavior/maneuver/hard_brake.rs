@@ -245,7 +245,7 @@ mod tests {
             let maneuvers = hard.brakings(&scene, 0);
             let comes_over = |maneuver: &&Maneuver| {
                 let (agent_idx, positions) = &maneuver.others[0];
-                // Its box is in the lane no later than the ego begins to brake.
+                // From the lane beside into that of the ego.
                 *agent_idx == 1 && positions[0].y.abs() > 3.0 && positions.last().is_some_and(|at| at.y.abs() < 1.0)
             };
             let n_over = maneuvers.iter().filter(comes_over).count();

@@ -6,7 +6,8 @@ use crate::simulate::Situation;
 use crate::simulate::driver::Failed;
 use crate::simulate::world::World;
 
-/// How fast deceleration grows without need, m/s³: about the largest jerk of passengers' comfort (8.37, nuPlan).
+/// How fast the deceleration of an ego grows after the end of its plan, m/s³: about the largest jerk of passengers'
+/// comfort (8.37, nuPlan).
 const GENTLE_MPS3: f64 = 8.0;
 /// The last moment, over which braking is judged, seconds.
 const LAST_MOMENT_S: f64 = 0.3;
@@ -16,7 +17,7 @@ pub(super) fn eased(situation: &Situation, world: &World, wanted_mps2: f64) -> f
     own_mps2(situation, world).map_or(wanted_mps2, |own_mps2| eased_mps2(wanted_mps2, own_mps2, situation.scene.dt_s))
 }
 
-/// As [`eased`], for an ego that is in no need to brake at once.
+/// As [`eased`], m/s², but its deceleration grows by no more than [`GENTLE_MPS3`].
 pub(super) fn eased_gently(situation: &Situation, world: &World, wanted_mps2: f64) -> f64 {
     let least_mps2 = own_mps2(situation, world).map_or(wanted_mps2, |own| own - GENTLE_MPS3 * situation.scene.dt_s);
     eased(situation, world, wanted_mps2.max(least_mps2))

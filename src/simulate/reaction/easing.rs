@@ -37,8 +37,8 @@ pub(in crate::simulate) fn ease(situation: &Situation, scene: &mut Scene, agents
     }
 }
 
-/// The states from the present on, with headings that begin to change as those of the `past`. `None` if they do, or the
-/// vehicle hardly moves.
+/// The states from the present on, with headings that begin to change as those of the `past`. `None` if they do, if the
+/// yaw rates differ by more than is eased, or if the vehicle hardly moves.
 fn turned(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
     let [before, now] = [past[N_STEPS - 1], past[N_STEPS]];
     let turns_rad = angle_difference(now.heading_rad, before.heading_rad);
