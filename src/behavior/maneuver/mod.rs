@@ -13,6 +13,7 @@ mod lane_change;
 mod moving_over;
 mod passing_ahead;
 mod pedestrian_steps_out;
+mod reason;
 mod runs_stop_line;
 mod tailgating;
 #[cfg(test)]
@@ -24,6 +25,7 @@ mod wrong_way;
 
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
 pub(super) use moving_over::has_room;
+pub(super) use reason::slowing;
 pub(super) use turn::maneuvers as turn_maneuvers;
 
 use super::lane_relation::SceneLanes;

@@ -8,7 +8,7 @@ use super::drive::Drive;
 use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
+use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s, slowing};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::Vec2;
@@ -22,7 +22,7 @@ const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 4] = [4.5, 5.4, 6.3, 7.0];
 /// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
-/// Gas that is given, for how long, and the latest that drivers without a reason that is seen begin to slow down, m/s²
+/// Gas that is given, for how long, and the latest that drivers begin to slow down for what is there at present, m/s²
 /// and seconds.
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
@@ -42,6 +42,8 @@ const STRIDE: usize = 2;
 /// A pair, known from the past and the map.
 struct Search<'a> {
     behavior: &'a NearMiss,
+    scene: &'a Scene,
+    agents: [usize; 2],
     drivers: [Driver; 2],
     /// The box of each, and the inner part of it.
     extents: [[Extent; 2]; 2],
@@ -64,13 +66,15 @@ struct PlannedDrive {
     pace: (usize, Pace),
     drive: Drive,
     clear: usize,
+    /// Those who move so that there is a reason for the pace.
+    others: Vec<(usize, Vec<Vec2>)>,
 }
 
 impl NearMiss {
     /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then
     /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
-    /// give gas with at most 1.25 m/s² or slow down as drivers do without a reason that is seen, and no other agent is
-    /// in the way.
+    /// give gas with at most 1.25 m/s² or slow down: the one ahead of another for a reason that is seen, those who cross
+    /// as drivers do without one. No other agent is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
@@ -82,7 +86,7 @@ impl NearMiss {
 }
 
 impl<'a> Search<'a> {
-    fn new(behavior: &'a NearMiss, scene: &Scene, agents: [usize; 2]) -> Option<Self> {
+    fn new(behavior: &'a NearMiss, scene: &'a Scene, agents: [usize; 2]) -> Option<Self> {
         let lanes = SceneLanes::new(&scene.lanes);
         let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let mut drivers = [first?, second?];
@@ -97,33 +101,35 @@ impl<'a> Search<'a> {
             return None;
         }
         let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
-        Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s, braked: RefCell::default() })
+        let dt_s = scene.dt_s;
+        Some(Self { behavior, scene, agents, drivers, extents, others, dt_s, braked: RefCell::default() })
     }
 
     fn drafts(&self) -> Vec<Maneuver> {
-        let courses = [0, 1].map(|who| -> Vec<PlannedDrive> {
-            let driver = &self.drivers[who];
-            let steady = Pace::steady(0.0);
-            let gas = GAS_MPS2.map(|mps2| Pace::steady(mps2).then(GAS_S, 0.0));
-            let slowing = driver.slowing(&steady, SLOWS_S * driver.style);
-            let paces: Vec<Pace> = [steady].into_iter().chain(gas).chain(slowing).collect();
-            let rails = 0..driver.rails.len();
-            let tried = rails.flat_map(|rail| paces.iter().enumerate().map(move |pace| (rail, pace)));
-            tried.map(|(rail, (nth, pace))| self.course(who, rail, (nth, pace.clone()), pace.effort())).collect()
-        });
-        // A leader that slows down for a reason out of sight, with nobody in its way, is the last resort.
+        let lanes = SceneLanes::new(&self.scene.lanes);
         let [own, other] =
             [&self.drivers[0].state, &self.drivers[1].state].map(|now| Vec2::from_angle(now.heading_rad));
         let follows = own.dot(other) > FOLLOWING_RAD.cos();
-        let is_seen = |who: usize, course: &PlannedDrive| {
-            let steady = courses[who].iter().find(|steady| steady.rail == course.rail && steady.pace.0 == 0);
-            let is_blocked = steady.is_some_and(|steady| steady.clear < steady.drive.outer.len());
-            !follows || course.pace.0 <= GAS_MPS2.len() || is_blocked
-        };
-        let (mut seen, mut unseen) = (Vec::new(), Vec::new());
+        let courses = [0, 1].map(|who| -> Vec<PlannedDrive> {
+            let driver = &self.drivers[who];
+            let (steady, slows_s) = (Pace::steady(0.0), SLOWS_S * driver.style);
+            let gas = GAS_MPS2.map(|mps2| Pace::steady(mps2).then(GAS_S, 0.0));
+            let crossing = driver.slowing(&steady, slows_s).into_iter().filter(|_| !follows);
+            let anyway: Vec<Pace> = [steady.clone()].into_iter().chain(gas).chain(crossing).collect();
+            let rails = 0..driver.rails.len();
+            let anyway = rails.flat_map(|rail| anyway.iter().map(move |pace| (rail, pace.clone(), Vec::new())));
+            let [agent_idx, but] = [self.agents[who], self.agents[1 - who]];
+            let seen = follows.then(|| slowing(self.scene, &lanes, (agent_idx, driver), slows_s, but));
+            let all = anyway.chain(seen.into_iter().flatten()).enumerate();
+            let course = |(nth, (rail, pace, others)): (usize, (usize, Pace, Vec<(usize, Vec<Vec2>)>))| {
+                let effort = pace.effort();
+                PlannedDrive { others, ..self.course(who, rail, (nth, pace), effort) }
+            };
+            all.map(course).collect()
+        });
+        let mut drafts = Vec::new();
         for own in &courses[0] {
             for others in &courses[1] {
-                let drafts = if is_seen(0, own) && is_seen(1, others) { &mut seen } else { &mut unseen };
                 match own.drive.meets(&others.drive) {
                     None => drafts.extend(self.crossed([own, others])),
                     Some(step) => {
@@ -133,7 +139,7 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        if seen.is_empty() { unseen } else { seen }
+        drafts
     }
 
     fn course(&self, who: usize, rail: usize, pace: (usize, Pace), effort: f64) -> PlannedDrive {
@@ -141,7 +147,7 @@ impl<'a> Search<'a> {
         let steps = (0..drive.outer.len()).step_by(STRIDE);
         let is_blocked = |step: &usize| self.others[who][*step].iter().any(|other| other.overlaps(&drive.outer[*step]));
         let clear = steps.into_iter().find(is_blocked).unwrap_or(drive.outer.len());
-        PlannedDrive { rail, pace, drive, clear }
+        PlannedDrive { rail, pace, drive, clear, others: Vec::new() }
     }
 
     /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. As its
@@ -182,7 +188,10 @@ impl<'a> Search<'a> {
                 true => pace.clone().losing(from_s, deceleration_mps2, loses_mps),
                 false => pace.clone().then(from_s, -deceleration_mps2),
             };
-            let course = || self.course(evader, own.rail, (*nth, braking), own.drive.effort);
+            let course = || PlannedDrive {
+                others: own.others.clone(),
+                ..self.course(evader, own.rail, (*nth, braking), own.drive.effort)
+            };
             let braked = Rc::clone(self.braked.borrow_mut().entry(key).or_insert_with(|| Rc::new(course())));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
             let pair = if evader == 0 { [&*braked, other] } else { [other, &*braked] };
@@ -219,7 +228,7 @@ impl<'a> Search<'a> {
             parameters,
             in_the_way: None,
             positions: [0, 1].map(positions).into(),
-            others: Vec::new(),
+            others: courses.iter().flat_map(|course| course.others.iter().cloned()).collect(),
         }
     }
 }

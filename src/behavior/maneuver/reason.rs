@@ -1,0 +1,230 @@
+//! Reasons to brake that can be seen: a line at which to stop, somebody slower ahead, somebody who comes over close
+//! ahead, and somebody ahead who brakes for one of these.
+
+use super::driver::{SLOWER_MPS, STANDS_MPS, Travel};
+use super::moving_over::ways_over;
+use super::{Driver, Pace};
+use crate::behavior::cause::{MOST_LATE_S, STANDSTILL_GAP_M, not_enough_mps2};
+use crate::behavior::following::{Ahead, Follower};
+use crate::behavior::lane_relation::SceneLanes;
+use crate::geometry::Vec2;
+use crate::scene::{LaneDuty, Scene};
+use std::ops::RangeInclusive;
+
+/// How hard the one ahead brakes, m/s², and how long before the agent behind, seconds: drivers need that long to react
+/// to brake lights that they expect, or not (Green 2000), or after an ordinary glance away.
+const LEADER_MPS2: [f64; 4] = [2.5, 3.5, 4.5, 6.0];
+const REACTIONS_S: [f64; 4] = [0.75, 1.0, 1.4, MOST_LATE_S];
+/// The soonest that the one ahead begins to brake, seconds after the present.
+const SOONEST_S: f64 = 0.1;
+/// How much slower somebody is that comes over, m/s, and how soon after being midway between the lanes somebody is seen
+/// and reacted to, seconds: a corner is in the lane half a second before.
+const LEAST_CLOSING_MPS: f64 = 1.0;
+const SEES_S: RangeInclusive<f64> = -0.2..=0.8;
+/// What is there at present is reacted to at any time.
+const ALWAYS_S: RangeInclusive<f64> = 0.0..=f64::INFINITY;
+/// How far ahead somebody, or a line, is looked for, meters.
+const REACH_M: f64 = 60.0;
+
+/// A reason to brake.
+pub(in crate::behavior) struct Reason {
+    what: What,
+    /// When those who see it begin to brake, seconds after the present.
+    from_s: RangeInclusive<f64>,
+    /// Those who move so that there is a reason, with their positions at present and at each timestep after it.
+    pub(in crate::behavior) others: Vec<(usize, Vec<Vec2>)>,
+}
+
+/// What is ahead.
+enum What {
+    /// A line, this far ahead of the front, meters.
+    Line(f64),
+    /// Somebody this far ahead of the front, meters, with the distances that it drives.
+    Leader { gap_m: f64, driven_m: Vec<f64> },
+}
+
+/// How an agent brakes for a reason.
+pub(in crate::behavior) struct Braking {
+    pub(in crate::behavior) pace: Pace,
+    pub(in crate::behavior) travel: Travel,
+}
+
+impl Reason {
+    /// Whether it is known to an agent that begins to brake at this time, seconds after the present.
+    pub(in crate::behavior) fn is_known(&self, from_s: f64) -> bool {
+        self.from_s.contains(&from_s)
+    }
+
+    /// How a driver brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None` if that is not
+    /// enough, or much less would be.
+    pub(in crate::behavior) fn braking(
+        &self,
+        driver: &Driver,
+        rail: usize,
+        (from_s, mps2): (f64, f64),
+        dt_s: f64,
+    ) -> Option<Braking> {
+        let steady = Pace::steady(driver.braking_mps2().min(0.0));
+        let before = driver.travel(rail, &steady);
+        let begins = ((from_s / dt_s) as usize).min(before.driven_m.len().checked_sub(1)?);
+        let own_mps = before.speeds_mps[begins];
+        let their_mps = match &self.what {
+            What::Line(_) => 0.0,
+            What::Leader { driven_m, .. } => {
+                driven_m[begins..].windows(2).map(|pair| (pair[1] - pair[0]) / dt_s).fold(own_mps, f64::min)
+            }
+        };
+        // Nobody stops behind somebody that goes on.
+        let goes_on = their_mps > STANDS_MPS;
+        let slower = SLOWER_MPS.iter().filter(|_| goes_on);
+        let slower = slower.map(|mps| steady.clone().losing(from_s, mps2, own_mps - their_mps + mps));
+        let stops = (!goes_on).then(|| steady.clone().then(from_s, -mps2));
+        let mut brakings = slower.chain(stops).map(|pace| Braking { travel: driver.travel(rail, &pace), pace });
+        brakings
+            .find(|braking| self.explains(not_enough_mps2(mps2), (begins, own_mps), &braking.travel.driven_m, dt_s))
+    }
+
+    /// Whether braking with `mps2`, after `driven_m` with this speed at timestep `begins`, is too little for it, and
+    /// the planned drive is enough.
+    fn explains(&self, mps2: f64, (begins, speed_mps): (usize, f64), driven_m: &[f64], dt_s: f64) -> bool {
+        let braked_m = |time_s: f64| {
+            let time_s = time_s.min(speed_mps / mps2);
+            driven_m[begins] + speed_mps * time_s - mps2 * time_s * time_s / 2.0
+        };
+        let (Some(end_m), Some(last)) = (driven_m.last(), driven_m.len().checked_sub(1)) else { return false };
+        match &self.what {
+            What::Line(line_m) => braked_m(f64::INFINITY) > *line_m && end_m <= line_m,
+            What::Leader { gap_m, driven_m: led_m } => {
+                let last_mps = (led_m[last] - led_m[last - 1]) / dt_s;
+                let led_m =
+                    |step: usize| led_m[step.min(last)] + step.saturating_sub(last) as f64 * dt_s * last_mps + gap_m;
+                let n_steps = (speed_mps / mps2 / dt_s) as usize;
+                let hits = (begins..=begins + n_steps)
+                    .any(|step| led_m(step) - braked_m((step - begins) as f64 * dt_s) < STANDSTILL_GAP_M);
+                hits && driven_m.iter().enumerate().all(|(step, own_m)| led_m(step) - own_m >= STANDSTILL_GAP_M)
+            }
+        }
+    }
+}
+
+/// Somebody ahead in the lane, and the reasons for it to brake.
+pub(in crate::behavior) struct Leader<'a> {
+    scene: &'a Scene,
+    ahead: Ahead,
+    driver: Driver,
+    reasons: Vec<Reason>,
+}
+
+impl<'a> Leader<'a> {
+    /// `None` if nobody is ahead.
+    pub(in crate::behavior) fn of(scene: &'a Scene, lanes: &SceneLanes<'_>, agent_idx: usize) -> Option<Self> {
+        let (ahead, driver) = in_front(scene, lanes, &Follower::as_observed(scene, lanes, agent_idx)?)?;
+        let reasons = in_sight(scene, lanes, ahead.agent_idx, Some(agent_idx));
+        Some(Self { scene, ahead, driver, reasons })
+    }
+
+    /// That it brakes for a reason, such that an agent behind it brakes from `from_s` on.
+    pub(in crate::behavior) fn brakes(&self, from_s: f64) -> Vec<Reason> {
+        let starts = REACTIONS_S.map(|reaction_s| from_s - reaction_s).into_iter().filter(|s| *s >= SOONEST_S);
+        let tried = starts.flat_map(|starts_s| LEADER_MPS2.map(|mps2| (starts_s, mps2)));
+        let brakes = tried.flat_map(|start| {
+            let known = self.reasons.iter().filter(move |reason| reason.is_known(start.0));
+            known.filter_map(move |reason| Some((reason, reason.braking(&self.driver, 0, start, self.scene.dt_s)?)))
+        });
+        let led = brakes.map(|(reason, braking)| {
+            let mut led = driven(&self.driver, self.ahead, braking.travel);
+            led.others.extend(reason.others.iter().cloned());
+            led
+        });
+        led.collect()
+    }
+}
+
+/// The ways in which an agent slows down along one of its rails for a reason that it sees, each with those who move for
+/// it; it begins no later than `until_s`, if the reason is there. Nobody comes over who is `but`.
+pub(in crate::behavior) fn slowing(
+    scene: &Scene,
+    lanes: &SceneLanes<'_>,
+    (agent_idx, driver): (usize, &Driver),
+    until_s: f64,
+    but: usize,
+) -> Vec<(usize, Pace, Vec<(usize, Vec<Vec2>)>)> {
+    let reasons = in_sight(scene, lanes, agent_idx, Some(but));
+    let tried = reasons.iter().flat_map(|reason| (0..driver.rails.len()).map(move |rail| (reason, rail)));
+    let slowing = tried.filter_map(|(reason, rail)| {
+        let from_s = until_s.max(*reason.from_s.start()).max(SOONEST_S);
+        let braking = LEADER_MPS2.iter().find_map(|mps2| reason.braking(driver, rail, (from_s, *mps2), scene.dt_s));
+        Some((rail, braking?.pace, reason.others.clone()))
+    });
+    slowing.collect()
+}
+
+/// What an agent sees to brake for: lines, the one ahead as it goes on, and those who come over, but for `but`.
+pub(in crate::behavior) fn in_sight(
+    scene: &Scene,
+    lanes: &SceneLanes<'_>,
+    agent_idx: usize,
+    but: Option<usize>,
+) -> Vec<Reason> {
+    let Some(own) = Follower::as_observed(scene, lanes, agent_idx) else { return Vec::new() };
+    let front_m = scene.tracks[agent_idx].extent_or_nominal().length_m / 2.0;
+    let place = scene.state(agent_idx, scene.current_timestep()).and_then(|now| own.lane.project(now.position));
+    let ends = own.lane.ids().iter().filter_map(|id| lanes.get(*id)).map(|lane| lane.lane);
+    let ends = ends.filter(|lane| lane.attributes.duties().any(|(_, duty)| duty != LaneDuty::HasRightOfWay));
+    let ahead_m = |end: Vec2| Some(own.lane.project(end)?.station_m - place?.station_m - front_m);
+    let lines = ends.filter_map(|lane| ahead_m(*lane.centerline.0.last()?)).filter(|m| (0.0..REACH_M).contains(m));
+    let line = |m: f64| Reason { what: What::Line(m), from_s: ALWAYS_S, others: Vec::new() };
+    let goes_on = in_front(scene, lanes, &own).map(|(ahead, driver)| {
+        let travel = driver.travel(0, &Pace::steady(driver.braking_mps2().min(0.0)));
+        driven(&driver, ahead, travel)
+    });
+    lines.map(line).chain(goes_on).chain(coming_over(scene, lanes, &own, agent_idx, but)).collect()
+}
+
+/// The agent ahead of another, with its driver.
+fn in_front(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>) -> Option<(Ahead, Driver)> {
+    let ahead = *own.ahead(scene.current_timestep(), REACH_M).first()?;
+    let driver = Driver::new(scene, lanes, ahead.agent_idx)?;
+    (!driver.rails.is_empty()).then_some((ahead, driver))
+}
+
+/// Somebody ahead that travels like this.
+fn driven(driver: &Driver, Ahead { gap_m, agent_idx, .. }: Ahead, Travel { driven_m, .. }: Travel) -> Reason {
+    let others = vec![(agent_idx, driver.positions(0, &driven_m))];
+    Reason { what: What::Leader { gap_m, driven_m }, from_s: ALWAYS_S, others }
+}
+
+/// Those beside an agent that can move over close ahead of it, and are slower.
+fn coming_over(
+    scene: &Scene,
+    lanes: &SceneLanes<'_>,
+    own: &Follower<'_>,
+    agent_idx: usize,
+    but: Option<usize>,
+) -> Vec<Reason> {
+    let state = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
+    let length_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m;
+    let Some((now, place)) = state(agent_idx).and_then(|now| Some((now, own.lane.project(now.position)?))) else {
+        return Vec::new();
+    };
+    let others = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && Some(*idx) != but);
+    let beside = others.filter(|idx| scene.tracks[*idx].class.is_motorized()).filter_map(|idx| {
+        let (theirs, there) = state(idx).and_then(|theirs| Some((theirs, own.lane.project(theirs.position)?)))?;
+        let gap_m = there.station_m - place.station_m - (length_m(agent_idx) + length_m(idx)) / 2.0;
+        let is_slower = theirs.speed_mps() + LEAST_CLOSING_MPS < now.speed_mps();
+        (is_slower && (0.0..REACH_M).contains(&gap_m) && !own.lane.holds(theirs.position)).then_some((idx, gap_m))
+    });
+    let over = beside.flat_map(|(idx, gap_m)| {
+        let ways = ways_over(scene, lanes, idx, 1.0).into_iter();
+        let ways = ways.filter(move |way| way.has_room(scene, idx, &[agent_idx]));
+        ways.filter_map(move |way| {
+            let stations: Option<Vec<f64>> =
+                way.positions.iter().map(|at| Some(own.lane.project(*at)?.station_m)).collect();
+            let stations = stations.filter(|_| way.positions.last().is_some_and(|at| own.lane.holds(*at)))?;
+            let driven_m = stations.iter().map(|station_m| station_m - stations[0]).collect();
+            let from_s = way.midway_s + SEES_S.start()..=way.midway_s + SEES_S.end();
+            Some(Reason { what: What::Leader { gap_m, driven_m }, from_s, others: vec![(idx, way.positions)] })
+        })
+    });
+    over.collect()
+}
