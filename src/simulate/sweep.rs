@@ -16,6 +16,9 @@ use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::store::{SceneStore, as_stored};
 use std::sync::Arc;
 
+/// How long after the event begins its ego answers to it, seconds: as the careful driver of UN R157.
+const REACTS_S: f64 = 0.75;
+
 /// Drives on the scenarios of a shard that show the requested behavior, or all if none is requested; arrivals are those
 /// of places in `store`. A scenario whose ego has no way stays as it is, and one without a future is rejected.
 ///
@@ -60,6 +63,10 @@ pub fn roll_out_samples(
             let others = (0..situation.scene.tracks.len()).filter(|idx| *idx != situation.ego_idx).filter(follows);
             let others: Vec<usize> = others.filter(|idx| !situation.planned.contains(idx)).collect();
             situation.planned.extend(others);
+            if config.ego == NamedDriver::Log {
+                let until = sees_from(&output.records[*i], futures.n_timesteps());
+                forget(&mut situation.scene, situation.ego_idx, until);
+            }
             let [n_steps, _] = own.n_steps(situation.scene.dt_s);
             maps.expect_arrivals(&mut situation, futures.seed(), [n_steps, 0, n_steps])?;
             situations.push((*i, situation));
@@ -95,6 +102,21 @@ pub fn roll_out_samples(
     Ok(())
 }
 
+/// The timestep from which the ego of a sample without a template answers to what it did not see: guidance moves the
+/// others, and the sample lets the ego drive on.
+fn sees_from(record: &ScenarioRecord, n_timesteps: usize) -> usize {
+    let scene = &record.scenario.scene;
+    let event = record.events.first().filter(|_| scene.n_timesteps == n_timesteps);
+    event.map_or(usize::MAX, |event| event.start_timestep + (REACTS_S / scene.dt_s).round() as usize)
+}
+
+/// Leaves out the states of an agent from a timestep on.
+fn forget(scene: &mut Scene, agent_idx: usize, from: usize) {
+    let trajectory = &mut scene.tracks[agent_idx].trajectory;
+    let known = |(timestep, state): (usize, &Option<_>)| state.filter(|_| timestep < from);
+    *trajectory = Trajectory::new(trajectory.entries().iter().enumerate().map(known).collect());
+}
+
 /// Leaves out what a template plans after the end of the sample.
 fn end_with_sample(record: &mut ScenarioRecord, n_timesteps: usize, behavior: Option<&dyn Behavior>) {
     let scenario = &mut record.scenario;
@@ -120,9 +142,16 @@ fn continue_with(
 ) {
     let sampled = &record.scenario.scene;
     let [_, n_plan] = own.n_steps(sampled.dt_s);
-    let follows_sample = matches!(config.ego, NamedDriver::Model | NamedDriver::Log);
-    let n_given = |agent_idx: usize| match agent_idx == situation.ego_idx && !follows_sample {
-        true => sampled.n_history,
+    let n_followed = match config.ego {
+        NamedDriver::Model => usize::MAX,
+        NamedDriver::Log => {
+            let known = situation.scene.tracks[situation.ego_idx].trajectory.valid().next_back();
+            known.map_or(0, |(timestep, _)| timestep + 1)
+        }
+        _ => sampled.n_history,
+    };
+    let n_given = |agent_idx: usize| match agent_idx == situation.ego_idx {
+        true => n_followed.min(sampled.n_history + n_plan),
         false => sampled.n_history + n_plan,
     };
     let mut scene = situation.driven(&driven.world);

@@ -23,6 +23,7 @@ mod unprotected_left_turn;
 mod ways;
 mod wrong_way;
 
+pub(crate) use driver::RELEASE_JERK_MPS3;
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
 pub(super) use moving_over::has_room;
 pub(super) use reason::slowing;
