@@ -12,6 +12,7 @@ use super::pairs::PairSearch;
 use super::sideways::CUT_IN;
 use super::swept_boxes::SweptBoxes;
 use super::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
+use crate::geometry::Vec2;
 use crate::scene::Scene;
 use crossing::{Crossing, LaneCrossing};
 use schemars::JsonSchema;
@@ -51,6 +52,8 @@ pub(super) const PARAMETERS: &[&str] = &[
 const NEGATIVE_DISTANCE_M: f64 = 5.0;
 /// The least headway at which drivers come in, seconds: of 34 recorded cut-ins, the least begins at 0.27 s.
 const LEAST_DRIVEN_HEADWAY_S: f64 = 0.25;
+/// How many ways to cut in are drawn up for those who brake for one.
+const N_CLOSING: usize = 8;
 /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. This
 /// excludes agents that turn into the lane, enter a roundabout or come toward the ego.
 const ALONG_RAD: f64 = FRAC_PI_6;
@@ -129,6 +132,13 @@ impl Default for CutIn {
     fn default() -> Self {
         Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false, hurry: 1.0 }
     }
+}
+
+/// Ways in which the second agent cuts in before the first, which must brake for it: when it is in the way, seconds
+/// after the present, and its positions at present and at each timestep after it.
+pub(super) fn closing(scene: &Scene, pair: [usize; 2]) -> Vec<(f64, Vec<Vec2>)> {
+    let cut_in = CutIn::default();
+    Search::new(&cut_in, scene, pair).and_then(|search| search.closing(N_CLOSING)).unwrap_or_default()
 }
 
 impl CutIn {

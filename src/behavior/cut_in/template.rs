@@ -24,8 +24,9 @@ const IN_LANE_S: f64 = 0.2;
 const MOST_OFFSET_M: f64 = 0.6;
 /// Distances below this need no lane change, meters.
 const NOTHING_M: f64 = 0.01;
-/// The hardest deceleration of the ego, m/s².
+/// The hardest deceleration of the ego, and the least that it must need, m/s².
 const HARDEST_MPS2: f64 = 5.0;
+const LEAST_NEEDED_MPS2: f64 = 0.5;
 /// The gap that the ego keeps to the other while braking, seconds and meters: the smaller one counts.
 const LEFT_S: f64 = 0.5;
 const LEFT_M: f64 = 2.0;
@@ -82,6 +83,23 @@ impl<'a> Search<'a> {
             }
         }
         Some(templates)
+    }
+
+    /// At most `n` ways in which the other comes in for which the ego must brake: when its box enters the path, seconds
+    /// after the present, and its positions at present and at each timestep after it.
+    pub(super) fn closing(&self, n: usize) -> Option<Vec<(f64, Vec<Vec2>)>> {
+        let mut plans = self.cut_in.plans(&self.pair)?;
+        let needed_mps2 = |plan: &CutInPlan| {
+            let closing_mps = plan.outcome.get("relative_speed_mps").unwrap_or_default().max(0.0);
+            closing_mps.powi(2) / (2.0 * plan.outcome.get("gap_m").unwrap_or(f64::INFINITY))
+        };
+        plans.retain(|plan| needed_mps2(plan) >= LEAST_NEEDED_MPS2);
+        plans.sort_by(|a, b| needed_mps2(b).total_cmp(&needed_mps2(a)));
+        let tried = (0..plans.len()).map(|i| (&plans[spread(i, plans.len())], STYLES[i % STYLES.len()]));
+        let found = tried.filter_map(|(plan, style)| {
+            Some((plan.time_s, self.way(plan, style)?.positions(self.scene, self.other_idx)?))
+        });
+        Some(found.take(n).collect())
     }
 
     /// The way to follow a plan with nobody in the way.

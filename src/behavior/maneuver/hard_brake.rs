@@ -35,7 +35,8 @@ impl HardBrake {
             for (rail, reason) in tried {
                 for (i, more_mps2) in MORE_MPS2.iter().enumerate() {
                     let mps2 = self.min_deceleration_mps2 + more_mps2 + HARDER_MPS2 * driver.style;
-                    let braking = (mps2 <= HARDEST_MPS2).then(|| reason.braking(&driver, rail, (from_s, mps2), scene.dt_s));
+                    let braking =
+                        (mps2 <= HARDEST_MPS2).then(|| reason.braking(&driver, rail, (from_s, mps2), scene.dt_s));
                     let Some(braking) = braking.flatten() else { continue };
                     maneuvers.push(Maneuver {
                         kind: [i, (from_s * 10.0) as usize],
@@ -80,5 +81,24 @@ mod tests {
         assert!(n_slow > 0 && has_template, "{n_slow}");
         // Hardly slower, and two lanes away.
         assert_eq!([n_with(14.0, 3.5), n_with(7.0, 7.0)], [(0, false); 2]);
+    }
+
+    #[test]
+    fn who_is_ahead_brakes_for_somebody_who_comes_over_and_so_does_the_one_behind() {
+        // At the distance of the slow one, the driver behind has no reason of its own.
+        let drives = |y: f64| {
+            [(0.0, 0.0, 15.0), (14.0, 0.0, 15.0), (45.0, y, 7.0)].map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps))
+        };
+        let hard = HardBrake::default();
+        let others = |y: f64| -> Vec<Vec<usize>> {
+            let scene = going_on(&drives(y), two_lanes());
+            let maneuvers = hard.brakings(&scene, 0);
+            maneuvers.iter().map(|maneuver| maneuver.others.iter().map(|(idx, _)| *idx).collect()).collect()
+        };
+        let chains = others(3.5);
+        assert!(chains.contains(&vec![1, 2]), "{chains:?}");
+        assert_eq!(others(7.0), Vec::<Vec<usize>>::new());
+        let scene = going_on(&drives(3.5), two_lanes());
+        assert!(hard.template(&scene, &[0], &BTreeMap::new(), 0).is_some());
     }
 }

@@ -2,9 +2,9 @@
 //! ahead, and somebody ahead who brakes for one of these.
 
 use super::driver::{SLOWER_MPS, STANDS_MPS, Travel};
-use super::moving_over::ways_over;
 use super::{Driver, Pace};
 use crate::behavior::cause::{MOST_LATE_S, STANDSTILL_GAP_M, not_enough_mps2};
+use crate::behavior::cut_in;
 use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::Vec2;
@@ -17,10 +17,9 @@ const LEADER_MPS2: [f64; 4] = [2.5, 3.5, 4.5, 6.0];
 const REACTIONS_S: [f64; 4] = [0.75, 1.0, 1.4, MOST_LATE_S];
 /// The soonest that the one ahead begins to brake, seconds after the present.
 const SOONEST_S: f64 = 0.1;
-/// How much slower somebody is that comes over, m/s, and how soon after being midway between the lanes somebody is seen
-/// and reacted to, seconds: a corner is in the lane half a second before.
-const LEAST_CLOSING_MPS: f64 = 1.0;
-const SEES_S: RangeInclusive<f64> = -0.2..=0.8;
+/// How soon somebody who comes over is reacted to that is in the way, seconds: by attentive drivers who expect it, or
+/// after an ordinary glance away.
+const SEES_S: RangeInclusive<f64> = 0.4..=1.5;
 /// What is there at present is reacted to at any time.
 const ALWAYS_S: RangeInclusive<f64> = 0.0..=f64::INFINITY;
 /// How far ahead somebody, or a line, is looked for, meters.
@@ -80,8 +79,7 @@ impl Reason {
         let slower = slower.map(|mps| steady.clone().losing(from_s, mps2, own_mps - their_mps + mps));
         let stops = (!goes_on).then(|| steady.clone().then(from_s, -mps2));
         let mut brakings = slower.chain(stops).map(|pace| Braking { travel: driver.travel(rail, &pace), pace });
-        brakings
-            .find(|braking| self.explains(not_enough_mps2(mps2), (begins, own_mps), &braking.travel.driven_m, dt_s))
+        brakings.find(|braking| self.explains(not_enough_mps2(mps2), (begins, own_mps), &braking.travel.driven_m, dt_s))
     }
 
     /// Whether braking with `mps2`, after `driven_m` with this speed at timestep `begins`, is too little for it, and
@@ -101,7 +99,8 @@ impl Reason {
                 let n_steps = (speed_mps / mps2 / dt_s) as usize;
                 let hits = (begins..=begins + n_steps)
                     .any(|step| led_m(step) - braked_m((step - begins) as f64 * dt_s) < STANDSTILL_GAP_M);
-                hits && driven_m.iter().enumerate().all(|(step, own_m)| led_m(step) - own_m >= STANDSTILL_GAP_M)
+                let mut after = driven_m.iter().enumerate().skip(begins);
+                hits && after.all(|(step, own_m)| led_m(step) - own_m >= STANDSTILL_GAP_M)
             }
         }
     }
@@ -178,7 +177,7 @@ pub(in crate::behavior) fn in_sight(
         let travel = driver.travel(0, &Pace::steady(driver.braking_mps2().min(0.0)));
         driven(&driver, ahead, travel)
     });
-    lines.map(line).chain(goes_on).chain(coming_over(scene, lanes, &own, agent_idx, but)).collect()
+    lines.map(line).chain(goes_on).chain(coming_over(scene, &own, agent_idx, but)).collect()
 }
 
 /// The agent ahead of another, with its driver.
@@ -194,37 +193,20 @@ fn driven(driver: &Driver, Ahead { gap_m, agent_idx, .. }: Ahead, Travel { drive
     Reason { what: What::Leader { gap_m, driven_m }, from_s: ALWAYS_S, others }
 }
 
-/// Those beside an agent that can move over close ahead of it, and are slower.
-fn coming_over(
-    scene: &Scene,
-    lanes: &SceneLanes<'_>,
-    own: &Follower<'_>,
-    agent_idx: usize,
-    but: Option<usize>,
-) -> Vec<Reason> {
-    let state = |idx: usize| scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
+/// Those who can cut in before an agent such that it must brake, but for `but`.
+fn coming_over(scene: &Scene, own: &Follower<'_>, agent_idx: usize, but: Option<usize>) -> Vec<Reason> {
+    let Some(now) = scene.state(agent_idx, scene.current_timestep()) else { return Vec::new() };
     let length_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m;
-    let Some((now, place)) = state(agent_idx).and_then(|now| Some((now, own.lane.project(now.position)?))) else {
-        return Vec::new();
-    };
     let others = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && Some(*idx) != but);
-    let beside = others.filter(|idx| scene.tracks[*idx].class.is_motorized()).filter_map(|idx| {
-        let (theirs, there) = state(idx).and_then(|theirs| Some((theirs, own.lane.project(theirs.position)?)))?;
-        let gap_m = there.station_m - place.station_m - (length_m(agent_idx) + length_m(idx)) / 2.0;
-        let is_slower = theirs.speed_mps() + LEAST_CLOSING_MPS < now.speed_mps();
-        (is_slower && (0.0..REACH_M).contains(&gap_m) && !own.lane.holds(theirs.position)).then_some((idx, gap_m))
-    });
-    let over = beside.flat_map(|(idx, gap_m)| {
-        let ways = ways_over(scene, lanes, idx, 1.0).into_iter();
-        let ways = ways.filter(move |way| way.has_room(scene, idx, &[agent_idx]));
-        ways.filter_map(move |way| {
-            let stations: Option<Vec<f64>> =
-                way.positions.iter().map(|at| Some(own.lane.project(*at)?.station_m)).collect();
-            let stations = stations.filter(|_| way.positions.last().is_some_and(|at| own.lane.holds(*at)))?;
-            let driven_m = stations.iter().map(|station_m| station_m - stations[0]).collect();
-            let from_s = way.midway_s + SEES_S.start()..=way.midway_s + SEES_S.end();
-            Some(Reason { what: What::Leader { gap_m, driven_m }, from_s, others: vec![(idx, way.positions)] })
-        })
-    });
-    over.collect()
+    let ways = others.flat_map(|idx| cut_in::closing(scene, [agent_idx, idx]).into_iter().map(move |way| (idx, way)));
+    let reason = |(idx, (time_s, positions)): (usize, (f64, Vec<Vec2>))| {
+        let stations: Option<Vec<f64>> = positions.iter().map(|at| Some(own.lane.project(*at)?.station_m)).collect();
+        let stations = stations?;
+        let gap_m =
+            stations[0] - own.lane.project(now.position)?.station_m - (length_m(agent_idx) + length_m(idx)) / 2.0;
+        let driven_m = stations[1..].iter().map(|station_m| station_m - stations[0]).collect();
+        let from_s = time_s + SEES_S.start()..=time_s + SEES_S.end();
+        Some(Reason { what: What::Leader { gap_m, driven_m }, from_s, others: vec![(idx, positions)] })
+    };
+    ways.filter_map(reason).collect()
 }

@@ -6,6 +6,7 @@ use super::body::{FOLLOWING_RAD, extents};
 use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
 use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
+use crate::behavior::cut_in;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s, slowing};
@@ -27,6 +28,9 @@ const SOONEST_S: f64 = 0.3;
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
+/// How soon somebody who cuts in is reacted to that is in the way, seconds: see
+/// [`REACTIONS_S`](crate::behavior::limits::REACTIONS_S).
+const SEES_S: f64 = 0.4;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
@@ -59,11 +63,14 @@ struct Search<'a> {
 /// the speed that it loses.
 type Braking = ([usize; 4], [u64; 2]);
 
-/// A drive, its rail and pace, and the first step at which another agent is in the way.
+/// A drive, and the first step at which another agent is in the way.
 struct PlannedDrive {
-    rail: usize,
-    /// The number of the pace, and the pace.
-    pace: (usize, Pace),
+    /// The rail, and the pace with its number; `None` for one that cuts in.
+    along: Option<(usize, (usize, Pace))>,
+    /// The positions at present and at each timestep after it.
+    positions: Vec<Vec2>,
+    /// When the other can react to it at the soonest, seconds after the present.
+    seen_s: f64,
     drive: Drive,
     clear: usize,
     /// Those who move so that there is a reason for the pace.
@@ -125,7 +132,8 @@ impl<'a> Search<'a> {
                 let effort = pace.effort();
                 PlannedDrive { others, ..self.course(who, rail, (nth, pace), effort) }
             };
-            all.map(course).collect()
+            let courses = all.map(course);
+            courses.chain(follows.then(|| self.cutting_in(who)).into_iter().flatten()).collect()
         });
         let mut drafts = Vec::new();
         for own in &courses[0] {
@@ -144,10 +152,30 @@ impl<'a> Search<'a> {
 
     fn course(&self, who: usize, rail: usize, pace: (usize, Pace), effort: f64) -> PlannedDrive {
         let drive = Drive::new(&self.drivers[who], rail, &pace.1, (effort, self.extents[who]));
+        let positions = self.drivers[who].positions(rail, &drive.driven_m);
+        self.planned(who, drive, positions, Some((rail, pace)))
+    }
+
+    /// The ways in which one of the two cuts in before the other.
+    fn cutting_in(&self, who: usize) -> impl Iterator<Item = PlannedDrive> {
+        let ways = cut_in::closing(self.scene, [self.agents[1 - who], self.agents[who]]);
+        ways.into_iter().map(move |(time_s, positions)| {
+            let drive = Drive::over(&positions, self.extents[who], self.dt_s);
+            PlannedDrive { seen_s: time_s + SEES_S, ..self.planned(who, drive, positions, None) }
+        })
+    }
+
+    fn planned(
+        &self,
+        who: usize,
+        drive: Drive,
+        positions: Vec<Vec2>,
+        along: Option<(usize, (usize, Pace))>,
+    ) -> PlannedDrive {
         let steps = (0..drive.outer.len()).step_by(STRIDE);
         let is_blocked = |step: &usize| self.others[who][*step].iter().any(|other| other.overlaps(&drive.outer[*step]));
         let clear = steps.into_iter().find(is_blocked).unwrap_or(drive.outer.len());
-        PlannedDrive { rail, pace, drive, clear, others: Vec::new() }
+        PlannedDrive { along, positions, seen_s: SOONEST_S, drive, clear, others: Vec::new() }
     }
 
     /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. As its
@@ -158,7 +186,8 @@ impl<'a> Search<'a> {
         let n_before = (at_s / self.dt_s).round() as usize;
         let begins = meets.checked_sub(n_before)?;
         let at_once_s = (begins + 1) as f64 * self.dt_s;
-        if at_once_s < SOONEST_S || own.clear <= begins || other.clear < other.drive.outer.len() {
+        let (rail, (nth, pace)) = own.along.as_ref()?;
+        if at_once_s < other.seen_s || own.clear <= begins || other.clear < other.drive.outer.len() {
             return None;
         }
         let velocities = [own.drive.velocity(begins), other.drive.velocity(begins)];
@@ -168,7 +197,6 @@ impl<'a> Search<'a> {
         // Who looks too late at somebody ahead gives no gas, and looks up in time for an ordinary mistake.
         let is_behind = own.drive.outer[begins].forward.dot(other.drive.outer[begins].forward) > FOLLOWING_RAD.cos();
         let late_s = relative_mps / (2.0 * COMFORTABLE_MPS2) - at_s;
-        let (nth, pace) = &own.pace;
         let is_ordinary = !is_behind || (pace.at(0.0) <= 0.0 && late_s < MOST_LATE_S - SPARE_LATE_S);
         if !is_ordinary || !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
             return None;
@@ -183,14 +211,14 @@ impl<'a> Search<'a> {
         tried.into_iter().find_map(|(deceleration_mps2, loses_mps)| {
             let building_up_s = building_up_s(pace.at(at_once_s), -deceleration_mps2);
             let from_s = (at_once_s - building_up_s / 2.0).max(SOONEST_S);
-            let key = ([evader, own.rail, *nth, begins], [deceleration_mps2, loses_mps].map(f64::to_bits));
+            let key = ([evader, *rail, *nth, begins], [deceleration_mps2, loses_mps].map(f64::to_bits));
             let braking = match loses_mps < own_mps {
                 true => pace.clone().losing(from_s, deceleration_mps2, loses_mps),
                 false => pace.clone().then(from_s, -deceleration_mps2),
             };
             let course = || PlannedDrive {
                 others: own.others.clone(),
-                ..self.course(evader, own.rail, (*nth, braking), own.drive.effort)
+                ..self.course(evader, *rail, (*nth, braking), own.drive.effort)
             };
             let braked = Rc::clone(self.braked.borrow_mut().entry(key).or_insert_with(|| Rc::new(course())));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
@@ -220,14 +248,13 @@ impl<'a> Search<'a> {
     }
 
     fn draft(&self, kind: [usize; 2], parameters: &'static [&'static str], courses: [&PlannedDrive; 2]) -> Maneuver {
-        let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive.driven_m);
         let effort = courses[0].drive.effort.max(courses[1].drive.effort);
         Maneuver {
             kind,
             effort,
             parameters,
             in_the_way: None,
-            positions: [0, 1].map(positions).into(),
+            positions: courses.map(|course| course.positions.clone()).into(),
             others: courses.iter().flat_map(|course| course.others.iter().cloned()).collect(),
         }
     }

@@ -140,8 +140,7 @@ fn braked(states: &[State], from_mps2: f64, braking: Braking, dt_s: f64) -> Vec<
         let elapsed_s = (step as f64 - 0.5) * dt_s;
         let most_mps2 = (2.0 * ENDS_MPS3 * speed_mps).sqrt();
         let fades = 1.0 - (1.0 - FADES_TO) * elapsed_s / braking.lasts_s;
-        let wanted_mps2 =
-            if elapsed_s < braking.lasts_s { -(braking.mps2 * fades).min(most_mps2) } else { 0.0 };
+        let wanted_mps2 = if elapsed_s < braking.lasts_s { -(braking.mps2 * fades).min(most_mps2) } else { 0.0 };
         let most_mps2 = (braking.mps2.max(-acceleration_mps2) / PRESSED_S).max(LEAST_JERK_MPS3) * dt_s;
         let eased_mps2 = eased_mps2(wanted_mps2, acceleration_mps2, dt_s);
         let released_mps2 = RELEASE_JERK_MPS3 * dt_s;
