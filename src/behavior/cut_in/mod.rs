@@ -52,8 +52,6 @@ pub(super) const PARAMETERS: &[&str] = &[
 const NEGATIVE_DISTANCE_M: f64 = 5.0;
 /// The least headway at which drivers come in, seconds: of 34 recorded cut-ins, the least begins at 0.27 s.
 const LEAST_DRIVEN_HEADWAY_S: f64 = 0.25;
-/// How many ways to cut in are drawn up for those who brake for one.
-const N_CLOSING: usize = 8;
 /// From the present until it is in the lane of the ego, the other must head along that lane within this, radians. This
 /// excludes agents that turn into the lane, enter a roundabout or come toward the ego.
 const ALONG_RAD: f64 = FRAC_PI_6;
@@ -134,11 +132,11 @@ impl Default for CutIn {
     }
 }
 
-/// Ways in which the second agent cuts in before the first, which must brake for it: when it is in the way, seconds
-/// after the present, and its positions at present and at each timestep after it.
-pub(super) fn closing(scene: &Scene, pair: [usize; 2]) -> Vec<(f64, Vec<Vec2>)> {
+/// At most `n` ways in which the second agent cuts in before the first, which must brake for it: when it is in the way,
+/// seconds after the present, and its positions at present and at each timestep after it.
+pub(super) fn closing(scene: &Scene, pair: [usize; 2], n: usize) -> Vec<(f64, Vec<Vec2>)> {
     let cut_in = CutIn::default();
-    Search::new(&cut_in, scene, pair).and_then(|search| search.closing(N_CLOSING)).unwrap_or_default()
+    Search::new(&cut_in, scene, pair).and_then(|search| search.closing(n)).unwrap_or_default()
 }
 
 impl CutIn {

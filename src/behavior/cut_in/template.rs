@@ -25,7 +25,7 @@ const MOST_OFFSET_M: f64 = 0.6;
 /// Distances below this need no lane change, meters.
 const NOTHING_M: f64 = 0.01;
 /// The hardest deceleration of the ego, and the least that it must need, m/s².
-const HARDEST_MPS2: f64 = 5.0;
+const HARDEST_MPS2: f64 = 6.5;
 const LEAST_NEEDED_MPS2: f64 = 0.5;
 /// The gap that the ego keeps to the other while braking, seconds and meters: the smaller one counts.
 const LEFT_S: f64 = 0.5;
@@ -57,7 +57,7 @@ impl<'a> Search<'a> {
 
     /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
     /// ([`CUT_IN`](crate::behavior::sideways::CUT_IN)) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego
-    /// keeps its lane and brakes for the other with at most 5 m/s². No other agent is in the way if all of them
+    /// keeps its lane and brakes for the other with at most 6.5 m/s². No other agent is in the way if all of them
     /// continue straight. Before the scene ends, the other's center is in the lane and the ego reaches the place where
     /// the other came in. Only the past and the map are used.
     pub(super) fn outcomes(&self) -> Option<Vec<Outcome>> {

@@ -20,6 +20,8 @@ const SOONEST_S: f64 = 0.1;
 /// How soon somebody who comes over is reacted to that is in the way, seconds: by attentive drivers who expect it, or
 /// after an ordinary glance away.
 const SEES_S: RangeInclusive<f64> = 0.4..=1.5;
+/// How many ways of one agent to come over are tried.
+const N_COMING_OVER: usize = 12;
 /// What is there at present is reacted to at any time.
 const ALWAYS_S: RangeInclusive<f64> = 0.0..=f64::INFINITY;
 /// How far ahead somebody, or a line, is looked for, meters.
@@ -198,7 +200,8 @@ fn coming_over(scene: &Scene, own: &Follower<'_>, agent_idx: usize, but: Option<
     let Some(now) = scene.state(agent_idx, scene.current_timestep()) else { return Vec::new() };
     let length_m = |idx: usize| scene.tracks[idx].extent_or_nominal().length_m;
     let others = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && Some(*idx) != but);
-    let ways = others.flat_map(|idx| cut_in::closing(scene, [agent_idx, idx]).into_iter().map(move |way| (idx, way)));
+    let ways = others
+        .flat_map(|idx| cut_in::closing(scene, [agent_idx, idx], N_COMING_OVER).into_iter().map(move |way| (idx, way)));
     let reason = |(idx, (time_s, positions)): (usize, (f64, Vec<Vec2>))| {
         let stations: Option<Vec<f64>> = positions.iter().map(|at| Some(own.lane.project(*at)?.station_m)).collect();
         let stations = stations?;

@@ -31,6 +31,8 @@ const SLOWS_S: f64 = 1.2;
 /// How soon somebody who cuts in is reacted to that is in the way, seconds: see
 /// [`REACTIONS_S`](crate::behavior::limits::REACTIONS_S).
 const SEES_S: f64 = 0.4;
+/// How many ways to cut in are tried.
+const N_CUTTING_IN: usize = 40;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
@@ -158,7 +160,7 @@ impl<'a> Search<'a> {
 
     /// The ways in which one of the two cuts in before the other.
     fn cutting_in(&self, who: usize) -> impl Iterator<Item = PlannedDrive> {
-        let ways = cut_in::closing(self.scene, [self.agents[1 - who], self.agents[who]]);
+        let ways = cut_in::closing(self.scene, [self.agents[1 - who], self.agents[who]], N_CUTTING_IN);
         ways.into_iter().map(move |(time_s, positions)| {
             let drive = Drive::over(&positions, self.extents[who], self.dt_s);
             PlannedDrive { seen_s: time_s + SEES_S, ..self.planned(who, drive, positions, None) }
