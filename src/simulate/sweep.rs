@@ -1,6 +1,7 @@
 //! Lets the scenarios of a sweep go on in closed loops.
 //!
-//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes. Nothing ends the
+//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes, but that the ego `log`
+//! answers to events that guidance has brought about. Nothing ends the
 //! drive while the sample lasts, so that scenarios and recordings are compared over the same time.
 
 use super::drivers::named;
@@ -230,8 +231,8 @@ mod tests {
 
     #[test]
     fn a_sample_that_is_driven_to_its_end_stays_as_it_is() {
-        let [sampled, mut driven, unverified] = rolled_out(NamedDriver::Log, [3.0, 3.0], 1);
-        assert_eq!(driven.scenario.provenance.ego_driver.take().as_deref(), Some("log"));
+        let [sampled, mut driven, unverified] = rolled_out(NamedDriver::Model, [3.0, 3.0], 1);
+        assert_eq!(driven.scenario.provenance.ego_driver.take().as_deref(), Some("model"));
         // The corpus may come from a program that rounded differently.
         for (found, expected) in driven.events.iter().zip(&sampled.events) {
             let mut both = found.parameters.iter().zip(&expected.parameters);
@@ -240,6 +241,15 @@ mod tests {
         driven.events.clone_from(&sampled.events);
         assert_eq!(driven, sampled);
         assert_eq!(unverified.scenario, sampled.scenario);
+        // What guidance made the others do, the ego answers to once it could have seen it.
+        let [_, logged, _] = rolled_out(NamedDriver::Log, [3.0, 3.0], 1);
+        let (before, after, ego_idx) =
+            (&sampled.scenario.scene, &logged.scenario.scene, sampled.subject_idx().unwrap());
+        let answers = sampled.events[0].start_timestep + 8;
+        let same = |idx: usize, timestep: usize| before.state(idx, timestep) == after.state(idx, timestep);
+        let n = before.n_timesteps;
+        assert_eq!((0..n).find(|timestep| !same(ego_idx, *timestep)), (answers < n).then_some(answers));
+        assert!((0..before.tracks.len()).all(|idx| idx == ego_idx || (0..n).all(|timestep| same(idx, timestep))));
     }
 
     #[test]

@@ -87,18 +87,17 @@ mod tests {
     fn who_is_ahead_brakes_for_somebody_who_comes_over_and_so_does_the_one_behind() {
         // At the distance of the slow one, the driver behind has no reason of its own.
         let drives = |y: f64| {
-            [(0.0, 0.0, 15.0), (14.0, 0.0, 15.0), (45.0, y, 7.0)].map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps))
+            [(0.0, 0.0, 15.0), (14.0, 0.0, 15.0), (40.0, y, 8.0)].map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps))
         };
+        let scene = |y: f64| going_on(&drives(y), two_lanes()).lasting(60);
         let hard = HardBrake::default();
         let others = |y: f64| -> Vec<Vec<usize>> {
-            let scene = going_on(&drives(y), two_lanes());
-            let maneuvers = hard.brakings(&scene, 0);
+            let maneuvers = hard.brakings(&scene(y), 0);
             maneuvers.iter().map(|maneuver| maneuver.others.iter().map(|(idx, _)| *idx).collect()).collect()
         };
         let chains = others(3.5);
         assert!(chains.contains(&vec![1, 2]), "{chains:?}");
         assert_eq!(others(7.0), Vec::<Vec<usize>>::new());
-        let scene = going_on(&drives(3.5), two_lanes());
-        assert!(hard.template(&scene, &[0], &BTreeMap::new(), 0).is_some());
+        assert!(hard.template(&scene(3.5), &[0], &BTreeMap::new(), 0).is_some());
     }
 }

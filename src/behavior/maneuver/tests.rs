@@ -308,7 +308,7 @@ fn who_heads_off_its_lane_turns_along_it_and_does_not_swing_back() {
     let mut n_found = 0;
     for (heading_rad, speed_mps, headway_s) in [(0.1, 8.0, 0.8), (-0.08, 12.0, 0.8), (0.2, 4.0, 1.5), (0.1, 8.0, 1.2)] {
         let ahead = drive(5.0 + headway_s * speed_mps, 0.0, speed_mps);
-        let slow = drive(20.0 + headway_s * speed_mps, 0.0, 1.0);
+        let slow = drive(30.0 + headway_s * speed_mps, 0.0, 2.0);
         let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps), ahead, slow], two_lanes());
         let present = *scene.state(0, scene.current_timestep()).unwrap();
         for states in driven("hard_brake", &scene, &[0]) {
@@ -377,7 +377,7 @@ fn who_moves_over_one_way_does_not_change_lanes_the_other_way() {
 #[test]
 fn who_brakes_already_does_not_let_go_before_it_brakes_hard() {
     let all = [14.0, 16.0, 18.0, 20.0].map(|x| {
-        let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(x, 0.0, 11.0)], two_lanes());
+        let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(x, 0.0, 11.0), drive(x + 24.0, 0.0, 3.0)], two_lanes());
         accelerating(&mut scene, 0, -2.0);
         driven("hard_brake", &scene, &[0])
     });
