@@ -87,7 +87,7 @@ mod tests {
     fn who_is_ahead_brakes_for_somebody_who_comes_over_and_so_does_the_one_behind() {
         // At the distance of the slow one, the driver behind has no reason of its own.
         let drives = |y: f64| {
-            [(0.0, 0.0, 15.0), (14.0, 0.0, 15.0), (40.0, y, 8.0)].map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps))
+            [(0.0, 0.0, 15.0), (14.0, 0.0, 15.0), (36.0, y, 10.0)].map(|(x, y, mps)| Drive::straight(x, y, 0.0, mps))
         };
         let scene = |y: f64| going_on(&drives(y), two_lanes()).lasting(60);
         let hard = HardBrake::default();
