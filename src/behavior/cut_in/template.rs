@@ -45,6 +45,8 @@ pub(super) struct Search<'a> {
     ego_idx: usize,
     other_idx: usize,
     pair: Pair,
+    /// The ego and those behind it, who need no room: they slow down with it.
+    behind: Vec<usize>,
 }
 
 impl<'a> Search<'a> {
@@ -52,7 +54,13 @@ impl<'a> Search<'a> {
     /// in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn new(cut_in: &'a CutIn, scene: &'a Scene, [ego_idx, other_idx]: [usize; 2]) -> Option<Self> {
         let pair = cut_in.pair(scene, ego_idx, other_idx)?;
-        Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair })
+        let is_behind = |idx: &usize| {
+            let now = scene.state(*idx, scene.current_timestep()).filter(|now| pair.lane.holds(now.position));
+            let place = now.and_then(|now| pair.lane.project(now.position));
+            place.is_some_and(|place| place.station_m <= pair.own_station_m)
+        };
+        let behind = (0..scene.tracks.len()).filter(|idx| *idx == ego_idx || is_behind(idx)).collect();
+        Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair, behind })
     }
 
     /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
@@ -117,7 +125,7 @@ impl<'a> Search<'a> {
             && template.keeps_road(scene, &self.lanes)
             && template.keeps_apart(scene)
             && template.is_clear(scene, InTheWay::Everybody)
-            && has_room(scene, other_idx, (over.midway_s(), &positions), &[ego_idx]);
+            && has_room(scene, other_idx, (over.midway_s(), &positions), &self.behind);
         is_possible.then_some(template)
     }
 }
