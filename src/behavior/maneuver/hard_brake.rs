@@ -26,20 +26,19 @@ impl HardBrake {
         let Some(driver) = driver.filter(|driver| driver.state.speed_mps() >= self.min_speed_mps) else {
             return Vec::new();
         };
-        let (own, leader) = (in_sight(scene, &lanes, agent_idx, None), Leader::of(scene, &lanes, agent_idx));
+        let led = Leader::of(scene, &lanes, agent_idx).map(|leader| leader.brakes()).unwrap_or_default();
+        let reasons = in_sight(scene, &lanes, agent_idx, None).into_iter().chain(led);
+        let begins = BEGINS_S.map(|from_s| from_s - EARLIER_S * driver.style);
+        let tried = MORE_MPS2.map(|more_mps2| self.min_deceleration_mps2 + more_mps2 + HARDER_MPS2 * driver.style);
         let mut maneuvers = Vec::new();
-        for from_s in BEGINS_S.map(|from_s| from_s - EARLIER_S * driver.style) {
-            let led = leader.as_ref().map(|leader| leader.brakes(from_s)).unwrap_or_default();
-            let known = own.iter().filter(|reason| reason.is_known(from_s)).chain(&led);
-            let tried = (0..driver.rails.len()).flat_map(|rail| known.clone().map(move |reason| (rail, reason)));
-            for (rail, reason) in tried {
-                for (i, more_mps2) in MORE_MPS2.iter().enumerate() {
-                    let mps2 = self.min_deceleration_mps2 + more_mps2 + HARDER_MPS2 * driver.style;
-                    let braking =
-                        (mps2 <= HARDEST_MPS2).then(|| reason.braking(&driver, rail, (from_s, mps2), scene.dt_s));
-                    let Some(braking) = braking.flatten() else { continue };
+        for reason in reasons {
+            for (rail, from_s) in
+                (0..driver.rails.len()).flat_map(|rail| reason.begins(&begins).into_iter().map(move |s| (rail, s)))
+            {
+                for (i, mps2) in tried.iter().copied().enumerate().filter(|(_, mps2)| *mps2 <= HARDEST_MPS2) {
+                    let Some(braking) = reason.braking(&driver, rail, (from_s, mps2), scene.dt_s) else { continue };
                     maneuvers.push(Maneuver {
-                        kind: [i, (from_s * 10.0) as usize],
+                        kind: [i, (from_s * 2.0) as usize],
                         effort: mps2 / HARDEST_MPS2,
                         parameters: &["max_deceleration_mps2"],
                         in_the_way: Some(InTheWay::Ahead),

@@ -9,29 +9,30 @@ use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene};
-use std::ops::RangeInclusive;
 
 /// How hard the one ahead brakes, m/s², and how long before the agent behind, seconds: drivers need that long to react
 /// to brake lights that they expect, or not (Green 2000), or after an ordinary glance away.
 const LEADER_MPS2: [f64; 4] = [2.5, 3.5, 4.5, 6.0];
-const REACTIONS_S: [f64; 4] = [0.75, 1.0, 1.4, MOST_LATE_S];
-/// The soonest that the one ahead begins to brake, seconds after the present.
+const REACTS_S: [f64; 2] = [0.75, MOST_LATE_S];
+/// When it begins to brake for what is there at present, earlier by up to this, as drivers differ, seconds.
+const LEADER_BEGINS_S: [f64; 4] = [0.3, 0.8, 1.3, 1.9];
+const EARLIER_S: f64 = 0.3;
+/// The soonest that anybody begins to brake, seconds after the present, and how many times of braking are tried.
 const SOONEST_S: f64 = 0.1;
+const N_BEGINS: usize = 4;
 /// How soon somebody who comes over is reacted to that is in the way, seconds: by attentive drivers who expect it, or
 /// after an ordinary glance away.
-const SEES_S: RangeInclusive<f64> = 0.4..=1.5;
+const SEES_S: [f64; 2] = [0.4, 1.5];
 /// How many ways of one agent to come over are tried.
 const N_COMING_OVER: usize = 12;
-/// What is there at present is reacted to at any time.
-const ALWAYS_S: RangeInclusive<f64> = 0.0..=f64::INFINITY;
 /// How far ahead somebody, or a line, is looked for, meters.
 const REACH_M: f64 = 60.0;
 
 /// A reason to brake.
 pub(in crate::behavior) struct Reason {
     what: What,
-    /// When those who see it begin to brake, seconds after the present.
-    from_s: RangeInclusive<f64>,
+    /// When those who see it begin to brake, seconds after the present; `None` if it is there at present.
+    from_s: Option<[f64; 2]>,
     /// Those who move so that there is a reason, with their positions at present and at each timestep after it.
     pub(in crate::behavior) others: Vec<(usize, Vec<Vec2>)>,
 }
@@ -51,9 +52,13 @@ pub(in crate::behavior) struct Braking {
 }
 
 impl Reason {
-    /// Whether it is known to an agent that begins to brake at this time, seconds after the present.
-    pub(in crate::behavior) fn is_known(&self, from_s: f64) -> bool {
-        self.from_s.contains(&from_s)
+    /// When an agent may begin to brake for it, seconds after the present; at `anyway` if it is there at present.
+    pub(in crate::behavior) fn begins(&self, anyway: &[f64]) -> Vec<f64> {
+        let between = |[first, last]: [f64; 2]| {
+            let share = |i: usize| i as f64 / (N_BEGINS - 1) as f64;
+            (0..N_BEGINS).map(|i| (first + (last - first) * share(i)).max(SOONEST_S)).collect()
+        };
+        self.from_s.map_or_else(|| anyway.to_vec(), between)
     }
 
     /// How a driver brakes for it with `mps2` from `from_s` on, down to its speed or to a stand. `None` if that is not
@@ -124,36 +129,34 @@ impl<'a> Leader<'a> {
         Some(Self { scene, ahead, driver, reasons })
     }
 
-    /// That it brakes for a reason, such that an agent behind it brakes from `from_s` on.
-    pub(in crate::behavior) fn brakes(&self, from_s: f64) -> Vec<Reason> {
-        let starts = REACTIONS_S.map(|reaction_s| from_s - reaction_s).into_iter().filter(|s| *s >= SOONEST_S);
-        let tried = starts.flat_map(|starts_s| LEADER_MPS2.map(|mps2| (starts_s, mps2)));
-        let brakes = tried.flat_map(|start| {
-            let known = self.reasons.iter().filter(move |reason| reason.is_known(start.0));
-            known.filter_map(move |reason| Some((reason, reason.braking(&self.driver, 0, start, self.scene.dt_s)?)))
-        });
-        let led = brakes.map(|(reason, braking)| {
+    /// The ways in which it brakes for a reason, each a reason for those behind it.
+    pub(in crate::behavior) fn brakes(&self) -> Vec<Reason> {
+        let begins = LEADER_BEGINS_S.map(|from_s| (from_s - EARLIER_S * self.driver.style).max(SOONEST_S));
+        let tried = self.reasons.iter().flat_map(|reason| reason.begins(&begins).into_iter().map(move |s| (reason, s)));
+        let tried = tried.flat_map(|(reason, from_s)| LEADER_MPS2.map(|mps2| (reason, (from_s, mps2))));
+        let brakes = tried.filter_map(|(reason, (from_s, mps2))| {
+            let braking = reason.braking(&self.driver, 0, (from_s, mps2), self.scene.dt_s)?;
             let mut led = driven(&self.driver, self.ahead, braking.travel);
             led.others.extend(reason.others.iter().cloned());
-            led
+            Some(Reason { from_s: Some(REACTS_S.map(|reacts_s| from_s + reacts_s)), ..led })
         });
-        led.collect()
+        brakes.collect()
     }
 }
 
 /// The ways in which an agent slows down along one of its rails for a reason that it sees, each with those who move for
-/// it; it begins no later than `until_s`, if the reason is there. Nobody comes over who is `but`.
+/// it; it begins at `at_s` if the reason is there at present. Nobody comes over who is `but`.
 pub(in crate::behavior) fn slowing(
     scene: &Scene,
     lanes: &SceneLanes<'_>,
     (agent_idx, driver): (usize, &Driver),
-    until_s: f64,
+    at_s: f64,
     but: usize,
 ) -> Vec<(usize, Pace, Vec<(usize, Vec<Vec2>)>)> {
     let reasons = in_sight(scene, lanes, agent_idx, Some(but));
     let tried = reasons.iter().flat_map(|reason| (0..driver.rails.len()).map(move |rail| (reason, rail)));
     let slowing = tried.filter_map(|(reason, rail)| {
-        let from_s = until_s.max(*reason.from_s.start()).max(SOONEST_S);
+        let from_s = reason.begins(&[at_s])[0].max(SOONEST_S);
         let braking = LEADER_MPS2.iter().find_map(|mps2| reason.braking(driver, rail, (from_s, *mps2), scene.dt_s));
         Some((rail, braking?.pace, reason.others.clone()))
     });
@@ -174,7 +177,7 @@ pub(in crate::behavior) fn in_sight(
     let ends = ends.filter(|lane| lane.attributes.duties().any(|(_, duty)| duty != LaneDuty::HasRightOfWay));
     let ahead_m = |end: Vec2| Some(own.lane.project(end)?.station_m - place?.station_m - front_m);
     let lines = ends.filter_map(|lane| ahead_m(*lane.centerline.0.last()?)).filter(|m| (0.0..REACH_M).contains(m));
-    let line = |m: f64| Reason { what: What::Line(m), from_s: ALWAYS_S, others: Vec::new() };
+    let line = |m: f64| Reason { what: What::Line(m), from_s: None, others: Vec::new() };
     let goes_on = in_front(scene, lanes, &own).map(|(ahead, driver)| {
         let travel = driver.travel(0, &Pace::steady(driver.braking_mps2().min(0.0)));
         driven(&driver, ahead, travel)
@@ -192,7 +195,7 @@ fn in_front(scene: &Scene, lanes: &SceneLanes<'_>, own: &Follower<'_>) -> Option
 /// Somebody ahead that travels like this.
 fn driven(driver: &Driver, Ahead { gap_m, agent_idx, .. }: Ahead, Travel { driven_m, .. }: Travel) -> Reason {
     let others = vec![(agent_idx, driver.positions(0, &driven_m))];
-    Reason { what: What::Leader { gap_m, driven_m }, from_s: ALWAYS_S, others }
+    Reason { what: What::Leader { gap_m, driven_m }, from_s: None, others }
 }
 
 /// Those who can cut in before an agent such that it must brake, but for `but`.
@@ -208,7 +211,7 @@ fn coming_over(scene: &Scene, own: &Follower<'_>, agent_idx: usize, but: Option<
         let gap_m =
             stations[0] - own.lane.project(now.position)?.station_m - (length_m(agent_idx) + length_m(idx)) / 2.0;
         let driven_m = stations[1..].iter().map(|station_m| station_m - stations[0]).collect();
-        let from_s = time_s + SEES_S.start()..=time_s + SEES_S.end();
+        let from_s = Some(SEES_S.map(|sees_s| time_s + sees_s));
         Some(Reason { what: What::Leader { gap_m, driven_m }, from_s, others: vec![(idx, positions)] })
     };
     ways.filter_map(reason).collect()
