@@ -28,13 +28,16 @@ const N_COMING_OVER: usize = 12;
 /// How far ahead somebody, or a line, is looked for, meters.
 const REACH_M: f64 = 60.0;
 
+/// Agents, with their positions at present and at each timestep after it.
+pub(in crate::behavior) type Others = Vec<(usize, Vec<Vec2>)>;
+
 /// A reason to brake.
 pub(in crate::behavior) struct Reason {
     what: What,
     /// When those who see it begin to brake, seconds after the present; `None` if it is there at present.
     from_s: Option<[f64; 2]>,
-    /// Those who move so that there is a reason, with their positions at present and at each timestep after it.
-    pub(in crate::behavior) others: Vec<(usize, Vec<Vec2>)>,
+    /// Those who move so that there is a reason.
+    pub(in crate::behavior) others: Others,
 }
 
 /// What is ahead.
@@ -49,6 +52,13 @@ enum What {
 pub(in crate::behavior) struct Braking {
     pub(in crate::behavior) pace: Pace,
     pub(in crate::behavior) travel: Travel,
+}
+
+/// A way to slow down along one of the rails of an agent, and those who move so that there is a reason.
+pub(in crate::behavior) struct Slowing {
+    pub(in crate::behavior) rail: usize,
+    pub(in crate::behavior) pace: Pace,
+    pub(in crate::behavior) others: Others,
 }
 
 impl Reason {
@@ -144,21 +154,21 @@ impl<'a> Leader<'a> {
     }
 }
 
-/// The ways in which an agent slows down along one of its rails for a reason that it sees, each with those who move for
-/// it; it begins at `at_s` if the reason is there at present. Nobody comes over who is `but`.
+/// The ways in which an agent slows down for a reason that it sees; it begins at `at_s` if the reason is there at
+/// present. Nobody comes over who is `but`.
 pub(in crate::behavior) fn slowing(
     scene: &Scene,
     lanes: &SceneLanes<'_>,
     (agent_idx, driver): (usize, &Driver),
     at_s: f64,
     but: usize,
-) -> Vec<(usize, Pace, Vec<(usize, Vec<Vec2>)>)> {
+) -> Vec<Slowing> {
     let reasons = in_sight(scene, lanes, agent_idx, Some(but));
     let tried = reasons.iter().flat_map(|reason| (0..driver.rails.len()).map(move |rail| (reason, rail)));
     let slowing = tried.filter_map(|(reason, rail)| {
         let from_s = reason.begins(&[at_s])[0].max(SOONEST_S);
         let braking = LEADER_MPS2.iter().find_map(|mps2| reason.braking(driver, rail, (from_s, *mps2), scene.dt_s));
-        Some((rail, braking?.pace, reason.others.clone()))
+        Some(Slowing { rail, pace: braking?.pace, others: reason.others.clone() })
     });
     slowing.collect()
 }

@@ -9,7 +9,9 @@ use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::cut_in;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s, slowing};
+use crate::behavior::maneuver::{
+    Driver, Maneuver, Others, Pace, SLOWER_MPS, STANDS_MPS, Slowing, building_up_s, slowing,
+};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::Vec2;
@@ -76,7 +78,7 @@ struct PlannedDrive {
     drive: Drive,
     clear: usize,
     /// Those who move so that there is a reason for the pace.
-    others: Vec<(usize, Vec<Vec2>)>,
+    others: Others,
 }
 
 impl NearMiss {
@@ -125,17 +127,17 @@ impl<'a> Search<'a> {
             let gas = GAS_MPS2.map(|mps2| Pace::steady(mps2).then(GAS_S, 0.0));
             let crossing = driver.slowing(&steady, slows_s).into_iter().filter(|_| !follows);
             let anyway: Vec<Pace> = [steady.clone()].into_iter().chain(gas).chain(crossing).collect();
-            let rails = 0..driver.rails.len();
-            let anyway = rails.flat_map(|rail| anyway.iter().map(move |pace| (rail, pace.clone(), Vec::new())));
-            let [agent_idx, but] = [self.agents[who], self.agents[1 - who]];
-            let seen = follows.then(|| slowing(self.scene, &lanes, (agent_idx, driver), slows_s, but));
-            let all = anyway.chain(seen.into_iter().flatten()).enumerate();
-            let course = |(nth, (rail, pace, others)): (usize, (usize, Pace, Vec<(usize, Vec<Vec2>)>))| {
+            let along =
+                |rail: usize| anyway.iter().map(move |pace| Slowing { rail, pace: pace.clone(), others: Vec::new() });
+            let [agent_idx, behind] = [self.agents[who], self.agents[1 - who]];
+            let seen = follows.then(|| slowing(self.scene, &lanes, (agent_idx, driver), slows_s, behind));
+            let all = (0..driver.rails.len()).flat_map(along).chain(seen.into_iter().flatten()).enumerate();
+            let course = |(nth, Slowing { rail, pace, others }): (usize, Slowing)| {
                 let effort = pace.effort();
                 PlannedDrive { others, ..self.course(who, rail, (nth, pace), effort) }
             };
-            let courses = all.map(course);
-            courses.chain(follows.then(|| self.cutting_in(who)).into_iter().flatten()).collect()
+            let cutting_in = follows.then(|| self.cutting_in(who)).into_iter().flatten();
+            all.map(course).chain(cutting_in).collect()
         });
         let mut drafts = Vec::new();
         for own in &courses[0] {
