@@ -14,8 +14,8 @@ const HALF_WIDTH: f64 = 0.5;
 /// The weight of an outcome that takes everything the limits of driving allow; an effortless one has this weight plus
 /// 1.
 const LEAST_EASE: f64 = 0.1;
-/// The least hardness of an outcome that is aimed at as a hard one: 2 s to spare.
-const LEAST_HARDNESS: f64 = 0.0625;
+/// The least hardness of an outcome that is aimed at as a hard one: 2.5 s to spare.
+const LEAST_HARDNESS: f64 = 0.03125;
 
 impl Generator<'_> {
     /// The targets of the samples of `pair`, in order: as many as the sweep has samples, or as the pair has outcomes.
@@ -97,7 +97,7 @@ mod tests {
         // 6 m/s need 6 / 12 + 0.35 s: 5.1 m.
         assert!((at(5.1, 6.0) - 1.0).abs() < 1e-9 && (at(11.1, 6.0) - 0.25).abs() < 1e-9);
         // It cannot be avoided, is easy, or closes no gap; a turn has none.
-        assert_eq!([at(5.0, 6.0), at(17.2, 6.0), at(5.0, -1.0)], [0.0; 3]);
+        assert_eq!([at(5.0, 6.0), at(20.2, 6.0), at(5.0, -1.0)], [0.0; 3]);
         assert_eq!(difficulty(&Outcome::default()), 1.0);
         assert_eq!(most_difficult(&[]), 0.0);
     }
