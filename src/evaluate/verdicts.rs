@@ -3,7 +3,7 @@
 
 use super::config::{EvaluateConfig, Keep};
 use crate::behavior::{Behavior, needs_cause};
-use crate::generate::RejectedSample;
+use crate::generate::{RejectedSample, Rejection};
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
@@ -89,7 +89,10 @@ impl<'a> Verdicts<'a> {
 
     /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        let reason = if rejected.repeats() { NEAR_DUPLICATE } else { NOT_FINITE };
+        let reason = match rejected.reason {
+            Rejection::RepeatedTemplate => NEAR_DUPLICATE,
+            Rejection::Unfit(_) => NOT_FINITE,
+        };
         self.count(("generate", &rejected.sweep, rejected.level), reason, true);
     }
 

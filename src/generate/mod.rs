@@ -55,7 +55,7 @@ pub use request::{
     ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
-pub use sample::{RejectedSample, ShardOutput};
+pub use sample::{RejectedSample, Rejection, ShardOutput};
 pub use sweep::{
     Aim, ClassifierFreeConfig, ClassifierScope, Diffusion, EditConfig, ResolvedSweep, SampledModel, SweepConfig,
     SweepGuidance, SweepModel,

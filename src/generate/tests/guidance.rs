@@ -212,7 +212,7 @@ fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
         assert_eq!(output.records.len(), shard.cells.len());
         assert!(output.records.iter().all(|record| record.scenario.provenance.sample_idx == shard.first_sample));
         assert_eq!(output.rejected.len(), 4 * shard.cells.len());
-        assert!(output.rejected.iter().all(RejectedSample::repeats));
+        assert!(output.rejected.iter().all(|sample| sample.reason == Rejection::RepeatedTemplate));
         let key = SampleKey::of(shard, &output.records[0].scenario.provenance).unwrap();
         assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, output.records[0].scenario);
         let repeated = SampleKey { sample_idx: key.sample_idx + 1, ..key };

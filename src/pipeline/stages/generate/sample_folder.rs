@@ -3,7 +3,7 @@
 use crate::engine::{Classify, Failure, Result};
 use crate::files::{files_below, link_or_copy};
 use crate::generate::{
-    GenerateConfig, Plan, Pool, RejectedSample, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
+    GenerateConfig, Plan, Pool, RejectedSample, Rejection, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
     Shortfall,
 };
 use crate::metrics::MetricSettings;
@@ -166,10 +166,11 @@ impl SampleFolder {
         shards: Vec<SampleSidecar>,
         sampled_with: SampledWith,
     ) -> Result<SampleManifest> {
+        let rejected = shards.iter().flat_map(|shard| &shard.rejected);
         let manifest = SampleManifest {
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
-            n_rejected: shards.iter().flat_map(|shard| &shard.rejected).filter(|it| !it.repeats()).count() as u64,
+            n_rejected: rejected.filter(|it| it.reason != Rejection::RepeatedTemplate).count() as u64,
             shards,
             sampled_with,
         };
