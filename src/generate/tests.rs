@@ -165,7 +165,10 @@ fn samples_that_are_no_numbers_are_rejected_by_name() {
         assert_eq!(output.rejected.len(), 15);
         let first = &output.rejected[0];
         assert_eq!((&first.scene_id, first.sample_idx), (&plan.shards[0].cells[0].scene_id, 0));
-        assert!(matches!(&first.reason, Rejection::Unfit(why) if why.contains("not finite at timestep 4")), "{first:?}");
+        assert!(
+            matches!(&first.reason, Rejection::Unfit(why) if why.contains("not finite at timestep 4")),
+            "{first:?}"
+        );
     });
 }
 

@@ -9,7 +9,9 @@ use super::rollout::{Others, roll_out};
 use super::workers::{CHUNK, in_parallel, pool_of_worker};
 use super::{Driven, Error, Outcome, Result, RolloutConfig, Situation};
 use crate::behavior::Behavior;
-use crate::generate::{self, Futures, NamedDriver, RejectedSample, Rejection, ShardOutput, SweepRollout, requested_events};
+use crate::generate::{
+    self, Futures, NamedDriver, RejectedSample, Rejection, ShardOutput, SweepRollout, requested_events,
+};
 use crate::progress::Progress;
 use crate::scenario::{EgoChoice, ScenarioRecord};
 use crate::scene::{ObservationMask, Scene, Trajectory};

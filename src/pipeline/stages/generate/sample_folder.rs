@@ -3,8 +3,8 @@
 use crate::engine::{Classify, Failure, Result};
 use crate::files::{files_below, link_or_copy};
 use crate::generate::{
-    GenerateConfig, Plan, Pool, RejectedSample, Rejection, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
-    Shortfall,
+    GenerateConfig, Plan, Pool, RejectedSample, Rejection, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan,
+    ShardTally, Shortfall,
 };
 use crate::metrics::MetricSettings;
 use crate::pipeline::stages::MineConfig;
