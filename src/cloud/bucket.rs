@@ -49,7 +49,6 @@ impl Bucket {
         Ok(Self { store: connect(&url)?, url })
     }
 
-    /// Its URL.
     pub(super) const fn url(&self) -> &ObjectUrl {
         &self.url
     }

@@ -88,7 +88,6 @@ impl Condition {
         self.value_as(field.data_type()).map(drop)
     }
 
-    /// The value as one of this type.
     fn value_as(&self, data_type: &DataType) -> Result<Scalar<ArrayRef>> {
         let value = match data_type.is_nested() {
             true => None,

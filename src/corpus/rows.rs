@@ -7,7 +7,6 @@ use arrow::datatypes::SchemaRef;
 use arrow::row::{RowConverter, Rows, SortField};
 use std::path::Path;
 
-/// The column of this name.
 pub(super) fn column<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Result<&'b ArrayRef> {
     let missing = || store::Error::corrupt(path, format!("column {name} is missing"));
     Ok(batch.column_by_name(name).ok_or_else(missing)?)

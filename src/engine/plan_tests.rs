@@ -94,7 +94,6 @@ struct Pipeline<'a> {
     version: u32,
     fails: bool,
     redo: Vec<&'static StageKind>,
-    /// The second stage.
     kind: &'static StageKind,
     heard: Heard,
 }

@@ -110,7 +110,6 @@ impl CellTracks {
         Self { recorded: Vec::new(), ..self }
     }
 
-    /// The tracks of the sample with this number.
     fn sample(&self, idx: usize) -> impl Iterator<Item = &TrackFeatures> {
         self.samples.get(idx).into_iter().flatten().flatten()
     }

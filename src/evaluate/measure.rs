@@ -60,7 +60,6 @@ pub struct MeasuredShard {
 
 /// A cell with its figures.
 pub(super) struct MeasuredCell {
-    /// The key of the cell.
     pub(super) key: CellKey,
     /// The scene that it continues.
     pub(super) recorded: Scene,

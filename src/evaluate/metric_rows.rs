@@ -27,7 +27,6 @@ pub(super) struct CellNames<'a> {
 /// The values of all metrics for a scene in a series, or for one of its scenarios.
 #[derive(Debug, Serialize, Deserialize)]
 struct Values {
-    /// The number of the series.
     series: usize,
     place: String,
     scene_id: SceneId,

@@ -19,7 +19,6 @@ pub(super) const fn element(name: &'static str) -> Element {
     Element { name, attributes: Vec::new(), children: Vec::new(), text: None }
 }
 
-/// An element with a text or number.
 pub(super) fn leaf(name: &'static str, text: impl Display) -> Element {
     Element { text: Some(allowed(text)), ..element(name) }
 }

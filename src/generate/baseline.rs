@@ -9,7 +9,6 @@ use candle_core::Tensor;
 use std::ops::Range;
 
 impl<'g> Generator<'g> {
-    /// The baseline, for a sweep of it.
     pub(super) fn baseline(&self, sweep: &ResolvedSweep) -> Result<&'g TrainedSceneTransformer, Error> {
         self.models.baseline.ok_or_else(|| {
             let why = "model = \"baseline\" needs a trained baseline; add a section [train.baseline]";

@@ -26,7 +26,6 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
 
 /// A batch to be guided.
 pub(super) struct Guided<'a> {
-    /// The sweep.
     pub(super) sweep: &'a ResolvedSweep,
     /// The settings with which its denoiser is sampled.
     pub(super) diffusion: &'a Diffusion,

@@ -160,7 +160,6 @@ impl MapCatalog {
         Ok(())
     }
 
-    /// The map with this id.
     pub(super) fn get(&self, id: &MapId) -> Option<&LaneIndex> {
         self.maps.get(id).map(|listed| &listed.lanes)
     }

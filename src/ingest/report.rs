@@ -83,7 +83,6 @@ impl IngestReport {
         self.rejects.entry(reject.reason.to_owned()).or_default().add(1, reject.detail.clone());
     }
 
-    /// Counts a finding.
     pub(super) fn count_warning(&mut self, Finding { what, n, detail }: Finding) {
         self.warnings.entry(what.to_owned()).or_default().add(n, detail);
     }

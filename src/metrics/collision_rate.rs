@@ -95,7 +95,6 @@ fn first_contact(scene: &Scene, first: &SweptBoxes, second: &SweptBoxes) -> Opti
     overlap(present..present + 1).is_none().then_some(timestep)
 }
 
-/// The first state of an agent from the present on.
 fn first_from_present(scene: &Scene, agent_idx: usize) -> Option<&State> {
     (scene.current_timestep()..scene.n_timesteps).find_map(|timestep| scene.state(agent_idx, timestep))
 }

@@ -28,7 +28,6 @@ pub(super) const WIDEST: f64 = 100.0;
 /// A bucket of the most severe events.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Level {
-    /// The parameter.
     pub(super) parameter: String,
     /// 1 where larger values are more severe, else -1.
     sign: f64,

@@ -86,7 +86,6 @@ impl CorpusScan {
         Ok(blake3::hash(&fs::read(self.dir.join(MANIFEST_FILE))?).to_hex()[..16].to_owned())
     }
 
-    /// The path of a file.
     pub(crate) fn path(&self, file: &FileEntry) -> PathBuf {
         self.dir.join(&file.path)
     }

@@ -102,7 +102,6 @@ impl MappedTable {
         }
     }
 
-    /// Number of batches.
     pub(crate) const fn n_batches(&self) -> usize {
         self.blocks.len()
     }

@@ -16,7 +16,6 @@ pub(super) struct TrainedFrom<'a> {
     pub(super) training: &'a DenoiserTraining,
     /// The scenes.
     pub(super) data: &'a TrainingData<'a>,
-    /// The checkpoint to start from.
     pub(super) start: Option<&'a Checkpoint<DenoiserSpec>>,
     /// The description with the constants of the scenes.
     found: &'a DenoiserSpec,

@@ -60,7 +60,6 @@ type Braking = ([usize; 4], [u64; 2]);
 /// A drive, its rail and pace, and the first step at which another agent is in the way.
 struct PlannedDrive {
     rail: usize,
-    /// The number of the pace, and the pace.
     pace: (usize, Pace),
     drive: Drive,
     clear: usize,

@@ -39,7 +39,6 @@ pub struct Template {
 /// The future of one agent.
 #[derive(Debug, Clone, PartialEq)]
 struct Motion {
-    /// The agent.
     agent_idx: usize,
     /// Its state at each timestep after the present, in the scene frame.
     states: Vec<State>,

@@ -31,7 +31,6 @@ struct About {
     /// The identity that its workers share.
     #[serde(flatten)]
     identity: Identity,
-    /// Number of its shards.
     n_shards: usize,
     /// Whether it was made for several workers. No other process knows of a plan that a process made for itself, so
     /// that one is discarded without asking.

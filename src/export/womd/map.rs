@@ -145,7 +145,6 @@ fn stop_signs(lanes: &[&Lane]) -> BTreeMap<i64, StopSign> {
     signs
 }
 
-/// The parts of a tag.
 fn parts<'l>(lane: &'l Lane, tag: &str) -> impl Iterator<Item = &'l str> {
     lane.attributes.tags.get(tag).map_or("", String::as_str).split(';')
 }

@@ -134,7 +134,6 @@ impl Cases<'_> {
         ControlFlow::Continue(())
     }
 
-    /// Ends all cases.
     fn end_all(&mut self, done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         self.held.drain(..).chain(self.current.take()).try_for_each(done)
     }

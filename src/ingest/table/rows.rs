@@ -34,7 +34,6 @@ pub(super) struct Group {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the tables of a unit.
     pub(super) fn read(unit: &RawUnit, mapping: &'a TableMapping) -> Result<Self, Reject> {
         let wanted = wanted(&mapping.columns);
         let read = |file: &str, bytes: &[u8], lines: &[u64]| {

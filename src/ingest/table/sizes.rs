@@ -189,7 +189,6 @@ const fn max_usual_mps(class: AgentClass) -> f64 {
     }
 }
 
-/// The median, one of the values.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     let middle = values.len() / 2;
     (middle < values.len()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)

@@ -18,7 +18,6 @@ const MAX_TEXT_BYTES: usize = 1024;
 /// Ids of nobody, as trackers and pandas write them.
 const NOBODY: [&str; 5] = ["", "-1", "nan", "NaN", "None"];
 
-/// The rows of a table.
 pub(super) struct TableRows<'r> {
     source: Source<'r>,
     /// The names of all columns.

@@ -97,7 +97,6 @@ impl Rows<'_> {
         Clock { start_s: first_s - first_frame_s, first_s: first_frame_s }
     }
 
-    /// The time of a row, seconds.
     pub(super) fn time_s(&self, row: u32) -> f64 {
         let TableColumns { time, frame, .. } = &self.mapping.columns;
         let times = self.table.number(time.as_deref().or(frame.as_deref()));

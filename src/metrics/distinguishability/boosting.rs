@@ -4,7 +4,6 @@
 //! early stopping, categories and constraints: `scripts/golden_boosting.py` writes the values that tests compare with.
 //! Nothing is drawn at random and every sum has one order, so that the same rows give the same trees anywhere.
 
-/// Number of trees.
 const N_TREES: usize = 70;
 /// The factor of the values of leaves.
 const LEARNING_RATE: f64 = 0.12;

@@ -106,7 +106,6 @@ impl FusedCrossAttention {
         tasks
     }
 
-    /// Numbers of states of the tasks.
     fn n_states(tasks: &[Task<'_>]) -> Vec<usize> {
         tasks.iter().map(|task| task.states.len()).collect()
     }

@@ -92,7 +92,6 @@ impl<'a> ClosedLoops<'a> {
         Ok(order.into_iter().map(|(position, _)| position).collect())
     }
 
-    /// The model.
     pub(super) fn model(&self, context: &StageContext<'_>) -> Result<TrainedDenoiser> {
         let folder = if self.distilled { &self.layout.distilled } else { &self.layout.denoiser };
         Ok(TrainedDenoiser::read(&checkpoint_file(folder), context.compute)?)

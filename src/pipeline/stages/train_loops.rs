@@ -125,7 +125,6 @@ impl ValidLoops {
         Ok(())
     }
 
-    /// The number of loops.
     pub(super) fn n_loops(&self) -> usize {
         self.n_valid.len()
     }

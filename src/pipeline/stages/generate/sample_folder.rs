@@ -290,13 +290,10 @@ pub(in crate::pipeline) enum FoundShard {
     OfSweep(ShardPlan),
     /// From a round of a request.
     OfRequest {
-        /// Index of the request.
         request: usize,
-        /// Number of the round.
         round: usize,
         /// The request's cells.
         pool: Pool,
-        /// The shard.
         shard: RoundShard,
     },
 }

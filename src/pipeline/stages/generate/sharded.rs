@@ -124,7 +124,6 @@ fn make_sweeps(
     Ok(())
 }
 
-/// Gathers the shards of the sweeps.
 fn gather_sweeps(plan: &Plan, shards: &mut Gathering<'_>) -> Result<Vec<SampleSidecar>> {
     let mut found = Vec::new();
     for shard in &plan.shards {
