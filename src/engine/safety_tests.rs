@@ -1,5 +1,4 @@
-//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On stages that write a few
-//! lines.
+//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On tiny stages.
 
 mod crafted;
 mod toy;

@@ -10,8 +10,7 @@ use candle_core::{Error, Result, Tensor, Var};
 
 /// A log potential of clean samples.
 pub trait CleanPotential {
-    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by
-    /// row.
+    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`.
     fn log_potential(&self, x0: &Tensor) -> Result<Tensor>;
 }
 

@@ -22,8 +22,7 @@ const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 4] = [4.5, 5.4, 6.3, 7.0];
 /// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
-/// Gas that is given, for how long, and the latest that drivers without a reason that is seen begin to slow down, m/s²
-/// and seconds.
+/// Gas that is given, for how long, and the latest that drivers slow down without a visible reason, m/s² and seconds.
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
@@ -45,8 +44,7 @@ struct Search<'a> {
     drivers: [Driver; 2],
     /// The box of each, and the inner part of it.
     extents: [[Extent; 2]; 2],
-    /// Other agents that may be in the way of each of the two: their boxes if they continue straight, one list per
-    /// timestep.
+    /// Others that may be in the way of each of the two: their boxes if they go straight, one list per timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
     /// Courses on which one brakes.

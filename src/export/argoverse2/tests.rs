@@ -1,5 +1,4 @@
-//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and does our own reader read them
-//! back?
+//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and of our own?
 
 use super::*;
 use crate::export::testing::{self, add_all, assert_same_states, read};

@@ -11,8 +11,7 @@ use arrow::array::{Array, AsArray};
 use arrow::datatypes::{DataType, Field, Float64Type};
 use serde_json::{Map, Value, json};
 
-/// The tag of the assessment, and one for each failed validity check. Values that are not defined for the scenario are
-/// left out.
+/// The tag of the assessment, and one for each failed validity check. Undefined values are left out.
 ///
 /// # Errors
 /// [`crate::store::Error::Invalid`] when the assessment cannot be a row of the scenario table.

@@ -1,5 +1,4 @@
-//! What is read of records, whole and damaged ones; `scripts/check_womd.py` compares whole files with the dataset's own
-//! reading.
+//! What is read of records, whole and damaged ones; `scripts/check_womd.py` compares whole files with the dataset's.
 
 use super::messages::{
     BoundarySegment, Crosswalk, DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, MapFeature, MapPoint,
