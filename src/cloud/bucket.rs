@@ -90,9 +90,6 @@ impl Bucket {
 
     /// Downloads an object to the file `to`, whose folder must exist; nothing is there unless it is whole. Returns
     /// whether it is still the one that was listed; nothing is written if it is not.
-    ///
-    /// # Errors
-    /// [`Error::Missing`]; errors of the store and the disk.
     pub(super) fn download(&self, listed: &Object, to: &Path) -> Result<bool> {
         self.repeated("read", &listed.name, async || {
             let result = self.store.get(&self.key(&listed.name)?).await?;

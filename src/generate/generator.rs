@@ -73,9 +73,6 @@ impl<'a> Generator<'a> {
     }
 
     /// The denoiser that a sweep samples from.
-    ///
-    /// # Errors
-    /// When the distilled denoiser is needed and there is none.
     pub(super) fn denoiser(&self, sweep: &ResolvedSweep) -> Result<&'a TrainedDenoiser, Error> {
         match (sweep.uses_distilled(), self.models.distilled) {
             (false, _) => Ok(self.models.denoiser),

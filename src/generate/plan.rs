@@ -70,9 +70,6 @@ impl Generator<'_> {
     }
 
     /// The plan for the first `n_sweeps` sweeps: the later ones belong to requests, which plan round by round.
-    ///
-    /// # Errors
-    /// See [`Generator::plan`].
     pub fn plan_first(&self, n_sweeps: usize, index: &SceneIndex) -> Result<Plan, Error> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
         let order = self.scenes_in_order(index, &|entry| entry.situation == SituationKind::Recorded);

@@ -66,9 +66,6 @@ pub(super) struct KnownTokens {
 
 impl GeometricNetwork {
     /// A network for states of `state_dim` dimensions, with parameters below `scope`.
-    ///
-    /// # Errors
-    /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
     pub(super) fn new(
         scope: &mut Scope<'_>,
         config: &NetworkConfig,
@@ -153,9 +150,6 @@ impl GeometricNetwork {
 
     /// F_θ for the noisy states of `seen` (B, A, T, 4 D), whose estimate has `poses` (B, A, T, 3), at `c_noise` (B):
     /// (B, A, T, D).
-    ///
-    /// # Errors
-    /// Fails when shapes do not fit.
     pub(super) fn forward(
         &self,
         seen: &Tensor,
@@ -208,9 +202,6 @@ impl GeometricNetwork {
 
 impl KnownTokens {
     /// The tokens with each row taken `n` times in a row.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub(super) fn repeated(&self, n: usize) -> Result<Self> {
         let n_rows = self.valid.dim(0)?;
         let rows = RepeatedRows::new(n_rows, n, self.valid.device())?;

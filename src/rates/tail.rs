@@ -67,9 +67,6 @@ impl Level {
 
     /// The tail of recorded severities, each with its cluster: beyond the lowest threshold of those tried at which a
     /// generalized Pareto distribution is not rejected.
-    ///
-    /// # Errors
-    /// Why there is none, in words.
     pub(super) fn tail(&self, severities: &[(usize, f64)]) -> Result<Tail, &'static str> {
         let mut sorted = severities.to_vec();
         sorted.sort_by(|(_, a), (_, b)| b.total_cmp(a));
@@ -100,9 +97,6 @@ impl Level {
 
     /// The rate beyond the level, from that `beyond` the threshold: their product, with the interval of Zou and Donner
     /// (2008) for a product, on logarithms. `n_beyond` events, which cluster, are beyond the threshold.
-    ///
-    /// # Errors
-    /// Why none can be given, in words.
     pub(super) fn rate(
         &self,
         tail: &Tail,

@@ -44,9 +44,6 @@ impl RolloutConfig {
     }
 
     /// Rejects settings with which this model cannot drive.
-    ///
-    /// # Errors
-    /// [`Error::Config`].
     pub fn check(&self, futures: &Futures<'_>) -> Result<()> {
         let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
         let refuse = |why: String| Err(Error::Config(why));

@@ -84,9 +84,6 @@ impl CorpusReader {
     }
 
     /// The ids of all scenarios, in order.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the table has no such column.
     pub fn scenario_ids(&self) -> Result<impl Iterator<Item = &str>> {
         let ids: &StringArray = self.columns().get("scenario_id")?;
         Ok(ids.iter().flatten())
@@ -130,9 +127,6 @@ impl CorpusReader {
     }
 
     /// The position of the first scenario of each scene on this map.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the table lacks a column.
     pub fn scenes_of(&self, map_id: &MapId) -> Result<Vec<usize>> {
         let columns = self.columns();
         let [scenes, maps]: [&StringArray; 2] = [columns.get("scene_id")?, columns.get("map_id")?];
@@ -143,9 +137,6 @@ impl CorpusReader {
     }
 
     /// The windows of this recording ([`SceneId::windows_of`]), with the position of the first scenario of each.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the table lacks a column.
     pub fn windows_of(&self, recording: &str) -> Result<Vec<(i64, usize)>> {
         let ids: &StringArray = self.columns().get("scene_id")?;
         Ok(SceneId::windows_of(recording, (0..self.len()).map(|i| ids.value(i))))
@@ -153,9 +144,6 @@ impl CorpusReader {
 
     /// The tracks of a recorded scene, in the scene frame; `None` if the corpus lacks the recording. The rest of the
     /// scene is as in the scenarios that continue it.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the table cannot be read or has a state after `n_timesteps`.
     pub fn recorded_tracks(&self, scene_id: &SceneId, n_timesteps: usize) -> Result<Option<Vec<Track>>> {
         let Some((path, rows)) = self.recordings.get(&scene_id.0) else { return Ok(None) };
         let batch = rows_of(path, CorpusTable::Recordings, rows.clone())?;

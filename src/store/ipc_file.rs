@@ -108,9 +108,6 @@ impl MappedTable {
 
     /// Decodes the batch at `position`, which must be below [`n_batches`](Self::n_batches), without copying its
     /// content.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when it is not a batch of the table.
     pub(crate) fn batch(&self, position: usize) -> Result<RecordBatch> {
         let damaged = |detail: &str| Error::corrupt(&self.path, detail);
         let block = &self.blocks[position];

@@ -32,9 +32,6 @@ pub fn read_samples(path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRec
 }
 
 /// The ids of the scenarios in a shard, in order; nothing else is read.
-///
-/// # Errors
-/// See [`read_samples`].
 pub fn sample_ids(path: &Path) -> Result<Vec<String>> {
     let mut ids = Vec::new();
     for batch in parquet_file::stream(path, &sample::schema(), Some(&["scenario_id"]))? {

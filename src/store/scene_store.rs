@@ -57,9 +57,6 @@ impl SceneStore {
     }
 
     /// Opens several folders as one store, with the scenes of the first one first. Their ids must differ.
-    ///
-    /// # Errors
-    /// See [`SceneStore::open`].
     pub fn open_all(dirs: &[&Path]) -> Result<Self> {
         let mut store = Self {
             fingerprint: String::new(),
@@ -133,9 +130,6 @@ impl SceneStore {
     }
 
     /// Loads scene `i` with its lanes.
-    ///
-    /// # Errors
-    /// [`Error::NotFound`] when there are fewer; errors of its map.
     pub fn scene(&self, i: usize) -> Result<Scene> {
         let after = self.batches.partition_point(|batch| batch.first <= i);
         let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {

@@ -81,9 +81,6 @@ impl PairFeatures {
     }
 
     /// The features (B, F) for diffused states `x` (B, A, T, D) at noise levels `sigma` (B).
-    ///
-    /// # Errors
-    /// Fails when shapes do not agree with the batch the features were made for.
     pub fn forward(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
         let (n_rows, n_agents, n_timesteps, state_dim) = x.dims4()?;
         let x = x.reshape((n_rows * n_agents, n_timesteps, state_dim))?.index_select(&self.rows, 0)?;

@@ -122,9 +122,6 @@ pub fn fit(
 
 /// Takes the steps of `config` in a folder without a state, and saves nothing. At the end `params` are the averaged
 /// weights, as after [`fit`].
-///
-/// # Errors
-/// Those of [`fit`].
 pub(super) fn take_steps(
     config: &FitConfig,
     params: &mut Params,

@@ -68,9 +68,6 @@ impl ShardFolder {
     }
 
     /// Removes the remains of plans that a killed process had not finished writing or removing.
-    ///
-    /// # Errors
-    /// See [`ShardFolder::discard`].
     pub(super) fn remove_remains(root: &Path, kind: &'static StageKind) -> Result<()> {
         let Some(names) = kind.shards else { return Ok(()) };
         let remains = plan_dirs(root, kind)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());

@@ -185,9 +185,6 @@ impl<'a> Shards<'a> {
 
     /// Works on these shards until each is finished, or returns `false` once one is given up. Shards that other workers
     /// have begun are left to them for a while.
-    ///
-    /// # Errors
-    /// See [`Shards::go_about`].
     pub fn complete<S: Serialize>(
         &self,
         range: Range<usize>,

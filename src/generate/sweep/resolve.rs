@@ -111,9 +111,6 @@ impl SweepConfig {
 }
 
 /// The mined behavior with this name.
-///
-/// # Errors
-/// Names the key `behavior`.
 pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>]) -> Result<&'a dyn Behavior> {
     behaviors.iter().map(AsRef::as_ref).find(|behavior| behavior.id() == id).ok_or_else(|| {
         let known: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();

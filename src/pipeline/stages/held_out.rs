@@ -28,9 +28,6 @@ pub(super) struct TrainingScenes {
 impl TrainingScenes {
     /// Trains on the given splits (none: `train`, or everything unsplit if there is no such split) and places (none:
     /// all), and holds out the `val` scenes of these places; without any, a part of the scenes to train on.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded.
     pub(super) fn of(store: &SceneStore, own: OwnScenes<'_>, progress: &dyn Progress) -> Result<Self> {
         let index = store.index();
         let chosen = Self::new(index, own);

@@ -213,9 +213,6 @@ pub(super) fn write_round(dir: &Path, request: usize, round: &Round) -> Result<(
 
 impl SampleManifest {
     /// Reads the manifest of a finished folder.
-    ///
-    /// # Errors
-    /// When the folder is not finished.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
         if dir.is_dir() && !path.exists() {
@@ -249,9 +246,6 @@ pub struct SampleSettings {
 
 impl SampleSettings {
     /// Reads the settings of a folder.
-    ///
-    /// # Errors
-    /// When there are none, or they are of another version.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(SETTINGS_FILE);
         let text = fs_err::read_to_string(&path).blame_fault()?;
