@@ -58,16 +58,12 @@ impl Conditioned {
         (!self.performers.is_empty()).then(|| PairPath::of(&self.with_maneuver(self.scene.clone()), asked)).flatten()
     }
 
-    fn is_performer(&self, agent_idx: usize) -> bool {
-        self.performers.iter().any(|(performer, _)| *performer == agent_idx)
-    }
-
     /// The observed states of a scenario that continues this scene. States of a template count as generated, although
     /// the denoiser observes them.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
-            let is_made = timestep >= generated.n_history && self.is_performer(agent_idx);
-            !is_made
+            let performs = self.performers.iter().any(|(performer, _)| *performer == agent_idx);
+            !(performs && timestep >= generated.n_history)
                 && timestep < self.mask.n_timesteps()
                 && self.mask.is_observed(agent_idx, timestep)
                 && generated.state(agent_idx, timestep).is_some()

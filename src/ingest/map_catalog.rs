@@ -250,10 +250,8 @@ mod tests {
         fs_err::remove_file(folder.path().join("maps/FIX_Elsewhere.osm")).unwrap();
         let Err(Error::MissingMaps { missing, found, .. }) = read() else { panic!("a map is missing") };
         assert_eq!((missing.len(), found.len()), (1, 1));
-        assert_eq!(
-            missing[0],
-            "interaction/FIX_Elsewhere (of recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv)"
-        );
+        let seen = &missing[0];
+        assert_eq!(seen, "interaction/FIX_Elsewhere (of recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv)");
         assert!(found[0].contains("FIX_Intersection"), "{found:?}");
         fs_err::remove_dir_all(folder.path().join("maps")).unwrap();
         let none = read().unwrap_err().to_string();

@@ -76,9 +76,7 @@ mod tests {
         let roles = batch["event_role"].as_string::<i32>();
         assert_eq!([0, 23].map(|row| roles.iter().nth(row).flatten()), [Some("ego"), None]);
         let moved = batch["moved_by"].as_string::<i32>();
-        assert_eq!(
-            (batch.num_rows(), moved.value(0), moved.value(5), moved.value(23)),
-            (24, "scenario", "driver", "model")
-        );
+        let found = (batch.num_rows(), moved.value(0), moved.value(5), moved.value(23));
+        assert_eq!(found, (24, "scenario", "driver", "model"));
     }
 }

@@ -128,10 +128,8 @@ pub(super) mod tests {
     #[test]
     fn figures_have_units_and_what_is_not_defined_is_left_out() {
         let tags = tags(&testing::scene(), &judgment()).unwrap();
-        assert_eq!(
-            tags.iter().map(|tag| tag["type"].as_str().unwrap()).collect::<Vec<_>>(),
-            ["assessment", "violation"]
-        );
+        let found = tags.iter().map(|tag| tag["type"].as_str().unwrap()).collect::<Vec<_>>();
+        assert_eq!(found, ["assessment", "violation"]);
         let entry = |tag: usize, kind: &str, name: &str| -> Option<Value> {
             tags[tag]["tag_data"][kind].as_array().unwrap().iter().find(|entry| entry["name"] == name).cloned()
         };

@@ -131,10 +131,8 @@ fn arms_become_sweeps_at_each_strength() {
     assert_eq!(names, ["tight/guided@1", "tight/guided@8", "tight/plain"]);
     assert_eq!(resolved.n_sweeps, 0);
     let sweep = &resolved.sweeps[1];
-    assert_eq!(
-        (sweep.levels()[0].strength, sweep.levels().len(), sweep.n_scenes, sweep.pairs.per_scene),
-        (8.0, 1, 7, 2)
-    );
+    let found = (sweep.levels()[0].strength, sweep.levels().len(), sweep.n_scenes, sweep.pairs.per_scene);
+    assert_eq!(found, (8.0, 1, 7, 2));
     assert_eq!((sweep.behavior.as_deref(), sweep.n_samples), (Some("cut_in"), 3));
     let arms: Vec<(&str, usize, u64)> =
         resolved.requests[0].arms.iter().map(|arm| (arm.name.as_str(), arm.sweep_idx, arm.n_evaluations)).collect();

@@ -169,10 +169,8 @@ mod tests {
         let units = split(&[HEADER, &row("1.0", 1), &row("2.0", 1), &row("1.0", 2), &"x".repeat(100_000)].concat());
         let reason = |index: usize| units[index].as_ref().unwrap_err().split(' ').next().unwrap_or_default().to_owned();
         // The case at which it breaks off is incomplete, too, and the file's reject tells why.
-        assert_eq!(
-            (reason(0), &units[1], reason(2)),
-            ("case_not_contiguous".into(), &whole("2.0", 3, 1), "unreadable".into())
-        );
+        let found = (reason(0), &units[1], reason(2));
+        assert_eq!(found, ("case_not_contiguous".into(), &whole("2.0", 3, 1), "unreadable".into()));
         assert_eq!(units.len(), 3);
     }
 

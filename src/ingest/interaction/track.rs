@@ -249,10 +249,8 @@ mod tests {
         assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
 
         let track = tracks[0].cut(3, 4, 1).unwrap();
-        assert_eq!(
-            track.trajectory.entries().iter().map(Option::is_some).collect::<Vec<_>>(),
-            [true, false, true, false]
-        );
+        let found = track.trajectory.entries().iter().map(Option::is_some).collect::<Vec<_>>();
+        assert_eq!(found, [true, false, true, false]);
         assert_eq!(track.trajectory.derivation(), None);
         assert!(tracks[0].cut(6, 4, 1).is_none() && tracks[1].cut(3, 4, 1).is_none());
     }

@@ -204,10 +204,8 @@ mod tests {
             let table = read(text).unwrap();
             assert_eq!((table.n_rows, table.place_of(1)), (3, "line 3".to_owned()), "{text}");
             let ids = table.text(Some("id|who")).unwrap();
-            assert_eq!(
-                (ids.different.as_slice(), ids.of_row.as_slice()),
-                (&["a".to_owned(), "b".to_owned()][..], &[0, 1, 0][..])
-            );
+            let found = (ids.different.as_slice(), ids.of_row.as_slice());
+            assert_eq!(found, (&["a".to_owned(), "b".to_owned()][..], &[0, 1, 0][..]));
             let x = table.number(Some("x|X")).unwrap();
             assert!(x[0] == 1.5 && x[1].is_nan() && x[2].is_nan(), "{x:?}");
             assert!(table.number(Some("nowhere")).is_none() && table.number(None).is_none());
@@ -230,10 +228,8 @@ mod tests {
         writer.close().unwrap();
         let table = Table::read(&bytes, &[], &WANTED).unwrap();
         let ids = table.text(Some("id|who")).unwrap();
-        assert_eq!(
-            (ids.different.as_slice(), ids.of_row.as_slice()),
-            (&["7".to_owned(), String::new()][..], &[0, 1, 0][..])
-        );
+        let found = (ids.different.as_slice(), ids.of_row.as_slice());
+        assert_eq!(found, (&["7".to_owned(), String::new()][..], &[0, 1, 0][..]));
         let x = table.number(Some("x|X")).unwrap();
         assert!(x[..2] == [1.5, 2.5] && x[2].is_nan());
         assert!(table.lacks(&["z"]).contains("the table has id, who, x, X, y") && table.place_of(1) == "row 1");

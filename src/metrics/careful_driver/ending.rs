@@ -163,10 +163,8 @@ mod tests {
         assert!(near.remaining_mps.is_some_and(|mps| (9.5..10.0).contains(&mps)) && !near.subject_reacts, "{near:?}");
         // A subject that brakes already continues: 10 m/s take 1.6 s, in which 8.9 m are needed: 9.9 m are enough.
         let braking = ending(9.9, 0.0, true);
-        assert!(
-            braking.subject_reacts && braking.remaining_mps.is_none() && braking.contact_s.is_some(),
-            "{braking:?}"
-        );
+        assert!(braking.subject_reacts && braking.remaining_mps.is_none(), "{braking:?}");
+        assert!(braking.contact_s.is_some(), "{braking:?}");
         assert!(ending(8.0, 0.0, true).remaining_mps.is_some());
         // Farther away, or beside it, nobody is touched.
         for clear in [ending(10.5, 0.0, false), ending(3.0, 3.0, false), ending(-9.5, 0.0, false)] {
