@@ -123,8 +123,7 @@ pub fn write_atomically<E: From<io::Error>>(
     Ok(file.commit()?)
 }
 
-/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file ever
-/// appears under `to`.
+/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file appears.
 ///
 /// # Errors
 /// On I/O errors; nothing new is then under `to`.

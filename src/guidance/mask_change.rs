@@ -191,8 +191,7 @@ fn restricted(matrix: &Matrix, places: &[usize]) -> Matrix {
     places.iter().map(|i| places.iter().map(|j| matrix[*i][*j]).collect()).collect()
 }
 
-/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A is mostly
-/// block-diagonal or triangular.
+/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A has many.
 fn solved(mut a: Matrix, mut b: Matrix) -> Option<Matrix> {
     let n = a.len();
     for column in 0..n {
