@@ -54,9 +54,6 @@ impl Bucket {
     }
 
     /// All objects in it, sorted by name.
-    ///
-    /// # Errors
-    /// When a name cannot be that of a file; errors of the store.
     pub(super) fn list(&self) -> Result<Vec<Object>> {
         let mut found = self.repeated("list", "", async || {
             let prefix = self.key("")?;

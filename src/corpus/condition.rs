@@ -76,9 +76,6 @@ impl FromStr for Condition {
 
 impl Condition {
     /// Whether the condition fits the columns of the scenarios.
-    ///
-    /// # Errors
-    /// [`Error::UnknownColumn`] with the nearest name, [`Error::Condition`] when the value does not fit the type.
     pub(super) fn check(&self, schema: &Schema) -> Result<()> {
         let Ok(field) = schema.field_with_name(self.column()) else {
             let names: Vec<&str> =

@@ -81,9 +81,6 @@ impl<'a> Starts<'a> {
     }
 
     /// The scenarios that could not be driven, by reason, and the buckets of the others, once all are.
-    ///
-    /// # Errors
-    /// When no scenario was chosen, or none of the chosen ones can be driven.
     pub(super) fn finish(self) -> Result<(BTreeMap<String, u64>, Buckets)> {
         let n_left_out: u64 = self.left_out.values().sum();
         match self.n_chosen {

@@ -158,9 +158,6 @@ impl SceneContext {
     }
 
     /// The place on the agent axis of the one agent that `selector` names, row by row.
-    ///
-    /// # Errors
-    /// When it names no agent, or all of them.
     pub(super) fn slots(&self, selector: &AgentSelector) -> Result<&[usize]> {
         match (selector.name(), self.roles.get(selector.name())) {
             (_, Some(slots)) => Ok(slots),

@@ -52,9 +52,6 @@ struct Listed {
 
 impl MapCatalog {
     /// Reads the maps among `map_inputs`, or otherwise among the inputs themselves.
-    ///
-    /// # Errors
-    /// When none is found, or a place named by the recordings' paths lacks one or has one that cannot be read.
     pub(super) fn read(
         config: &IngestConfig,
         source: &dyn RecordingSource,
@@ -165,10 +162,6 @@ impl MapCatalog {
     }
 
     /// Fails if any map is missing, each with a recording that needs it.
-    ///
-    /// # Errors
-    /// [`Error::Map`] for one that cannot be read; otherwise [`Error::MissingMaps`], which names the missing maps and
-    /// those that were found.
     pub(super) fn require(&self, missing: impl Iterator<Item = (MapId, String)>) -> Result<(), Error> {
         let missing: Vec<(MapId, String)> = missing.collect();
         if let Some(broken) = missing.iter().find_map(|(id, _)| self.broken.get(id)) {

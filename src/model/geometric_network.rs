@@ -118,9 +118,6 @@ impl GeometricNetwork {
     }
 
     /// Encodes the inputs that do not change between calls.
-    ///
-    /// # Errors
-    /// If the batch was collated without `Sight`, or does not fit the network.
     pub(super) fn encode_known(&self, batch: &SceneBatch) -> Result<KnownTokens> {
         let Some(surroundings) = &batch.surroundings else {
             candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");

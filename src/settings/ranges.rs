@@ -143,10 +143,7 @@ fn entry_of<'v, 'i>(value: &'v DeValue<'i>, name: &str) -> Option<&'v DeValue<'i
 /// Refuses a text that occurs twice in a list without repetitions.
 fn check_unique(schema: &Schema, items: &DeArray<'_>, key: &str) -> Result {
     let texts: Vec<&str> = items.iter().filter_map(|item| text_of(item.get_ref())).collect();
-    match schema["uniqueItems"] == true {
-        true => distinct(key, &texts),
-        false => Ok(()),
-    }
+    if schema["uniqueItems"] == true { distinct(key, &texts) } else { Ok(()) }
 }
 
 fn check_number(schema: &Schema, number: f64, written: &str, key: &str) -> Result {

@@ -35,10 +35,6 @@ pub struct CorpusReader {
 impl CorpusReader {
     /// Opens a finished corpus, of this version or an earlier one with one file per table, and verifies the checksums
     /// of all of its tables.
-    ///
-    /// # Errors
-    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when its version cannot be read,
-    /// [`Error::Corrupt`] when a table is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let scan = CorpusScan::open(dir)?;
         let scenarios_path = dir.join(CorpusTable::Scenarios.name());
@@ -97,9 +93,6 @@ impl CorpusReader {
     }
 
     /// The position of the scenario whose id is or begins with `scenario_id`.
-    ///
-    /// # Errors
-    /// [`Error::NotFound`] when there is none or several.
     pub fn position(&self, scenario_id: &str) -> Result<usize> {
         let ids = || Ok::<_, Error>(self.scenario_ids()?.enumerate());
         if let Some((position, _)) = ids()?.find(|(_, id)| *id == scenario_id) {
@@ -114,9 +107,6 @@ impl CorpusReader {
     }
 
     /// Loads scenario `i` with its tracks, lanes and events.
-    ///
-    /// # Errors
-    /// [`Error::NotFound`] when there are fewer, [`Error::Corrupt`] when the tables do not fit each other.
     pub fn scenario(&self, i: usize) -> Result<ScenarioRecord> {
         let missing = || self.missing(&format!("scenario number {i} of {}", self.len()));
         let (path, rows) = self.tracks.get(i).ok_or_else(missing)?;

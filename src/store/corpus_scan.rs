@@ -48,9 +48,6 @@ pub(crate) struct CorpusChunk {
 
 impl CorpusScan {
     /// Opens a finished corpus and verifies the checksums of all of its files.
-    ///
-    /// # Errors
-    /// See [`CorpusManifest::read`]; [`Error::Corrupt`] if a file differs from the one that was written.
     pub(crate) fn open(dir: &Path) -> Result<Self> {
         let scan = Self::open_unverified(dir)?;
         let files: Vec<&FileEntry> = scan.manifest.all_files().collect();
@@ -115,10 +112,7 @@ impl CorpusScan {
         let (scenarios, tracks) = self.part(i)?;
         let (path, tracks_path) = (self.path(scenarios), self.path(tracks));
         let batches = self.batches(CorpusTable::Scenarios, scenarios, None)?;
-        let feed = match with_tracks {
-            true => Some(self.batches(CorpusTable::Tracks, tracks, None)?),
-            false => None,
-        };
+        let feed = if with_tracks { Some(self.batches(CorpusTable::Tracks, tracks, None)?) } else { None };
         Ok(Chunks { path, scenarios: Feed::new(batches), tracks_path, tracks: feed.map(Feed::new), is_over: false })
     }
 

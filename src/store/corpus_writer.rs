@@ -38,9 +38,6 @@ pub struct CorpusWriter<'m> {
 impl<'m> CorpusWriter<'m> {
     /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if they
     /// are on a list of ours. Maps are copied from `maps` as scenarios need them.
-    ///
-    /// # Errors
-    /// [`Error::Files`] when the folder holds foreign files; errors of the file system.
     pub fn create(dir: &Path, maps: &'m dyn MapSource) -> Result<Self> {
         let sink = CorpusSink::create(dir)?;
         let spool = dir.join(SPOOL_FILE);

@@ -61,10 +61,6 @@ pub(crate) struct MappedTable {
 
 impl MappedTable {
     /// Maps a file of this table.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the content does not match `stamp` or is not a table, [`Error::SchemaVersion`] when it
-    /// is another table.
     pub(crate) fn open(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Self> {
         let buffer = map_file(path)?;
         // The checksum comes first: if it matches, the content is as it was written.

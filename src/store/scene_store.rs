@@ -48,10 +48,6 @@ struct BatchPlace {
 
 impl SceneStore {
     /// Opens a finished store and verifies the checksums of all of its files.
-    ///
-    /// # Errors
-    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it,
-    /// [`Error::Corrupt`] when a file is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         Self::open_all(&[dir])
     }

@@ -54,9 +54,6 @@ pub(super) struct FinishedShard<S> {
 
 impl ShardFolder {
     /// The plans of a stage in a run folder; incomplete plans do not count.
-    ///
-    /// # Errors
-    /// When the record of a plan is damaged; errors of the file system.
     pub(in crate::engine) fn all(root: &Path, kind: &'static StageKind) -> Result<Vec<Self>> {
         let Some(names) = kind.shards else { return Ok(Vec::new()) };
         let mut found = Vec::new();
@@ -89,9 +86,6 @@ impl ShardFolder {
     }
 
     /// Keeps a plan, which no other process may use yet.
-    ///
-    /// # Errors
-    /// When foreign files are in its place; errors of the file system.
     pub(super) fn write(
         root: &Path,
         kind: &'static StageKind,
@@ -254,9 +248,6 @@ impl ShardFolder {
     }
 
     /// Removes the plan and everything that workers wrote for it. Workers that are still running find no plan.
-    ///
-    /// # Errors
-    /// When foreign files are in the folder; errors of the file system.
     pub(super) fn discard(&self) -> Result<()> {
         discard(&self.dir, self.names)
     }

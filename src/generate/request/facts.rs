@@ -36,10 +36,7 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
     }
     let is_parameter = behavior.parameters.contains(&name) || name == CAREFUL_MARGIN;
     let Some(texts) = texts else {
-        return match is_parameter {
-            true => Ok(()),
-            false => refuse("holds text; give a list of strings".to_owned()),
-        };
+        return if is_parameter { Ok(()) } else { refuse("holds text; give a list of strings".to_owned()) };
     };
     let values: Option<Vec<&str>> = match name {
         PLACE => None,

@@ -72,9 +72,6 @@ impl SweepConfig {
     }
 
     /// The sweeps that try this arm for a request: one for each level.
-    ///
-    /// # Errors
-    /// Names the key that does not fit the request's behavior.
     pub(in crate::generate) fn resolve_arm(
         &self,
         request: &RequestConfig,
