@@ -37,14 +37,12 @@ pub(super) struct Bucket {
 pub(super) struct Object {
     /// Its name, relative to the folder.
     pub(super) name: String,
-    /// Its length.
     pub(super) n_bytes: u64,
     /// A tag that changes with its content.
     pub(super) etag: String,
 }
 
 impl Bucket {
-    /// The folder at a URL.
     pub(super) fn open(url: ObjectUrl) -> Result<Self> {
         Ok(Self { store: connect(&url)?, url })
     }

@@ -24,7 +24,6 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// The target at a URL.
     pub(super) fn at(url: ObjectUrl) -> Result<Self> {
         let target = Self { bucket: Bucket::open(url)? };
         target.check_ours(&target.listed()?, &target.lengths()?)?;

@@ -101,7 +101,6 @@ impl Condition {
         value.map(Scalar::new).ok_or_else(|| Error::Condition { text: self.text.clone(), detail: detail() })
     }
 
-    /// The column of the table.
     fn column(&self) -> &str {
         if self.column == BEHAVIOR { "requested_behavior" } else { &self.column }
     }

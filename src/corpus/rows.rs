@@ -12,7 +12,6 @@ pub(super) fn column<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Res
     Ok(batch.column_by_name(name).ok_or_else(missing)?)
 }
 
-/// A column of texts.
 pub(super) fn texts<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Result<&'b StringArray> {
     let other = || store::Error::corrupt(path, format!("column {name} does not hold text"));
     Ok(column(batch, name, path)?.as_any().downcast_ref().ok_or_else(other)?)

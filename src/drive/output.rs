@@ -38,7 +38,6 @@ pub(super) struct Output<'a> {
     again: String,
     states: DrivenWriter,
     rows: Vec<DriveRow>,
-    /// The tags of scenarios.
     tags: BTreeMap<String, Tags>,
     margins: Vec<Margin>,
     log: Option<AtomicFile>,

@@ -22,7 +22,6 @@ pub(super) struct Starts<'a> {
     limit: usize,
     /// Scenarios that cannot be driven, by reason.
     left_out: BTreeMap<String, u64>,
-    /// The buckets of the others.
     buckets: Buckets,
 }
 

@@ -33,7 +33,6 @@ const NEW_FILE: &str = ".djinn-new";
 /// The folder of earlier outputs that were replaced and are about to be removed.
 const REPLACED: &str = "replaced";
 
-/// The folder in which a stage works.
 pub(super) struct WorkFolder {
     root: PathBuf,
     dir: PathBuf,

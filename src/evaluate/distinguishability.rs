@@ -120,11 +120,9 @@ impl CellTracks {
 pub(super) struct CellKey {
     pub(super) series: SeriesKey,
     pub(super) place: String,
-    /// The index of the scene in the store.
     pub(super) scene_idx: usize,
 }
 
-/// A scene of a series.
 struct PooledScene {
     place: String,
     classes: Vec<AgentClass>,

@@ -57,10 +57,8 @@ pub struct MeasuredShard {
     pub(super) cells: Vec<MeasuredCell>,
 }
 
-/// A cell with its figures.
 pub(super) struct MeasuredCell {
     pub(super) key: CellKey,
-    /// The scene that it continues.
     pub(super) recorded: Scene,
     /// The scenarios, in order.
     pub(super) scenario_ids: Vec<String>,

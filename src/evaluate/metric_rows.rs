@@ -15,9 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// A scene, and its scenarios that form a cell.
 pub(super) struct CellNames<'a> {
-    /// The series of the scenarios.
     pub(super) series: &'a SeriesKey,
-    /// The place of the scene.
     pub(super) place: &'a str,
     pub(super) scene_id: &'a SceneId,
     /// The scenarios, in order.
@@ -148,7 +146,6 @@ impl FinishedRows {
         self.rows(&self.of_scenarios)
     }
 
-    /// Removes the files.
     pub(super) fn remove(self) -> Result<()> {
         let mut spools = self.series.into_iter().map(|(_, spool)| spool).chain([self.of_scenarios]);
         Ok(spools.try_for_each(Spooled::remove)?)

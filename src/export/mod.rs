@@ -139,7 +139,6 @@ struct Item<'a> {
     stem: String,
     /// Index into the scene's tracks.
     ego_idx: usize,
-    /// The terms of the recording.
     terms: &'a str,
 }
 
@@ -167,7 +166,6 @@ impl Item<'_> {
     }
 }
 
-/// The outcome of a scenario.
 enum ExportOutcome {
     Written(Written),
     /// Why it was left out: a stable code, such as `no_lanes`.

@@ -67,12 +67,10 @@ impl<'a> Generator<'a> {
         Seed(self.config.seed)
     }
 
-    /// The specification of the denoiser.
     pub(super) const fn spec(&self) -> &'a DenoiserSpec {
         &self.models.denoiser.spec
     }
 
-    /// The denoiser that a sweep samples from.
     pub(super) fn denoiser(&self, sweep: &ResolvedSweep) -> Result<&'a TrainedDenoiser, Error> {
         match (sweep.uses_distilled(), self.models.distilled) {
             (false, _) => Ok(self.models.denoiser),

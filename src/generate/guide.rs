@@ -31,7 +31,6 @@ pub(super) struct Guided<'a> {
     pub(super) diffusion: &'a Diffusion,
     /// Strength of the guidance, and weight of the target states.
     pub(super) level: GuidanceLevel,
-    /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
     /// The requested agents of each cell; the first is at the center.
     pub(super) agents: &'a [(usize, usize)],

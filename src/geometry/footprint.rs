@@ -59,7 +59,6 @@ pub(crate) struct Footprint {
 }
 
 impl Footprint {
-    /// Prepares a box.
     pub(crate) fn new(oriented_box: &OrientedBox) -> Self {
         let OrientedBox { center, heading_rad, length_m, width_m } = *oriented_box;
         Self::along(center, Vec2::from_angle(heading_rad), [length_m, width_m])

@@ -120,7 +120,6 @@ struct Pending<'a> {
 
 type PendingOutcome<'a> = Box<dyn FnOnce() -> UnitOutcome + Send + 'a>;
 
-/// The outcome of one scene or unit.
 enum UnitOutcome {
     Kept {
         scene: Box<Scene>,

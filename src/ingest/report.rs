@@ -116,7 +116,6 @@ impl IngestReport {
         add(&mut self.assumed, what, n);
     }
 
-    /// Counts a kept scene.
     pub(super) fn count_scene(&mut self, source: &SceneSource, n_agents: usize) {
         self.n_scenes += 1;
         self.n_agents += n_agents as u64;

@@ -12,7 +12,6 @@ pub(super) struct TrunkConfig<'a> {
     pub(super) layers: &'a str,
     /// Features per agent state.
     pub(super) width: usize,
-    /// Attention heads.
     pub(super) n_heads: usize,
     /// Hidden features of the feed-forward part of each layer.
     pub(super) feed_forward: usize,

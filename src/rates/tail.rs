@@ -60,7 +60,6 @@ impl Level {
         Some(Self { parameter: parameter.clone(), sign, severity, end })
     }
 
-    /// The severity of a value of the parameter.
     pub(super) fn severity_of(&self, value: f64) -> f64 {
         self.sign * value
     }

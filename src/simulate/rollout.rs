@@ -248,7 +248,6 @@ pub(super) fn came_through(situation: &Situation, world: &World) -> End {
     }
 }
 
-/// An ongoing drive.
 pub(super) struct Drive<'a> {
     pub(super) situation: &'a Situation,
     pub(super) world: World,

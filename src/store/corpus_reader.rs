@@ -21,7 +21,6 @@ use std::path::{Path, PathBuf};
 /// read on demand. Scenarios are in the order of their partitions, and within each as they were written.
 pub struct CorpusReader {
     scan: CorpusScan,
-    /// The scenario table.
     scenarios: RecordBatch,
     /// The path of the scenario table, for errors.
     scenarios_path: PathBuf,

@@ -34,7 +34,6 @@ pub(crate) struct CorpusChunk {
     pub(crate) path: PathBuf,
     /// Position of the first scenario in its file.
     pub(crate) first_row: usize,
-    /// The rows of the scenarios.
     pub(crate) scenarios: RecordBatch,
     /// The file of the states.
     pub(crate) tracks_path: PathBuf,
@@ -155,7 +154,6 @@ impl CorpusScan {
         Ok(united(&schemas.collect::<Result<Vec<_>>>()?))
     }
 
-    /// The lanes of all maps.
     pub(crate) fn maps(&self) -> Result<MapTable> {
         let mut maps = MapTable::new(&self.dir);
         for file in self.manifest.files(CorpusTable::Lanes) {
@@ -289,12 +287,10 @@ impl Iterator for Chunks {
 }
 
 impl CorpusChunk {
-    /// Number of scenarios.
     pub(crate) fn len(&self) -> usize {
         self.scenarios.num_rows()
     }
 
-    /// The columns of the scenarios.
     pub(crate) fn columns(&self) -> Columns<'_> {
         Columns::of_batch(&self.scenarios, &self.path)
     }

@@ -60,7 +60,6 @@ pub(crate) struct MappedTable {
 }
 
 impl MappedTable {
-    /// Maps a file of this table.
     pub(crate) fn open(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Self> {
         let buffer = map_file(path)?;
         // The checksum comes first: if it matches, the content is as it was written.
@@ -86,7 +85,6 @@ impl MappedTable {
         Ok(Self { path: path.to_owned(), version: footer.version(), buffer, schema, blocks })
     }
 
-    /// The file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }

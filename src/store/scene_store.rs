@@ -28,14 +28,12 @@ pub struct SceneStore {
     batches: Vec<BatchPlace>,
     /// The last batches that were read, by position.
     decoded: Mutex<BTreeMap<usize, RecordBatch>>,
-    /// The maps of each folder.
     maps: Vec<MapTable>,
     index: SceneIndex,
     /// Positions in `index`, by scene id.
     by_id: Vec<u32>,
 }
 
-/// The place of a batch of scenes.
 struct BatchPlace {
     /// Position of its folder, and of its shard.
     folder: usize,

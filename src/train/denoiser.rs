@@ -14,12 +14,10 @@ use crate::nn::{Checkpoint, Params};
 pub(super) struct TrainedFrom<'a> {
     /// Settings.
     pub(super) training: &'a DenoiserTraining,
-    /// The scenes.
     pub(super) data: &'a TrainingData<'a>,
     pub(super) start: Option<&'a Checkpoint<DenoiserSpec>>,
     /// The description with the constants of the scenes.
     found: &'a DenoiserSpec,
-    /// Its environment.
     pub(super) job: TrainJob<'a>,
 }
 

@@ -140,7 +140,6 @@ pub(super) fn take_steps(
 }
 
 impl Run {
-    /// Takes a step.
     fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
         let step = self.position.step;
         in_pool(params.device(), || {

@@ -98,7 +98,6 @@ fn schedule(base: &FitConfig, steps: u64, learning_rate: f64) -> FitConfig {
     FitConfig { steps, learning_rate, warmup_steps: base.warmup_steps.min(steps / 10), ..base.clone() }
 }
 
-/// The choice of settings.
 pub(super) struct Choice<'a> {
     within: &'a Within,
     from: TrainedFrom<'a>,

@@ -60,7 +60,6 @@ pub(super) struct Pair {
     pub(super) horizon_s: f64,
 }
 
-/// One way to cut in.
 pub(super) struct CutInPlan {
     /// When the boxes begin to share a path, seconds after the present.
     pub(super) time_s: f64,

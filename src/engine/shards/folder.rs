@@ -172,7 +172,6 @@ impl ShardFolder {
         self.identity().refusal(self.kind, difference, (n_finished, n_shards))
     }
 
-    /// The path of the folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }
@@ -287,7 +286,6 @@ impl ShardFolder {
         (1..=MAX_TRIES).map(move |number| self.try_path(idx, number))
     }
 
-    /// The tries at a shard.
     pub(super) fn tries(&self, idx: usize) -> Tries {
         Tries::of(self.try_paths(idx))
     }

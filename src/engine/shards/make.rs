@@ -33,7 +33,6 @@ const POLL: Duration = Duration::from_millis(200);
 pub struct Worker {
     /// Its number, from 1.
     number: usize,
-    /// The number of all workers.
     of: usize,
 }
 

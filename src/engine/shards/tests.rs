@@ -61,7 +61,6 @@ impl Planned {
         shards.go_about(0..self.n_shards, &|_| 1, &|_| true, &mut |idx| Ok((make(idx)?, ())))
     }
 
-    /// Writes the file of a shard.
     fn write(&self, idx: usize) -> Result<FileStamp> {
         let path = self.folder.dir().join(self.folder.file_name(idx));
         Ok(write_atomically::<std::io::Error>(&path, |file| write!(file, "shard {idx}"))?)

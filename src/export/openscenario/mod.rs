@@ -34,7 +34,6 @@ const DATE: &str = "1970-01-01T00:00:00";
 pub(super) struct OpenScenario {
     dir: PathBuf,
     ego: EgoMotion,
-    /// The roads of earlier scenes.
     roads: BTreeMap<SceneId, Roads>,
 }
 

@@ -163,7 +163,6 @@ fn points(line: &Polyline) -> Vec<MapPoint> {
     line.0.iter().map(|at| MapPoint { x: at.x, y: at.y }).collect()
 }
 
-/// The number of a name in an enumeration.
 fn number_of(names: &[&str], name: &str) -> Option<i32> {
     names.iter().position(|known| *known == name).and_then(|number| i32::try_from(number).ok())
 }

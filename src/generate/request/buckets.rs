@@ -29,7 +29,6 @@ pub struct BucketPart {
 }
 
 impl Divisions {
-    /// Number of parts.
     pub(super) fn len(&self) -> usize {
         match self {
             Self::Edges(edges) => edges.len().saturating_sub(1),

@@ -121,7 +121,6 @@ pub(super) struct CellCounts {
 /// What a cell brought for a bucket since the last accepted sample.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct InVain {
-    /// Samples that aimed at it.
     n_aimed: u64,
     n_near_duplicates: u64,
 }

@@ -12,7 +12,6 @@ use crate::settings::{self, Issue, Result};
 struct Purpose<'a> {
     /// The section, which provides the defaults of sweeps.
     config: &'a GenerateConfig,
-    /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
 }
 
@@ -107,7 +106,6 @@ impl SweepConfig {
     }
 }
 
-/// The mined behavior with this name.
 pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>]) -> Result<&'a dyn Behavior> {
     behaviors.iter().map(AsRef::as_ref).find(|behavior| behavior.id() == id).ok_or_else(|| {
         let known: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();

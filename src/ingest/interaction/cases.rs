@@ -184,7 +184,6 @@ impl Cases<'_> {
     }
 }
 
-/// The case id in a row.
 enum CaseId<'a> {
     Whole(&'a [u8]),
     /// The row has too few or too many columns, so this is its case only if it looks like one: a number followed by

@@ -72,7 +72,6 @@ impl Survey {
     }
 }
 
-/// The unit of a complete case, or a reject.
 fn unit_of(case: Case, table: &RawUnit) -> Result<RawUnit, Reject> {
     let id = String::from_utf8_lossy(&case.id).into_owned();
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_graphic() && c != '/') {

@@ -140,7 +140,6 @@ struct Builder<'a> {
     observations: Vec<(Observation, Line<'a>)>,
 }
 
-/// The line of a state.
 struct Line<'a> {
     file: &'a str,
     number: u64,

@@ -221,7 +221,6 @@ fn insert_new<T>(elements: &mut BTreeMap<i64, T>, id: i64, element: T) -> bool {
     taken
 }
 
-/// The attributes of one element.
 struct Attributes(Vec<(String, String)>);
 
 impl Attributes {

@@ -264,7 +264,6 @@ impl Lanes<'_> {
     }
 }
 
-/// The name of a lane in the file.
 fn lane_name(lane: &Lane) -> String {
     let tag = |name: &str| lane.attributes.tags.get(name).map_or("", String::as_str);
     format!("lane {} of road {}", tag("lane"), tag("road"))

@@ -38,7 +38,6 @@ pub(super) fn types_among<T: AsRef<[u8]>>(names: impl IntoIterator<Item = T>) ->
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Texts {
     pub(super) different: Vec<String>,
-    /// The index of the text of each row.
     pub(super) of_row: Vec<u32>,
     indices: BTreeMap<String, u32>,
 }
@@ -105,7 +104,6 @@ impl Table {
         self.texts.get(name?)
     }
 
-    /// The place of a row, for messages.
     pub(super) fn place_of(&self, row: usize) -> String {
         self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("{} {line}", self.counted))
     }
@@ -115,7 +113,6 @@ impl Table {
         lacks(&self.names, missing)
     }
 
-    /// The table of these rows.
     fn of(mut rows: TableRows<'_>, lines: &[u64]) -> Result<Self, Malformed> {
         let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); rows.columns.len()];
         let mut texts: Vec<Texts> = rows.columns.iter().map(|_| Texts::default()).collect();

@@ -21,7 +21,6 @@ pub(super) struct Rows<'a> {
 pub(super) struct OfTracks {
     pub(super) file: String,
     pub(super) table: Table,
-    /// The row of each track.
     rows: BTreeMap<String, usize>,
 }
 

@@ -100,7 +100,6 @@ struct Split {
 
 /// The training rows in a node of a tree that grows.
 struct Growing {
-    /// The index of the node.
     at: usize,
     rows: Vec<u32>,
     sums: Sums,
@@ -232,7 +231,6 @@ fn most_gainful(open: &mut Vec<Splittable>) -> Option<Splittable> {
     Some(open.remove(at))
 }
 
-/// The children of a node.
 fn divided(node: &Growing, feature: &BinnedFeature, split: &Split, [left, right]: [usize; 2]) -> [Growing; 2] {
     let goes_left = |row: &u32| {
         let bin = usize::from(feature.bins[*row as usize]);

@@ -35,7 +35,6 @@ fn checks(scene: &Scene, config: &ValidityConfig) -> Vec<&'static str> {
     found(scene, config).iter().map(|violation| violation.check.name()).collect()
 }
 
-/// The only violation.
 fn only(scene: &Scene, config: &ValidityConfig) -> (Check, f64, usize) {
     match &found(scene, config)[..] {
         [Violation { check, value, timestep, .. }] => (*check, *value, *timestep),

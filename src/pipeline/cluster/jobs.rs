@@ -156,7 +156,6 @@ struct Jobs {
 }
 
 impl Jobs {
-    /// Adds the jobs of a stage in parts.
     fn add_parts(&mut self, stage: StageId, [plan, work, seal]: [&'static str; 3]) {
         let (after, number) = (self.after_last(), format!("{WORKER}/{}", self.n_workers));
         let planned = Dependency { job: plan, condition: Completion::Succeeded };

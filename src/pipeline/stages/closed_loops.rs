@@ -20,7 +20,6 @@ use serde_json::{Value, json};
 
 /// Everything that loops of a stage depend on beside its section.
 pub struct ClosedLoops<'a> {
-    /// The seed of the run.
     pub(super) seed: u64,
     precision: Precision,
     /// The splits and places of the generation; none: what is held out, everywhere.

@@ -17,7 +17,6 @@ const HOLD_OUT_EVERY: usize = 10;
 /// Scenes by index, in the store's order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct TrainingScenes {
-    /// Scenes to train on.
     pub(super) train: Vec<usize>,
     /// Scenes to judge by, none of which shares a moment with one to train on.
     pub(super) held_out: Vec<usize>,

@@ -183,7 +183,6 @@ fn details_field() -> Field {
     .optional()
 }
 
-/// The columns of one assessment, each with one value.
 pub(crate) fn columns_of(assessment: &Assessment) -> Result<Vec<(Field, ArrayRef)>> {
     Ok(fields().into_iter().zip(encode(&[("assessment", Some(assessment))])?).collect())
 }

@@ -16,7 +16,6 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// A reader.
 pub(super) struct Target {
     pub(super) name: &'static str,
     /// Files as they should be. They may be made in the folder, which belongs to the target.
@@ -205,7 +204,6 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A TFRecord with this content.
 fn record(content: &[u8]) -> Vec<u8> {
     let checksum = |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
     let length = (content.len() as u64).to_le_bytes();

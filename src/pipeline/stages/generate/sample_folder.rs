@@ -105,7 +105,6 @@ pub(super) struct SampleFolder {
 }
 
 impl SampleFolder {
-    /// Creates the folder.
     pub(super) fn create(dir: &Path) -> Result<Self> {
         fs_err::create_dir_all(dir)?;
         Ok(Self { dir: dir.to_owned() })
@@ -125,7 +124,6 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// Writes the figures of requests.
     pub(super) fn write_requests(&self, requests: &[RequestSummary]) -> Result<()> {
         write_json_atomically(&self.dir.join(REQUESTS_FILE), &requests)?;
         Ok(())

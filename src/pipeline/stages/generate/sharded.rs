@@ -17,7 +17,6 @@ use serde_json::{Value, json};
 /// The decisions made before any shard is sampled.
 #[derive(Serialize, Deserialize)]
 pub(super) struct GenerationPlan {
-    /// The shards of the sweeps.
     pub(super) sweeps: Plan,
     /// The cells of each request.
     pub(super) pools: Vec<Pool>,
